@@ -1,0 +1,1 @@
+"""lfgpu: depth from 4D light fields by analysis through synthesis."""
