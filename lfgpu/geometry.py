@@ -49,11 +49,11 @@ class Geometry:
                 raise LightFieldError(f"geometry: {name} must be a positive number, not {value}.")
 
     def depth(self, disparity: ArrayLike) -> NDArray[np.float64]:
-        """Depth in metres of a disparity in pixels per view step; infinity at or beyond the horizon."""
+        """Depth in metres of a disparity in pixels per view step; infinity at or beyond the horizon, NaN of NaN."""
         inverse = np.asarray(disparity, np.float64) / (self.baseline_m * self.focal_length_px)
         inverse = inverse + 1.0 / self.focus_distance_m
         with np.errstate(divide="ignore"):
-            return np.asarray(np.where(inverse > 0, 1.0 / np.maximum(inverse, 0.0), np.inf))
+            return np.asarray(np.where(inverse <= 0, np.inf, 1.0 / np.maximum(inverse, 0.0)))
 
     def disparity(self, depth_m: ArrayLike) -> NDArray[np.float64]:
         """Disparity in pixels per view step of a depth in metres; the inverse of `depth`."""

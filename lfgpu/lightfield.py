@@ -109,6 +109,12 @@ class LightField:
             raise LightFieldError(f"reference view {reference} does not exist: there are views 0 to {len(views) - 1}.")
         if self.valid is not None and (self.valid.shape != views.shape[:3] or self.valid.dtype != np.bool_):
             raise LightFieldError(f"valid must be bool {views.shape[:3]}, found {self.valid.dtype} {self.valid.shape}.")
+        if self.truth is not None and self.truth.disparity.shape != views.shape[1:3]:
+            raise LightFieldError(
+                f"truth must be {views.shape[1:3]} as the views are, found {self.truth.disparity.shape}."
+            )
+        if self.grid_shape is not None:
+            _check_grid(positions, self.grid_shape)
         object.__setattr__(self, "views", views)
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "reference", reference)
@@ -271,9 +277,9 @@ class LightField:
         A coarse pixel is valid where all its pixels are. Geometry and ground truth belong to full size and are left
         out, as are rows and columns that do not fill a block.
         """
-        height, width = (side // factor for side in self.size)
-        if factor < 1 or height < 1 or width < 1:
+        if not 1 <= factor <= min(self.size):
             raise LightFieldError(f"views of {self.size[0]} x {self.size[1]} pixels cannot be shrunk {factor} times.")
+        height, width = (side // factor for side in self.size)
 
         def blocks(a: Any) -> Any:
             cut = a[:, : height * factor, : width * factor]
@@ -332,6 +338,16 @@ def _check_distinct(positions: NDArray[np.float64]) -> None:
     if len(unique) < len(positions):
         u, v = unique[counts > 1][0] * _POSITION_TOLERANCE
         raise LightFieldError(f"two views stand at row {v:g}, column {u:g}; positions must be different.")
+
+
+def _check_grid(positions: NDArray[np.float64], grid_shape: tuple[int, int]) -> None:
+    places = np.round(positions)
+    last = (grid_shape[1] - 1, grid_shape[0] - 1)
+    if np.abs(positions - places).max() > _POSITION_TOLERANCE or (places < 0).any() or (places > last).any():
+        raise LightFieldError(
+            f"positions must be places in the grid of {grid_shape[0]} x {grid_shape[1]} views, whole numbers from 0; "
+            f"found rows {_span(positions[:, 1])} and columns {_span(positions[:, 0])}."
+        )
 
 
 def _span(values: NDArray[np.float64]) -> str:

@@ -1,0 +1,21 @@
+"""Light fields, maps and masks from and to files."""
+
+from lfgpu.io.atomic import atomic_folder, atomic_write, check_writable
+from lfgpu.io.formats import FORMATS, Format, read, recognise
+from lfgpu.io.hci import write_hci
+from lfgpu.io.maps import read_map, read_mask
+from lfgpu.io.pfm import write_pfm
+
+__all__ = [
+    "FORMATS",
+    "Format",
+    "atomic_folder",
+    "atomic_write",
+    "check_writable",
+    "read",
+    "read_map",
+    "read_mask",
+    "recognise",
+    "write_hci",
+    "write_pfm",
+]

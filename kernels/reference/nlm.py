@@ -1,0 +1,83 @@
+"""Non-local-means weights and the two linear operators that they make: NumPy, float64.
+
+w(p, q) = max(floor, e), e = exp(-mean over the patch of [ΔI² / σ_color² + |Δ∇I|² / σ_gradient²]), where Δ is the difference between the
+patch around p and the one around q, squares are means over the channels, and only patch pixels that both have count.
+The paper sums over the patch where this takes the mean: σ here is the paper's over √(patch pixels).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.types import half_window
+
+Array = NDArray[np.float64]
+
+
+def features(image: Array, sigma_color: float, sigma_gradient: float) -> Array:
+    """[y, x, 3c]: colour and its central differences in x and y, scaled so that distances add up to the exponent."""
+    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    gradient_x = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2
+    gradient_y = (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
+    root = np.sqrt(image.shape[2])
+    return np.concatenate([image / sigma_color, gradient_x / sigma_gradient, gradient_y / sigma_gradient], 2) / root
+
+
+def overlap(shape: tuple[int, int], dy: int, dx: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Slices of the pixels p for which p + (dy, dx) lies in the image, and of those p + (dy, dx)."""
+
+    def span(size: int, step: int) -> tuple[slice, slice]:
+        count = max(0, size - abs(step))
+        first = min(size, max(0, -step))
+        return slice(first, first + count), slice(first + step, first + step + count) if count else slice(0, 0)
+
+    rows, columns = span(shape[0], dy), span(shape[1], dx)
+    return (rows[0], columns[0]), (rows[1], columns[1])
+
+
+def box_sum(a: Array, radius: int) -> Array:
+    """Sums over the squares of side 2 radius + 1, cut at the borders."""
+    padded = np.pad(a, radius)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * radius + 1, 2 * radius + 1))
+    return np.asarray(windows.sum(axis=(2, 3)))
+
+
+def nlm_weights(
+    image: Array,
+    *,
+    window: int,
+    patch: int,
+    sigma_color: float,
+    sigma_gradient: float,
+    floor: float,
+    scratch_out: Array,
+    weights_out: Array,
+) -> None:
+    del scratch_out  # other backends keep point-wise differences there
+    described = features(image, sigma_color, sigma_gradient)
+    height, width = image.shape[:2]
+    for k, (dy, dx) in enumerate(half_window(window)):
+        here, there = overlap((height, width), dy, dx)
+        weights_out[k] = 0
+        distance = ((described[here] - described[there]) ** 2).sum(2)
+        if distance.size:
+            mean = box_sum(distance, patch // 2) / box_sum(np.ones_like(distance), patch // 2)
+            weights_out[k][here] = np.maximum(np.exp(-mean), floor)
+
+
+def nlm_neighbors(weights: Array, values: Array, *, window: int, sums_out: Array) -> None:
+    height, width = values.shape
+    sums_out[:] = values  # the pixel itself, with weight exp(0)
+    for w, (dy, dx) in zip(weights, half_window(window), strict=True):
+        here, there = overlap((height, width), dy, dx)
+        sums_out[here] += w[here] * values[there]
+        sums_out[there] += w[here] * values[here]
+
+
+def nlm_laplacian(weights: Array, values: Array, *, window: int, laplacian_out: Array) -> None:
+    height, width = values.shape
+    laplacian_out[:] = 0
+    for w, (dy, dx) in zip(weights, half_window(window), strict=True):
+        here, there = overlap((height, width), dy, dx)
+        flow = w[here] * (values[here] - values[there])
+        laplacian_out[here] += flow
+        laplacian_out[there] -= flow

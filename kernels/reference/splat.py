@@ -1,0 +1,98 @@
+"""The forward splat, its two transposes and its derivative: NumPy, float64, one tap at a time.
+
+Each reference pixel p lands at p - d(p) * (du, dv) in the view with offset (du, dv) and gives its colour to the up to
+four pixels around, by Λ in x times Λ in y (Sajjadi et al. 2016, eq. of the generative model; Λ from `tent`).
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.types import DataTerm
+
+from .tent import tent, tent_slope
+
+Array = NDArray[np.float64]
+
+
+class Tap(NamedTuple):
+    """One of the four pixels that each reference pixel gives to: where, how much, and the derivative by disparity."""
+
+    inside: NDArray[np.bool_]  # [y, x], the target lies in the frame
+    target: tuple[NDArray[np.int64], NDArray[np.int64]]  # rows and columns of the targets inside
+    weight: Array  # weights of those inside
+    slope: Array  # d weight / d disparity of those inside
+
+
+def taps(disparity: Array, offset: Array, softness: float) -> Iterator[Tap]:
+    """The four taps of every reference pixel in the view with `offset` (du, dv)."""
+    height, width = disparity.shape
+    rows, columns = np.mgrid[:height, :width]
+    du, dv = offset
+    shift_x, shift_y = -disparity * du, -disparity * dv
+    whole_x, whole_y = np.floor(shift_x), np.floor(shift_y)
+    ax, ay = shift_x - whole_x, shift_y - whole_y
+    wx, wy = tent(ax, softness), tent(ay, softness)
+    sx, sy = -du * tent_slope(ax, softness), -dv * tent_slope(ay, softness)
+    for right, weight_x, slope_x in ((0, wx, sx), (1, 1.0 - wx, -sx)):
+        for below, weight_y, slope_y in ((0, wy, sy), (1, 1.0 - wy, -sy)):
+            x = columns + whole_x.astype(np.int64) + right
+            y = rows + whole_y.astype(np.int64) + below
+            inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+            slope = slope_x * weight_y + weight_x * slope_y
+            yield Tap(inside, (y[inside], x[inside]), (weight_x * weight_y)[inside], slope[inside])
+
+
+def splat(
+    image: Array, disparity: Array, offsets: Array, *, softness: float, views_out: Array, coverage_out: Array
+) -> None:
+    views_out[:] = 0
+    coverage_out[:] = 0
+    for view, coverage, offset in zip(views_out, coverage_out, offsets, strict=True):
+        for tap in taps(disparity, offset, softness):
+            np.add.at(view, tap.target, tap.weight[:, None] * image[tap.inside])
+            np.add.at(coverage, tap.target, tap.weight)
+
+
+def splat_transpose(views: Array, disparity: Array, offsets: Array, *, softness: float, image_out: Array) -> None:
+    image_out[:] = 0
+    for view, offset in zip(views, offsets, strict=True):
+        for tap in taps(disparity, offset, softness):
+            image_out[tap.inside] += tap.weight[:, None] * view[tap.target]
+
+
+def splat_jvp(
+    image: Array, disparity: Array, tangent: Array, offsets: Array, *, softness: float, views_out: Array
+) -> None:
+    views_out[:] = 0
+    for view, offset in zip(views_out, offsets, strict=True):
+        for tap in taps(disparity, offset, softness):
+            change = (tap.slope * tangent[tap.inside])[:, None] * image[tap.inside]
+            np.add.at(view, tap.target, change)
+
+
+def splat_vjp(
+    image: Array, disparity: Array, residual: Array, offsets: Array, *, softness: float, gradient_out: Array
+) -> None:
+    gradient_out[:] = 0
+    for view, offset in zip(residual, offsets, strict=True):
+        for tap in taps(disparity, offset, softness):
+            gradient_out[tap.inside] += tap.slope * (image[tap.inside] * view[tap.target]).sum(1)
+
+
+def data_term(
+    image: Array, recorded: Array, valid: Array | None, offsets: Array, *, scale: float, softness: float
+) -> DataTerm:
+    counts = np.ones((*recorded.shape[:3], 1)) if valid is None else (valid != 0)[..., None]
+    residual, coverage = np.empty_like(recorded), np.empty(recorded.shape[:3])
+
+    def evaluate(disparity: Array, gradient_out: Array) -> float:
+        splat(image, disparity, offsets, softness=softness, views_out=residual, coverage_out=coverage)
+        residual[:] = counts * (residual - scale * recorded)
+        splat_vjp(image, disparity, residual, offsets, softness=softness, gradient_out=gradient_out)
+        gradient_out *= 2
+        return float(np.vdot(residual, residual))
+
+    return evaluate

@@ -1,0 +1,80 @@
+"""Arrays of the Warp backend: fields are scalars, images are vectors of their channels, so that a pixel is one load."""
+
+import os
+import sys
+import tempfile
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+_SCALARS: dict[type, Any] = {np.uint8: wp.uint8, np.uint16: wp.uint16, np.float32: wp.float32}
+
+
+@cache
+def start() -> None:
+    """Start Warp once, at first use, without its banner and its notes on each module that it compiles."""
+    if wp.config.log_level == wp.LOG_INFO:  # its default: whoever chose another level keeps it
+        wp.config.log_level = wp.LOG_WARNING
+    # That a machine has no CUDA driver is no news to its owner, but is printed past Python's streams.
+    with tempfile.TemporaryFile() as caught:
+        sys.stderr.flush()
+        stderr = os.dup(2)
+        os.dup2(caught.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+        caught.seek(0)
+        for line in caught:
+            if b"find or load the NVIDIA CUDA driver" not in line:
+                os.write(2, line)
+
+
+@cache
+def pixel_type(channels: int, scalar: Any = wp.float32) -> Any:
+    """The Warp vector of `channels` values that one pixel is."""
+    return wp.types.vector(length=channels, dtype=scalar)
+
+
+def devices() -> tuple[str, ...]:
+    start()
+    return tuple(device.alias for device in sorted(wp.get_devices(), key=lambda device: device.is_cpu))
+
+
+def field(values: NDArray[Any], device: str) -> Any:
+    start()
+    return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.float32, device=device, copy=True)
+
+
+def image(values: NDArray[Any], device: str) -> Any:
+    start()
+    pixel = pixel_type(values.shape[-1], _SCALARS[values.dtype.type])
+    return wp.array(np.ascontiguousarray(values), dtype=pixel, shape=values.shape[:-1], device=device, copy=True)
+
+
+def zeros(shape: Sequence[int], device: str) -> Any:
+    start()
+    return wp.zeros(tuple(shape), dtype=wp.float32, device=device)
+
+
+def zeros_image(shape: Sequence[int], device: str) -> Any:
+    start()
+    return wp.zeros(tuple(shape[:-1]), dtype=pixel_type(shape[-1]), device=device)
+
+
+def numpy(array: Any) -> NDArray[Any]:
+    values = np.array(array.numpy())
+    return values if array.dtype is wp.float32 else values.reshape(*array.shape, array.dtype._length_)
+
+
+def lanes(array: Any) -> int:
+    """How many kernel threads share a row of pixels: one for each pixel on a GPU; one for the whole row on a CPU.
+
+    A CPU runs the threads of a launch one after the other, and a plain loop costs it less than a thread per pixel.
+    """
+    return 1 if array.device.is_cpu else int(array.shape[-1])

@@ -1,0 +1,337 @@
+"""The forward splat, its two transposes, its derivative, and the data term that is made of them."""
+
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from lfgpu.types import DataTerm
+
+from .memory import lanes, pixel_type
+from .tent import tent, tent_slope
+from .threads import in_slices, load, slices
+
+
+@wp.struct
+class Landing:
+    """Where a reference pixel lands in a view: the pixel above and to the left, and how far beyond it."""
+
+    x: wp.int32
+    y: wp.int32
+    ax: wp.float32
+    ay: wp.float32
+
+
+@wp.func
+def land(x: int, y: int, disparity: float, offset: wp.vec2f) -> Landing:
+    # The shift is split before the column is added: a small number keeps its digits in float32.
+    shift_x = -disparity * offset[0]
+    shift_y = -disparity * offset[1]
+    whole_x = wp.floor(shift_x)
+    whole_y = wp.floor(shift_y)
+    landing = Landing()
+    landing.x = x + int(whole_x)
+    landing.y = y + int(whole_y)
+    landing.ax = shift_x - whole_x
+    landing.ay = shift_y - whole_y
+    return landing
+
+
+@cache
+def _kernels(channels: int, stored: Any) -> SimpleNamespace:
+    """The kernels for pixels of `channels` values; recorded views are of scalar type `stored`."""
+    pixel = pixel_type(channels)
+    stored_pixel = pixel_type(channels, stored)
+    module = f"lfgpu_splat_{channels}_{stored.__name__}"
+
+    @wp.func
+    def inside(to: Landing, height: int, width: int) -> bool:
+        """Whether all four taps lie in the frame: the common case, for which one test is enough."""
+        return to.x >= 0 and to.x < width - 1 and to.y >= 0 and to.y < height - 1
+
+    @wp.func
+    def add(image: wp.array3d(dtype=pixel), n: int, y: int, x: int, value: pixel):
+        if x >= 0 and x < image.shape[2] and y >= 0 and y < image.shape[1]:
+            wp.atomic_add(image, n, y, x, value)
+
+    @wp.func
+    def add_weight(weights: wp.array3d(dtype=float), n: int, y: int, x: int, value: float):
+        if x >= 0 and x < weights.shape[2] and y >= 0 and y < weights.shape[1]:
+            wp.atomic_add(weights, n, y, x, value)
+
+    @wp.func
+    def at(image: wp.array3d(dtype=pixel), n: int, y: int, x: int) -> pixel:
+        value = pixel()
+        if x >= 0 and x < image.shape[2] and y >= 0 and y < image.shape[1]:
+            value = image[n, y, x]
+        return value
+
+    @wp.kernel(module=module, enable_backward=False)
+    def splat_kernel(
+        image: wp.array2d(dtype=pixel),
+        disparity: wp.array2d(dtype=float),
+        offsets: wp.array(dtype=wp.vec2f),
+        softness: float,
+        lanes: int,
+        views_out: wp.array3d(dtype=pixel),
+    ):
+        n, y, lane = wp.tid()
+        offset = offsets[n]
+        for x in range(lane, image.shape[1], lanes):
+            to = land(x, y, disparity[y, x], offset)
+            wx = tent(to.ax, softness)
+            wy = tent(to.ay, softness)
+            left = image[y, x] * wx
+            right = image[y, x] * (1.0 - wx)
+            if inside(to, views_out.shape[1], views_out.shape[2]):
+                wp.atomic_add(views_out, n, to.y, to.x, left * wy)
+                wp.atomic_add(views_out, n, to.y, to.x + 1, right * wy)
+                wp.atomic_add(views_out, n, to.y + 1, to.x, left * (1.0 - wy))
+                wp.atomic_add(views_out, n, to.y + 1, to.x + 1, right * (1.0 - wy))
+            else:
+                add(views_out, n, to.y, to.x, left * wy)
+                add(views_out, n, to.y, to.x + 1, right * wy)
+                add(views_out, n, to.y + 1, to.x, left * (1.0 - wy))
+                add(views_out, n, to.y + 1, to.x + 1, right * (1.0 - wy))
+
+    @wp.kernel(module=module, enable_backward=False)
+    def coverage_kernel(
+        disparity: wp.array2d(dtype=float),
+        offsets: wp.array(dtype=wp.vec2f),
+        softness: float,
+        lanes: int,
+        coverage_out: wp.array3d(dtype=float),
+    ):
+        n, y, lane = wp.tid()
+        offset = offsets[n]
+        for x in range(lane, disparity.shape[1], lanes):
+            to = land(x, y, disparity[y, x], offset)
+            wx = tent(to.ax, softness)
+            wy = tent(to.ay, softness)
+            add_weight(coverage_out, n, to.y, to.x, wx * wy)
+            add_weight(coverage_out, n, to.y, to.x + 1, (1.0 - wx) * wy)
+            add_weight(coverage_out, n, to.y + 1, to.x, wx * (1.0 - wy))
+            add_weight(coverage_out, n, to.y + 1, to.x + 1, (1.0 - wx) * (1.0 - wy))
+
+    @wp.kernel(module=module, enable_backward=False)
+    def transpose_kernel(
+        views: wp.array3d(dtype=pixel),
+        disparity: wp.array2d(dtype=float),
+        offsets: wp.array(dtype=wp.vec2f),
+        softness: float,
+        lanes: int,
+        image_out: wp.array2d(dtype=pixel),
+    ):
+        y, lane = wp.tid()
+        for x in range(lane, disparity.shape[1], lanes):
+            total = pixel()
+            for n in range(offsets.shape[0]):
+                to = land(x, y, disparity[y, x], offsets[n])
+                wx = tent(to.ax, softness)
+                wy = tent(to.ay, softness)
+                upper = at(views, n, to.y, to.x) * wx + at(views, n, to.y, to.x + 1) * (1.0 - wx)
+                lower = at(views, n, to.y + 1, to.x) * wx + at(views, n, to.y + 1, to.x + 1) * (1.0 - wx)
+                total = total + upper * wy + lower * (1.0 - wy)
+            image_out[y, x] = total
+
+    @wp.kernel(module=module, enable_backward=False)
+    def jvp_kernel(
+        image: wp.array2d(dtype=pixel),
+        disparity: wp.array2d(dtype=float),
+        tangent: wp.array2d(dtype=float),
+        offsets: wp.array(dtype=wp.vec2f),
+        softness: float,
+        lanes: int,
+        views_out: wp.array3d(dtype=pixel),
+    ):
+        n, y, lane = wp.tid()
+        offset = offsets[n]
+        for x in range(lane, image.shape[1], lanes):
+            to = land(x, y, disparity[y, x], offset)
+            wx = tent(to.ax, softness)
+            wy = tent(to.ay, softness)
+            sx = -offset[0] * tent_slope(to.ax, softness)
+            sy = -offset[1] * tent_slope(to.ay, softness)
+            change = image[y, x] * tangent[y, x]
+            add(views_out, n, to.y, to.x, change * (sx * wy + wx * sy))
+            add(views_out, n, to.y, to.x + 1, change * ((1.0 - wx) * sy - sx * wy))
+            add(views_out, n, to.y + 1, to.x, change * (sx * (1.0 - wy) - wx * sy))
+            add(views_out, n, to.y + 1, to.x + 1, change * (-sx * (1.0 - wy) - (1.0 - wx) * sy))
+
+    @wp.kernel(module=module, enable_backward=False)
+    def vjp_kernel(
+        image: wp.array2d(dtype=pixel),
+        disparity: wp.array2d(dtype=float),
+        residual: wp.array3d(dtype=pixel),
+        offsets: wp.array(dtype=wp.vec2f),
+        factor: float,
+        softness: float,
+        lanes: int,
+        gradient_out: wp.array2d(dtype=float),
+    ):
+        """Adds factor * Jᵀ r, so that views can come in batches."""
+        y, lane = wp.tid()
+        for x in range(lane, image.shape[1], lanes):
+            d = disparity[y, x]
+            value = image[y, x]
+            total = float(0.0)
+            for n in range(offsets.shape[0]):
+                offset = offsets[n]
+                to = land(x, y, d, offset)
+                wx = tent(to.ax, softness)
+                wy = tent(to.ay, softness)
+                sx = -offset[0] * tent_slope(to.ax, softness)
+                sy = -offset[1] * tent_slope(to.ay, softness)
+                r00 = pixel()
+                r01 = pixel()
+                r10 = pixel()
+                r11 = pixel()
+                if inside(to, residual.shape[1], residual.shape[2]):
+                    r00 = residual[n, to.y, to.x]
+                    r01 = residual[n, to.y, to.x + 1]
+                    r10 = residual[n, to.y + 1, to.x]
+                    r11 = residual[n, to.y + 1, to.x + 1]
+                else:
+                    r00 = at(residual, n, to.y, to.x)
+                    r01 = at(residual, n, to.y, to.x + 1)
+                    r10 = at(residual, n, to.y + 1, to.x)
+                    r11 = at(residual, n, to.y + 1, to.x + 1)
+                a00 = wp.dot(value, r00)
+                a01 = wp.dot(value, r01)
+                a10 = wp.dot(value, r10)
+                a11 = wp.dot(value, r11)
+                total = total + sx * (wy * (a00 - a01) + (1.0 - wy) * (a10 - a11))
+                total = total + sy * (wx * (a00 - a10) + (1.0 - wx) * (a01 - a11))
+            gradient_out[y, x] = gradient_out[y, x] + factor * total
+
+    @wp.kernel(module=module, enable_backward=False)
+    def residual_kernel(
+        recorded: wp.array3d(dtype=stored_pixel),
+        valid: wp.array3d(dtype=float),
+        first: int,
+        scale: float,
+        lanes: int,
+        views_out: wp.array3d(dtype=pixel),
+        squares_out: wp.array2d(dtype=float),
+    ):
+        """Turns predicted views into residuals and adds up their squares row by row; 0 where not valid."""
+        n, y, lane = wp.tid()
+        total = float(0.0)
+        for x in range(lane, views_out.shape[2], lanes):
+            value = views_out[n, y, x]
+            stored_value = recorded[first + n, y, x]
+            for c in range(wp.static(channels)):
+                value[c] = value[c] - scale * float(stored_value[c])
+            if valid and valid[first + n, y, x] == 0.0:
+                value = pixel()
+            views_out[n, y, x] = value
+            total = total + wp.dot(value, value)
+        wp.atomic_add(squares_out, first + n, y, total)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def total_kernel(gradients: wp.array3d(dtype=float), lanes: int, gradient_out: wp.array2d(dtype=float)):
+        y, lane = wp.tid()
+        for x in range(lane, gradients.shape[2], lanes):
+            total = float(0.0)
+            for k in range(gradients.shape[0]):
+                total = total + gradients[k, y, x]
+            gradient_out[y, x] = total
+
+    return SimpleNamespace(
+        total=total_kernel,
+        splat=splat_kernel,
+        coverage=coverage_kernel,
+        transpose=transpose_kernel,
+        jvp=jvp_kernel,
+        vjp=vjp_kernel,
+        residual=residual_kernel,
+    )
+
+
+def _for_image(image: Any) -> SimpleNamespace:
+    return _kernels(image.dtype._length_, wp.float32)
+
+
+def as_offsets(offsets: Any) -> Any:
+    """A field [n, 2] as an array of vectors, without a copy."""
+    return offsets.view(wp.vec2f)
+
+
+def splat(image: Any, disparity: Any, offsets: Any, *, softness: float, views_out: Any, coverage_out: Any) -> None:
+    kernels, threads, pairs = _for_image(image), lanes(image), as_offsets(offsets)
+    dim, device = (*views_out.shape[:2], threads), image.device
+    views_out.zero_()
+    coverage_out.zero_()
+    wp.launch(kernels.splat, dim, [image, disparity, pairs, softness, threads], [views_out], device=device)
+    wp.launch(kernels.coverage, dim, [disparity, pairs, softness, threads], [coverage_out], device=device)
+
+
+def splat_transpose(views: Any, disparity: Any, offsets: Any, *, softness: float, image_out: Any) -> None:
+    threads = lanes(disparity)
+    inputs = [views, disparity, as_offsets(offsets), softness, threads]
+    dim = (disparity.shape[0], threads)
+    wp.launch(_for_image(views).transpose, dim, inputs, [image_out], device=disparity.device)
+
+
+def splat_jvp(image: Any, disparity: Any, tangent: Any, offsets: Any, *, softness: float, views_out: Any) -> None:
+    threads = lanes(image)
+    inputs = [image, disparity, tangent, as_offsets(offsets), softness, threads]
+    views_out.zero_()
+    wp.launch(_for_image(image).jvp, (*views_out.shape[:2], threads), inputs, [views_out], device=image.device)
+
+
+def splat_vjp(image: Any, disparity: Any, residual: Any, offsets: Any, *, softness: float, gradient_out: Any) -> None:
+    threads = lanes(image)
+    inputs = [image, disparity, residual, as_offsets(offsets), 1.0, softness, threads]
+    gradient_out.zero_()
+    wp.launch(_for_image(image).vjp, (image.shape[0], threads), inputs, [gradient_out], device=image.device)
+
+
+def data_term(image: Any, recorded: Any, valid: Any | None, offsets: Any, *, scale: float, softness: float) -> DataTerm:
+    device, (height, width), n = image.device, image.shape, recorded.shape[0]
+    kernels, threads = _kernels(image.dtype._length_, recorded.dtype._wp_scalar_type_), lanes(image)
+    load(device, kernels.splat)
+    cuts = slices(device, n)
+    # One view at a time keeps the prediction in a CPU's cache; a GPU wants all of them in one launch.
+    batch = 1 if device.is_cpu else n
+    residuals = [wp.zeros((batch, height, width), dtype=image.dtype, device=device) for _ in cuts]
+    gradients = wp.zeros((len(cuts), height, width), dtype=float, device=device)
+    squares = wp.zeros((n, height), dtype=float, device=device)
+    pairs = as_offsets(offsets)
+
+    def evaluate(disparity: Any, gradient_out: Any) -> float:
+        def some_views(k: int, first: int, last: int) -> None:
+            residual, gradient = residuals[k], gradients[k]
+            for start in range(first, last, batch):
+                some = pairs[start : start + batch]
+                residual.zero_()
+                wp.launch(
+                    kernels.splat,
+                    (batch, height, threads),
+                    [image, disparity, some, softness, threads],
+                    [residual],
+                    device=device,
+                )
+                wp.launch(
+                    kernels.residual,
+                    (batch, height, threads),
+                    [recorded, valid, start, scale, threads],
+                    [residual, squares],
+                    device=device,
+                )
+                wp.launch(
+                    kernels.vjp,
+                    (height, threads),
+                    [image, disparity, residual, some, 2.0, softness, threads],
+                    [gradient],
+                    device=device,
+                )
+
+        gradients.zero_()
+        squares.zero_()
+        in_slices(device, n, some_views)
+        wp.launch(kernels.total, (height, threads), [gradients, threads], [gradient_out], device=device)
+        return float(squares.numpy().sum(dtype="float64"))
+
+    return evaluate

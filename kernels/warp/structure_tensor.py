@@ -1,0 +1,147 @@
+"""Structure tensors on sheared epipolar plane images; `kernels/reference/structure_tensor.py` says what they are."""
+
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from lfgpu.types import LocalEstimate, StructureFilters
+
+from .memory import lanes, pixel_type
+
+wp.set_module_options({"enable_backward": False})
+
+
+@cache
+def _kernels(channels: int, stored: Any) -> SimpleNamespace:
+    pixel, stored_pixel = pixel_type(channels), pixel_type(channels, stored)
+    module = f"lfgpu_structure_tensor_{channels}_{stored.__name__}"
+
+    @wp.func
+    def value_of(epis: wp.array3d(dtype=stored_pixel), u: int, y: int, x: int) -> pixel:
+        value = pixel()
+        stored_value = epis[u, y, x]
+        for c in range(wp.static(channels)):
+            value[c] = float(stored_value[c])
+        return value
+
+    @wp.kernel(module=module, enable_backward=False)
+    def along_kernel(
+        epis: wp.array3d(dtype=stored_pixel),
+        offsets: wp.array(dtype=float),
+        along_value: wp.array2d(dtype=float),
+        along_slope: wp.array2d(dtype=float),
+        scale: float,
+        shear: float,
+        lanes: int,
+        value_out: wp.array3d(dtype=pixel),
+        slope_out: wp.array3d(dtype=pixel),
+    ):
+        """Smoothed value and derivative along the views, of EPIs sheared by linear interpolation."""
+        m, y, lane = wp.tid()
+        last = epis.shape[2] - 1
+        for x in range(lane, epis.shape[2], lanes):
+            value = pixel()
+            slope = pixel()
+            for u in range(epis.shape[0]):
+                shift = -shear * offsets[u]
+                whole = wp.floor(shift)
+                share = shift - whole
+                left = x + int(whole)
+                sample = value_of(epis, u, y, wp.clamp(left, 0, last))
+                if share > 0.0:
+                    sample = sample * (1.0 - share) + value_of(epis, u, y, wp.clamp(left + 1, 0, last)) * share
+                value = value + sample * (scale * along_value[m, u])
+                slope = slope + sample * (scale * along_slope[m, u])
+            value_out[m, y, x] = value
+            slope_out[m, y, x] = slope
+
+    @wp.kernel(module=module, enable_backward=False)
+    def across_kernel(
+        value: wp.array3d(dtype=pixel),
+        slope: wp.array3d(dtype=pixel),
+        across_value: wp.array(dtype=float),
+        across_slope: wp.array(dtype=float),
+        along_outer: wp.array(dtype=float),
+        lanes: int,
+        tensor_out: wp.array2d(dtype=wp.vec3f),
+    ):
+        """Gradients, and their products summed over channels and the outer window along the views."""
+        y, lane = wp.tid()
+        last = value.shape[2] - 1
+        radius = across_value.shape[0] / 2
+        for x in range(lane, value.shape[2], lanes):
+            tensor = wp.vec3f()
+            for m in range(value.shape[0]):
+                e_x = pixel()
+                e_u = pixel()
+                for k in range(across_value.shape[0]):
+                    xk = wp.clamp(x + k - radius, 0, last)
+                    e_x = e_x + value[m, y, xk] * across_slope[k]
+                    e_u = e_u + slope[m, y, xk] * across_value[k]
+                tensor = tensor + wp.vec3f(wp.dot(e_x, e_x), wp.dot(e_x, e_u), wp.dot(e_u, e_u)) * along_outer[m]
+            tensor_out[y, x] = tensor
+
+    return SimpleNamespace(along=along_kernel, across=across_kernel)
+
+
+@wp.kernel
+def _slope_kernel(
+    tensor: wp.array2d(dtype=wp.vec3f),
+    across_outer: wp.array(dtype=float),
+    shear: float,
+    floor: float,
+    lanes: int,
+    disparity_out: wp.array2d(dtype=float),
+    coherence_out: wp.array2d(dtype=float),
+):
+    """Outer smoothing across the views, then the direction and coherence of the tensor."""
+    y, lane = wp.tid()
+    last = tensor.shape[1] - 1
+    radius = across_outer.shape[0] / 2
+    for x in range(lane, tensor.shape[1], lanes):
+        t = wp.vec3f()
+        for k in range(across_outer.shape[0]):
+            t = t + tensor[y, wp.clamp(x + k - radius, 0, last)] * across_outer[k]
+        difference = t[0] - t[2]
+        trace = t[0] + t[2] + floor * floor
+        disparity_out[y, x] = shear + wp.tan(0.5 * wp.atan2(2.0 * t[1], difference))
+        coherence_out[y, x] = (difference * difference + 4.0 * t[1] * t[1]) / (trace * trace)
+
+
+def structure_tensor(
+    epis: Any, offsets: Any, filters: StructureFilters, *, scale: float, floor: float
+) -> LocalEstimate:
+    device, (_, height, width), threads = epis.device, epis.shape, lanes(epis)
+    channels = epis.dtype._length_
+    kernels = _kernels(channels, epis.dtype._wp_scalar_type_)
+    places = filters.along_outer.shape[0]
+    value = wp.empty((places, height, width), dtype=pixel_type(channels), device=device)
+    slope = wp.empty_like(value)
+    tensor = wp.empty((height, width), dtype=wp.vec3f, device=device)
+
+    def evaluate(shear: float, disparity_out: Any, coherence_out: Any) -> None:
+        wp.launch(
+            kernels.along,
+            (places, height, threads),
+            [epis, offsets, filters.along_value, filters.along_slope, scale, shear, threads],
+            [value, slope],
+            device=device,
+        )
+        wp.launch(
+            kernels.across,
+            (height, threads),
+            [value, slope, filters.across_value, filters.across_slope, filters.along_outer, threads],
+            [tensor],
+            device=device,
+        )
+        wp.launch(
+            _slope_kernel,
+            (height, threads),
+            [tensor, filters.across_outer, shear, floor, threads],
+            [disparity_out, coherence_out],
+            device=device,
+        )
+
+    return evaluate

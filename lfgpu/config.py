@@ -1,0 +1,146 @@
+"""Every parameter of the method: its default, its range, its unit, what it does, and the paper's symbol for it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from lfgpu.errors import LightFieldError
+
+
+def _number(default: float, low: float, high: float, doc: str, *, symbol: str = "", odd: bool = False) -> Any:
+    return field(default=default, metadata={"low": low, "high": high, "doc": doc, "symbol": symbol, "odd": odd})
+
+
+def _choice(default: str, choices: tuple[str, ...], doc: str, *, symbol: str = "") -> Any:
+    return field(default=default, metadata={"choices": choices, "doc": doc, "symbol": symbol})
+
+
+class _Checked:
+    """Checks on creation that each field lies in the range that its metadata gives."""
+
+    def __post_init__(self) -> None:
+        for f in dataclasses.fields(self):  # type: ignore[arg-type]  # only dataclasses derive from this
+            value, meta = getattr(self, f.name), f.metadata
+            if "choices" in meta:
+                if value not in meta["choices"]:
+                    raise LightFieldError(f"{f.name} must be one of {', '.join(meta['choices'])}, not {value!r}.")
+            elif isinstance(value, bool) or not isinstance(value, int | float):
+                raise LightFieldError(f"{f.name} must be a number, not {value!r}.")
+            elif isinstance(f.default, int) and value != int(value):
+                raise LightFieldError(f"{f.name} must be a whole number, not {value:g}.")
+            elif not meta["low"] <= value <= meta["high"]:
+                raise LightFieldError(f"{f.name} must lie in {meta['low']:g} to {meta['high']:g}, not {value:g}.")
+            elif meta["odd"] and value % 2 == 0:
+                raise LightFieldError(f"{f.name} must be odd, not {value:g}.")
+
+
+@dataclass(frozen=True)
+class LocalConfig(_Checked):
+    """The local estimate: structure tensors on epipolar plane images (paper §4, Wanner and Goldluecke 2012)."""
+
+    inner_scale: float = _number(
+        1.0, 0.4, 4.0, "Gaussian of the gradients, pixels and view steps (standard deviation)", symbol="σ"
+    )
+    outer_scale: float = _number(
+        0.5, 0.2, 4.0, "Gaussian of the tensor's entries, pixels and view steps (standard deviation)", symbol="τ"
+    )
+    shear_step: float = _number(
+        1.0, 0.25, 2.0, "distance of the base disparities to which EPIs are sheared, pixels per view step"
+    )
+    gradient_floor: float = _number(0.001, 1e-6, 0.1, "gradients up to this are noise, intensity per pixel")
+    coherence_threshold: float = _number(
+        0.8, 0.0, 1.0, "estimates of lower coherence are dropped and filled by propagation", symbol="threshold on C"
+    )
+
+
+@dataclass(frozen=True)
+class PriorConfig(_Checked):
+    """The non-local-means weights of propagation and refinement."""
+
+    window: int = _number(11, 3, 31, "side of the neighbourhood, pixels", symbol="N", odd=True)
+    patch: int = _number(3, 1, 9, "side of the patches that are compared, pixels", symbol="patch P", odd=True)
+    sigma_color: float = _number(
+        0.05, 1e-3, 10.0, "root mean square colour difference of patches that halves trust (to 1/e), intensity",
+        symbol="σ_color / √|P|",
+    )  # fmt: skip
+    sigma_gradient: float = _number(
+        0.05, 1e-3, 10.0, "the same for the difference of image gradients, intensity per pixel",
+        symbol="σ_grad / √|P|",
+    )  # fmt: skip
+    floor: float = _number(
+        1e-3, 1e-6, 1.0, "weight of the least similar pair in a window; keeps every pixel connected"
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PropagationConfig(_Checked):
+    """Filling the gaps of the local estimate (paper §4.2): a quadratic problem."""
+
+    solver: str = _choice("cg", ("cg", "lbfgsb"), "conjugate gradients, or L-BFGS-B as in the paper")
+    tolerance: float = _number(
+        1e-5, 1e-8, 1e-1, "stop at this residual (cg) or relative decrease (lbfgsb)"
+    )  # fmt: skip
+    max_iterations: int = _number(300, 1, 10000, "stop after as many iterations")
+
+
+@dataclass(frozen=True)
+class RefinementConfig(_Checked):
+    """The generative model and its minimisation (paper §3)."""
+
+    smoothness: float = _number(
+        0.01, 0.0, 1e3, "weight of the prior against the mean squared error over views and channels",
+        symbol="λ / (views · channels)",
+    )  # fmt: skip
+    softness: float = _number(0.1, 0.001, 0.5, "width of the rounded kinks of the tent, pixels", symbol="ε of Λ")
+    tolerance: float = _number(1e-4, 0.0, 1e-1, "stop when an iteration lowers the energy by less, relative")
+    max_iterations: int = _number(100, 0, 10000, "stop after as many iterations")
+
+
+@dataclass(frozen=True)
+class Config:
+    """All parameters, by stage. Raises LightFieldError where a value is out of range."""
+
+    local: LocalConfig = LocalConfig()
+    prior: PriorConfig = PriorConfig()
+    propagation: PropagationConfig = PropagationConfig()
+    refinement: RefinementConfig = RefinementConfig()
+
+    def with_values(self, values: Mapping[str, Any]) -> Config:
+        """A copy with some parameters changed, named as `stage.parameter`; numbers may be given as text."""
+        config = self
+        for name, value in values.items():
+            stage_name, _, parameter = name.partition(".")
+            stage = getattr(config, stage_name, None)
+            known = {f.name: f for f in dataclasses.fields(stage)} if stage is not None else {}
+            if parameter not in known:
+                raise LightFieldError(
+                    f"unknown parameter {name!r}; there are {', '.join(full for full, _ in parameters(self))}."
+                )
+            if isinstance(value, str) and "choices" not in known[parameter].metadata:
+                try:
+                    value = type(known[parameter].default)(float(value))
+                except ValueError as error:
+                    raise LightFieldError(f"{name} must be a number, not {value!r}.") from error
+            config = dataclasses.replace(config, **{stage_name: dataclasses.replace(stage, **{parameter: value})})
+        return config
+
+
+def parameters(config: Config) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
+    """All parameters as (`stage.parameter`, field); the field's metadata holds range, meaning and paper symbol."""
+    for stage in dataclasses.fields(config):
+        for parameter in dataclasses.fields(getattr(config, stage.name)):
+            yield f"{stage.name}.{parameter.name}", parameter
+
+
+PRESETS = {"paper": Config()}
+"""Complete parameter sets by name: `paper` is Sajjadi et al. 2016."""
+
+
+def preset(name: str) -> Config:
+    """The parameters of a preset; LightFieldError if there is none of that name."""
+    if name not in PRESETS:
+        raise LightFieldError(f"unknown preset {name!r}; there is {', '.join(PRESETS)}.")
+    return PRESETS[name]

@@ -1,0 +1,130 @@
+"""Outputs are written whole or not at all: under a temporary name first, moved into place when all went well."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from lfgpu.errors import LightFieldError
+
+
+@contextmanager
+def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path to write one file to; it becomes `path` when the block ends without an exception.
+
+    The temporary file lies next to the target and has its suffix, because writers choose formats by it. Missing
+    parent folders are made. On an exception nothing is left behind and a file that was there before is untouched.
+
+    Raises
+    ------
+    LightFieldError
+        If the target cannot be written, also when the block itself fails with an OSError (a full disk).
+    """
+    target = Path(path).resolve()
+    with _staged(target, target.parent) as temporary:
+        if target.is_dir():
+            raise IsADirectoryError(0, "it is a folder")
+        yield temporary
+        temporary.replace(target)
+
+
+@contextmanager
+def atomic_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield an empty temporary folder to write files to; it becomes `out` when the block ends without an exception.
+
+    If `out` is there already, each file is moved into it, over a file of the same name; its other files stay. Missing
+    parent folders are made. On an exception in the block nothing is left behind.
+
+    Raises
+    ------
+    LightFieldError
+        If the target cannot be written, also when the block itself fails with an OSError (a full disk).
+    """
+    target = Path(out).resolve()
+    # A folder that is there may be a mount point, or writable when its parent is not: then staging happens inside it.
+    exists = target.is_dir()
+    with _staged(target, target if exists else target.parent) as temporary:
+        if target.exists() and not exists:
+            raise NotADirectoryError(0, "it is a file, not a folder")
+        temporary.mkdir()
+        yield temporary
+        if exists:
+            _move_files(temporary, target)
+        else:
+            temporary.rename(target)
+
+
+def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:
+    """Raise at once if `out` could not be written later, so that no long computation is lost; makes nothing.
+
+    Parameters
+    ----------
+    out
+        Where the output shall go; it and its parents need not exist yet.
+    folder
+        True if `out` shall be a folder, False if it shall be a file.
+
+    Raises
+    ------
+    LightFieldError
+        If `out` or one of its parents is of the wrong kind or may not be written to; the sentence names it.
+    """
+    target = Path(out).resolve()
+    if not folder and target.is_dir():
+        raise LightFieldError(f"{target} cannot be written: it is a folder; name a file in it.")
+    # A file is replaced by its sibling, a folder is written into: a folder has to be writable in both cases.
+    place = target if folder else target.parent
+    while not _exists(place):
+        place = place.parent
+    if not place.is_dir():
+        raise LightFieldError(f"{target} cannot be written: {place} is a file, not a folder; choose another place.")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise LightFieldError(f"{target} cannot be written: no permission to write in {place}; choose another place.")
+
+
+@contextmanager
+def _staged(target: Path, place: Path) -> Iterator[Path]:
+    """A free path in the folder `place`, which is made if missing; what it holds is gone after an exception."""
+    made: list[Path] = []
+    temporary = place / f".lfgpu-{secrets.token_hex(8)}{target.suffix}"
+    try:
+        for parent in reversed([folder for folder in (place, *place.parents) if not folder.exists()]):
+            parent.mkdir()
+            made.append(parent)
+        yield temporary
+    except BaseException as error:
+        _remove(temporary)
+        for parent in reversed(made):
+            with suppress(OSError):  # somebody else may have put something there by now
+                parent.rmdir()
+        if isinstance(error, OSError):
+            raise LightFieldError(f"{target} cannot be written: {error.strerror or error}.") from error
+        raise
+
+
+def _move_files(source: Path, target: Path) -> None:
+    for folder, _, files in os.walk(source):
+        destination = target / Path(folder).relative_to(source)
+        destination.mkdir(exist_ok=True)
+        for file in files:
+            Path(folder, file).replace(destination / file)
+    _remove(source)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with suppress(OSError):
+            path.unlink()
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except PermissionError:  # in a folder that may not even be looked into: the search goes on above it
+        return False

@@ -1,0 +1,43 @@
+"""What lies in a folder, with the file system's complaints turned into sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.images import IMAGE_SUFFIXES
+
+_LISTED = 3
+
+
+def listed(paths: Sequence[Path]) -> str:
+    """The names of the first few paths and how many there are besides: "a.png, b.png, c.png and 5 more"."""
+    more = f" and {len(paths) - _LISTED} more" if len(paths) > _LISTED else ""
+    return ", ".join(path.name for path in paths[:_LISTED]) + more
+
+
+def image_files(folder: Path) -> list[Path]:
+    """The image files of a folder by their suffix, sorted by name; hidden files are left out."""
+    return _select(folder, lambda entry: entry.suffix.lower() in IMAGE_SUFFIXES and _shown(entry) and entry.is_file())
+
+
+def sub_folders(folder: Path) -> list[Path]:
+    """The direct sub-folders of a folder, sorted by name; hidden ones are left out."""
+    return _select(folder, lambda entry: _shown(entry) and entry.is_dir())
+
+
+def entries(folder: Path) -> list[Path]:
+    """All that a folder shows, sorted by name."""
+    return _select(folder, _shown)
+
+
+def _shown(entry: Path) -> bool:
+    return not entry.name.startswith(".")
+
+
+def _select(folder: Path, wanted: Callable[[Path], bool]) -> list[Path]:
+    try:
+        return [entry for entry in sorted(folder.iterdir()) if wanted(entry)]
+    except OSError as error:
+        raise LightFieldError(f"{folder} cannot be listed: {error.strerror}.") from error

@@ -1,0 +1,120 @@
+"""Files at places of a grid as a light field: duplicates, holes and the centre are what can be wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.views import load_views
+from lfgpu.lightfield import LightField
+
+Place: TypeAlias = tuple[int, int]
+"""(row, column) in a grid, from 0."""
+
+_NAMED_HOLES = 5  # so many missing places are named in a message
+
+
+def by_place(files: Iterable[tuple[Place, Path]]) -> dict[Place, Path]:
+    """Files by their place; LightFieldError naming both if two files claim one place."""
+    places: dict[Place, Path] = {}
+    for place, file in files:
+        if place in places:
+            raise LightFieldError(
+                f"{file.parent} has two files for the view at row {place[0]}, column {place[1]}: "
+                f"{places[place].name} and {file.name}; remove one."
+            )
+        places[place] = file
+    return places
+
+
+def read_grid(
+    files: Mapping[Place, Path],
+    shape: tuple[int, int],
+    *,
+    folder: Path,
+    allow_missing: bool,
+    notes: Collection[str] = (),
+) -> LightField:
+    """Read files at places of a grid.
+
+    Parameters
+    ----------
+    files
+        The image file of each view by its (row, column), row < rows and column < columns.
+    shape
+        (rows, columns) of the grid.
+    folder
+        Where the files come from: the light field is named after it and messages name it.
+    allow_missing
+        Whether holes that look like an accident are accepted (see `holes`).
+    notes
+        What is known already; what is noticed here comes after it.
+
+    Raises
+    ------
+    LightFieldError
+        If there are fewer than two views, holes, or unreadable or unlike files.
+    """
+    if len(files) < 2:
+        only = next(iter(files.values())).name
+        raise LightFieldError(f"{folder} has one view only ({only}); depth needs at least two views of the scene.")
+    places = sorted(files)
+    hole_notes = holes(places, shape, folder=folder, allow_missing=allow_missing)
+    views, image_notes = load_views([files[place] for place in places])
+    centre = (shape[0] // 2, shape[1] // 2)
+    light_field = LightField(
+        views,
+        np.array([(column, row) for row, column in places], np.float64),
+        # Without the centre view LightField takes the nearest one.
+        reference=places.index(centre) if centre in files else None,
+        grid_shape=shape,
+        name=folder.resolve().name,
+        notes=(*notes, *hole_notes, *image_notes),
+    )
+    if centre in files:
+        return light_field
+    row, column = places[light_field.reference_index]
+    missing = (
+        f"The centre view (row {centre[0]}, column {centre[1]}) is missing; "
+        f"the reference is the view at row {row}, column {column}."
+    )
+    return replace(light_field, notes=(*light_field.notes, missing))
+
+
+def holes(places: Collection[Place], shape: tuple[int, int], *, folder: Path, allow_missing: bool) -> tuple[str, ...]:
+    """What there is to say about the empty places of a grid; LightFieldError if they look like an accident.
+
+    A full grid, and a cross, star, row or column through the centre (rows // 2, columns // 2), are meant and pass
+    without a word. Any other choice of at most half of the places passes with a note. If more than half are there,
+    but not all, files were probably lost: that is an error unless `allow_missing` is True.
+    """
+    rows, columns = shape
+    present = set(places)
+    total = rows * columns
+    if len(present) == total or present in _deliberate(shape):
+        return ()
+    if len(present) * 2 > total and not allow_missing:
+        empty = [(row, column) for row in range(rows) for column in range(columns) if (row, column) not in present]
+        named = ", ".join(f"row {row} column {column}" for row, column in empty[:_NAMED_HOLES])
+        more = ", ..." if len(empty) > _NAMED_HOLES else ""
+        raise LightFieldError(
+            f"{folder} lacks {len(empty)} of the {total} views of its {rows} x {columns} grid ({named}{more}, counted "
+            "from 0); add them, or pass allow_missing=True (--allow-missing on the command line) to go without."
+        )
+    return (f"{len(present)} of {total} views of the {rows} x {columns} grid are there.",)
+
+
+def _deliberate(shape: tuple[int, int]) -> tuple[set[Place], ...]:
+    """Cross, star, row and column through the centre."""
+    middle_row, middle_column = shape[0] // 2, shape[1] // 2
+    row = {(middle_row, column) for column in range(shape[1])}
+    column = {(row, middle_column) for row in range(shape[0])}
+    reach = range(-max(shape), max(shape) + 1)
+    diagonals = {(middle_row + step, middle_column + sign * step) for step in reach for sign in (-1, 1)}
+    inside = {(row, column) for row, column in diagonals if 0 <= row < shape[0] and 0 <= column < shape[1]}
+    return row | column, row | column | inside, row, column

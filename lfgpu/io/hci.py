@@ -1,0 +1,215 @@
+"""Folders of the HCI 4D Light Field Benchmark: input_Cam000.png ..., parameters.cfg and ground truth."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+from lfgpu.io.atomic import atomic_folder
+from lfgpu.io.folders import entries, image_files
+from lfgpu.io.grid import by_place, read_grid
+from lfgpu.io.hci_parameters import PARAMETERS_FILE, Parameters, write_parameters
+from lfgpu.io.maps import read_map, read_mask
+from lfgpu.io.pfm import write_pfm
+from lfgpu.io.png import write_png
+from lfgpu.lightfield import GroundTruth, LightField
+
+DISPARITY_FILE = "gt_disp_lowres.pfm"
+DEPTH_FILE = "gt_depth_lowres.pfm"
+MASK_FILE = "valid_mask.png"
+
+_VIEW_NAME = re.compile(r"input_cam([0-9]{1,6})", re.IGNORECASE)
+
+
+def recognise(path: Path) -> str | None:
+    """Why a path is taken for an HCI folder; None if it is not."""
+    views = _view_files(path) if path.is_dir() else []
+    return f"it is a folder with {views[0][1].name}" if views else None
+
+
+def read_hci(path: Path, *, allow_missing: bool = False) -> LightField:
+    """Read an HCI 4D folder.
+
+    The view with index i stands at row i // columns, column i % columns; all views may be there or only some. The
+    geometry comes from parameters.cfg, where d = B f (1/Z - 1/F); the ground truth of the centre view (rows // 2,
+    columns // 2) from gt_disp_lowres.pfm, and where it is scored from valid_mask.png, where non-zero is valid.
+    Without parameters.cfg a square grid is taken if the highest index is the last one of such a grid.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    allow_missing
+        Whether a grid that seems to have lost some views is accepted.
+
+    Raises
+    ------
+    LightFieldError
+        If files are missing, damaged or contradict each other; the sentence names the file.
+    """
+    views = _view_files(path)
+    if not views:
+        raise LightFieldError(f"{path} has no views named input_Cam000.png and so on; give the folder that holds them.")
+    last = max(index for index, _ in views)
+    parameters = Parameters(path / PARAMETERS_FILE) if (path / PARAMETERS_FILE).exists() else None
+    rows, columns = shape = _square_grid(path, last) if parameters is None else parameters.grid_shape()
+    if last >= rows * columns:
+        raise LightFieldError(
+            f"{path / PARAMETERS_FILE} says {rows} x {columns} views, which ends at index {rows * columns - 1}, "
+            f"but there is a view with index {last}; correct num_cams_x and num_cams_y."
+        )
+    places = by_place((divmod(index, columns), file) for index, file in views)
+    light_field = read_grid(places, shape, folder=path, allow_missing=allow_missing)
+    geometry, notes = _geometry(parameters, light_field.size)
+    return replace(
+        light_field,
+        geometry=geometry,
+        truth=_truth(path, shape, light_field.size),
+        notes=(*notes, *light_field.notes),
+    )
+
+
+def write_hci(light_field: LightField, folder: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Write a grid of views as an HCI 4D folder that `read_hci` reads back; whole or not at all.
+
+    uint8 and uint16 views are stored exactly, as PNG of 8 or 16 bits; float32 views are cut to [0, 1] and rounded to
+    16 bits (an error of at most 1/131070). The ground truth is stored if it belongs to the centre view (rows // 2,
+    columns // 2), its depth too if the geometry is known.
+
+    Parameters
+    ----------
+    light_field
+        Views in a grid (`grid_shape` is set); some places may be empty.
+    folder
+        Where to write; made if it is missing. Files of the same names are replaced, files of other kinds stay.
+
+    Returns
+    -------
+    What the format could not hold, one sentence each; empty if everything was stored.
+
+    Raises
+    ------
+    LightFieldError
+        If the views are not in a grid, or the folder cannot be written or holds more of another light field.
+    """
+    shape = light_field.grid_shape
+    if shape is None:
+        raise LightFieldError(f"{light_field.name} is not a grid of views; the HCI format holds grids only.")
+    columns = shape[1]
+    centre = (float(columns // 2), float(shape[0] // 2))
+    truth = light_field.truth
+    if truth is not None and truth.position != centre:
+        truth = None
+    with atomic_folder(folder) as place:
+        for view, (u, v) in zip(light_field.views, light_field.positions, strict=True):
+            write_png(place / f"input_Cam{round(v) * columns + round(u):03d}.png", _storable(view))
+        write_parameters(
+            place / PARAMETERS_FILE,
+            grid_shape=shape,
+            size=light_field.size,
+            geometry=light_field.geometry,
+            scene=light_field.name,
+        )
+        if truth is not None:
+            _write_truth(place, truth, light_field.geometry)
+        _check_nothing_stale(Path(folder), place)
+    return _left_out(light_field, centre)
+
+
+def _view_files(folder: Path) -> list[tuple[int, Path]]:
+    matches = ((_VIEW_NAME.fullmatch(file.stem), file) for file in image_files(folder))
+    return [(int(match[1]), file) for match, file in matches if match]
+
+
+def _square_grid(folder: Path, last: int) -> tuple[int, int]:
+    side = math.isqrt(last + 1)
+    if side * side != last + 1:
+        raise LightFieldError(
+            f"{folder} has no {PARAMETERS_FILE}, and its views up to index {last} do not fill a square grid; add a "
+            f"{PARAMETERS_FILE} with num_cams_x and num_cams_y in [extrinsics]."
+        )
+    return side, side
+
+
+def _geometry(parameters: Parameters | None, size: tuple[int, int]) -> tuple[Geometry | None, tuple[str, ...]]:
+    if parameters is None:
+        return None, (f"There is no {PARAMETERS_FILE}: a square grid is assumed, and metric depth is not known.",)
+    geometry = parameters.geometry(size)
+    if geometry is None:
+        return None, (f"{PARAMETERS_FILE} does not describe the cameras: metric depth is not known.",)
+    resolution = parameters.resolution()
+    if resolution in (None, size):
+        return geometry, ()
+    return geometry, (
+        f"{PARAMETERS_FILE} is for views of {resolution[1]} x {resolution[0]} pixels and these have "
+        f"{size[1]} x {size[0]}: metric depth is right if they were scaled, not cropped.",
+    )
+
+
+def _truth(folder: Path, shape: tuple[int, int], size: tuple[int, int]) -> GroundTruth | None:
+    path = folder / DISPARITY_FILE
+    if not path.exists():
+        return None
+    disparity = read_map(path)
+    _check_size(path, disparity, size)
+    mask = None
+    if (folder / MASK_FILE).exists():
+        mask = read_mask(folder / MASK_FILE)
+        _check_size(folder / MASK_FILE, mask, size)
+    known = np.where(np.isfinite(disparity), disparity, np.float32(np.nan))
+    return GroundTruth(known, (float(shape[1] // 2), float(shape[0] // 2)), mask)
+
+
+def _check_size(path: Path, array: NDArray[Any], size: tuple[int, int]) -> None:
+    if array.shape != size:
+        raise LightFieldError(
+            f"{path} has {array.shape[1]} x {array.shape[0]} pixels, but the views have {size[1]} x {size[0]}; "
+            "remove it or put the right one there."
+        )
+
+
+def _storable(view: NDArray[Any]) -> NDArray[Any]:
+    if view.dtype != np.float32:
+        return view
+    return np.round(np.clip(view, 0, 1) * np.float32(65535)).astype(np.uint16)
+
+
+def _write_truth(folder: Path, truth: GroundTruth, geometry: Geometry | None) -> None:
+    write_pfm(folder / DISPARITY_FILE, truth.disparity)
+    if geometry is not None:
+        write_pfm(folder / DEPTH_FILE, geometry.depth(truth.disparity))
+    if truth.mask is not None:
+        write_png(folder / MASK_FILE, truth.mask[..., None].astype(np.uint8) * np.uint8(255))
+
+
+def _check_nothing_stale(folder: Path, new: Path) -> None:
+    """What an earlier light field left in the folder would be read as part of the new one: a view, even the truth."""
+    if not folder.is_dir():
+        return
+    for entry in entries(folder):
+        ours = entry.name in (DISPARITY_FILE, DEPTH_FILE, MASK_FILE) or _VIEW_NAME.fullmatch(entry.stem)
+        if ours and not (new / entry.name).exists():
+            raise LightFieldError(f"{folder} holds {entry.name} of another light field; choose an empty folder.")
+
+
+def _left_out(light_field: LightField, centre: tuple[float, float]) -> tuple[str, ...]:
+    sentences = []
+    if light_field.views.dtype == np.float32:
+        sentences.append("The float32 views were rounded to 16 bits.")
+    if light_field.truth is not None and light_field.truth.position != centre:
+        sentences.append("The ground truth was left out: the format holds that of the centre view of the grid only.")
+    if light_field.valid is not None:
+        sentences.append("The validity of the views' pixels was left out: the format has no place for it.")
+    u, v = light_field.positions[light_field.reference_index]
+    if (u, v) != centre:
+        sentences.append("The choice of the reference view was left out: readers take the centre view of the grid.")
+    return tuple(sentences)

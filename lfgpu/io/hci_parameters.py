@@ -1,0 +1,124 @@
+"""The parameters.cfg of an HCI 4D Light Field Benchmark folder: the grid and the geometry of the cameras."""
+
+from __future__ import annotations
+
+import configparser
+from pathlib import Path
+
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+
+PARAMETERS_FILE = "parameters.cfg"
+
+_LENGTHS = {
+    "focal_length_mm": "intrinsics",
+    "sensor_size_mm": "intrinsics",
+    "baseline_mm": "extrinsics",
+    "focus_distance_m": "extrinsics",
+}
+_MOST_CAMERAS = 1000  # along one axis
+_SENSOR_SIZE_MM = 35.0  # of the benchmark's scenes; it only fixes the unit of the focal length
+
+
+class Parameters:
+    """What one parameters.cfg says. Every error names the file.
+
+    `disp_min` and `disp_max` are not looked at: they come from the ground truth, and no estimate may know them.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._config = configparser.ConfigParser(interpolation=None)
+        try:
+            self._config.read_string(path.read_text(encoding="utf-8-sig"), source=path.name)
+        except OSError as error:
+            raise LightFieldError(f"{path} cannot be read: {error.strerror}.") from error
+        except (configparser.Error, UnicodeDecodeError) as error:
+            raise LightFieldError(
+                f"{path} is not a valid configuration file: {' '.join(str(error).split())}."
+            ) from error
+
+    def grid_shape(self) -> tuple[int, int]:
+        """(rows, columns) of the camera grid, from num_cams_y and num_cams_x."""
+        return self._cameras("num_cams_y"), self._cameras("num_cams_x")
+
+    def geometry(self, size: tuple[int, int]) -> Geometry | None:
+        """The geometry for views of (height, width) pixels; None if the file says nothing of lengths.
+
+        The sensor's size is that of its longer side, so that views which were scaled as a whole are covered as well.
+        """
+        given = {key for key, section in _LENGTHS.items() if self._config.has_option(section, key)}
+        if not given:
+            return None
+        lengths = {key: self._number(section, key) for key, section in _LENGTHS.items()}
+        if not lengths["sensor_size_mm"] > 0:
+            raise LightFieldError(f"{self._path}: sensor_size_mm must be positive, not {lengths['sensor_size_mm']:g}.")
+        principal_point = None
+        if self._config.has_option("intrinsics", "principal_point_x_px"):
+            principal_point = (
+                self._number("intrinsics", "principal_point_x_px"),
+                self._number("intrinsics", "principal_point_y_px"),
+            )
+        try:
+            return Geometry(
+                focal_length_px=lengths["focal_length_mm"] / lengths["sensor_size_mm"] * max(size),
+                baseline_m=lengths["baseline_mm"] / 1000.0,
+                focus_distance_m=lengths["focus_distance_m"],
+                principal_point=principal_point,
+            )
+        except LightFieldError as error:
+            raise LightFieldError(f"{self._path}: {error}") from error
+
+    def resolution(self) -> tuple[int, int] | None:
+        """(height, width) of the views as the file has it; None where it does not say."""
+        keys = ("image_resolution_y_px", "image_resolution_x_px")
+        if not all(self._config.has_option("intrinsics", key) for key in keys):
+            return None
+        height, width = (self._count("intrinsics", key) for key in keys)
+        return height, width
+
+    def _number(self, section: str, key: str) -> float:
+        if not self._config.has_option(section, key):
+            raise LightFieldError(f"{self._path} has no {key} in [{section}]; add it.")
+        text = self._config.get(section, key)
+        try:
+            return float(text)
+        except ValueError:
+            raise LightFieldError(f"{self._path}: {key} must be a number, not {text!r}.") from None
+
+    def _count(self, section: str, key: str) -> int:
+        value = self._number(section, key)
+        if not (value >= 1 and value.is_integer()):
+            raise LightFieldError(f"{self._path}: {key} must be a whole number of at least 1, not {value:g}.")
+        return int(value)
+
+    def _cameras(self, key: str) -> int:
+        count = self._count("extrinsics", key)
+        if count > _MOST_CAMERAS:
+            raise LightFieldError(f"{self._path}: {key} must be at most {_MOST_CAMERAS}, not {count}.")
+        return count
+
+
+def write_parameters(
+    path: Path, *, grid_shape: tuple[int, int], size: tuple[int, int], geometry: Geometry | None, scene: str
+) -> None:
+    """Write a parameters.cfg that `Parameters` reads back to the same grid and geometry.
+
+    A principal point off the middle, which the benchmark does not know, goes into keys of our own that others ignore.
+    """
+    config = configparser.ConfigParser(interpolation=None)
+    intrinsics = {"image_resolution_x_px": size[1], "image_resolution_y_px": size[0]}
+    extrinsics: dict[str, float] = {"num_cams_x": grid_shape[1], "num_cams_y": grid_shape[0]}
+    lengths: dict[str, float] = {}
+    if geometry is not None:
+        lengths["focal_length_mm"] = geometry.focal_length_px * _SENSOR_SIZE_MM / max(size)
+        lengths["sensor_size_mm"] = _SENSOR_SIZE_MM
+        extrinsics["baseline_mm"] = geometry.baseline_m * 1000.0
+        extrinsics["focus_distance_m"] = geometry.focus_distance_m
+        if geometry.principal_point is not None:
+            lengths["principal_point_x_px"], lengths["principal_point_y_px"] = geometry.principal_point
+    config.read_dict(
+        {"intrinsics": intrinsics | lengths, "extrinsics": extrinsics, "meta": {"scene": " ".join(scene.split())}}
+    )
+    with path.open("w", encoding="utf-8") as file:
+        config.write(file)

@@ -1,0 +1,154 @@
+"""One image file as an array: what is kept, what is converted with a remark, what is refused."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+from PIL.TiffImagePlugin import TiffImageFile
+
+from lfgpu.errors import LightFieldError
+
+IMAGE_SUFFIXES = frozenset({".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff"})
+"""Suffixes, in lower case, of the files that are taken for images."""
+
+ALPHA_DROPPED = "alpha channel dropped"
+FLOAT64_ROUNDED = "float64 values rounded to float32"
+
+_TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_BITS_TAG, _PLANAR_TAG = 258, 284
+_OTHER_BYTE = {"16B": "16L", "16L": "16B", "16N": "16B" if np.little_endian else "16L"}
+
+
+def read_image(path: str | os.PathLike[str]) -> tuple[NDArray[Any], frozenset[str]]:
+    """Read an image file as it is stored.
+
+    Parameters
+    ----------
+    path
+        A PNG, BMP, JPEG or TIFF file of 8 or 16 bits, or a TIFF of float32 or float64.
+
+    Returns
+    -------
+    image
+        [y, x, c], c = 1 (grey) or 3 (colour), uint8, uint16 or float32. Palettes become colours.
+    remarks
+        What was converted on the way: `ALPHA_DROPPED`, `FLOAT64_ROUNDED`; empty as a rule.
+
+    Raises
+    ------
+    LightFieldError
+        If the file cannot be read, is damaged, claims an absurd size, is of another kind, or has NaN or infinities.
+    """
+    path = Path(path)
+    try:
+        image = _decode(path)
+    except LightFieldError:
+        raise
+    except UnidentifiedImageError as error:
+        raise LightFieldError(f"{path} cannot be read as an image: it is none, or its beginning is damaged.") from error
+    except Exception as error:  # decoders raise whatever comes to them when a file is damaged
+        reason = str(getattr(error, "strerror", None) or error).rstrip(".")
+        raise LightFieldError(f"{path} cannot be read as an image: {reason}.") from error
+    return _normalised(path, image)
+
+
+def _decode(path: Path) -> NDArray[Any]:
+    """[y, x] or [y, x, c] with c = 1 to 4, in whatever dtype the file has."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of damaged remarks about the image
+        # Pillow warns first and refuses from twice that size on; both are far beyond any view.
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        try:
+            with Image.open(path) as image:
+                return _decode_tiff(path) if _is_misread_by_pillow(image) else _pixels(path, image)
+        except UnidentifiedImageError:
+            with path.open("rb") as file:
+                if file.read(4) in _TIFF_MAGIC:
+                    return _decode_tiff(path)
+            raise
+
+
+def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
+    if image.mode in ("1", "P", "PA"):
+        grey = image.mode == "1"
+        return np.asarray(image.convert("L" if grey else "RGBA" if image.has_transparency_data else "RGB"))
+    if image.mode == "I" and image.format == "PNG":  # older Pillow gives 16-bit grey in 32 bits
+        return np.asarray(image).astype(np.uint16)
+    if image.mode not in ("L", "LA", "RGB", "RGBA", "I;16", "I;16L", "I;16B", "F"):
+        kind = "32-bit integers" if image.mode == "I" else f"colour mode {image.mode}"
+        raise LightFieldError(f"{path} has {kind}; views must be grey or RGB of 8 or 16 bits or float32: convert it.")
+    if image.mode in ("RGB", "RGBA") and (raw := _raw_mode(image)).endswith(tuple(_OTHER_BYTE)):
+        return _sixteen_bit_colour(path, image, raw)
+    return np.asarray(image)
+
+
+def _raw_mode(image: Image.Image) -> str:
+    """How the file stores its pixels in Pillow's words, "RGB;16B" for example; "" where Pillow does not say."""
+    tiles = getattr(image, "tile", None)
+    arguments = tiles[0][3] if tiles else ""
+    return str(arguments[0] if isinstance(arguments, tuple) else arguments)
+
+
+def _sixteen_bit_colour(path: Path, image: Image.Image, raw: str) -> NDArray[np.uint16]:
+    """16-bit colour, of which Pillow keeps the high bytes: decoding as of the other byte order gives the low ones."""
+    if raw.startswith("LA"):
+        raise LightFieldError(f"{path} is 16-bit grey with transparency; save it without transparency.")
+    other = raw[:-3] + _OTHER_BYTE[raw[-3:]]
+    with Image.open(path) as again:
+        make: Any = getattr(type(again.tile[0]), "_make", tuple)  # named tuples since Pillow 11
+        again.tile = [
+            make((codec, extents, offset, (other, *raw_mode[1:]) if isinstance(raw_mode, tuple) else other))
+            for codec, extents, offset, raw_mode in again.tile
+        ]
+        low = np.asarray(again)
+    return (np.asarray(image).astype(np.uint16) << 8) | low
+
+
+def _is_misread_by_pillow(image: Image.Image) -> bool:
+    """Whether it is a TIFF of a kind that Pillow 13 decodes without complaint to wrong values."""
+    if not isinstance(image, TiffImageFile):
+        return False
+    sixteen_bit_planes = image.tag_v2.get(_PLANAR_TAG) == 2 and max(image.tag_v2.get(_BITS_TAG, (1,))) > 8
+    big_endian_compressed_float = image.tile[0][0] == "libtiff" and _raw_mode(image).endswith("BF")
+    return sixteen_bit_planes or big_endian_compressed_float
+
+
+def _decode_tiff(path: Path) -> NDArray[Any]:
+    """A TIFF that Pillow does not know (float colour, float64) or misreads, by way of the optional tifffile."""
+    if importlib.util.find_spec("tifffile") is None:
+        raise LightFieldError(
+            f"{path} cannot be read as an image: it is a damaged or an unusual TIFF (float colour, float64, separate "
+            "planes); run 'pip install tifffile' to read the latter, or save it as PNG."
+        )
+    import imageio.v3 as iio  # only here, so that nobody else waits for it
+
+    image = np.asarray(iio.imread(path, plugin="tifffile"))
+    planes_first = image.ndim == 3 and image.shape[0] in (3, 4) and image.shape[2] > 4
+    return np.moveaxis(image, 0, 2) if planes_first else image
+
+
+def _normalised(path: Path, image: NDArray[Any]) -> tuple[NDArray[Any], frozenset[str]]:
+    remarks = set()
+    if image.ndim == 2:
+        image = image[..., None]
+    if image.ndim != 3 or image.shape[2] > 4 or 0 in image.shape:
+        raise LightFieldError(f"{path} has the shape {image.shape}; a view must be one grey or RGB image.")
+    if image.shape[2] in (2, 4):
+        image = image[..., :-1]
+        remarks.add(ALPHA_DROPPED)
+    image = image.astype(image.dtype.newbyteorder("="), copy=False)
+    if image.dtype == np.float64:
+        image = image.astype(np.float32)
+        remarks.add(FLOAT64_ROUNDED)
+    if image.dtype not in (np.uint8, np.uint16, np.float32):
+        raise LightFieldError(f"{path} has {image.dtype} values; views must be uint8, uint16 or float32: convert it.")
+    if image.dtype == np.float32 and not np.isfinite(image).all():
+        raise LightFieldError(f"{path} has NaN or infinite values; the values of a view must be finite.")
+    return image, frozenset(remarks)

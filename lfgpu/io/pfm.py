@@ -1,0 +1,60 @@
+"""Portable float maps: a short text header, then rows of float32 from the bottom up."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.atomic import atomic_write
+
+# kind, width, height, scale; one white character, and the data begin
+_HEADER = re.compile(rb"(P[Ff])\s+([0-9]+)\s+([0-9]+)\s+([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)(?:\r\n|\s)")
+
+
+def read_pfm(path: Path) -> NDArray[np.float32]:
+    """Read a grey PFM as [y, x], top row first; a negative scale means little endian, its size is not applied.
+
+    LightFieldError if it is not a PFM, is in colour, or holds less or more than its header says.
+    """
+    content = path.read_bytes()
+    header = _HEADER.match(content)
+    if header is None:
+        raise LightFieldError(f"{path} is not a PFM file: it does not begin with 'Pf', width, height and scale.")
+    if header[1] == b"PF":
+        raise LightFieldError(f"{path} is a colour PFM ('PF'); a map has one value per pixel ('Pf').")
+    width, height = int(header[2]), int(header[3])
+    data = content[header.end() :]
+    if len(data) != 4 * width * height or not data:
+        raise LightFieldError(
+            f"{path} is damaged: {width} x {height} float32 values are {4 * width * height} bytes, it has {len(data)}."
+        )
+    order = "<" if header[4].startswith(b"-") else ">"
+    return np.flipud(np.frombuffer(data, f"{order}f4").reshape(height, width)).astype(np.float32, order="C")
+
+
+def write_pfm(path: str | os.PathLike[str], values: ArrayLike) -> None:
+    """Write a map as a grey PFM, little endian; whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The file, as a rule with the suffix .pfm.
+    values
+        [y, x], stored as float32; NaN and infinities are kept.
+
+    Raises
+    ------
+    LightFieldError
+        If the map is not [y, x] or the file cannot be written.
+    """
+    array = np.asarray(values, np.float32)
+    if array.ndim != 2 or 0 in array.shape:
+        raise LightFieldError(f"{os.fspath(path)} cannot be written: a map must be [y, x], found shape {array.shape}.")
+    header = f"Pf\n{array.shape[1]} {array.shape[0]}\n-1.0\n".encode()
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(header + np.flipud(array).astype("<f4").tobytes())

@@ -1,0 +1,72 @@
+"""What an estimate returns: the map, how far to trust it, and all that is needed to know how it came about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.config import Config
+from lfgpu.geometry import Geometry
+from lfgpu.types import Float32Array
+
+
+@dataclass(frozen=True, eq=False)
+class DepthResult:
+    """A disparity map of the reference view.
+
+    Parameters
+    ----------
+    disparity
+        float32 [y, x], pixels per view step, larger is nearer: the point at (x, y) of the reference view is at
+        (x - d*du, y - d*dv) in the view (du, dv) view steps to the right of and below it.
+    confidence
+        float32 [y, x], 0 to 1: the coherence of the local estimates that a pixel rests on, averaged over its window
+        with the weights of the prior. 0 means that it was filled in from elsewhere.
+    stages
+        The map after each stage: `local` (NaN where undefined), `propagated` and `refined`.
+    position
+        (u, v) of the reference view, as in `LightField.positions`.
+    disparity_range
+        (low, high), the bounds of the estimate.
+    config
+        All parameters.
+    status
+        Why the solvers stopped, in sentences.
+    converged
+        Whether the refinement met its tolerance.
+    trace
+        The energy before the refinement and after each of its iterations.
+    timings
+        Seconds of each stage and in total.
+    backend, device
+        What it was computed with.
+    versions
+        Versions of lfgpu and of the packages that computed it.
+    geometry
+        What turns disparity into metres; None if unknown.
+    name
+        The light field's name.
+    """
+
+    disparity: Float32Array
+    confidence: Float32Array
+    stages: dict[str, Float32Array]
+    position: tuple[float, float]
+    disparity_range: tuple[float, float]
+    config: Config
+    status: str
+    converged: bool
+    trace: tuple[float, ...]
+    timings: dict[str, float]
+    backend: str
+    device: str
+    versions: dict[str, str] = field(default_factory=dict)
+    geometry: Geometry | None = None
+    name: str = "light field"
+
+    @property
+    def depth(self) -> NDArray[np.float32] | None:
+        """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""
+        return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)

@@ -1,0 +1,115 @@
+"""From a scene to the picture and the true disparity of one view."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.scenes.objects import Rays, Shape
+from lfgpu.scenes.texture import Texture
+
+SUBPIXELS = 2  # rays along each side of a pixel; what the textures leave to alias is next to nothing
+_STRIP = 1 << 16  # rays cast at a time: their arrays fit into the cache
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """A painted surface; `path` is the ellipse that it runs once in time 1: X, Y, T half axes and phase."""
+
+    shape: Shape
+    texture: Texture
+    path: tuple[float, float, float, float] | None = None
+
+    def at(self, time: float, unit: int) -> Thing:
+        """The thing as it stands at that time, with `unit` pixels per scene unit."""
+        if self.path is None:
+            return self
+        x, y, t, phase = self.path
+        angle = 2 * np.pi * time + phase
+        by = np.array([x * np.cos(angle), y * np.sin(angle), t * np.sin(angle)])
+        return Thing(self.shape.moved(by), self.texture.moved(by[:2] * unit))  # paint sticks to the surface
+
+
+class Frame(NamedTuple):
+    """How pixels and disparities of the middle view become scene units (see `objects`)."""
+
+    height: int
+    width: int
+    far: float
+    near: float
+
+    @property
+    def unit(self) -> int:
+        """Pixels per scene unit."""
+        return min(self.height, self.width)
+
+    def slope(self, offset: tuple[float, float]) -> tuple[float, float]:
+        """(U, V) of the rays of the view at `offset` (du, dv) from the middle view."""
+        scale = (self.near - self.far) / self.unit
+        return offset[0] * scale, offset[1] * scale
+
+    def rays(self, offset: tuple[float, float], subpixels: int) -> Rays:
+        """All rays of that view, `subpixels` along each side of a pixel."""
+        du, dv = offset
+        x = (np.arange(self.width * subpixels) + 0.5) / subpixels - 0.5 - (self.width - 1) / 2
+        y = (np.arange(self.height * subpixels) + 0.5) / subpixels - 0.5 - (self.height - 1) / 2
+        return Rays((x + self.far * du)[None] / self.unit, (y + self.far * dv)[:, None] / self.unit, self.slope(offset))
+
+
+def disparity(things: list[Thing], frame: Frame, offset: tuple[float, float]) -> NDArray[np.float64]:
+    """[y, x], the disparity of what the ray through each pixel's centre meets first."""
+    rays = frame.rays(offset, 1)
+    nearest = np.concatenate([_cast(things, strip)[0] for strip in _strips(rays, 1)])
+    return frame.far + (frame.near - frame.far) * nearest
+
+
+def picture(things: list[Thing], frame: Frame, offset: tuple[float, float]) -> NDArray[np.float32]:
+    """[c, y, x] in [0, 1], the mean colour over each pixel."""
+    strips = []
+    for rays in _strips(frame.rays(offset, SUBPIXELS), SUBPIXELS):
+        colours = _colours(things, rays, frame.unit)
+        channels, height, width = colours.shape
+        fine = colours.reshape(channels, height // SUBPIXELS, SUBPIXELS, width // SUBPIXELS, SUBPIXELS)
+        strips.append(fine.mean(axis=(2, 4)))
+    return np.concatenate(strips, axis=1)
+
+
+def _strips(rays: Rays, multiple: int) -> list[Rays]:
+    """The rays cut into strips of rows, a multiple of `multiple` rows each."""
+    rows = max(1, _STRIP // (rays.x.size * multiple)) * multiple
+    return [Rays(rays.x, rays.y[top : top + rows], rays.slope) for top in range(0, rays.y.size, rows)]
+
+
+def _cast(things: list[Thing], rays: Rays) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """T [h, w] of the nearest hit of each ray, and which thing that is."""
+    nearest = np.full((rays.y.size, rays.x.size), -np.inf)
+    owner = np.full(nearest.shape, -1)
+    for index, thing in enumerate(things):
+        left, right, top, bottom = thing.shape.bounds(rays.slope)
+        columns = slice(*np.searchsorted(rays.x[0], (left, right)))
+        rows = slice(*np.searchsorted(rays.y[:, 0], (top, bottom)))
+        if columns.start == columns.stop or rows.start == rows.stop:
+            continue
+        t = thing.shape.hit(Rays(rays.x[:, columns], rays.y[rows], rays.slope))
+        nearer = t >= nearest[rows, columns]  # False where t is NaN, a miss
+        nearest[rows, columns][nearer] = t[nearer]
+        owner[rows, columns][nearer] = index
+    return nearest, owner
+
+
+def _colours(things: list[Thing], rays: Rays, unit: int) -> NDArray[np.float32]:
+    """[c, h, w], the colour that each ray meets first."""
+    nearest, owner = _cast(things, rays)
+    colours = np.empty((3, nearest.size), np.float32)
+    for index in np.flatnonzero(np.bincount(owner.ravel())):
+        hit = np.flatnonzero(owner == index)
+        row, column = np.divmod(hit, rays.x.size)
+        t = nearest.ravel()[hit]
+        points = np.stack([rays.x[0, column] + t * rays.slope[0], rays.y[row, 0] + t * rays.slope[1], t])
+        thing = things[index]
+        paint = thing.texture.sample(points[0] * unit, points[1] * unit)
+        colours[:, hit] = paint * np.asarray(thing.shape.brightness(points), np.float32)
+    return np.minimum(colours, 1.0).reshape(3, *nearest.shape)

@@ -1,0 +1,328 @@
+"""The public side: light fields of the scenes, checked arguments in, `LightField` out."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+from lfgpu.lightfield import GroundTruth, LightField
+from lfgpu.scenes import render
+from lfgpu.scenes.catalogue import SCENES, Stage
+
+NAMES: tuple[str, ...] = tuple(SCENES)
+"""The scenes: relief, planes, boxes, bars, textureless, moving."""
+
+_SMALLEST = 8  # pixels along each side
+_FOCAL_LENGTH = 100 / 35  # in picture widths: a 100 mm lens on a 35 mm wide sensor
+_NEAREST_M, _FARTHEST_M = 4.0, 8.0  # where the two ends of the disparity range lie
+_GREY = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
+_MOVING = ("moving",)
+
+
+def make(
+    name: str,
+    *,
+    seed: int = 0,
+    grid: tuple[int, int] = (9, 9),
+    size: tuple[int, int] = (512, 512),
+    disparity_range: tuple[float, float] = (-1.5, 1.5),
+    noise: float = 0.0,
+    reference: tuple[int, int] | None = None,
+    time: float = 0.0,
+    dtype: DTypeLike = np.uint8,
+    channels: int = 3,
+) -> LightField:
+    """A light field of a synthetic scene, with the exact disparity of its reference view.
+
+    The scene is fixed relative to the middle view, so that the views are the same whichever one is the reference.
+    Each pixel is the mean over 2 x 2 rays; the truth is what the one ray through the pixel's centre meets first.
+
+    Parameters
+    ----------
+    name
+        One of `NAMES`: "relief" (rolling hills, no occlusion), "planes" (slanted and overlapping), "boxes" (boxes and
+        balls in a room), "bars" (rods 2 to 8 px wide before a wall), "textureless" (regions of constant colour),
+        "moving" (the things of "boxes" on the move).
+    seed
+        Decides places, colours, textures and noise, >= 0.
+    grid
+        (rows, columns) of views, each >= 1, at least two views in all.
+    size
+        (height, width) of each view in pixels, each >= 8.
+    disparity_range
+        (far, near) in pixels per view step, far < near: true disparities lie between and use most of it.
+    noise
+        Standard deviation of the Gaussian noise added to intensities in [0, 1], 0 to 1; results are cut to [0, 1].
+    reference
+        (row, column) of the reference view; None is the middle one, as in `LightField.from_grid`.
+    time
+        When, 0 to 1, for "moving", whose motion starts again at 1; 0 for all others.
+    dtype
+        uint8, uint16 or float32 (in [0, 1]).
+    channels
+        3 for colour, 1 for grey.
+
+    Returns
+    -------
+    LightField
+        Views [rows * columns, y, x, c] with `grid_shape`, `truth` (float32), `name` and a `geometry` that puts the
+        ends of the disparity range at depths of about 8 m and 4 m.
+
+    Raises
+    ------
+    LightFieldError
+        If an argument is not what it has to be; the sentence says which.
+    """
+    scene = _scene(name, seed, grid, size, disparity_range)
+    recording = _Recording(seed, _noise(noise), _place(reference, scene.grid), _dtype(dtype), _channels(channels))
+    return _record(scene, recording, _time(name, time))
+
+
+def sequence(
+    name: str = "moving",
+    *,
+    frames: int,
+    seed: int = 0,
+    grid: tuple[int, int] = (9, 9),
+    size: tuple[int, int] = (512, 512),
+    disparity_range: tuple[float, float] = (-1.5, 1.5),
+    noise: float = 0.0,
+    reference: tuple[int, int] | None = None,
+    dtype: DTypeLike = np.uint8,
+    channels: int = 3,
+) -> Iterator[LightField]:
+    """Light fields of a scene that moves, one at a time; frame i is `make` at time i / frames, so they loop.
+
+    Parameters
+    ----------
+    name
+        A scene that moves: "moving".
+    frames
+        How many, >= 1.
+    seed, grid, size, disparity_range, noise, reference, dtype, channels
+        As in `make`.
+
+    Raises
+    ------
+    LightFieldError
+        At once, not at the first frame, if an argument is not what it has to be.
+    """
+    _integer("frames", frames, 1)
+    scene = _scene(name, seed, grid, size, disparity_range)
+    if name not in _MOVING:
+        raise LightFieldError(f"a sequence needs a scene that moves ({', '.join(_MOVING)}), found {name!r}.")
+    recording = _Recording(seed, _noise(noise), _place(reference, scene.grid), _dtype(dtype), _channels(channels))
+    return (_record(scene, recording, index / frames) for index in range(frames))
+
+
+def true_disparity(
+    name: str,
+    row: int,
+    column: int,
+    *,
+    seed: int = 0,
+    grid: tuple[int, int] = (9, 9),
+    size: tuple[int, int] = (512, 512),
+    disparity_range: tuple[float, float] = (-1.5, 1.5),
+    time: float = 0.0,
+) -> NDArray[np.float64]:
+    """float64 [y, x], the exact disparity in the view at grid place (`row`, `column`) of what `make` shows.
+
+    Parameters
+    ----------
+    name, seed, grid, size, disparity_range, time
+        As in `make`.
+    row, column
+        Which view, from 0.
+
+    Raises
+    ------
+    LightFieldError
+        If an argument is not what it has to be; the sentence says which.
+    """
+    scene = _scene(name, seed, grid, size, disparity_range)
+    place = _place((row, column), scene.grid)
+    return render.disparity(scene.at(_time(name, time)), scene.frame, scene.offset(place))
+
+
+class _Recording(NamedTuple):
+    """How the scene is recorded."""
+
+    seed: int
+    noise: float
+    reference: tuple[int, int]
+    dtype: np.dtype[Any]
+    channels: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    name: str
+    grid: tuple[int, int]
+    frame: render.Frame
+    seed: int
+
+    def offset(self, place: tuple[int, int]) -> tuple[float, float]:
+        """(du, dv) of the view at (row, column) from the middle view."""
+        return float(place[1] - self.grid[1] // 2), float(place[0] - self.grid[0] // 2)
+
+    def at(self, time: float) -> list[render.Thing]:
+        """The things as they stand at that time."""
+        return [thing.at(time, self.frame.unit) for thing in self._things]
+
+    @cached_property
+    def _things(self) -> list[render.Thing]:
+        """Built when first needed: every argument has been checked by then."""
+        rng = np.random.default_rng([self.seed, NAMES.index(self.name)])
+        return SCENES[self.name](Stage(self.frame, _farthest(self.grid), rng))
+
+
+def _scene(
+    name: str, seed: int, grid: tuple[int, int], size: tuple[int, int], disparity_range: tuple[float, float]
+) -> _Scene:
+    if name not in NAMES:
+        raise LightFieldError(f"unknown scene {name!r}; known are {', '.join(NAMES)}.")
+    _integer("seed", seed, 0)
+    rows, columns = _pair("grid", "(rows, columns)", grid, 1)
+    if rows * columns < 2:
+        raise LightFieldError(f"grid must have at least two views, found {rows} x {columns}.")
+    height, width = _pair("size", "(height, width)", size, _SMALLEST)
+    far, near = _range(disparity_range)
+    frame = render.Frame(height, width, far, near)
+    slope = max(frame.slope(_farthest((rows, columns))))
+    if slope > 1.0:
+        raise LightFieldError(
+            f"views of {height} x {width} pixels are too small for a grid of {rows} x {columns} and disparities "
+            f"{far:g} to {near:g}: things would shift by {slope * frame.unit:.0f} pixels against each other."
+        )
+    return _Scene(name, (rows, columns), frame, seed)
+
+
+def _farthest(grid: tuple[int, int]) -> tuple[float, float]:
+    """The largest |du| and |dv| of a view from the middle view."""
+    return float(grid[1] // 2), float(grid[0] // 2)
+
+
+def _record(scene: _Scene, recording: _Recording, time: float) -> LightField:
+    """All views of the scene at that time, and the truth of the reference view."""
+    rows, columns = scene.grid
+    frame, things = scene.frame, scene.at(time)
+    views = np.empty((rows, columns, frame.height, frame.width, recording.channels), recording.dtype)
+    for row, column in np.ndindex(rows, columns):
+        colours = render.picture(things, frame, scene.offset((row, column)))
+        if recording.channels == 1:
+            colours = np.tensordot(_GREY, colours, axes=1)[None]
+        intensities = np.moveaxis(colours, 0, 2)
+        if recording.noise:
+            # A generator for each view and time: what a view holds does not depend on which others are made.
+            rng = np.random.default_rng([recording.seed, row, column, round(time * 2**32)])
+            noise = rng.standard_normal(intensities.shape, np.float32)
+            intensities = intensities + np.float32(recording.noise) * noise
+        views[row, column] = _stored(np.clip(intensities, 0.0, 1.0), recording.dtype)
+    row, column = recording.reference
+    truth = render.disparity(things, frame, scene.offset(recording.reference)).astype(np.float32)
+    return LightField.from_grid(
+        views,
+        reference=row * columns + column,
+        geometry=_geometry(frame),
+        truth=GroundTruth(truth, (float(column), float(row))),
+        name=scene.name,
+    )
+
+
+def _stored(intensities: NDArray[np.float32], dtype: np.dtype[Any]) -> NDArray[Any]:
+    if dtype == np.float32:
+        return intensities
+    return np.rint(intensities * np.iinfo(dtype).max).astype(dtype)
+
+
+def _geometry(frame: render.Frame) -> Geometry:
+    """Cameras that see the far end of the disparity range at 8 m and the near end at 4 m."""
+    focal_length = _FOCAL_LENGTH * frame.width
+    if frame.far > frame.near - frame.far:
+        # No frames shifted outwards: they stay as they are, and the far end comes nearer than 8 m.
+        return Geometry(focal_length, _NEAREST_M * frame.near / focal_length)
+    scale = (frame.near - frame.far) / (1 / _NEAREST_M - 1 / _FARTHEST_M)  # baseline times focal length
+    vergence = 1 / _FARTHEST_M - frame.far / scale  # of the plane of disparity 0, in 1 / m
+    return Geometry(focal_length, scale / focal_length, 1 / vergence if vergence > 0 else math.inf)
+
+
+# --- arguments ---
+
+
+def _integer(what: str, value: object, low: int) -> None:
+    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or value < low:
+        raise LightFieldError(f"{what} must be a whole number >= {low}, found {value!r}.")
+
+
+def _number(what: str, value: object, low: float, high: float) -> float:
+    if not isinstance(value, numbers.Real) or isinstance(value, bool) or not low <= float(value) <= high:
+        raise LightFieldError(f"{what} must be a number from {low:g} to {high:g}, found {value!r}.")
+    return float(value)
+
+
+def _pair(what: str, parts: str, value: Any, low: int) -> tuple[int, int]:
+    try:
+        first, second = value
+        _integer(what, first, low)
+        _integer(what, second, low)
+    except (TypeError, ValueError):
+        raise LightFieldError(f"{what} must be {parts}, whole numbers >= {low}, found {value!r}.") from None
+    return int(first), int(second)
+
+
+def _range(value: Any) -> tuple[float, float]:
+    try:
+        far, near = (float(end) for end in value)
+    except (TypeError, ValueError):
+        far = near = math.nan
+    if not (math.isfinite(far) and math.isfinite(near) and far < near):
+        raise LightFieldError(f"disparity_range must be two finite numbers (far, near), far < near, found {value!r}.")
+    return far, near
+
+
+def _place(value: Any, grid: tuple[int, int]) -> tuple[int, int]:
+    if value is None:
+        return grid[0] // 2, grid[1] // 2
+    row, column = _pair("reference view", "(row, column)", value, 0)
+    if row >= grid[0] or column >= grid[1]:
+        raise LightFieldError(
+            f"reference view (row {row}, column {column}) does not exist in a grid of {grid[0]} x {grid[1]}."
+        )
+    return row, column
+
+
+def _noise(value: float) -> float:
+    return _number("noise", value, 0.0, 1.0)
+
+
+def _time(name: str, value: float) -> float:
+    time = _number("time", value, 0.0, 1.0)
+    if time != 0 and name not in _MOVING:
+        raise LightFieldError(f"time must be 0 for a scene that does not move, found {value!r} for {name!r}.")
+    return time
+
+
+def _dtype(value: DTypeLike) -> np.dtype[Any]:
+    try:
+        dtype = np.dtype(value)
+    except TypeError:
+        dtype = None
+    if dtype not in (np.uint8, np.uint16, np.float32):
+        raise LightFieldError(f"dtype must be uint8, uint16 or float32, found {value!r}.")
+    return dtype
+
+
+def _channels(value: int) -> int:
+    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or value not in (1, 3):
+        raise LightFieldError(f"channels must be 1 (grey) or 3 (colour), found {value!r}.")
+    return int(value)

@@ -1,0 +1,272 @@
+"""The light field: what it keeps, how it is looked at, what is made from it, what it refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+from lfgpu.lightfield import GroundTruth, LightField
+
+ROWS, COLUMNS, HEIGHT, WIDTH = 3, 5, 6, 8
+
+
+def grid(dtype: Any = np.uint8, channels: int = 3) -> NDArray[Any]:
+    """[v, u, y, x, c] of random values."""
+    values = np.random.default_rng(3).random((ROWS, COLUMNS, HEIGHT, WIDTH, channels))
+    return values.astype(dtype) if dtype == np.float32 else (values * np.iinfo(dtype).max).astype(dtype)
+
+
+@pytest.fixture
+def views() -> NDArray[np.uint8]:
+    return grid()
+
+
+@pytest.fixture
+def light_field(views: NDArray[np.uint8]) -> LightField:
+    return LightField.from_grid(views, name="scene")
+
+
+def test_sign_convention() -> None:
+    """A point at (x, y) of the reference is at (x - d*du, y - d*dv): nearer points (larger d) move further.
+
+    The camera that stands to the right (du = 1) sees a near point further left; the one below (dv = 1) further up.
+    """
+    disparity, x, y = 2, 4, 5
+    views = np.zeros((3, 3, 10, 10), np.uint8)
+    for v in range(3):
+        for u in range(3):
+            views[v, u, y - disparity * (v - 1), x - disparity * (u - 1)] = 255
+    light_field = LightField.from_grid(views)
+    assert light_field.view(1, 1)[y, x, 0] == 255
+    assert light_field.view(1, 2)[5, 2, 0] == 255  # right of the reference: the point is further left
+    assert light_field.view(2, 1)[3, 4, 0] == 255  # below the reference: the point is further up
+    for index, (du, dv) in enumerate(light_field.offsets.astype(int)):
+        assert light_field.views[index, y - disparity * dv, x - disparity * du, 0] == 255
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_values_and_dtype_are_kept(dtype: Any, channels: int) -> None:
+    values = grid(dtype, channels)
+    light_field = LightField.from_grid(values)
+    assert light_field.views.dtype == dtype
+    assert light_field.channels == channels
+    np.testing.assert_array_equal(light_field.views.reshape(values.shape), values)
+    image = light_field.image(2)
+    assert image.dtype == np.float32
+    full = 1.0 if dtype == np.float32 else float(np.iinfo(dtype).max)
+    np.testing.assert_allclose(image, values[0, 2] / full, rtol=1e-6)
+
+
+def test_the_middle_view_is_the_reference(light_field: LightField) -> None:
+    assert light_field.reference_index == light_field.index_of(1, 2)
+    np.testing.assert_array_equal(light_field.offsets[0], [-2, -1])  # (du, dv) of the upper left view
+    assert (light_field.grid_shape, light_field.size, light_field.missing) == ((3, 5), (HEIGHT, WIDTH), ())
+
+
+def test_even_grids_take_the_view_below_and_right_of_the_middle() -> None:
+    light_field = LightField.from_grid(np.zeros((2, 4, 3, 3), np.uint8))
+    np.testing.assert_array_equal(light_field.positions[light_field.reference_index], [2, 1])
+
+
+def test_any_positions_make_a_light_field() -> None:
+    light_field = LightField(np.zeros((3, 4, 4), np.uint8), np.array([[0, 0], [1.5, 0.2], [4, -1]]))
+    assert light_field.reference == 1  # nearest to the middle (2, -0.5)
+    np.testing.assert_allclose(light_field.offsets[2], [2.5, -1.2])
+    assert light_field.missing == ()
+
+
+def test_sub_aperture_views(light_field: LightField, views: NDArray[np.uint8]) -> None:
+    for v in range(ROWS):
+        for u in range(COLUMNS):
+            np.testing.assert_array_equal(light_field.view(v, u), views[v, u])
+
+
+def test_epis_are_slices_of_the_row_and_column_of_the_reference(
+    light_field: LightField, views: NDArray[np.uint8]
+) -> None:
+    np.testing.assert_array_equal(light_field.epi_horizontal(4), views[1, :, 4])
+    np.testing.assert_array_equal(light_field.epi_vertical(7), views[:, 2, :, 7])
+    moved = light_field.with_reference(light_field.index_of(0, 4))
+    np.testing.assert_array_equal(moved.epi_horizontal(4), views[0, :, 4])
+    np.testing.assert_array_equal(moved.epi_vertical(7), views[:, 4, :, 7])
+
+
+def test_epis_are_in_the_order_of_positions_not_of_views(views: NDArray[np.uint8]) -> None:
+    order = np.random.default_rng(0).permutation(ROWS * COLUMNS)
+    plain = LightField.from_grid(views)
+    shuffled = LightField(plain.views[order], plain.positions[order])
+    np.testing.assert_array_equal(shuffled.epi_horizontal(0), views[1, :, 0])
+    np.testing.assert_array_equal(shuffled.epi_vertical(0), views[:, 2, :, 0])
+
+
+def test_a_change_of_reference_changes_offsets_only(light_field: LightField) -> None:
+    moved = light_field.with_reference(light_field.index_of(2, 0))
+    np.testing.assert_array_equal(moved.offsets[moved.reference_index], [0, 0])
+    np.testing.assert_array_equal(moved.offsets[0], [0, -2])
+    np.testing.assert_array_equal(moved.positions, light_field.positions)
+    assert moved.views is light_field.views
+
+
+@pytest.mark.parametrize(
+    ("pattern", "places"),
+    [
+        ("full", [(v, u) for v in range(3) for u in range(5)]),
+        ("cross", [(0, 2), (1, 0), (1, 1), (1, 2), (1, 3), (1, 4), (2, 2)]),
+        ("star", [(0, 1), (0, 2), (0, 3), (1, 0), (1, 1), (1, 2), (1, 3), (1, 4), (2, 1), (2, 2), (2, 3)]),
+        ("row", [(1, 0), (1, 1), (1, 2), (1, 3), (1, 4)]),
+        ("column", [(0, 2), (1, 2), (2, 2)]),
+    ],
+)
+def test_pattern_subsets(light_field: LightField, pattern: str, places: list[tuple[int, int]]) -> None:
+    part = light_field.subset(pattern)
+    assert [(v, u) for u, v in part.positions.astype(int).tolist()] == places
+    assert part.positions[part.reference_index].tolist() == [2, 1]
+    for v, u in places:
+        np.testing.assert_array_equal(part.view(v, u), light_field.view(v, u))
+    assert set(part.missing) == {(v, u) for v in range(3) for u in range(5)} - set(places)
+
+
+def test_patterns_go_through_the_reference_that_was_chosen(light_field: LightField) -> None:
+    part = light_field.with_reference(0).subset("cross")
+    assert len(part.views) == 7
+    assert {tuple(p) for p in part.positions.astype(int).tolist()} == {(u, 0) for u in range(5)} | {(0, 1), (0, 2)}
+
+
+def test_subsets_by_index_keep_the_reference_and_the_masks(views: NDArray[np.uint8]) -> None:
+    valid = np.random.default_rng(0).random((15, HEIGHT, WIDTH)) > 0.5
+    part = LightField.from_grid(views, valid=valid).subset([0, 14])
+    np.testing.assert_array_equal(part.positions, [[0, 0], [2, 1], [4, 2]])
+    assert part.reference == 1
+    assert part.valid is not None
+    np.testing.assert_array_equal(part.valid, valid[[0, 7, 14]])
+
+
+def test_crop_takes_geometry_masks_and_truth_along(views: NDArray[np.uint8]) -> None:
+    disparity = np.arange(HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH)
+    truth = GroundTruth(disparity, (2.0, 1.0), mask=disparity % 2 == 0)
+    valid = np.random.default_rng(0).random((15, HEIGHT, WIDTH)) > 0.5
+    light_field = LightField.from_grid(views, geometry=Geometry(100.0, 0.1), truth=truth, valid=valid)
+    part = light_field.crop(np.s_[1:5], np.s_[2:])
+    window = np.s_[1:5, 2:8]
+    np.testing.assert_array_equal(part.view(0, 3), views[0, 3][window])
+    assert part.valid is not None
+    np.testing.assert_array_equal(part.valid[4], valid[4][window])
+    assert part.truth is not None
+    assert part.truth.mask is not None
+    np.testing.assert_array_equal(part.truth.disparity, disparity[window])
+    np.testing.assert_array_equal(part.truth.mask, (disparity % 2 == 0)[window])
+    # the middle of 8 x 6 pixels is (3.5, 2.5); the window begins at (2, 1)
+    assert part.geometry == Geometry(100.0, 0.1, principal_point=(1.5, 1.5))
+    again = part.crop(np.s_[1:], np.s_[1:-1])
+    assert again.geometry == Geometry(100.0, 0.1, principal_point=(0.5, 0.5))
+    assert again.size == (3, 4)
+
+
+def test_truth_belongs_to_one_view(views: NDArray[np.uint8]) -> None:
+    truth = GroundTruth(np.zeros((HEIGHT, WIDTH), np.float32), position=(2.0, 1.0))
+    light_field = LightField.from_grid(views, truth=truth)
+    assert light_field.reference_truth() is truth
+    assert light_field.with_reference(0).reference_truth() is None
+    assert LightField.from_grid(views).reference_truth() is None
+
+
+def test_downsampled_means_blocks(views: NDArray[np.uint8]) -> None:
+    valid = np.ones((15, HEIGHT, WIDTH), np.bool_)
+    valid[0, 5, 7] = False
+    coarse = LightField.from_grid(views, valid=valid, geometry=Geometry(1.0, 1.0)).downsampled(2)
+    assert coarse.views.shape == (15, 3, 4, 3)
+    assert coarse.views.dtype == np.float32
+    np.testing.assert_allclose(coarse.view(2, 4)[1, 3], views[2, 4, 2:4, 6:8].mean(axis=(0, 1)) / 255, rtol=1e-5)
+    assert coarse.valid is not None
+    assert not coarse.valid[0, 2, 3]
+    assert coarse.valid.sum() == 15 * 12 - 1
+    assert (coarse.geometry, coarse.truth) == (None, None)
+
+
+def test_downsampled_leaves_out_what_fills_no_block(light_field: LightField) -> None:
+    assert light_field.downsampled(4).size == (1, 2)
+    assert light_field.downsampled(1).size == (HEIGHT, WIDTH)
+
+
+def views_of(n: int = 3, **changes: Any) -> dict[str, Any]:
+    """Arguments of a good light field of n views in a row, with changes."""
+    positions = np.stack([np.arange(n), np.zeros(n)], axis=1)
+    return {"views": np.zeros((n, 4, 4, 3), np.uint8), "positions": positions} | changes
+
+
+def test_the_good_arguments_are_good() -> None:
+    assert LightField(**views_of()).reference == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"views": np.zeros((3, 4, 4, 2), np.uint8)}, ["c = 1 or 3", "(3, 4, 4, 2)"]),
+        ({"views": np.zeros((4, 4), np.uint8)}, ["[n, y, x]", "(4, 4)"]),
+        ({"views": np.zeros((3, 0, 4), np.uint8)}, ["(3, 0, 4, 1)"]),
+        ({"views": np.zeros((3, 4, 4))}, ["float64"]),
+        ({"views": np.zeros((3, 4, 4), np.int16)}, ["int16"]),
+        ({"views": np.full((3, 4, 4), np.nan, np.float32)}, ["view 0 (row 0, column 0)", "NaN"]),
+        ({"views": np.full((3, 4, 4), 255, np.float32)}, ["view 0", "255", "[0, 1]"]),
+        (views_of(1), ["one view"]),
+        ({"positions": np.zeros((2, 2))}, ["positions", "3", "(2, 2)"]),
+        ({"positions": np.full((3, 2), np.nan)}, ["positions", "finite"]),
+        ({"positions": np.array([[0, 0], [1, 2], [1, 2]])}, ["two views", "row 2", "column 1"]),
+        ({"reference": 3}, ["reference view 3", "0 to 2"]),
+        ({"reference": -1}, ["reference view -1"]),
+        ({"valid": np.ones((3, 4, 5), np.bool_)}, ["valid", "(3, 4, 5)"]),
+        ({"valid": np.ones((3, 4, 4), np.uint8)}, ["valid", "uint8"]),
+        ({"truth": GroundTruth(np.zeros((4, 5), np.float32), (1.0, 0.0))}, ["truth", "(4, 4)", "(4, 5)"]),
+        ({"grid_shape": (1, 2)}, ["positions", "1 x 2", "0 to 2"]),
+        ({"grid_shape": (1, 3), "positions": np.array([[0, 0], [0.5, 0], [1, 0]])}, ["whole numbers"]),
+    ],
+)
+def test_what_is_no_light_field_is_refused(changes: dict[str, Any], words: list[str]) -> None:
+    with pytest.raises(LightFieldError) as error:
+        LightField(**(views_of() | changes))
+    assert all(word in str(error.value) for word in words), error.value
+
+
+def test_grids_must_have_their_axes() -> None:
+    with pytest.raises(LightFieldError, match=r"\(3, 4, 4\)"):
+        LightField.from_grid(np.zeros((3, 4, 4), np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("words", "ask"),
+    [
+        ("scene has no view at row 7, column 0; rows span 0 to 2", lambda lf: lf.view(7, 0)),
+        ("reference view 15 does not exist", lambda lf: lf.with_reference(15)),
+        ("unknown view pattern 'ring'", lambda lf: lf.subset("ring")),
+        ("view indices must be 0 to 14", lambda lf: lf.subset([15])),
+        ("leaves the reference view alone", lambda lf: lf.subset([7])),
+        ("leaves nothing", lambda lf: lf.crop(np.s_[4:4], np.s_[:])),
+        ("has a step", lambda lf: lf.crop(np.s_[::2], np.s_[:])),
+        ("cannot be shrunk 7 times", lambda lf: lf.downsampled(7)),
+        ("cannot be shrunk 0 times", lambda lf: lf.downsampled(0)),
+    ],
+)
+def test_requests_that_cannot_be_met(light_field: LightField, words: str, ask: Callable[[LightField], object]) -> None:
+    with pytest.raises(LightFieldError) as error:
+        ask(light_field)
+    assert words in str(error.value)
+
+
+def test_a_line_of_one_view_is_no_subset() -> None:
+    diagonal = LightField(np.zeros((3, 2, 2), np.uint8), np.array([[0, 0], [1, 1], [2, 2]]), name="diagonal")
+    with pytest.raises(LightFieldError, match="diagonal: the subset 'row' leaves the reference view alone"):
+        diagonal.subset("row")
+
+
+def test_positions_are_copied() -> None:
+    positions = np.array([[0.0, 0.0], [1.0, 0.0]])
+    light_field = LightField(np.zeros((2, 3, 3), np.uint8), positions)
+    positions[:] = 7
+    np.testing.assert_array_equal(light_field.positions, [[0, 0], [1, 0]])
