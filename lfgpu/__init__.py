@@ -1,1 +1,66 @@
-"""lfgpu: depth from 4D light fields by analysis through synthesis."""
+"""lfgpu: disparity, confidence and metric depth from 4D light fields, by analysis through synthesis.
+
+    lf = lfgpu.read("path/to/light field")
+    result = lfgpu.estimate_depth(lf)
+    result.disparity                         # float32 [y, x], pixels per view step, larger is nearer
+
+Importing lfgpu starts no device and loads no backend; names are loaded when they are first used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lfgpu._backends import list_backends
+    from lfgpu.config import PRESETS, Config
+    from lfgpu.depth import estimate_depth
+    from lfgpu.errors import BackendError, LfgpuError, LightFieldError
+    from lfgpu.geometry import Geometry
+    from lfgpu.io import read
+    from lfgpu.lightfield import GroundTruth, LightField
+    from lfgpu.metrics import evaluate
+    from lfgpu.result import DepthResult
+
+_HOMES = {
+    "BackendError": "errors",
+    "Config": "config",
+    "DepthResult": "result",
+    "Geometry": "geometry",
+    "GroundTruth": "lightfield",
+    "LfgpuError": "errors",
+    "LightField": "lightfield",
+    "LightFieldError": "errors",
+    "PRESETS": "config",
+    "estimate_depth": "depth",
+    "evaluate": "metrics",
+    "list_backends": "_backends",
+    "read": "io",
+}
+
+__all__ = [
+    "PRESETS",
+    "BackendError",
+    "Config",
+    "DepthResult",
+    "Geometry",
+    "GroundTruth",
+    "LfgpuError",
+    "LightField",
+    "LightFieldError",
+    "estimate_depth",
+    "evaluate",
+    "list_backends",
+    "read",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'lfgpu' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"lfgpu.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

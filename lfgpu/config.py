@@ -29,7 +29,7 @@ class _Checked:
                     raise LightFieldError(f"{f.name} must be one of {', '.join(meta['choices'])}, not {value!r}.")
             elif isinstance(value, bool) or not isinstance(value, int | float):
                 raise LightFieldError(f"{f.name} must be a number, not {value!r}.")
-            elif isinstance(f.default, int) and value != int(value):
+            elif isinstance(f.default, int) and not isinstance(value, int):
                 raise LightFieldError(f"{f.name} must be a whole number, not {value:g}.")
             elif not meta["low"] <= value <= meta["high"]:
                 raise LightFieldError(f"{f.name} must lie in {meta['low']:g} to {meta['high']:g}, not {value:g}.")
@@ -63,15 +63,15 @@ class PriorConfig(_Checked):
     window: int = _number(11, 3, 31, "side of the neighbourhood, pixels", symbol="N", odd=True)
     patch: int = _number(3, 1, 9, "side of the patches that are compared, pixels", symbol="patch P", odd=True)
     sigma_color: float = _number(
-        0.05, 1e-3, 10.0, "root mean square colour difference of patches that halves trust (to 1/e), intensity",
+        0.015, 1e-3, 10.0, "root mean square colour difference of patches that halves trust (to 1/e), intensity",
         symbol="σ_color / √|P|",
     )  # fmt: skip
     sigma_gradient: float = _number(
-        0.05, 1e-3, 10.0, "the same for the difference of image gradients, intensity per pixel",
+        0.015, 1e-3, 10.0, "the same for the difference of image gradients, intensity per pixel",
         symbol="σ_grad / √|P|",
     )  # fmt: skip
     floor: float = _number(
-        1e-3, 1e-6, 1.0, "weight of the least similar pair in a window; keeps every pixel connected"
+        1e-4, 1e-6, 1.0, "weight of the least similar pair in a window; keeps every pixel connected"
     )  # fmt: skip
 
 
@@ -91,10 +91,15 @@ class RefinementConfig(_Checked):
     """The generative model and its minimisation (paper §3)."""
 
     smoothness: float = _number(
-        0.01, 0.0, 1e3, "weight of the prior against the mean squared error over views and channels",
+        0.2, 0.0, 1e6, "weight of the prior against the mean squared error over views and channels",
         symbol="λ / (views · channels)",
     )  # fmt: skip
     softness: float = _number(0.1, 0.001, 0.5, "width of the rounded kinks of the tent, pixels", symbol="ε of Λ")
+    detail_scale: float = _number(
+        1.5, 0.0, 20.0, "views are compared without their local mean and contrast over this scale, pixels; "
+        "0 compares raw intensities, as the paper does",
+    )  # fmt: skip
+    contrast_floor: float = _number(0.01, 1e-4, 1.0, "contrast that is taken for noise, intensity")
     tolerance: float = _number(1e-4, 0.0, 1e-1, "stop when an iteration lowers the energy by less, relative")
     max_iterations: int = _number(100, 0, 10000, "stop after as many iterations")
 
@@ -110,21 +115,20 @@ class Config:
 
     def with_values(self, values: Mapping[str, Any]) -> Config:
         """A copy with some parameters changed, named as `stage.parameter`; numbers may be given as text."""
-        config = self
+        config, known = self, dict(parameters(self))
         for name, value in values.items():
-            stage_name, _, parameter = name.partition(".")
-            stage = getattr(config, stage_name, None)
-            known = {f.name: f for f in dataclasses.fields(stage)} if stage is not None else {}
-            if parameter not in known:
-                raise LightFieldError(
-                    f"unknown parameter {name!r}; there are {', '.join(full for full, _ in parameters(self))}."
-                )
-            if isinstance(value, str) and "choices" not in known[parameter].metadata:
+            if name not in known:
+                raise LightFieldError(f"unknown parameter {name!r}; there are {', '.join(known)}.")
+            if isinstance(value, str) and "choices" not in known[name].metadata:
                 try:
-                    value = type(known[parameter].default)(float(value))
+                    value = float(value)
                 except ValueError as error:
                     raise LightFieldError(f"{name} must be a number, not {value!r}.") from error
-            config = dataclasses.replace(config, **{stage_name: dataclasses.replace(stage, **{parameter: value})})
+                if value.is_integer() and isinstance(known[name].default, int):
+                    value = int(value)
+            stage, parameter = name.split(".")
+            changed = dataclasses.replace(getattr(config, stage), **{parameter: value})
+            config = dataclasses.replace(config, **{stage: changed})
         return config
 
 

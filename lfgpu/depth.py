@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
 
@@ -66,13 +66,13 @@ def estimate_depth(
         If the backend or the device is not there.
     """
     parameters = preset(config) if isinstance(config, str) else config
-    bounds = None if disparity_range is None else _checked_range(disparity_range)
+    bounds = None if disparity_range is None else _checked_range(disparity_range, lf)
     kernels = load(backend)
     where = pick_device(kernels, device)
     timings: dict[str, float] = {}
 
     @contextmanager
-    def timed(stage: str):  # type: ignore[no-untyped-def]
+    def timed(stage: str) -> Iterator[None]:
         start = perf_counter()
         yield
         timings[stage] = perf_counter() - start
@@ -92,9 +92,8 @@ def estimate_depth(
             filled = propagate(local, prior, parameters.propagation, report("propagate"))
             confidence = prior.mean(local.coherence)
         with timed("refine"):
-            energy = Energy(
-                ForwardModel(lf, parameters.refinement, kernels, where), prior, parameters.refinement.smoothness
-            )
+            model = ForwardModel(lf, parameters.refinement, kernels, where, start=filled.values)
+            energy = Energy(model, prior, parameters.refinement.smoothness)
             refined = minimize_lbfgsb(
                 energy,
                 filled.values,
@@ -127,10 +126,18 @@ def estimate_depth(
     )
 
 
-def _checked_range(disparity_range: tuple[float, float]) -> tuple[float, float]:
+def _checked_range(disparity_range: tuple[float, float], lf: LightField) -> tuple[float, float]:
     low, high = (float(bound) for bound in disparity_range)
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise LightFieldError(
             f"disparity range must be two finite numbers, low < high, in pixels per view step; found {low:g}, {high:g}."
+        )
+    least = 0.0 if low <= 0 <= high else min(abs(low), abs(high))
+    reach, size = np.abs(lf.offsets).max(), max(lf.size)
+    if least * reach >= size:
+        raise LightFieldError(
+            f"disparity range {low:g}, {high:g} is in pixels per view step: it moves everything by at least "
+            f"{least * reach:g} px between the reference and the outermost view, out of views of {size} px; give "
+            "smaller disparities."
         )
     return low, high

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from lfgpu.config import LocalConfig, PropagationConfig
 from lfgpu.errors import LightFieldError
@@ -80,7 +81,7 @@ def local_estimate(
         raise LightFieldError(
             f"{lf.name}: no estimate lies in the disparity range {low:g} to {high:g}; give a wider one."
         )
-    defined = best.coherence >= max(config.coherence_threshold, np.finfo(np.float32).tiny)
+    defined = (best.coherence > 0) & (best.coherence >= config.coherence_threshold)
     return Local(best.disparity, np.where(defined, best.coherence, np.float32(0)))
 
 
@@ -126,7 +127,8 @@ def find_disparity_range(lf: LightField, config: LocalConfig, kernels: KernelSet
     """
     level = max(1, min(_RANGE_LEVEL, min(lf.size) // 16))
     coarse = local_estimate(lf.downsampled(level), (-_RANGE_REACH, _RANGE_REACH), config, kernels, device)
-    found = coarse.disparity[coarse.coherence > 0]
+    # What stands alone among its neighbours is taken for an outlier.
+    found = median_filter(coarse.disparity, 3)[coarse.coherence > 0]
     if found.size == 0:
         raise LightFieldError(
             f"{lf.name}: no structure is coherent enough to find the disparity range; give disparity_range yourself, "

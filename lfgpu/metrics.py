@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,16 +96,6 @@ def evaluate(disparity: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None =
         undefined=100 * (count - len(defined)) / count,
         count=count,
     )
-
-
-def table(rows: Mapping[str, Metrics]) -> str:
-    """Metrics as lines of text, one for each name in `rows`, under a line of headings."""
-    width = max([len("scene"), *map(len, rows)])
-    lines = [f"{'scene':{width}}  MSEx100  BP 0.07  BP 0.03  BP 0.01      Q25    RMSE"]
-    for name, m in rows.items():
-        percents = f"{m.badpix_07:7.2f}  {m.badpix_03:7.2f}  {m.badpix_01:7.2f}"
-        lines.append(f"{name:{width}}  {m.mse_100:7.3f}  {percents}  {m.q25:7.3f}  {m.rmse:6.4f}")
-    return "\n".join(lines)
 
 
 def _inside(shape: tuple[int, ...], border: int) -> NDArray[np.bool_]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfgpu.config import RefinementConfig
+from lfgpu.detail import normalized_views
 from lfgpu.lightfield import LightField
-from lfgpu.types import Array, Float32Array, KernelSet
+from lfgpu.types import Array, Float32Array, Float64Array, KernelSet
 
 
 class ForwardModel:
@@ -17,23 +19,38 @@ class ForwardModel:
     lf
         The light field; its reference view is what is splatted, all other views are predicted.
     config
-        `softness` of the tent.
+        `softness` of the tent; `detail_scale` and `contrast_floor` of the images that are compared.
     kernels, device
-        Where the views live from now on, stored as they came.
+        Where the views live from now on.
+    start
+        A first disparity map [y, x]: what by it lies outside the reference view, at the rims of the others, has no
+        prediction and is not compared. None compares everything.
     """
 
-    def __init__(self, lf: LightField, config: RefinementConfig, kernels: KernelSet, device: str) -> None:
+    def __init__(
+        self,
+        lf: LightField,
+        config: RefinementConfig,
+        kernels: KernelSet,
+        device: str,
+        start: Float32Array | None = None,
+    ) -> None:
         self._kernels, self._device, self._softness = kernels, device, config.softness
         others = np.arange(len(lf.views)) != lf.reference_index  # the reference predicts itself whatever the map
         self.shape = (int(others.sum()), *lf.size, lf.channels)
         self._image = kernels.image(lf.image(lf.reference_index), device)
         self._offsets = kernels.field(lf.offsets[others], device)
+        valid = None if lf.valid is None else lf.valid[others]
+        if start is not None:
+            inside = _inside_reference(start, lf.offsets[others])
+            valid = inside if valid is None else valid & inside
+        views = normalized_views(lf, config.detail_scale, config.contrast_floor)
         self._data_term = kernels.data_term(
-            self._image,
-            kernels.image(lf.views[others], device),
-            None if lf.valid is None else kernels.field(lf.valid[others], device),
+            kernels.image(views[lf.reference_index], device),
+            kernels.image(views[others], device),
+            None if valid is None else kernels.field(valid, device),
             self._offsets,
-            scale=lf.scale,
+            scale=1.0,
             softness=config.softness,
         )
 
@@ -61,3 +78,18 @@ class ForwardModel:
         value = self._data_term(disparity, gradient_out)
         self._kernels.axpby(mean, gradient_out, 0.0, gradient_out, gradient_out)
         return mean * value
+
+
+def _inside_reference(disparity: Float32Array, offsets: Float64Array) -> NDArray[np.bool_]:
+    """Whether what each pixel of the views at `offsets` shows lies in the frame of the reference view: [n, y, x].
+
+    Near enough, the disparity at a pixel of another view is that at the same pixel of the reference.
+    """
+    height, width = disparity.shape
+    y, x = np.mgrid[:height, :width]
+    inside = np.empty((len(offsets), height, width), np.bool_)
+    for n, (du, dv) in enumerate(offsets):
+        in_x = np.abs(x + disparity * du - (width - 1) / 2) <= (width - 1) / 2
+        in_y = np.abs(y + disparity * dv - (height - 1) / 2) <= (height - 1) / 2
+        inside[n] = in_x & in_y
+    return inside

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lfgpu.errors import LightFieldError
-from lfgpu.metrics import Metrics, evaluate, table
+from lfgpu.metrics import Metrics, evaluate
 
 NAN = float("nan")
 
@@ -97,11 +97,3 @@ def test_bad_input_is_said_so(disparity: object, truth: object, options: dict[st
 
 def test_the_smallest_map_that_a_border_leaves() -> None:
     assert evaluate(np.zeros((31, 31)), np.zeros((31, 31))).count == 1
-
-
-def test_table_has_a_line_for_each_name() -> None:
-    m = evaluate(np.full((2, 2), 0.5), np.zeros((2, 2)), border=0)
-    heading, cotton, kitchen = table({"cotton": m, "kitchen": m}).splitlines()
-    assert heading.split()[0] == "scene"
-    assert cotton.split() == ["cotton", "25.000", "100.00", "100.00", "100.00", "50.000", "0.5000"]
-    assert kitchen.startswith("kitchen")

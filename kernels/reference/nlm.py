@@ -1,8 +1,9 @@
 """Non-local-means weights and the two linear operators that they make: NumPy, float64.
 
-w(p, q) = max(floor, e), e = exp(-mean over the patch of [ΔI² / σ_color² + |Δ∇I|² / σ_gradient²]), where Δ is the difference between the
-patch around p and the one around q, squares are means over the channels, and only patch pixels that both have count.
-The paper sums over the patch where this takes the mean: σ here is the paper's over √(patch pixels).
+w(p, q) = exp(-mean over the patch of [ΔI² / σ_color² + |Δ∇I|² / σ_gradient²]) but at least a floor, where Δ is the
+difference between the patch around p and the one around q, squares are means over the channels, and only patch pixels
+that both have count. The paper sums over the patch where this takes the mean: σ here is the paper's over √(patch
+pixels).
 """
 
 import numpy as np

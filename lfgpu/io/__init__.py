@@ -5,6 +5,7 @@ from lfgpu.io.formats import FORMATS, Format, read, recognise
 from lfgpu.io.hci import write_hci
 from lfgpu.io.maps import read_map, read_mask
 from lfgpu.io.pfm import write_pfm
+from lfgpu.io.results import holds_result, read_result, write_result
 
 __all__ = [
     "FORMATS",
@@ -12,10 +13,13 @@ __all__ = [
     "atomic_folder",
     "atomic_write",
     "check_writable",
+    "holds_result",
     "read",
     "read_map",
     "read_mask",
+    "read_result",
     "recognise",
     "write_hci",
     "write_pfm",
+    "write_result",
 ]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -73,9 +72,9 @@ def _read_numpy(path: Path) -> NDArray[np.float32]:
                     found = ", ".join(loaded.files) or "nothing"
                     raise LightFieldError(f"{path} has no array {MAP_KEY!r}; it holds {found}.")
                 loaded = loaded[MAP_KEY]
-    except LightFieldError:
+    except (LightFieldError, OSError):
         raise
-    except (ValueError, EOFError, zipfile.BadZipFile) as error:  # what NumPy raises for damaged or pickled data
+    except Exception as error:  # NumPy and zipfile raise whatever comes to them when a file is damaged
         raise LightFieldError(f"{path} cannot be read as NumPy data: {error}.") from error
     if loaded.ndim != 2 or loaded.dtype.kind not in "fiu" or 0 in loaded.shape:
         raise LightFieldError(f"{path} must hold numbers [y, x]; found {loaded.dtype} of shape {loaded.shape}.")

@@ -1,0 +1,31 @@
+# `make demo` and `make test` do all set-up themselves; they need Python 3.11 or newer and make.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: demo test lint clean
+
+demo: .venv/use
+	$(BIN)/lfgpu demo
+
+test: .venv/develop
+	$(BIN)/python -m pytest
+
+lint: .venv/develop
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf .venv lfgpu.egg-info lfgpu-demo
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "lfgpu needs Python 3.11 or newer; name one with: make PYTHON=/path/to/python3.12 ...")'
+	$(PYTHON) -m venv .venv
+
+.venv/use: .venv/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	@touch $@
+
+.venv/develop: .venv/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[all]"
+	@touch $@

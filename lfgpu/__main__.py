@@ -1,0 +1,5 @@
+"""`python -m lfgpu` is `lfgpu`."""
+
+from lfgpu.cli import main
+
+main()

@@ -1,0 +1,54 @@
+"""The command line: `lfgpu depth`, `info`, `scene`, `eval` and `demo`.
+
+Commands import what they need when they run, so that help and mistakes answer at once.
+"""
+
+from __future__ import annotations
+
+import io
+import sys
+from typing import Annotated
+
+import typer
+
+from lfgpu.cli import demo, depth, evaluate, info, scene
+from lfgpu.cli.failures import Group
+
+app = typer.Typer(
+    cls=Group,
+    help="Disparity, confidence and metric depth from 4D light fields.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("depth")(depth.depth)
+app.command("info")(info.info)
+app.command("scene")(scene.scene)
+app.command("eval")(evaluate.evaluate)
+app.command("demo")(demo.demo)
+
+
+def main() -> None:
+    """Run the command line and exit: 0 for done, 1 for an error (a sentence on stderr), 2 for wrong usage, 130 for
+    interrupted."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # names of files may hold what the terminal cannot show
+    app(prog_name="lfgpu")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        import importlib.metadata
+
+        typer.echo(f"lfgpu {importlib.metadata.version('lfgpu')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass

@@ -1,0 +1,101 @@
+"""What people see: lines with a label, a table of scores, and how far the computation is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from lfgpu.config import Config
+    from lfgpu.metrics import Metrics
+
+Progress = Callable[[str, int, float], None]
+"""Called as progress(stage, iteration, value), as `estimate_depth` does."""
+
+_LABELS = 13  # characters, so that the lines of several calls stand in line
+_NARROWEST = 100  # columns where the output goes to a file: nobody wraps it there
+_WHAT = {"local": "local estimate", "propagate": "propagation", "refine": "refinement"}
+_VALUE = {"propagate": "residual", "refine": "energy"}
+
+
+def output() -> Console:
+    """Where the answer goes."""
+    console = Console(highlight=False, markup=False, emoji=False)
+    if not console.is_terminal:
+        console.width = max(console.width, _NARROWEST)
+    return console
+
+
+def heading(console: Console, text: str) -> None:
+    """A line in bold after an empty one."""
+    console.print()
+    console.print(Text(text, style="bold"))
+
+
+def lines(console: Console, facts: Sequence[tuple[str, str]]) -> None:
+    """Texts with a label each; long ones continue below themselves."""
+    grid = Table.grid(padding=(0, 2, 0, 0))
+    grid.add_column(min_width=_LABELS, no_wrap=True, style="cyan")
+    grid.add_column(overflow="fold")
+    for label, text in facts:
+        grid.add_row(label, text)
+    console.print(Padding(grid, (0, 0, 0, 2), expand=False))
+
+
+def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
+    """The benchmark's metrics (DESIGN section 8), a row for each map; narrow enough for 80 columns."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
+    table.add_column("")
+    for name in ("MSE\nx100", "BadPix\n0.07", "BadPix\n0.03", "BadPix\n0.01", "Q25\nx100", "RMSE", "un-\ndefined"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for name, m in rows.items():
+        table.add_row(
+            name,
+            f"{m.mse_100:.3f}",
+            *(f"{share:.2f} %" for share in (m.badpix_07, m.badpix_03, m.badpix_01)),
+            f"{m.q25:.3f}",
+            f"{m.rmse:.4f}",
+            f"{m.undefined:.2f} %",
+        )
+    console.print(Padding(table, (0, 0, 0, 2), expand=False))
+
+
+def remark(console: Console, text: str) -> None:
+    """A sentence below a heading."""
+    console.print(Padding(Text(text), (0, 0, 0, 2), expand=False))
+
+
+@contextmanager
+def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
+    """Show each stage with its iterations and value on stderr while the block runs; nothing where it is no terminal."""
+    from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Display
+
+    console = Console(stderr=True, highlight=False, markup=False)
+    limits = {"propagate": config.propagation.max_iterations, "refine": config.refinement.max_iterations}
+    columns = (
+        SpinnerColumn("line"),
+        TextColumn("{task.description:<16}", markup=False),
+        BarColumn(bar_width=30),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[state]}", markup=False),
+    )
+    tasks: dict[str, TaskID] = {}
+    with Display(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as display:
+
+        def show(stage: str, iteration: int, value: float) -> None:
+            if stage not in tasks:
+                for done in tasks.values():
+                    display.update(done, total=1, completed=1)
+                tasks[stage] = display.add_task(_WHAT.get(stage, stage), total=limits.get(stage), state="")
+            state = f"iteration {iteration}, {_VALUE[stage]} {value:.6g}" if stage in _VALUE else ""
+            display.update(tasks[stage], completed=iteration, state=state)
+
+        yield show

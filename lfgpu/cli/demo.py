@@ -1,0 +1,84 @@
+"""`lfgpu demo`: everything once, on a scene whose truth is known."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from lfgpu.lightfield import LightField
+    from lfgpu.metrics import Metrics
+    from lfgpu.result import DepthResult
+
+GRID, SIZE = (7, 7), (192, 256)
+"""Small enough for a few seconds on two cores of a CPU."""
+
+_SCENE, _LIGHT_FIELD, _OVERVIEW = "boxes", "light-field", "overview.png"
+
+
+def demo(
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where everything goes; made if missing.")
+    ] = Path("lfgpu-demo"),
+    seed: Annotated[int, typer.Option(help="Another scene for each.")] = 0,
+) -> None:
+    """Make a light field, estimate its depth, compare with the exact truth and draw an overview."""
+    from lfgpu.cli import summary
+    from lfgpu.cli.console import output
+    from lfgpu.cli.depth import Estimation
+    from lfgpu.cli.outputs import write_outputs
+    from lfgpu.config import preset
+    from lfgpu.io import atomic_folder, check_writable, write_hci
+    from lfgpu.scenes import make
+
+    check_writable(out)
+    console = output()
+    rows, columns = GRID
+    console.print(f"Making {rows * columns} views of {_SCENE}, seed {seed}, then estimating the depth of one ...")
+    lf = make(_SCENE, seed=seed, grid=GRID, size=SIZE)
+    result = Estimation(preset("paper")).run(lf, quiet=False)
+    summary.show_input(console, lf)
+    summary.show_result(console, result, range_given=False)
+    scores = summary.show_scores(console, lf, result)
+    with atomic_folder(out) as folder:
+        write_hci(lf, folder / _LIGHT_FIELD)
+        files = write_outputs(folder, result)
+        _draw_overview(lf, result, scores, folder / _OVERVIEW)
+    summary.show_outputs(
+        console,
+        out,
+        [(_OVERVIEW, "look here first: view, map, truth and error"), *files, (_LIGHT_FIELD, "the views themselves")],
+    )
+    _show_next(out)
+
+
+def _draw_overview(lf: LightField, result: DepthResult, scores: dict[str, Metrics], path: Path) -> None:
+    from lfgpu.metrics import BORDER
+    from lfgpu.pictures import overview_figure, save_png
+
+    assert lf.truth is not None  # the scene brings it along
+    view, title = lf.image(lf.reference_index), lf.name
+    if scores:
+        m = scores["refined"]
+        title = (
+            f"{lf.name}, {len(lf.views)} views in {result.timings['total']:.1f} s: BadPix(0.07) {m.badpix_07:.1f} %, "
+            f"MSE x100 {m.mse_100:.2f}, Q25 x100 {m.q25:.2f}"
+        )
+    save_png(overview_figure(view, result.disparity, lf.truth.disparity, title=title, border=BORDER), path)
+
+
+def _show_next(out: Path) -> None:
+    from lfgpu.cli.console import heading, output
+
+    console = output()
+    heading(console, "Try next")
+    views, cross = shlex.quote(str(out / _LIGHT_FIELD)), shlex.quote(f"{out}-cross")
+    for command in (
+        f"lfgpu info {views}",
+        f"lfgpu depth {views} -o {cross} --views cross",
+        f"lfgpu eval {cross} {views}",
+    ):
+        console.print(f"  {command}", soft_wrap=True)

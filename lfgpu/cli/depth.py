@@ -1,0 +1,117 @@
+"""`lfgpu depth`: a light field in, a folder of maps and pictures out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lfgpu.cli import values
+
+if TYPE_CHECKING:
+    from lfgpu.config import Config
+    from lfgpu.lightfield import LightField
+    from lfgpu.result import DepthResult
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """How to estimate, checked before anything is read or computed."""
+
+    config: Config
+    disparity_range: tuple[float, float] | None = None
+    backend: str = "warp"
+    device: str | None = None
+
+    def check_device(self) -> None:
+        """BackendError if the backend or the device is not there."""
+        from lfgpu._backends import load, pick_device
+
+        pick_device(load(self.backend), self.device)
+
+    def run(self, lf: LightField, *, quiet: bool) -> DepthResult:
+        """The estimate, with a progress display on a terminal."""
+        from lfgpu.cli.console import progress
+        from lfgpu.depth import estimate_depth
+
+        with progress(self.config, quiet=quiet) as on_progress:
+            return estimate_depth(
+                lf,
+                config=self.config,
+                disparity_range=self.disparity_range,
+                backend=self.backend,
+                device=self.device,
+                on_progress=on_progress,
+            )
+
+
+def depth(
+    source: Annotated[Path, typer.Argument(metavar="INPUT", help="The light field, as a rule a folder of views.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the outputs go; made if missing.")],
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Set of parameters to start from.")] = "paper",
+    reference_view: Annotated[
+        str | None,
+        typer.Option(metavar="ROW,COL", help="View to estimate, counted from 0.", show_default="the centre"),
+    ] = None,
+    pattern: Annotated[
+        str, typer.Option("--views", metavar="PATTERN", help="Views to use: full, star, cross, row or column.")
+    ] = "full",
+    disparity_range: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LOW,HIGH", help="Bounds in pixels per view step, larger is nearer.", show_default="found"
+        ),
+    ] = None,
+    backend: Annotated[str, typer.Option(metavar="NAME", help="Kernels: warp or reference.")] = "warp",
+    device: Annotated[
+        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the best there is")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
+    ] = None,
+    format_name: Annotated[
+        str | None, typer.Option("--format", metavar="NAME", help="Format of INPUT.", show_default="recognised")
+    ] = None,
+    allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept a grid that lost some views.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
+) -> None:
+    """Estimate the disparity of one view, and its depth if the cameras are known.
+
+    Writes maps (.pfm), pictures (.png) and everything together as result.npz: all of it or nothing.
+    """
+    from lfgpu.cli import summary
+    from lfgpu.cli.console import output
+    from lfgpu.cli.outputs import write_outputs
+    from lfgpu.io import atomic_folder, check_writable, read
+
+    check_writable(out)
+    estimation = Estimation(
+        values.configured(preset, settings or ()),
+        None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
+        backend,
+        device,
+    )
+    place = None if reference_view is None else values.parse_place("--reference-view", reference_view)
+    values.check_pattern("--views", pattern)
+    estimation.check_device()
+
+    lf = _chosen(read(source, format=format_name, allow_missing=allow_missing), place, pattern)
+    result = estimation.run(lf, quiet=quiet)
+    with atomic_folder(out) as folder:
+        files = write_outputs(folder, result)
+    if quiet:
+        return
+    console = output()
+    summary.show_input(console, lf)
+    summary.show_result(console, result, range_given=disparity_range is not None)
+    summary.show_scores(console, lf, result)
+    summary.show_outputs(console, out, files)
+
+
+def _chosen(lf: LightField, place: tuple[float, float] | None, pattern: str) -> LightField:
+    if place is not None:
+        lf = lf.with_reference(lf.index_of(*place))
+    return lf if pattern == "full" else lf.subset(pattern)

@@ -1,0 +1,93 @@
+"""`lfgpu eval`: how far a disparity map is from the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lfgpu.errors import LightFieldError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from lfgpu.lightfield import GroundTruth
+
+
+def evaluate(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="A map (.pfm, .npy, .npz, .tif) or a folder that depth wrote.")
+    ],
+    truth: Annotated[
+        Path, typer.Argument(metavar="TRUTH", help="A map, or a light field folder that holds the truth.")
+    ],
+    mask: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Image, not zero where it is scored.", show_default="that of TRUTH"),
+    ] = None,
+    border: Annotated[int | None, typer.Option(help="Pixels left out at each side.", show_default="15")] = None,
+) -> None:
+    """Score a disparity map with the metrics of the HCI 4D Light Field Benchmark; smaller is better throughout."""
+    from lfgpu import metrics
+    from lfgpu.cli.console import output, remark, scores
+    from lfgpu.cli.summary import scored_where
+    from lfgpu.io import read_mask
+
+    left_out = metrics.BORDER if border is None else border
+    maps, position = _maps(result)
+    true = _truth(truth, position)
+    where = true.mask if mask is None else read_mask(mask)
+    rows = {
+        name: metrics.evaluate(values, true.disparity, mask=where, border=left_out) for name, values in maps.items()
+    }
+    console = output()
+    scores(console, rows)
+    remark(console, scored_where(next(iter(rows.values())).count, left_out))
+
+
+def _maps(path: Path) -> tuple[dict[str, NDArray[np.float32]], tuple[float, float] | None]:
+    """The maps to score by name, the stages of a result each, and the place of their view where it is known."""
+    from lfgpu.io import holds_result, read_map, read_result
+
+    _check_exists(path)
+    file = _inside(path) if path.is_dir() else path
+    if holds_result(file):
+        result = read_result(file)
+        return dict(result.stages), result.position
+    return {file.name: read_map(file)}, None
+
+
+def _check_exists(path: Path) -> None:
+    if not path.exists():
+        raise LightFieldError(f"{path} does not exist; give a map, a folder that depth wrote, or a light field.")
+
+
+def _inside(folder: Path) -> Path:
+    from lfgpu.cli.outputs import DISPARITY_FILE, RESULT_FILE
+
+    for name in (RESULT_FILE, DISPARITY_FILE):
+        if (folder / name).exists():
+            return folder / name
+    raise LightFieldError(f"{folder} holds neither {RESULT_FILE} nor {DISPARITY_FILE}; give a map or what depth wrote.")
+
+
+def _truth(path: Path, position: tuple[float, float] | None) -> GroundTruth:
+    """The truth in a map or a light field; the latter's has to be of the view at `position`, if that is known."""
+    from lfgpu.cli.facts import place
+    from lfgpu.io import read, read_map
+    from lfgpu.lightfield import GroundTruth
+
+    _check_exists(path)
+    if not path.is_dir():
+        return GroundTruth(read_map(path), position or (0.0, 0.0))
+    known = read(path, allow_missing=True).truth
+    if known is None:
+        raise LightFieldError(f"{path} holds no ground truth; give the map file or another light field.")
+    if position is not None and known.position != position:
+        raise LightFieldError(
+            f"the truth in {path} is of the view at {place(*known.position)}, the result of the one at "
+            f"{place(*position)}; they cannot be compared."
+        )
+    return known

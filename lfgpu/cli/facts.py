@@ -1,0 +1,80 @@
+"""What there is to say about a light field: one line for each fact."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lfgpu.geometry import Geometry
+    from lfgpu.lightfield import LightField
+
+_NAMED = 8  # so many missing views are named
+
+
+def views(lf: LightField) -> str:
+    """How many views there are and how they stand: "81 of 81 in a 9 x 9 grid"."""
+    if lf.grid_shape is None:
+        return f"{len(lf.views)}, not in a grid"
+    rows, columns = lf.grid_shape
+    return f"{len(lf.views)} of {rows * columns} in a {rows} x {columns} grid (rows x columns)"
+
+
+def missing(lf: LightField) -> str:
+    """The empty places of the grid, the first few by name; "" if there are none."""
+    if not lf.missing:
+        return ""
+    named = "; ".join(f"row {row}, column {column}" for row, column in lf.missing[:_NAMED])
+    more = "; ..." if len(lf.missing) > _NAMED else ""
+    return f"{len(lf.missing)}: {named}{more} (counted from 0)"
+
+
+def size(lf: LightField) -> str:
+    """Width, height, colour and dtype of the views."""
+    height, width = lf.size
+    return f"{width} x {height} px (width x height), {'grey' if lf.channels == 1 else 'colour'}, {lf.views.dtype}"
+
+
+def reference(lf: LightField) -> str:
+    """Where the reference view stands."""
+    return place(*lf.positions[lf.reference_index])
+
+
+def place(u: float, v: float) -> str:
+    """A position (u, v) in the words that people give it with."""
+    return f"row {v:g}, column {u:g}"
+
+
+def offsets(lf: LightField) -> str:
+    """How far the other cameras stand from the reference camera."""
+    (left, top), (right, bottom) = lf.offsets.min(axis=0), lf.offsets.max(axis=0)
+    return f"{left:g} to {right:g} view steps across (du), {top:g} to {bottom:g} down (dv), from the reference view"
+
+
+def geometry(known: Geometry | None) -> str:
+    """Baseline, focal length and focus distance."""
+    if known is None:
+        return "unknown: disparity only, no metric depth"
+    focus = "at infinity" if math.isinf(known.focus_distance_m) else f"at {known.focus_distance_m:.4g} m"
+    return (
+        f"baseline {1000 * known.baseline_m:.4g} mm, focal length {known.focal_length_px:.5g} px, "
+        f"plane of disparity 0 {focus}"
+    )
+
+
+def truth(lf: LightField) -> str:
+    """Of which view the true disparity is known, its range, and how much of it is scored."""
+    import numpy as np
+
+    if lf.truth is None:
+        return "none"
+    known = np.isfinite(lf.truth.disparity)
+    if not known.any():
+        return f"of the view at {place(*lf.truth.position)}, but undefined everywhere"
+    low, high = lf.truth.disparity[known].min(), lf.truth.disparity[known].max()
+    scored = known if lf.truth.mask is None else known & lf.truth.mask
+    mask = "no mask" if lf.truth.mask is None else "within the mask"
+    return (
+        f"of the view at {place(*lf.truth.position)}, {low:.3f} to {high:.3f} px per view step, "
+        f"{100 * scored.mean():.1f} % of it scored ({mask})"
+    )

@@ -1,0 +1,54 @@
+"""Whatever goes wrong in a command becomes one sentence on stderr and an exit code."""
+
+from __future__ import annotations
+
+import errno
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from lfgpu.errors import LfgpuError
+
+_FAILED, _INTERRUPTED = 1, 130  # 130: what shells give for a program that Ctrl-C ended
+_INTERRUPTION = "interrupted, nothing was written."
+_MEMORY = "the memory does not suffice; take fewer views (--views cross) or smaller ones."
+_DEVICE_MEMORY = "the memory of the device does not suffice; take fewer views (--views cross) or --device cpu."
+
+
+class Group(TyperGroup):
+    """The commands, with everything that a person can cause turned into a sentence; bugs keep their traceback."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that the arguments name."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise _exit(_INTERRUPTION, _INTERRUPTED) from None
+        except (LfgpuError, MemoryError, OSError, RuntimeError) as error:
+            sentence = _sentence(error)
+            if sentence is None:
+                raise
+            raise _exit(sentence, _FAILED) from error
+
+
+def _sentence(error: Exception) -> str | None:
+    """What to say about an error; None if it is not a person's doing."""
+    if isinstance(error, LfgpuError):
+        return " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        return _MEMORY
+    if isinstance(error, OSError):
+        # A reader such as `head` that has seen enough is no error: typer ends quietly.
+        return None if error.errno == errno.EPIPE else _of_system(error)
+    return _DEVICE_MEMORY if "Failed to allocate" in str(error) else None  # Warp's words
+
+
+def _of_system(error: OSError) -> str:
+    reason = error.strerror or str(error) or type(error).__name__
+    return f"{error.filename}: {reason}." if error.filename else f"{reason}."
+
+
+def _exit(sentence: str, code: int) -> typer.Exit:
+    typer.echo(f"lfgpu: {sentence}", err=True)
+    return typer.Exit(code)

@@ -1,0 +1,34 @@
+"""The files that a depth estimate becomes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lfgpu.result import DepthResult
+
+RESULT_FILE = "result.npz"
+DISPARITY_FILE = "disparity.pfm"
+
+_MEANING = {
+    DISPARITY_FILE: "float32 map, px per view step, larger is nearer",
+    "disparity.png": "the same as a picture",
+    "confidence.png": "how far to trust it, 0 to 1",
+    "depth.pfm": "float32 map, metres along the optical axis",
+    RESULT_FILE: "all maps and stages, parameters, versions, timings",
+}
+
+
+def write_outputs(folder: Path, result: DepthResult) -> list[tuple[str, str]]:
+    """Write a result into a folder that exists; what was written, as (file, meaning)."""
+    from lfgpu.io import write_pfm, write_result
+    from lfgpu.pictures import confidence_figure, disparity_figure, save_png
+
+    write_pfm(folder / DISPARITY_FILE, result.disparity)
+    save_png(disparity_figure(result.disparity, name=result.name), folder / "disparity.png")
+    save_png(confidence_figure(result.confidence, name=result.name), folder / "confidence.png")
+    if result.depth is not None:
+        write_pfm(folder / "depth.pfm", result.depth)
+    write_result(result, folder / RESULT_FILE)
+    return [(name, meaning) for name, meaning in _MEANING.items() if (folder / name).exists()]

@@ -1,0 +1,66 @@
+"""`lfgpu scene`: a synthetic light field with exact ground truth, as an HCI folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lfgpu.cli import values
+from lfgpu.errors import LightFieldError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lfgpu.lightfield import LightField
+
+_FRAME = "frame_"
+
+
+def scene(
+    name: Annotated[
+        str, typer.Argument(help="relief, planes, boxes, bars, textureless or moving.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where it goes; made if missing.")],
+    seed: Annotated[int, typer.Option(help="Decides places, colours, textures and noise.")] = 0,
+    grid: Annotated[str, typer.Option(metavar="ROWSxCOLUMNS", help="Grid of views.")] = "9x9",
+    size: Annotated[str, typer.Option(metavar="HEIGHTxWIDTH", help="Size of each view in pixels.")] = "512x512",
+    disparity_range: Annotated[
+        str, typer.Option(metavar="FAR,NEAR", help="True disparities, pixels per view step, larger is nearer.")
+    ] = "-1.5,1.5",
+    noise: Annotated[float, typer.Option(help="Standard deviation of the noise, intensities being 0 to 1.")] = 0.0,
+    frames: Annotated[
+        int | None,
+        typer.Option(help="Frames of a scene that moves, each in a folder of its own.", show_default=False),
+    ] = None,
+) -> None:
+    """Make a light field whose disparity is known exactly, in the format of the HCI 4D Light Field Benchmark."""
+    from lfgpu.io import check_writable, write_hci
+    from lfgpu.scenes import make, sequence
+
+    check_writable(out)
+    options: dict[str, Any] = {
+        "seed": seed,
+        "grid": values.parse_size("--grid", grid, "ROWSxCOLUMNS such as 9x9"),
+        "size": values.parse_size("--size", size, "HEIGHTxWIDTH such as 512x512"),
+        "disparity_range": values.parse_range("--disparity-range", disparity_range),
+        "noise": noise,
+    }
+    if frames is None:
+        write_hci(make(name, **options), out)
+        typer.echo(f"Wrote {name} with its exact disparity to {out}.")
+    else:
+        _write_frames(sequence(name, frames=frames, **options), out)
+        typer.echo(f"Wrote {frames} frames of {name} with their exact disparities to {out}/{_FRAME}000 and so on.")
+
+
+def _write_frames(light_fields: Iterator[LightField], out: Path) -> None:
+    """All frames or none. Frames that are there already would mix with the new ones, so they are refused."""
+    from lfgpu.io import atomic_folder, write_hci
+
+    if any(out.glob(f"{_FRAME}*")):
+        raise LightFieldError(f"{out} holds frames of another sequence; choose an empty folder.")
+    with atomic_folder(out) as place:
+        for index, frame in enumerate(light_fields):
+            write_hci(frame, place / f"{_FRAME}{index:03d}")

@@ -1,0 +1,96 @@
+"""What `depth` and `demo` say when they are done."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lfgpu.cli import console as shown
+from lfgpu.cli import facts
+from lfgpu.errors import LightFieldError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lfgpu.lightfield import LightField
+    from lfgpu.metrics import Metrics
+    from lfgpu.result import DepthResult
+
+
+def show_input(console: Console, lf: LightField) -> None:
+    """What was computed on."""
+    shown.heading(console, lf.name)
+    shown.lines(
+        console,
+        [
+            ("views used", facts.views(lf)),
+            ("size", facts.size(lf)),
+            ("reference", facts.reference(lf)),
+            *(("note", note) for note in lf.notes),
+        ],
+    )
+
+
+def show_result(console: Console, result: DepthResult, *, range_given: bool) -> None:
+    """The range that was found, how long it took and why it stopped."""
+    import numpy as np
+
+    low, high = result.disparity_range
+    searched = f"{'given' if range_given else 'found'} range {low:.2f} to {high:.2f}"
+    shown.heading(console, "Result")
+    rows = [
+        (
+            "disparity",
+            f"{result.disparity.min():.3f} to {result.disparity.max():.3f} px per view step, larger is nearer "
+            f"({searched})",
+        ),
+    ]
+    if result.depth is not None:
+        nearest, farthest = result.depth.min(), result.depth.max()
+        rows.append(("depth", f"{nearest:.3g} to {'infinity' if np.isinf(farthest) else f'{farthest:.3g} m'}"))
+    rows += [
+        ("time", _times(result)),
+        ("converged", "yes" if result.converged else "no: more iterations may give a better map"),
+        ("status", result.status),
+    ]
+    shown.lines(console, rows)
+
+
+def show_scores(console: Console, lf: LightField, result: DepthResult) -> dict[str, Metrics]:
+    """The metrics after each stage if the truth of the reference view is known, else why there are none."""
+    if lf.truth is None:
+        return {}
+    shown.heading(console, "Against the ground truth (for evaluation only: no estimate looks at it)")
+    truth = lf.reference_truth()
+    if truth is None:
+        place = facts.place(*lf.truth.position)
+        shown.remark(console, f"It belongs to the view at {place}, not to the reference view: there is no score.")
+        return {}
+    from lfgpu.metrics import BORDER, evaluate
+
+    try:
+        rows = {name: evaluate(values, truth.disparity, mask=truth.mask) for name, values in result.stages.items()}
+    except LightFieldError as error:
+        shown.remark(console, f"It cannot be scored: {error}")
+        return {}
+    shown.scores(console, rows)
+    shown.remark(console, scored_where(next(iter(rows.values())).count, BORDER))
+    return rows
+
+
+def scored_where(count: int, border: int) -> str:
+    """What the numbers of a table of scores are about."""
+    return (
+        f"Over {count} pixels, a border of {border} left out. Undefined pixels are bad in BadPix and left out of the "
+        "other measures."
+    )
+
+
+def show_outputs(console: Console, folder: object, files: list[tuple[str, str]]) -> None:
+    """Where the outputs are."""
+    shown.heading(console, f"Written to {folder}")
+    shown.lines(console, files)
+
+
+def _times(result: DepthResult) -> str:
+    stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.timings.items() if name != "total")
+    return f"{result.timings['total']:.2f} s ({stages}) with {result.backend} on {result.device}"

@@ -1,0 +1,66 @@
+"""Values of options that are more than one word: pairs and settings, from text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from lfgpu.errors import LightFieldError
+
+if TYPE_CHECKING:
+    from lfgpu.config import Config
+
+
+def parse_range(option: str, text: str) -> tuple[float, float]:
+    """ "-2,2" as (low, high), finite and low < high; LightFieldError otherwise."""
+    low, high = numbers(option, text, ",", "LOW,HIGH such as -2,2")
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise LightFieldError(f"{option} must be two finite numbers, LOW below HIGH, not {text!r}.")
+    return low, high
+
+
+def parse_place(option: str, text: str) -> tuple[float, float]:
+    """ "4,4" as (row, column) of a view; whether there is one is not known yet. LightFieldError if not two numbers."""
+    row, column = numbers(option, text, ",", "ROW,COL such as 4,4")
+    if not (math.isfinite(row) and math.isfinite(column)):
+        raise LightFieldError(f"{option} must be two finite numbers ROW,COL, not {text!r}.")
+    return row, column
+
+
+def parse_size(option: str, text: str, what: str) -> tuple[int, int]:
+    """ "9x9" as two whole numbers; `what` names them in the sentence of the LightFieldError for anything else."""
+    first, second = numbers(option, text.lower(), "x", what)
+    if not (first.is_integer() and second.is_integer()):
+        raise LightFieldError(f"{option} must be {what}, not {text!r}.")
+    return int(first), int(second)
+
+
+def numbers(option: str, text: str, separator: str, what: str) -> tuple[float, float]:
+    """Two numbers with a separator between them; LightFieldError that says `what` they should be otherwise."""
+    try:
+        first, second = (float(part) for part in text.split(separator))
+    except ValueError:
+        raise LightFieldError(f"{option} must be {what}, not {text!r}.") from None
+    return first, second
+
+
+def configured(preset_name: str, settings: Sequence[str]) -> Config:
+    """A preset with `stage.parameter=value` settings applied; LightFieldError if one is wrong or unknown."""
+    from lfgpu.config import preset
+
+    config = preset(preset_name)
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals:
+            raise LightFieldError(f"--set must be stage.parameter=value, not {setting!r}.")
+        config = config.with_values({name.strip(): value.strip()})
+    return config
+
+
+def check_pattern(option: str, name: str) -> None:
+    """LightFieldError if there is no such pattern of views."""
+    from lfgpu.lightfield import PATTERNS
+
+    if name not in PATTERNS:
+        raise LightFieldError(f"{option} must be one of {', '.join(PATTERNS)}, not {name!r}.")

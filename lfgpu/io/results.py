@@ -1,0 +1,202 @@
+"""A whole result in one .npz: the maps as arrays, everything else as one JSON text."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.config import Config
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+from lfgpu.io.atomic import atomic_write
+from lfgpu.result import DepthResult
+
+ABOUT_KEY = "lfgpu"
+"""The array of the .npz that holds the JSON text; other .npz files have none of that name."""
+
+CONVENTION = (
+    "Disparity in pixels per view step, larger is nearer: the point at (x, y) of the reference view is at "
+    "(x - d*du, y - d*dv) in the view du steps to the right of and dv steps below it."
+)
+
+_STAGE = "stage_"  # what the names of the stages' arrays begin with
+_LAYOUT = 1  # goes up when a file of the old layout can no longer be read as one of the new
+
+
+def write_result(result: DepthResult, path: str | os.PathLike[str]) -> None:
+    """Write a result as .npz; whole or not at all.
+
+    The arrays are `disparity`, `confidence`, `stage_local`, `stage_propagated`, `stage_refined` and, with a geometry,
+    `depth` in metres, all float32 [y, x]; `trace`, float64, the energies; and `lfgpu`, the rest as one JSON text.
+
+    Parameters
+    ----------
+    result
+        What `estimate_depth` returned.
+    path
+        The file, with the suffix .npz.
+
+    Raises
+    ------
+    LightFieldError
+        If the suffix is another one or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".npz":
+        raise LightFieldError(f"{path} cannot be written: a result is stored as .npz; choose that suffix.")
+    arrays: dict[str, NDArray[Any]] = {
+        "disparity": result.disparity,
+        "confidence": result.confidence,
+        **{f"{_STAGE}{name}": values for name, values in result.stages.items()},
+        "trace": np.asarray(result.trace, np.float64),
+        ABOUT_KEY: np.array(json.dumps(_about(result), allow_nan=False, ensure_ascii=False)),
+    }
+    if result.depth is not None:
+        arrays["depth"] = result.depth
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def read_result(path: str | os.PathLike[str]) -> DepthResult:
+    """Read what `write_result` wrote.
+
+    Raises
+    ------
+    LightFieldError
+        If the file is missing, damaged, not a result of lfgpu, or of a version with other parameters.
+    """
+    path = Path(path)
+    arrays = _load(path)
+    if ABOUT_KEY not in arrays:
+        raise LightFieldError(f"{path} is not a result of lfgpu: it has no array {ABOUT_KEY!r}.")
+    try:
+        about = json.loads(str(arrays[ABOUT_KEY]))
+        result = _result(arrays, about) if _is_of_this_version(about) else None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise LightFieldError(f"{path} is a damaged result of lfgpu: {_reason(error)}.") from error
+    if result is None:
+        raise LightFieldError(
+            f"{path} was written by a version of lfgpu with other parameters than this one's; "
+            "the maps beside it, such as disparity.pfm, can still be read."
+        )
+    _check_maps(path, result)
+    return result
+
+
+def holds_result(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is an .npz that `write_result` wrote, going by the names of its arrays only."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return f"{ABOUT_KEY}.npy" in archive.namelist()
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
+def _about(result: DepthResult) -> dict[str, Any]:
+    return {
+        "layout": _LAYOUT,
+        "convention": CONVENTION,
+        "name": result.name,
+        "position": list(result.position),
+        "disparity_range": list(result.disparity_range),
+        "status": result.status,
+        "converged": result.converged,
+        "backend": result.backend,
+        "device": result.device,
+        "versions": result.versions,
+        "timings": result.timings,
+        "geometry": None if result.geometry is None else _geometry_about(result.geometry),
+        "config": asdict(result.config),
+    }
+
+
+def _geometry_about(geometry: Geometry) -> dict[str, Any]:
+    """JSON knows no infinity: frames that are not shifted have the focus distance null."""
+    values = asdict(geometry)
+    if math.isinf(geometry.focus_distance_m):
+        values["focus_distance_m"] = None
+    return values
+
+
+def _load(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        loaded = np.load(path, allow_pickle=False)
+        if not isinstance(loaded, np.lib.npyio.NpzFile):
+            raise LightFieldError(f"{path} is not a result of lfgpu: it is a single array, not an .npz.")
+        with loaded:
+            return {name: loaded[name] for name in loaded.files}
+    except LightFieldError:
+        raise
+    except FileNotFoundError:
+        raise LightFieldError(f"{path} does not exist; give the result.npz that lfgpu wrote.") from None
+    except OSError as error:
+        raise LightFieldError(f"{path} cannot be opened: {error.strerror or error}.") from error
+    except Exception as error:  # NumPy and zipfile raise whatever comes to them when a file is damaged
+        raise LightFieldError(f"{path} cannot be read as a result: it is damaged or no .npz file.") from error
+
+
+def _is_of_this_version(about: Mapping[str, Any]) -> bool:
+    """Only the very same parameters can be read: a default in place of one that is not there would be a lie."""
+    ours = {stage: set(values) for stage, values in asdict(Config()).items()}
+    theirs = {stage: set(values) for stage, values in about["config"].items()}
+    return bool(about["layout"] == _LAYOUT and theirs == ours)
+
+
+def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> DepthResult:
+    u, v = (float(value) for value in about["position"])
+    low, high = (float(value) for value in about["disparity_range"])
+    return DepthResult(
+        disparity=arrays["disparity"],
+        confidence=arrays["confidence"],
+        stages={name.removeprefix(_STAGE): values for name, values in arrays.items() if name.startswith(_STAGE)},
+        position=(u, v),
+        disparity_range=(low, high),
+        config=_config(about["config"]),
+        status=str(about["status"]),
+        converged=bool(about["converged"]),
+        trace=tuple(float(value) for value in arrays["trace"]),
+        timings=dict(about["timings"]),
+        backend=str(about["backend"]),
+        device=str(about["device"]),
+        versions=dict(about["versions"]),
+        geometry=None if about["geometry"] is None else _geometry(about["geometry"]),
+        name=str(about["name"]),
+    )
+
+
+def _config(about: Mapping[str, Mapping[str, Any]]) -> Config:
+    stages = {field.name: type(getattr(Config(), field.name)) for field in fields(Config)}
+    return Config(**{name: stage(**about[name]) for name, stage in stages.items()})
+
+
+def _geometry(about: Mapping[str, Any]) -> Geometry:
+    focus, point = about["focus_distance_m"], about["principal_point"]
+    return Geometry(
+        focal_length_px=float(about["focal_length_px"]),
+        baseline_m=float(about["baseline_m"]),
+        focus_distance_m=math.inf if focus is None else float(focus),
+        principal_point=None if point is None else (float(point[0]), float(point[1])),
+    )
+
+
+def _check_maps(path: Path, result: DepthResult) -> None:
+    maps = {"disparity": result.disparity, "confidence": result.confidence, **result.stages}
+    for name, values in maps.items():
+        if values.dtype != np.float32 or values.ndim != 2 or values.shape != result.disparity.shape:
+            raise LightFieldError(
+                f"{path} is a damaged result of lfgpu: {name} is {values.dtype} of shape {values.shape}, "
+                "not float32 [y, x] like the others."
+            )
+
+
+def _reason(error: Exception) -> str:
+    return f"it has no {error}" if isinstance(error, KeyError) else str(error).rstrip(".")

@@ -1,0 +1,260 @@
+"""Maps as pictures for people: every map with its scale and unit, compared maps on one scale."""
+
+from __future__ import annotations
+
+import math
+import os
+import warnings
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import Colormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.patches import Rectangle
+from numpy.typing import ArrayLike, NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.atomic import atomic_write
+
+_DISPARITY = "disparity (px per view step)\nlarger is nearer"
+_UNDEFINED = "0.62"  # a grey that none of the colour maps has
+_TAIL = 0.002  # a few outliers do not stretch the scale; arrows at its ends show that they are there
+_LEAST_ERROR = 0.07  # error scales reach at least the coarsest threshold of the benchmark, so that good maps look good
+_LONG_SIDE = 6.0  # inches, of the longer side of each map
+_LEAST_PIXELS = 900  # of the longer side of each map in the picture
+_BAR, _GAP, _TICKS, _MARGIN, _TITLE = 0.2, 0.15, 1.05, 0.15, 0.42  # inches
+_LEAST_HEIGHT, _LEAST_WIDTH = 2.4, 4.2  # inches: room for the text along a colour bar and above a map
+_LONGEST_NAME = 34  # characters of a scene that fit above a map
+
+
+def disparity_figure(
+    disparity: ArrayLike, *, name: str = "light field", limits: tuple[float, float] | None = None
+) -> Figure:
+    """A disparity map in viridis, with its scale.
+
+    Parameters
+    ----------
+    disparity
+        [y, x], pixels per view step; NaN and infinite pixels are grey.
+    name
+        The scene, for the title.
+    limits
+        (low, high) of the scale. Default: what the map spans but for a few outliers.
+
+    Raises
+    ------
+    LightFieldError
+        If the map is not [y, x].
+    """
+    values = _map(disparity)
+    layout = _Layout(values.shape, rows=1, columns=1)
+    axes, bar = layout.axes(0, 0), layout.bar(0)
+    image = _show(axes, values, "viridis", limits or _limits(values))
+    _scale(layout.figure, image, bar, _DISPARITY, values)
+    axes.set_title(f"{_short(name)}: disparity", parse_math=False)  # a name may hold dollar signs
+    return layout.figure
+
+
+def confidence_figure(confidence: ArrayLike, *, name: str = "light field") -> Figure:
+    """A confidence map in cividis on the scale 0 to 1.
+
+    Parameters
+    ----------
+    confidence
+        [y, x], 0 to 1; NaN is grey.
+    name
+        The scene, for the title.
+
+    Raises
+    ------
+    LightFieldError
+        If the map is not [y, x].
+    """
+    values = _map(confidence)
+    layout = _Layout(values.shape, rows=1, columns=1)
+    axes, bar = layout.axes(0, 0), layout.bar(0)
+    image = _show(axes, values, "cividis", (0.0, 1.0))
+    _scale(layout.figure, image, bar, "confidence\n0: filled in from elsewhere", values)
+    axes.set_title(f"{_short(name)}: confidence", parse_math=False)
+    return layout.figure
+
+
+def overview_figure(
+    view: ArrayLike,
+    disparity: ArrayLike,
+    truth: ArrayLike,
+    *,
+    title: str,
+    mask: ArrayLike | None = None,
+    border: int = 0,
+) -> Figure:
+    """The reference view, the estimate and the truth on one scale, and where and how much they differ.
+
+    Parameters
+    ----------
+    view
+        [y, x, c], c = 1 or 3, in [0, 1].
+    disparity, truth
+        [y, x], pixels per view step; NaN is grey.
+    title
+        The line above all, for the scene and how good the map is.
+    mask
+        bool [y, x]: errors where it is False are grey. Default: none.
+    border
+        Pixels at each side that were not scored; a dashed line in the error map shows them. Default 0.
+
+    Raises
+    ------
+    LightFieldError
+        If the maps are not [y, x] of one shape.
+    """
+    estimated, true, picture = _map(disparity), _map(truth), np.asarray(view, np.float32)
+    if not estimated.shape == true.shape == picture.shape[:2]:
+        raise LightFieldError(
+            f"view, disparity and truth must have one size, found {picture.shape}, {estimated.shape}, {true.shape}."
+        )
+    error = estimated - true
+    if mask is not None:
+        error = np.where(np.asarray(mask), error, np.float32(np.nan))
+    layout = _Layout(true.shape, rows=2, columns=2, heading=0.5)
+
+    axes = layout.axes(0, 0)
+    _show(axes, picture[..., 0] if picture.shape[2] == 1 else picture, "gray", (0.0, 1.0))
+    axes.set_title("reference view")
+
+    axes = layout.axes(0, 1)
+    reach = _error_reach(error)
+    image = _show(axes, error, "RdBu_r", (-reach, reach))
+    _scale(layout.figure, image, layout.bar(0), "error (px per view step)\nred is too near", error)
+    axes.set_title("disparity minus truth")
+    _draw_border(axes, error.shape, border)
+
+    limits = _limits(true)
+    for column, (values, what) in enumerate(((estimated, "disparity"), (true, "truth"))):
+        axes = layout.axes(1, column)
+        image = _show(axes, values, "viridis", limits)
+        axes.set_title(what)
+    _scale(layout.figure, image, layout.bar(1), _DISPARITY, np.stack([estimated, true]))
+    height = layout.figure.get_figheight()
+    layout.figure.suptitle(title, fontsize=13, y=1 - 0.3 / height, va="center", parse_math=False)
+    return layout.figure
+
+
+def save_png(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Save a figure as PNG; whole or not at all.
+
+    Raises
+    ------
+    LightFieldError
+        If the file cannot be written.
+    """
+    with atomic_write(path) as temporary, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # of a name in a script that the font lacks
+        figure.savefig(temporary, format="png")
+
+
+class _Layout:
+    """Panels of one size in rows and columns, a colour bar at the right of each row, all placed to the pixel.
+
+    One pixel of a map becomes a square of k x k pixels of the picture, k whole: nothing is blurred or left out.
+    Text keeps its size relative to the maps, however many pixels these have.
+    """
+
+    def __init__(self, shape: tuple[int, ...], *, rows: int, columns: int, heading: float = 0.0) -> None:
+        long_side = max(shape)
+        self._height, self._width = (_LONG_SIDE * side / long_side for side in shape)
+        self._cell_height = max(self._height, _LEAST_HEIGHT) + _TITLE
+        self._cell_width = max(self._width, _LEAST_WIDTH if columns == 1 else 0.6 * _LEAST_WIDTH) + _GAP
+        self._columns = columns
+        self._size = (
+            _MARGIN + columns * self._cell_width + _BAR + _TICKS,
+            rows * self._cell_height + _MARGIN + heading,
+        )
+        self._top = self._size[1] - heading
+        magnification = math.ceil(_LEAST_PIXELS / long_side)
+        self.figure = Figure(self._size, dpi=magnification * long_side / _LONG_SIDE, facecolor="white")
+        FigureCanvasAgg(self.figure)
+
+    def axes(self, row: int, column: int) -> Axes:
+        """The panel of a map, in the middle of its cell, right below its title."""
+        left = _MARGIN + column * self._cell_width + (self._cell_width - _GAP - self._width) / 2
+        axes = self._add(left, self._bottom(row) + self._slack() / 2, self._width, self._height)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        return axes
+
+    def bar(self, row: int) -> Axes:
+        """The colour bar of a row."""
+        left = _MARGIN + self._columns * self._cell_width
+        return self._add(left, self._bottom(row), _BAR, self._height + self._slack())
+
+    def _bottom(self, row: int) -> float:
+        return self._top - (row + 1) * self._cell_height
+
+    def _slack(self) -> float:
+        return self._cell_height - _TITLE - self._height
+
+    def _add(self, left: float, bottom: float, width: float, height: float) -> Axes:
+        across, up = self._size
+        return self.figure.add_axes((left / across, bottom / up, width / across, height / up))
+
+
+def _map(values: ArrayLike) -> NDArray[np.float32]:
+    array = np.asarray(values, np.float32)
+    if array.ndim != 2 or 0 in array.shape:
+        raise LightFieldError(f"a map must be [y, x], found shape {array.shape}.")
+    return np.where(np.isfinite(array), array, np.float32(np.nan))
+
+
+def _limits(values: NDArray[np.float32]) -> tuple[float, float]:
+    defined = values[np.isfinite(values)]
+    if defined.size == 0:
+        return 0.0, 1.0
+    low, high = (float(value) for value in np.quantile(defined, (_TAIL, 1 - _TAIL)))
+    return (low, high) if high > low else (low - 0.5, high + 0.5)
+
+
+def _error_reach(error: NDArray[np.float32]) -> float:
+    """How far the error's scale goes either way: what 95 % of the pixels stay within, rounded up to one digit."""
+    defined = np.abs(error[np.isfinite(error)])
+    reach = max(float(np.quantile(defined, 0.95)) if defined.size else 0.0, _LEAST_ERROR)
+    digit = 10.0 ** math.floor(math.log10(reach))
+    return round(math.ceil(reach / digit - 1e-9) * digit, 12)
+
+
+def _show(axes: Axes, values: NDArray[np.float32], colours: str, limits: tuple[float, float]) -> AxesImage:
+    return axes.imshow(values, cmap=_colours(colours), norm=Normalize(*limits), interpolation="nearest", aspect="auto")
+
+
+def _colours(name: str) -> Colormap:
+    return colormaps[name].with_extremes(bad=_UNDEFINED)
+
+
+def _scale(figure: Figure, image: AxesImage, bar: Axes, label: str, values: NDArray[Any]) -> None:
+    """The colour bar of an image; a pointed end says that some of `values` lie beyond it."""
+    defined = values[np.isfinite(values)]
+    low, high = image.get_clim()
+    below, above = bool((defined < low).any()), bool((defined > high).any())
+    extend = {(True, True): "both", (True, False): "min", (False, True): "max"}.get((below, above), "neither")
+    figure.colorbar(image, cax=bar, extend=extend, extendfrac=0.03).set_label(_with_grey(label, values))
+
+
+def _with_grey(label: str, values: NDArray[Any]) -> str:
+    return label if np.isfinite(values).all() else f"{label}; grey: undefined"
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 3]}..."
+
+
+def _draw_border(axes: Axes, shape: tuple[int, ...], border: int) -> None:
+    height, width = shape
+    if 0 < 2 * border < min(shape):
+        corner = (border - 0.5, border - 0.5)
+        axes.add_patch(
+            Rectangle(corner, width - 2 * border, height - 2 * border, fill=False, edgecolor="0.3", linestyle="--")
+        )

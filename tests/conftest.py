@@ -1,0 +1,131 @@
+"""What all tests share: which backends and devices are tried, the seed of random inputs, real light fields."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from lfgpu._backends import list_backends, load
+from lfgpu.errors import BackendError
+from lfgpu.types import KernelSet
+
+SEED = "LFGPU_TEST_SEED"
+DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
+
+
+class Target(NamedTuple):
+    """A backend on a device, or the reason why it cannot be tried here."""
+
+    backend: str
+    device: str
+    kernels: KernelSet | None
+    reason: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.backend}-{self.device}"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("lfgpu")
+    group.addoption("--backend", help="try the kernels of this backend only (the reference is always what is true)")
+    group.addoption("--device", help='try the kernels on this device only: "cpu", "cuda", "cuda:1"')
+    group.addoption("--seed", type=int, help=f"seed of random inputs; else ${SEED}, else a new one for each run")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "data(folder): needs the real light field in that folder of $LFGPU_DATA")
+    given = config.getoption("--seed")
+    # By way of the environment, so that all workers of pytest-xdist have the same one.
+    os.environ[SEED] = str(given) if given is not None else os.environ.get(SEED) or str(secrets.randbits(32))
+    config.stash[_TARGETS] = list(_find_targets(config.getoption("--backend"), config.getoption("--device")))
+
+
+_TARGETS = pytest.StashKey[list[Target]]()
+
+
+def _find_targets(only_backend: str | None, only_device: str | None) -> Iterator[Target]:
+    wanted_device = "cuda:0" if only_device == "cuda" else only_device
+    for backend in list_backends():
+        if only_backend not in (None, backend):
+            yield Target(backend, only_device or "any device", None, f"--backend={only_backend}")
+            continue
+        try:
+            kernels = load(backend)
+        except BackendError as error:
+            yield Target(backend, only_device or "any device", None, str(error))
+            continue
+        devices = kernels.devices()
+        # A GPU is named where there is none, so that a run without one says what it did not try.
+        expected = [*devices, *({"cuda:0"} - set(devices) if backend != "reference" else ()), wanted_device]
+        for device in dict.fromkeys(name for name in expected if name):
+            if wanted_device not in (None, device):
+                yield Target(backend, device, None, f"--device={only_device}")
+            elif device not in devices:
+                yield Target(backend, device, None, f"no such device here; there is {', '.join(devices)}")
+            else:
+                yield Target(backend, device, kernels)
+    if only_backend is not None and only_backend not in list_backends():
+        raise pytest.UsageError(f"--backend={only_backend}: there are {', '.join(list_backends())}")
+
+
+def pytest_report_header(config: pytest.Config) -> list[str]:
+    targets = config.stash[_TARGETS]
+    tried = ", ".join(str(target) for target in targets if target.kernels is not None)
+    skipped = [f"kernels not tried: {target} ({target.reason})" for target in targets if target.kernels is None]
+    data = f"{DATA}" if DATA.is_dir() else f"{DATA} is not there: tests on real light fields are skipped"
+    return [f"kernels tried: {tried or 'none'}", *skipped, f"random inputs: --seed={os.environ[SEED]}", f"data: {data}"]
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """`target`: each backend x device that can be tried; `other`: those but the reference; `absent`: the rest."""
+    targets = metafunc.config.stash[_TARGETS]
+    there = [target for target in targets if target.kernels is not None]
+    chosen = {
+        "target": there,
+        "other": [target for target in there if target.backend != "reference"],
+        "absent": [target for target in targets if target.kernels is None],
+    }
+    for name, values in chosen.items():
+        if name in metafunc.fixturenames:
+            metafunc.parametrize(name, values, ids=str)
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """Random numbers that are new in each run and, for a given seed, the same for each test whatever else is run."""
+    return np.random.default_rng([int(os.environ[SEED]), *request.node.nodeid.encode()])
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Iterator[Any]:
+    report = yield
+    if report.failed and "rng" in getattr(item, "fixturenames", ()):
+        report.sections.append(("random inputs", f"the same ones again: pytest --seed={os.environ[SEED]}"))
+    return report
+
+
+@pytest.fixture(autouse=True)
+def _needs_data(request: pytest.FixtureRequest) -> None:
+    marker = request.node.get_closest_marker("data")
+    if marker is not None:
+        _folder(*marker.args)
+
+
+@pytest.fixture
+def data_folder(request: pytest.FixtureRequest) -> Path:
+    """The folder that the test's `data` marker names."""
+    marker = request.node.get_closest_marker("data")
+    assert marker is not None, "data_folder needs @pytest.mark.data(folder)"
+    return _folder(*marker.args)
+
+
+def _folder(name: str) -> Path:
+    if not (DATA / name).is_dir():
+        pytest.skip(f"{DATA / name} is not there: set LFGPU_DATA to the folder of the real light fields")
+    return DATA / name

@@ -1,0 +1,402 @@
+"""The reference backend against independent truths: the formulas written out as loops, and central differences."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import cases
+import checks
+import numpy as np
+import pytest
+from lfgpu.kernels.reference.tent import tent, tent_slope
+
+from lfgpu._backends import load
+from lfgpu.config import LocalConfig, PriorConfig, RefinementConfig
+from lfgpu.energy import Energy
+from lfgpu.initial import structure_filters
+from lfgpu.lightfield import LightField
+from lfgpu.model import ForwardModel
+from lfgpu.prior import NonLocalMeans
+from lfgpu.types import half_window
+
+REFERENCE = load("reference")
+STEP = 1e-6  # of central differences: in disparity, pixels per view step
+SOFTNESSES = (0.02, 0.1, 0.25, 0.5)
+
+
+def run(operation: Callable[..., object], inputs: SimpleNamespace) -> dict[str, np.ndarray]:
+    return checks.compute(REFERENCE, "cpu", checks.operation_of(operation), inputs)
+
+
+def changed(inputs: SimpleNamespace, **values: object) -> SimpleNamespace:
+    return SimpleNamespace(**{**vars(inputs), **values})
+
+
+# --- the tent ---
+
+
+def tent_of_any(x: float, e: float) -> float:
+    """Λ as DESIGN §5 writes it, for every x."""
+    x, s = abs(x), 1 / (1 - e)
+    if x >= 1:
+        return 0.0
+    if x <= e:
+        return 1 - s * x * x / (2 * e)
+    if x >= 1 - e:
+        return s * (1 - x) ** 2 / (2 * e)
+    return (1 - s * e / 2) - s * (x - e)
+
+
+@pytest.mark.parametrize("softness", SOFTNESSES)
+def test_tent_is_the_formula(softness: float) -> None:
+    a = np.linspace(0, 1, 1001)
+    np.testing.assert_allclose(tent(a, softness), [tent_of_any(x, softness) for x in a], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("softness", SOFTNESSES)
+def test_tent_is_a_partition_of_unity_of_support_one(softness: float) -> None:
+    a = np.linspace(0, 1, 1001)
+    np.testing.assert_allclose(tent(a, softness) + tent(1 - a, softness), 1, rtol=0, atol=1e-14)
+    assert tent(np.array([0.0, 1.0]), softness).tolist() == [1.0, 0.0]
+    assert (np.diff(tent(a, softness)) < 0).all()
+
+
+@pytest.mark.parametrize("softness", SOFTNESSES)
+def test_tent_is_continuously_differentiable(softness: float) -> None:
+    a = np.linspace(1e-6, 1 - 1e-6, 5003)
+    differences = (tent(a + 1e-7, softness) - tent(a - 1e-7, softness)) / 2e-7
+    np.testing.assert_allclose(tent_slope(a, softness), differences, rtol=0, atol=1e-5 + 1e-7 / softness)
+    joints = np.array([0.0, softness, 1 - softness, 1.0])
+    beside = joints + np.array([[-1e-9], [1e-9]])
+    left, right = tent_slope(beside.clip(0, 1), softness)
+    np.testing.assert_allclose(left, right, rtol=0, atol=1e-6)
+    assert np.abs(tent_slope(np.array([0.0, 1.0]), softness)).max() == 0  # so that it joins its mirror image and zero
+
+
+@pytest.mark.parametrize("softness", [1e-2, 1e-4, 1e-6])
+def test_tent_tends_to_the_triangle(softness: float) -> None:
+    a = np.linspace(0, 1, 1001)
+    assert np.abs(tent(a, softness) - (1 - a)).max() <= softness
+
+
+# --- the splat ---
+
+
+@pytest.mark.parametrize("case", [case for case in cases.SPLAT_CASES if math.prod(case.size) <= 200], ids=str)
+def test_splat_is_the_formula(case: cases.SplatCase, rng: np.random.Generator) -> None:
+    i = cases.splat_inputs(case, rng)
+    height, width = case.size
+    offsets = i.offsets[:2]
+    views, coverage = np.zeros((len(offsets), height, width, case.channels)), np.zeros((len(offsets), height, width))
+    for n, (du, dv) in enumerate(offsets.astype(float)):
+        for py, px in np.ndindex(height, width):
+            d = float(i.disparity[py, px])
+            to_x = [tent_of_any(qx - (px - d * du), case.softness) for qx in range(width)]
+            to_y = [tent_of_any(qy - (py - d * dv), case.softness) for qy in range(height)]
+            weight = np.outer(to_y, to_x)
+            coverage[n] += weight
+            views[n] += weight[..., None] * i.image[py, px].astype(float)
+    got = run(checks.splat, changed(i, offsets=offsets, views=i.views[:2]))
+    np.testing.assert_allclose(got["views"], views, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(got["coverage"], coverage, rtol=0, atol=1e-12)
+
+
+def test_coverage_sums_to_the_number_of_pixels_that_landed_inside(rng: np.random.Generator) -> None:
+    i = cases.splat_inputs(cases.SplatCase("any", size=(12, 15), offsets=cases.IRREGULAR, disparities=(-3, 3)), rng)
+    y, x = np.mgrid[:12, :15]
+    for n, (du, dv) in enumerate(i.offsets):
+        to_x, to_y = x - i.disparity * du, y - i.disparity * dv
+        whole = (to_x >= 0) & (to_x <= 14) & (to_y >= 0) & (to_y <= 11)
+        touching = (to_x > -1) & (to_x < 15) & (to_y > -1) & (to_y < 12)
+        total = run(checks.splat, i)["coverage"][n].sum()
+        assert whole.sum() - 1e-9 <= total <= touching.sum() + 1e-9
+        # With whole shifts there is nothing between: a pixel lands inside or it does not.
+        whole_shift = changed(i, disparity=np.round(i.disparity), offsets=np.round(i.offsets))
+        to_x, to_y = (a - whole_shift.disparity * b for a, b in zip((x, y), whole_shift.offsets[n], strict=True))
+        inside = (to_x >= 0) & (to_x <= 14) & (to_y >= 0) & (to_y <= 11)
+        assert run(checks.splat, whole_shift)["coverage"][n].sum() == pytest.approx(inside.sum(), abs=1e-9)
+
+
+def test_splat_of_a_constant_disparity_shifts_the_image_against_the_camera(rng: np.random.Generator) -> None:
+    i = cases.splat_inputs(cases.SplatCase("shift", offsets=((1.0, 0.0), (0.0, -1.0)), disparities=(2.0, 2.0)), rng)
+    right, up = run(checks.splat, i)["views"]
+    np.testing.assert_array_equal(right[:, :-2], i.image[:, 2:])  # seen from the right, things are 2 further left
+    np.testing.assert_array_equal(up[2:], i.image[:-2])
+
+
+def away_from_joints(case: cases.SplatCase, rng: np.random.Generator) -> SimpleNamespace:
+    """Inputs in float64 whose landing places stay clear of the tent's joints when the disparity changes by `STEP`."""
+    i = cases.splat_inputs(case, rng)
+    disparity = rng.uniform(*case.disparities, case.size)
+    joints = np.array([0.0, case.softness, 1 - case.softness, 1.0])
+    for _ in range(100):
+        fractions = np.mod(-disparity[..., None, None] * i.offsets.astype(float), 1.0)
+        moving = i.offsets != 0
+        near = (np.abs(fractions[..., None] - joints).min(-1) < 1e-4) & moving
+        bad = near.any((-1, -2))
+        if not bad.any():
+            return changed(i, disparity=disparity)
+        disparity[bad] = rng.uniform(*case.disparities, int(bad.sum()))
+    raise AssertionError("no such disparities found")
+
+
+DIFFERENTIABLE = (
+    cases.SplatCase("colour", size=(9, 10)),
+    cases.SplatCase("grey masked uint8", size=(9, 10), channels=1, masked=True, dtype="uint8"),
+    cases.SplatCase("irregular", size=(9, 10), offsets=cases.IRREGULAR, masked=True),
+    cases.SplatCase("partly outside", size=(9, 10), disparities=(-5, 5), softness=0.3),
+    cases.SplatCase("one row", size=(1, 12), offsets=cases.grid(1, 5), softness=0.05),
+)
+
+
+@pytest.mark.parametrize("case", DIFFERENTIABLE, ids=str)
+def test_splat_jvp_is_the_derivative_of_splat(case: cases.SplatCase, rng: np.random.Generator) -> None:
+    i = away_from_joints(case, rng)
+    tangent = rng.uniform(-1, 1, case.size)
+    up, down = (
+        run(checks.splat, changed(i, disparity=i.disparity + sign * STEP * tangent))["views"] for sign in (1, -1)
+    )
+    got = run(checks.splat_jvp, changed(i, tangent=tangent))["views"]
+    assert checks.largest_error(got, (up - down) / (2 * STEP)) < 1e-6
+
+
+@pytest.mark.parametrize("case", DIFFERENTIABLE, ids=str)
+def test_splat_vjp_is_the_gradient_of_a_product_with_the_splat(case: cases.SplatCase, rng: np.random.Generator) -> None:
+    i = away_from_joints(case, rng)
+    want = central_differences(
+        lambda d: float(np.vdot(run(checks.splat, changed(i, disparity=d))["views"], i.views)), i.disparity, rng
+    )
+    assert_gradient(run(checks.splat_vjp, i)["gradient"], want)
+
+
+@pytest.mark.parametrize("case", DIFFERENTIABLE, ids=str)
+def test_data_term_has_its_gradient(case: cases.SplatCase, rng: np.random.Generator) -> None:
+    i = away_from_joints(case, rng)
+    want = central_differences(
+        lambda d: float(run(checks.data_term, changed(i, disparity=d))["value"]), i.disparity, rng
+    )
+    assert_gradient(run(checks.data_term, i)["gradient"], want)
+
+
+def test_data_term_is_the_sum_of_squares_over_valid_pixels(rng: np.random.Generator) -> None:
+    i = cases.splat_inputs(cases.SplatCase("masked", masked=True, dtype="uint8"), rng)
+    difference = run(checks.splat, i)["views"] - i.recorded / 255.0
+    want = float((i.valid[..., None] * difference**2).sum())
+    assert float(run(checks.data_term, i)["value"]) == pytest.approx(want, rel=1e-12)
+
+
+def central_differences(
+    value: Callable[[np.ndarray], float], at: np.ndarray, rng: np.random.Generator, count: int = 12
+) -> dict[tuple[int, ...], float]:
+    """The derivative of `value` by some random elements of `at`."""
+    chosen = rng.choice(at.size, min(count, at.size), replace=False)
+    derivatives = {}
+    for index in (tuple(int(k) for k in np.unravel_index(flat, at.shape)) for flat in chosen):
+        up, down = at.copy(), at.copy()
+        up[index] += STEP
+        down[index] -= STEP
+        derivatives[index] = (value(up) - value(down)) / (2 * STEP)
+    return derivatives
+
+
+def assert_gradient(gradient: np.ndarray, want: dict[tuple[int, ...], float]) -> None:
+    largest = float(np.abs(gradient).max())
+    assert largest > 0
+    for index, derivative in want.items():
+        assert abs(gradient[index] - derivative) <= 1e-6 * largest, f"at {index}"
+
+
+# --- the prior ---
+
+
+def brute_weights(i: SimpleNamespace) -> np.ndarray:
+    """w(p, q) for every two pixels, [p, q], as the text of kernels/reference/nlm.py says; 0 for those too far apart."""
+    height, width, channels = i.image.shape
+    o, image = SimpleNamespace(**i.options), i.image.astype(float)
+
+    def pixel(y: int, x: int) -> np.ndarray:
+        return image[min(max(y, 0), height - 1), min(max(x, 0), width - 1)]
+
+    def distance(p: tuple[int, int], q: tuple[int, int]) -> float:
+        total = 0.0
+        for c in range(channels):
+            total += ((pixel(*p)[c] - pixel(*q)[c]) / o.sigma_color) ** 2
+            for dy, dx in ((0, 1), (1, 0)):
+                slope_p, slope_q = ((pixel(y + dy, x + dx)[c] - pixel(y - dy, x - dx)[c]) / 2 for y, x in (p, q))
+                total += ((slope_p - slope_q) / o.sigma_gradient) ** 2
+        return total / channels
+
+    weights = np.zeros((height * width, height * width))
+    radius, patch = o.window // 2, range(-(o.patch // 2), o.patch // 2 + 1)
+    for (py, px), (qy, qx) in itertools.product(np.ndindex(height, width), repeat=2):
+        if max(abs(py - qy), abs(px - qx)) > radius or (py, px) == (qy, qx):
+            continue
+        both = [
+            distance((py + dy, px + dx), (qy + dy, qx + dx))
+            for dy, dx in itertools.product(patch, repeat=2)
+            if min(py, qy) + dy >= 0
+            and max(py, qy) + dy < height
+            and min(px, qx) + dx >= 0
+            and max(px, qx) + dx < width
+        ]
+        weights[py * width + px, qy * width + qx] = max(o.floor, math.exp(-sum(both) / len(both)))
+    return weights
+
+
+def dense(weights: np.ndarray, window: int) -> np.ndarray:
+    """Weights of one half of a window as a matrix [p, q], symmetric."""
+    _, height, width = weights.shape
+    matrix = np.zeros((height * width, height * width))
+    for w, (dy, dx) in zip(weights, half_window(window), strict=True):
+        for y, x in np.ndindex(height, width):
+            if 0 <= y + dy < height and 0 <= x + dx < width:
+                p, q = y * width + x, (y + dy) * width + x + dx
+                matrix[p, q] = matrix[q, p] = w[y, x]
+            else:
+                assert w[y, x] == 0
+    return matrix
+
+
+TINY = (
+    cases.NlmCase("colour", size=(5, 6), window=5),
+    cases.NlmCase("grey", size=(6, 4), window=3, channels=1),
+    cases.NlmCase("wide patch", size=(4, 6), window=7, patch=5),
+    cases.NlmCase("single pixel patch", size=(5, 5), patch=1),
+    cases.NlmCase("line", size=(1, 9), window=5),
+    cases.NlmCase("floor", size=(5, 5), sigma_color=0.05, floor=0.1),
+)
+
+
+@pytest.mark.parametrize("case", TINY, ids=str)
+def test_nlm_weights_are_the_formula(case: cases.NlmCase, rng: np.random.Generator) -> None:
+    i = cases.nlm_inputs(case, rng)
+    got = dense(run(checks.nlm_weights, i)["weights"], case.window)
+    np.testing.assert_allclose(got, brute_weights(i), rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("case", TINY, ids=str)
+def test_nlm_operators_are_their_matrices(case: cases.NlmCase, rng: np.random.Generator) -> None:
+    i = cases.nlm_inputs(case, rng)
+    w = dense(i.weights.astype(float), case.window)
+    values = i.values.astype(float).ravel()
+    np.testing.assert_allclose(run(checks.nlm_neighbors, i)["sums"].ravel(), w @ values + values, rtol=0, atol=1e-12)
+    laplacian = np.diag(w.sum(1)) - w
+    np.testing.assert_allclose(run(checks.nlm_laplacian, i)["laplacian"].ravel(), laplacian @ values, atol=1e-12)
+
+
+@pytest.mark.parametrize("case", TINY, ids=str)
+def test_nlm_laplacian_is_symmetric_and_positive_semidefinite(case: cases.NlmCase, rng: np.random.Generator) -> None:
+    i = cases.nlm_inputs(case, rng)
+    i.weights = run(checks.nlm_weights, i)["weights"]
+    units = np.eye(math.prod(case.size)).reshape(-1, *case.size)
+    columns = [run(checks.nlm_laplacian, changed(i, values=unit))["laplacian"].ravel() for unit in units]
+    matrix = np.stack(columns, axis=1)
+    np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(matrix.sum(1), 0, rtol=0, atol=1e-12)
+    values = np.linalg.eigvalsh(matrix)
+    assert values[0] >= -1e-12
+    assert values[1] > 1e-6  # connected: only constants are free
+
+
+def small_light_field(rng: np.random.Generator) -> LightField:
+    views = rng.integers(0, 256, (3, 3, 9, 10, 3), dtype=np.uint8)
+    return LightField.from_grid(views, valid=rng.random((9, 9, 10)) < 0.8)
+
+
+def test_prior_has_its_gradient(rng: np.random.Generator) -> None:
+    prior = NonLocalMeans(rng.random((9, 10, 3), np.float32), PriorConfig(window=5), REFERENCE, "cpu")
+    values, gradient = rng.normal(size=(9, 10)), np.full((9, 10), np.nan)
+    prior.value_and_gradient(values, gradient)
+    scratch = np.empty_like(values)
+    want = central_differences(lambda v: prior.value_and_gradient(v, scratch), values, rng)
+    assert_gradient(gradient, want)
+
+
+def test_prior_is_the_sum_over_pairs(rng: np.random.Generator) -> None:
+    case = cases.NlmCase("colour", size=(5, 6), window=5)
+    i = cases.nlm_inputs(case, rng)
+    prior = NonLocalMeans(i.image, PriorConfig(**i.options), REFERENCE, "cpu")
+    w, v = brute_weights(i), i.values.astype(float).ravel()
+    want = (w * (v[:, None] - v[None]) ** 2).sum()
+    assert prior.value_and_gradient(i.values.astype(float), np.empty(case.size)) == pytest.approx(want, rel=1e-12)
+
+
+@pytest.mark.parametrize("smoothness", [0.0, 0.1, 10.0])
+def test_energy_has_its_gradient(smoothness: float, rng: np.random.Generator) -> None:
+    lf = small_light_field(rng)
+    config = RefinementConfig()
+    energy = Energy(
+        ForwardModel(lf, config, REFERENCE, "cpu"),
+        NonLocalMeans(lf.image(lf.reference_index), PriorConfig(window=5), REFERENCE, "cpu"),
+        smoothness,
+    )
+    case = cases.SplatCase("grid", size=lf.size, softness=config.softness, disparities=(-1.5, 1.5))
+    disparity = away_from_joints(case, rng).disparity
+    _, gradient = energy(disparity)
+    assert_gradient(gradient, central_differences(lambda d: energy(d)[0], disparity, rng))
+
+
+# --- the local estimate ---
+
+
+def moving_pattern(disparity: float, offsets: np.ndarray, *, width: int = 48, height: int = 4) -> np.ndarray:
+    """EPIs [u, y, x, 1] of a smooth pattern I(x + d u) of that disparity, in [0, 1]."""
+    x = np.arange(width) + disparity * offsets[:, None, None]
+    y = np.arange(height)[None, :, None]
+    waves = np.sin(0.31 * x + y) + np.sin(0.47 * x + 2 * y + 1) + np.sin(0.22 * x + 2)
+    return (0.5 + waves / 6.5)[..., None]
+
+
+def found_disparity(disparity: float, offsets: np.ndarray, shear: float) -> tuple[np.ndarray, np.ndarray]:
+    """Disparity and coherence of a moving pattern, without what the filters and the shear bring in from the border."""
+    filters = structure_filters(offsets, LocalConfig())
+    plan = REFERENCE.structure_tensor(moving_pattern(disparity, offsets), offsets, filters, scale=1.0, floor=1e-4)
+    found, coherence = np.empty((2, 4, 48))
+    plan(shear, found, coherence)
+    reach = 7 + 4 * math.ceil(abs(shear))
+    return found[:, reach:-reach], coherence[:, reach:-reach]
+
+
+DISPARITIES = [0.0, 0.25, -0.4, 0.5, 1.3, -2.25, 3.0]
+
+
+@pytest.mark.parametrize("disparity", DISPARITIES)
+def test_structure_tensor_finds_the_disparity_of_a_moving_pattern(disparity: float) -> None:
+    found, coherence = found_disparity(disparity, np.arange(-4.0, 5.0), shear=round(disparity))
+    assert np.abs(found - disparity).max() < 0.01
+    assert coherence.min() > 0.99
+
+
+@pytest.mark.parametrize("first", [0, -8], ids=["left", "right"])
+@pytest.mark.parametrize("disparity", DISPARITIES)
+def test_structure_tensor_finds_the_disparity_from_the_end_of_a_row(disparity: float, first: int) -> None:
+    """Views on one side only: less exact, the more so the further the disparity is from the shear, but not biased."""
+    found, coherence = found_disparity(disparity, first + np.arange(9.0), shear=round(2 * disparity) / 2)
+    assert np.abs(found - disparity).max() < 0.12
+    assert abs(np.mean(found - disparity)) < 0.02
+    assert coherence.min() > 0.8
+
+
+def test_coherence_lies_between_0_and_1(rng: np.random.Generator) -> None:
+    offsets = np.arange(-3.0, 4.0)
+    plan = REFERENCE.structure_tensor(
+        rng.random((7, 9, 30, 3)), offsets, structure_filters(offsets, LocalConfig()), scale=1.0, floor=1e-3
+    )
+    found, coherence = np.empty((2, 9, 30))
+    for shear in (-1.0, 0.0, 0.5):
+        plan(shear, found, coherence)
+        assert coherence.min() >= 0
+        assert coherence.max() <= 1
+    assert coherence.min() < 0.5  # noise is not coherent everywhere
+
+
+def test_flat_views_have_no_coherence() -> None:
+    offsets = np.arange(-3.0, 4.0)
+    filters = structure_filters(offsets, LocalConfig())
+    plan = REFERENCE.structure_tensor(np.full((7, 5, 20, 1), 0.4), offsets, filters, scale=1.0, floor=1e-3)
+    found, coherence = np.empty((2, 5, 20))
+    plan(0.0, found, coherence)
+    assert coherence.max() < 1e-12

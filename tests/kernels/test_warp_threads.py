@@ -1,0 +1,68 @@
+"""Warp on a CPU: work cut into slices for a pool of threads gives the same bits however many threads there are."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import cases
+import checks
+import numpy as np
+import pytest
+
+SPLIT = {"splat": ("data_term",), "nlm": ("nlm_neighbors", "nlm_laplacian")}
+
+
+@pytest.fixture
+def warp(other: Any) -> Any:
+    if (other.backend, other.device) != ("warp", "cpu"):
+        pytest.skip("only Warp on a CPU has such threads")
+    return other
+
+
+@pytest.mark.parametrize("name", [name for names in SPLIT.values() for name in names])
+def test_bits_do_not_depend_on_the_number_of_threads(
+    warp: Any, name: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads = pytest.importorskip("lfgpu.kernels.warp.threads")
+    (operation,) = (operation for operation in checks.OPERATIONS if str(operation) == name)
+    if operation.inputs == "splat":
+        inputs = cases.splat_inputs(cases.SplatCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng)
+    else:
+        inputs = cases.nlm_inputs(cases.NlmCase("large", size=(61, 53), window=7), rng)
+    results, used = [], []
+    for count in (1, 2, 5):
+        with ThreadPoolExecutor(count) as pool:
+
+            def counted(pool: ThreadPoolExecutor = pool) -> ThreadPoolExecutor:
+                used.append(pool)
+                return pool
+
+            monkeypatch.setattr(threads, "_pool", counted)
+            results.append(checks.compute(warp.kernels, warp.device, operation, inputs))
+    assert len(set(used)) == 3  # the work did go through the pools
+    for other in results[1:]:
+        for output in other:
+            np.testing.assert_array_equal(other[output], results[0][output])
+
+
+@pytest.mark.parametrize("count", [1, 2, 15, 16, 17, 100])
+def test_slices_cover_everything_once(warp: Any, count: int) -> None:
+    threads = pytest.importorskip("lfgpu.kernels.warp.threads")
+    device = warp.kernels.zeros((1,), "cpu").device
+    cuts = threads.slices(device, count)
+    assert [i for first, last in cuts for i in range(first, last)] == list(range(count))
+    seen: list[tuple[int, int]] = []
+    threads.in_slices(device, count, lambda _, first, last: seen.append((first, last)))
+    assert sorted(seen) == cuts
+
+
+def test_a_failure_in_a_thread_is_not_lost(warp: Any) -> None:
+    threads = pytest.importorskip("lfgpu.kernels.warp.threads")
+
+    def work(part: int, first: int, last: int) -> None:
+        if part == 3:
+            raise ZeroDivisionError("in part 3")
+
+    with pytest.raises(ZeroDivisionError, match="in part 3"):
+        threads.in_slices(warp.kernels.zeros((1,), "cpu").device, 8, work)

@@ -1,0 +1,516 @@
+"""The command line: what goes wrong is one sentence and leaves nothing behind, what goes well can be read back."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from lfgpu import scenes
+from lfgpu.cli import app, demo
+from lfgpu.config import Config
+from lfgpu.errors import LightFieldError
+from lfgpu.io import read, read_map, read_result, write_hci, write_pfm
+from lfgpu.lightfield import LightField
+from lfgpu.metrics import evaluate
+
+OUTPUTS = {"confidence.png", "depth.pfm", "disparity.pfm", "disparity.png", "result.npz"}
+RANGE = ("--disparity-range", "-2,2")
+SMALL = {"grid": (5, 5), "size": (40, 48)}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    code: int
+    out: str
+    err: str
+    raised: BaseException | None
+
+
+def lfgpu(*arguments: object) -> Outcome:
+    """Run a command in this process."""
+    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    raised = None if isinstance(result.exception, SystemExit) else result.exception
+    return Outcome(result.exit_code, result.stdout, result.stderr, raised)
+
+
+def refused(outcome: Outcome, words: str, code: int = 1) -> None:
+    """Exactly one sentence on stderr, with those words in it, and nothing on stdout."""
+    assert outcome.raised is None
+    assert outcome.code == code
+    assert outcome.out == ""
+    assert re.fullmatch(r"lfgpu: [^\n]*\.\n", outcome.err), outcome.err
+    assert words in outcome.err
+
+
+@pytest.fixture(scope="session")
+def scene() -> LightField:
+    return scenes.make("boxes", grid=(5, 5), size=(48, 56))
+
+
+@pytest.fixture(scope="session")
+def recorded(scene: LightField, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scene as an HCI folder; tests that change it take `views`."""
+    folder = tmp_path_factory.mktemp("recorded") / "boxes"
+    write_hci(scene, folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def solved(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
+    """The folder that `depth` wrote, and what it said."""
+    folder = tmp_path_factory.mktemp("solved") / "out"
+    return folder, lfgpu("depth", recorded, "-o", folder, *RANGE)
+
+
+@pytest.fixture
+def views(recorded: Path, tmp_path: Path) -> Path:
+    """A copy of the views, to be damaged."""
+    return Path(shutil.copytree(recorded, tmp_path / "views"))
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """A place for outputs whose parent is not there yet."""
+    return tmp_path / "deep" / "out"
+
+
+# --- depth: what goes wrong ---
+
+
+def keep_one(folder: Path) -> None:
+    for file in folder.glob("input_Cam*.png"):
+        if file.name != "input_Cam000.png":
+            file.unlink()
+
+
+def empty(folder: Path) -> None:
+    shutil.rmtree(folder)
+    folder.mkdir()
+
+
+def another_size(folder: Path) -> None:
+    Image.new("RGB", (30, 30)).save(folder / "input_Cam007.png")
+
+
+def cut_short(folder: Path) -> None:
+    file = folder / "input_Cam007.png"
+    file.write_bytes(file.read_bytes()[:400])
+
+
+def nan_pixel(folder: Path) -> None:
+    empty(folder)
+    pixels = np.full((20, 20), 0.5, np.float32)
+    for column in range(3):
+        Image.fromarray(pixels).save(folder / f"view_0_{column}.tif")
+        pixels[3, 4] = np.nan
+
+
+def holes(folder: Path) -> None:
+    for index in (0, 7, 13):
+        (folder / f"input_Cam{index:03d}.png").unlink()
+
+
+def another_truth(folder: Path) -> None:
+    write_pfm(folder / "gt_disp_lowres.pfm", np.zeros((5, 5)))
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (shutil.rmtree, "does not exist"),
+        (empty, "an empty folder"),
+        (keep_one, "one view only (input_Cam000.png)"),
+        (another_size, "input_Cam007.png is 30 x 30 RGB uint8"),
+        (cut_short, "input_Cam007.png cannot be read"),
+        (nan_pixel, "NaN or infinite"),
+        (holes, "lacks 3 of the 25 views"),
+        (another_truth, "gt_disp_lowres.pfm has 5 x 5 pixels"),
+    ],
+)
+def test_damaged_inputs(damage: Callable[[Path], None], words: str, views: Path, out: Path) -> None:
+    damage(views)
+    refused(lfgpu("depth", views, "-o", out), words)
+    assert not out.parent.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--disparity-range", "2,-2"], "LOW below HIGH"),
+        (["--disparity-range=1,1"], "LOW below HIGH"),
+        (["--disparity-range=nan,1"], "finite"),
+        (["--disparity-range=-inf,1"], "finite"),
+        (["--disparity-range=near,far"], "LOW,HIGH such as -2,2"),
+        (["--disparity-range=1"], "LOW,HIGH such as -2,2"),
+        (["--disparity-range=1,2,3"], "LOW,HIGH such as -2,2"),
+        (["--preset", "best"], "unknown preset 'best'"),
+        (["--set", "local.nothing=1"], "unknown parameter 'local.nothing'"),
+        (["--set", "window"], "stage.parameter=value"),
+        (["--set", "prior.window=8"], "must be odd"),
+        (["--set", "prior.window=many"], "must be a number"),
+        (["--set", "propagation.solver=magic"], "cg, lbfgsb"),
+        (["--backend", "abacus"], "unknown backend 'abacus'"),
+        (["--device", "tpu"], "no device 'tpu'"),
+        (["--views", "circle"], "full, star, cross, row, column"),
+        (["--format", "hologram"], "unknown format 'hologram'"),
+        (["--reference-view", "9,0"], "no view at row 9, column 0"),
+        (["--reference-view", "middle"], "ROW,COL such as 4,4"),
+        (["--reference-view", "nan,1"], "finite"),
+    ],
+)
+def test_wrong_options(options: list[str], words: str, recorded: Path, out: Path) -> None:
+    refused(lfgpu("depth", recorded, "-o", out, *options), words)
+    assert not out.parent.exists()
+
+
+def test_options_are_checked_before_anything_is_read(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfgpu.io.read", pytest.fail)
+    for option in ("--disparity-range=2,1", "--preset=x", "--set=x", "--backend=x", "--device=x", "--views=x"):
+        refused(lfgpu("depth", "anywhere", "-o", out, option), "x" if option.endswith("x") else "range")
+
+
+def test_output_that_cannot_be_written(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfgpu.depth.estimate_depth", pytest.fail)  # found out before the long computation
+    (tmp_path / "file").write_text("mine")
+    refused(lfgpu("depth", recorded, "-o", tmp_path / "file"), "is a file, not a folder")
+    refused(lfgpu("depth", recorded, "-o", tmp_path / "file" / "out"), "is a file, not a folder")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_missing_output_is_wrong_usage(recorded: Path) -> None:
+    outcome = lfgpu("depth", recorded)
+    assert outcome.code == 2
+    assert "--out" in outcome.err
+    assert "Traceback" not in outcome.err
+
+
+def raising(error: BaseException) -> Callable[..., None]:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    return fail
+
+
+@pytest.mark.parametrize("where", ["lfgpu.depth.minimize_lbfgsb", "lfgpu.io.write_result", "lfgpu.io.read"])
+def test_interruption_leaves_nothing(
+    where: str, recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(where, raising(KeyboardInterrupt()))
+    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted, nothing was written", code=130)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (MemoryError(), "memory does not suffice"),
+        (RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'"), "memory of the device"),
+        (PermissionError(errno.EACCES, "Permission denied", "/views/a.png"), "/views/a.png: Permission denied"),
+        (LightFieldError("a sentence\nover two lines."), "a sentence over two lines."),
+    ],
+)
+def test_errors_of_the_machine(
+    error: Exception, words: str, recorded: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lfgpu.depth.estimate_depth", raising(error))
+    refused(lfgpu("depth", recorded, "-o", out), words)
+
+
+def test_full_disk_leaves_nothing(recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfgpu.io.write_result", raising(OSError(errno.ENOSPC, "No space left on device")))
+    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "No space left on device")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError(), RuntimeError("a bug")])
+def test_bugs_keep_their_traceback(
+    error: Exception, recorded: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lfgpu.depth.estimate_depth", raising(error))
+    assert lfgpu("depth", recorded, "-o", out).raised is error
+
+
+# --- depth: what goes well ---
+
+
+def test_depth_writes_what_reads_back(solved: tuple[Path, Outcome], scene: LightField) -> None:
+    folder, outcome = solved
+    assert outcome.raised is None
+    assert outcome.code == 0
+    assert outcome.err == ""
+    assert {file.name for file in folder.iterdir()} == OUTPUTS
+    result = read_result(folder / "result.npz")
+    assert result.disparity.shape == scene.size
+    assert result.disparity_range == (-2, 2)
+    assert result.config == Config()
+    np.testing.assert_array_equal(read_map(folder / "disparity.pfm"), result.disparity)
+    assert result.depth is not None
+    np.testing.assert_array_equal(read_map(folder / "depth.pfm"), result.depth)
+    for picture in ("disparity.png", "confidence.png"):
+        with Image.open(folder / picture) as image:
+            assert min(image.size) > 500
+
+
+def test_depth_says_what_it_did(solved: tuple[Path, Outcome]) -> None:
+    said = solved[1].out
+    for words in ("25 of 25", "56 x 48 px", "row 2, column 2", "larger is nearer (given range -2.00 to 2.00)"):
+        assert words in said
+    result = read_result(solved[0] / "result.npz")
+    assert " ".join(result.status.split()) in " ".join(said.split())
+    assert all(name in said for name in (*OUTPUTS, *result.stages, *result.timings.keys() - {"total"}))
+
+
+def row_of(said: str, name: str) -> list[float]:
+    """The numbers in the row of that name of a table of scores."""
+    line = next(line for line in said.splitlines() if line.split()[:1] == [name])
+    return [float(word) for word in line.split()[1:] if word != "%"]
+
+
+@pytest.mark.parametrize("of", ["depth", "eval", "eval of a light field"])
+def test_scores_are_those_of_evaluate(of: str, solved: tuple[Path, Outcome], recorded: Path) -> None:
+    folder, outcome = solved
+    if of != "depth":
+        outcome = lfgpu("eval", folder, recorded if "field" in of else recorded / "gt_disp_lowres.pfm")
+    assert outcome.code == 0
+    truth = read_map(recorded / "gt_disp_lowres.pfm")
+    for name, values in read_result(folder / "result.npz").stages.items():
+        m = evaluate(values, truth)
+        expected = [m.mse_100, m.badpix_07, m.badpix_03, m.badpix_01, m.q25, m.rmse, m.undefined]
+        assert row_of(outcome.out, name) == pytest.approx(expected, abs=0.0051)
+    assert "border of 15" in outcome.out
+
+
+def test_depth_with_options(views: Path, out: Path) -> None:
+    holes(views)
+    outcome = lfgpu(
+        "depth", views, "-o", out, "--allow-missing", "--views", "cross", "--reference-view", "2,1", *RANGE,
+        "--set", "refinement.max_iterations=1", "--set", "prior.window=5", "--backend", "warp", "--device", "cpu",
+        "--format", "hci", "--preset", "paper",
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    result = read_result(out / "result.npz")
+    assert result.position == (1, 2)
+    assert len(result.trace) <= 2
+    assert result.config.prior.window == 5
+    assert "belongs to the view at row 2, column 2, not to the reference view" in outcome.out
+    assert "8 of 25" in outcome.out  # the cross without one of the holes
+
+
+def test_quiet_says_nothing(recorded: Path, out: Path) -> None:
+    outcome = lfgpu("depth", recorded, "-o", out, "-q", *RANGE, "--set=refinement.max_iterations=1")
+    assert (outcome.code, outcome.out, outcome.err) == (0, "", "")
+    assert {file.name for file in out.iterdir()} == OUTPUTS
+
+
+def test_a_map_within_the_border_is_not_scored(tmp_path: Path, out: Path) -> None:
+    write_hci(scenes.make("relief", grid=(3, 3), size=(24, 40)), tmp_path / "small")
+    outcome = lfgpu("depth", tmp_path / "small", "-o", out, *RANGE)
+    assert outcome.code == 0, outcome.err
+    assert "cannot be scored" in outcome.out
+    assert {file.name for file in out.iterdir()} == OUTPUTS
+
+
+def test_without_geometry_there_is_no_depth(views: Path, out: Path) -> None:
+    for name in ("parameters.cfg", "gt_disp_lowres.pfm", "gt_depth_lowres.pfm"):
+        (views / name).unlink()
+    outcome = lfgpu("depth", views, "-o", out, *RANGE, "--set=refinement.max_iterations=1")
+    assert outcome.code == 0, outcome.err
+    assert {file.name for file in out.iterdir()} == OUTPUTS - {"depth.pfm"}
+    assert "ground truth" not in outcome.out
+
+
+# --- info ---
+
+
+def test_info(recorded: Path) -> None:
+    outcome = lfgpu("info", recorded)
+    assert outcome.code == 0
+    said = " ".join(outcome.out.split())
+    for words in (
+        "hci, because it is a folder with input_Cam000.png",
+        "25 of 25 in a 5 x 5 grid",
+        "56 x 48 px (width x height), colour, uint8",
+        "row 2, column 2",
+        "-2 to 2 view steps across (du), -2 to 2 down (dv)",
+        "focal length 160 px",
+        "100.0 % of it scored",
+    ):
+        assert words in said
+
+
+def test_info_reports_missing_views(views: Path) -> None:
+    holes(views)
+    outcome = lfgpu("info", views, "--format", "hci")
+    assert outcome.code == 0
+    said = " ".join(outcome.out.split())
+    assert "22 of 25" in said
+    assert "3: row 0, column 0; row 1, column 2; row 2, column 3 (counted from 0)" in said
+    assert "hci, as told" in said
+
+
+def test_info_of_what_is_no_light_field(tmp_path: Path) -> None:
+    refused(lfgpu("info", tmp_path / "nowhere"), "does not exist")
+    refused(lfgpu("info", tmp_path), "an empty folder")
+
+
+# --- scene ---
+
+
+def test_scene_writes_what_make_makes(tmp_path: Path) -> None:
+    outcome = lfgpu(
+        "scene", "planes", "-o", tmp_path / "s", "--seed", 3, "--grid", "3x5", "--size", "24x32",
+        "--disparity-range=-1,1", "--noise", 0.01,
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    expected = scenes.make("planes", seed=3, grid=(3, 5), size=(24, 32), disparity_range=(-1, 1), noise=0.01)
+    found = read(tmp_path / "s")
+    np.testing.assert_array_equal(found.views, expected.views)
+    assert found.truth is not None
+    assert expected.truth is not None
+    np.testing.assert_array_equal(found.truth.disparity, expected.truth.disparity)
+
+
+def test_frames_of_a_scene_that_moves(tmp_path: Path) -> None:
+    arguments = ("scene", "moving", "-o", tmp_path / "s", "--grid=3x3", "--size=24x24", "--frames", 2)
+    assert lfgpu(*arguments).code == 0
+    assert sorted(folder.name for folder in (tmp_path / "s").iterdir()) == ["frame_000", "frame_001"]
+    assert (read(tmp_path / "s" / "frame_000").views != read(tmp_path / "s" / "frame_001").views).any()
+    refused(lfgpu(*arguments), "holds frames of another sequence")
+
+
+def test_interrupted_frames_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[Path] = []
+
+    def second_fails(light_field: LightField, folder: Path) -> None:
+        if written:
+            raise KeyboardInterrupt
+        write_hci(light_field, folder)
+        written.append(folder)
+
+    monkeypatch.setattr("lfgpu.io.write_hci", second_fails)
+    outcome = lfgpu("scene", "moving", "-o", tmp_path / "s", "--grid=3x3", "--size=24x24", "--frames=2")
+    refused(outcome, "interrupted", code=130)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["castle"], ", ".join(scenes.NAMES)),
+        (["boxes", "--frames=2"], "needs a scene that moves"),
+        (["moving", "--frames=0"], "frames"),
+        (["boxes", "--grid=3"], "ROWSxCOLUMNS such as 9x9"),
+        (["boxes", "--grid=1x1"], "at least two views"),
+        (["boxes", "--grid=2.5x3"], "ROWSxCOLUMNS such as 9x9"),
+        (["boxes", "--size=infx8"], "HEIGHTxWIDTH such as 512x512"),
+        (["boxes", "--size=-8x8"], "size must be"),
+        (["boxes", "--noise=nan"], "noise must be"),
+        (["boxes", "--seed=-1"], "seed must be"),
+        (["boxes", "--disparity-range=1,0"], "LOW below HIGH"),
+    ],
+)
+def test_wrong_scenes(arguments: list[str], words: str, out: Path) -> None:
+    refused(lfgpu("scene", *arguments, "-o", out), words)
+    assert not out.parent.exists()
+
+
+# --- eval ---
+
+
+def test_eval_of_maps_with_mask_and_border(tmp_path: Path, rng: np.random.Generator) -> None:
+    truth, mask = rng.random((40, 50)), rng.random((40, 50)) < 0.5
+    estimate = truth + rng.normal(0, 0.05, truth.shape)
+    np.save(tmp_path / "e.npy", estimate)
+    write_pfm(tmp_path / "t.pfm", truth)
+    Image.fromarray(mask.astype(np.uint8) * 255).save(tmp_path / "m.png")
+    outcome = lfgpu("eval", tmp_path / "e.npy", tmp_path / "t.pfm", "--mask", tmp_path / "m.png", "--border", 3)
+    m = evaluate(estimate, truth.astype(np.float32), mask=mask, border=3)
+    assert row_of(outcome.out, "e.npy")[:2] == pytest.approx([m.mse_100, m.badpix_07], abs=0.0051)
+    assert f"Over {m.count} pixels, a border of 3" in outcome.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere.pfm", "views"], "nowhere.pfm does not exist"),
+        (["out", "nowhere"], "nowhere does not exist"),
+        (["views", "views"], "neither result.npz nor disparity.pfm"),
+        (["out", "views", "--border", "40"], "border must be"),
+        (["out", "views", "--mask", "no.png"], "no.png cannot be read"),
+        (["out", "other"], "they cannot be compared"),
+        (["out", "bare"], "holds no ground truth"),
+        (["out/disparity.pfm", "small.npy"], "same shape"),
+        (["out/disparity.png", "views"], "not a kind of map"),
+    ],
+)
+def test_eval_refuses(
+    arguments: list[str], words: str, solved: tuple[Path, Outcome], views: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    Path("out").symlink_to(solved[0])
+    write_hci(scenes.make("relief", grid=(3, 3), size=(48, 56)), "other")
+    shutil.copytree(views, "bare")
+    Path("bare/gt_disp_lowres.pfm").unlink()
+    np.save("small.npy", np.zeros((20, 20)))
+    refused(lfgpu("eval", *arguments), words)
+
+
+# --- demo and the whole ---
+
+
+def test_demo(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo, "GRID", (5, 5))
+    monkeypatch.setattr(demo, "SIZE", (40, 48))
+    outcome = lfgpu("demo", "-o", out, "--seed", 1)
+    assert outcome.code == 0, outcome.err
+    assert {entry.name for entry in out.iterdir()} == OUTPUTS | {"overview.png", "light-field"}
+    np.testing.assert_array_equal(read(out / "light-field").views, scenes.make("boxes", seed=1, **SMALL).views)
+    said = " ".join(outcome.out.split())
+    assert f"lfgpu eval {out}-cross {out}/light-field" in said
+    assert row_of(outcome.out, "refined")
+    with Image.open(out / "overview.png") as image:
+        assert min(image.size) > 1000
+    assert lfgpu("eval", out, out / "light-field").code == 0
+
+
+def python(*arguments: str) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "COLUMNS": "80"}
+    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, env=environment, check=False)
+
+
+def test_as_a_module() -> None:
+    done = python("-m", "lfgpu", "--version")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert re.fullmatch(r"lfgpu \d+\.\d+\.\d+\S*\n", done.stdout)
+
+
+def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
+    done = python("-m", "lfgpu", "depth", str(tmp_path / "nowhere"), "-o", str(tmp_path / "out"))
+    assert done.returncode == 1
+    assert re.fullmatch(r"lfgpu: .* does not exist; [^\n]*\.\n", done.stderr)
+    assert not (tmp_path / "out").exists()
+
+
+def test_help_loads_nothing_heavy() -> None:
+    script = (
+        "import sys\nfrom lfgpu.cli import main\nsys.argv = ['lfgpu', 'depth', '--help']\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 0\n"
+        "heavy = {'numpy', 'scipy', 'matplotlib', 'warp', 'imageio', 'PIL'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    done = python("-c", script)
+    assert done.returncode == 0, done.stderr
+    assert "--disparity-range" in done.stdout

@@ -1,0 +1,351 @@
+"""The whole method on small scenes with exact truth, and what its result says about itself."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lfgpu import scenes
+from lfgpu.config import Config, preset
+from lfgpu.depth import STAGES, estimate_depth
+from lfgpu.errors import BackendError, LightFieldError
+from lfgpu.io import read
+from lfgpu.lightfield import LightField
+from lfgpu.metrics import Metrics, evaluate
+from lfgpu.result import DepthResult
+
+RANGE, WIDE = (-1.5, 1.5), (-3.0, 3.0)
+QUICK = Config().with_values({"refinement.max_iterations": 3, "prior.window": 5})
+
+
+@cache
+def relief(**options: Any) -> LightField:
+    return scenes.make("relief", **({"grid": (7, 7), "size": (96, 96)} | options))
+
+
+@cache
+def small(**options: Any) -> LightField:
+    return relief(**({"grid": (5, 5), "size": (56, 64)} | options))
+
+
+@cache
+def estimated(**options: Any) -> DepthResult:
+    """The default preset on relief, within the range that the scene was made for."""
+    return estimate_depth(relief(**options), disparity_range=options.get("disparity_range", RANGE))
+
+
+def scores(lf: LightField, result: DepthResult) -> dict[str, Metrics]:
+    truth = lf.reference_truth()
+    assert truth is not None
+    return {stage: evaluate(values, truth.disparity) for stage, values in result.stages.items()}
+
+
+def difference(one: np.ndarray, other: np.ndarray) -> float:
+    return float(np.median(np.abs(one - other)))
+
+
+# --- accuracy ---
+
+
+def test_refined_map_of_relief_is_within_two_hundredths_of_a_pixel() -> None:
+    assert scores(relief(), estimated())["refined"].rmse < 0.02
+
+
+def test_refined_map_of_a_wide_relief_is_within_two_hundredths_of_a_pixel() -> None:
+    lf = relief(disparity_range=WIDE)
+    assert scores(lf, estimated(disparity_range=WIDE))["refined"].rmse < 0.02
+
+
+@pytest.mark.parametrize("disparity_range", [RANGE, WIDE], ids=["narrow", "wide"])
+def test_refined_map_is_better_than_what_it_comes_from(disparity_range: tuple[float, float]) -> None:
+    """Over two scenes together: on one of so few pixels chance has a say."""
+    cases = [{"seed": seed, "disparity_range": disparity_range} for seed in range(2)]
+    found = [scores(relief(**case), estimated(**case)) for case in cases]
+    rmse = {stage: np.sqrt(np.mean([score[stage].rmse ** 2 for score in found])) for stage in found[0]}
+    assert rmse["refined"] < rmse["propagated"]
+    assert rmse["refined"] < rmse["local"]
+    bad = {stage: np.mean([score[stage].badpix_07 for score in found]) for stage in found[0]}
+    assert bad["refined"] < bad["propagated"]
+    assert bad["refined"] < bad["local"]
+
+
+@pytest.mark.parametrize(("name", "noise"), [("textureless", 0.0), ("relief", 0.02)], ids=["textureless", "noisy"])
+def test_propagated_map_fills_and_is_better_than_the_local_one(name: str, noise: float) -> None:
+    """Although only what was defined counts in the local map's error."""
+    lf = scenes.make(name, grid=(5, 5), size=(96, 96), noise=noise)
+    found = scores(lf, estimate_depth(lf, disparity_range=RANGE, config=QUICK))
+    assert found["local"].undefined > 2
+    assert found["propagated"].undefined == 0
+    assert found["propagated"].rmse < found["local"].rmse
+
+
+@pytest.mark.data("cotton")
+def test_a_piece_of_a_real_benchmark_is_found(data_folder: Path) -> None:
+    lf = read(data_folder).crop(slice(200, 320), slice(200, 320)).subset("star")
+    result = estimate_depth(lf)
+    found = scores(lf, result)
+    assert found["refined"].badpix_07 < 5
+    assert found["refined"].rmse < 0.05
+    truth = lf.truth.disparity  # type: ignore[union-attr]
+    assert result.disparity_range[0] <= np.quantile(truth, 0.01) < np.quantile(truth, 0.99) <= result.disparity_range[1]
+
+
+@pytest.mark.parametrize("place", [(0, 0), (0, 3), (3, 6), (6, 6)], ids=str)
+def test_any_view_may_be_the_reference(place: tuple[int, int]) -> None:
+    lf = relief(reference=place)
+    result = estimated(reference=place)
+    assert scores(lf, result)["refined"].rmse < 0.035
+    assert result.position == (place[1], place[0])
+
+
+@pytest.mark.parametrize("pattern", ["star", "cross", "row", "column"])
+def test_some_of_the_views_are_enough(pattern: str) -> None:
+    lf = relief().subset(pattern)
+    assert scores(lf, estimate_depth(lf, disparity_range=RANGE))["refined"].rmse < 0.035
+
+
+def test_range_is_found_where_it_is_not_given() -> None:
+    lf = relief(disparity_range=WIDE)
+    result = estimate_depth(lf)
+    truth = lf.truth.disparity  # type: ignore[union-attr]
+    low, high = result.disparity_range
+    assert ((truth >= low) & (truth <= high)).mean() > 0.99
+    assert scores(lf, result)["refined"].rmse < 0.03
+
+
+# --- the same scene in other clothes ---
+
+
+def test_grey_is_colour_of_three_equal_channels() -> None:
+    grey = small(channels=1)
+    colour = LightField(np.repeat(grey.views, 3, axis=3), grey.positions, reference=grey.reference)
+    one, other = (estimate_depth(lf, disparity_range=RANGE).disparity for lf in (grey, colour))
+    assert difference(one, other) < 1e-3
+
+
+def test_float32_is_uint16_without_its_rounding() -> None:
+    one, other = (
+        estimate_depth(small(dtype=dtype), disparity_range=RANGE).disparity for dtype in ("float32", "uint16")
+    )
+    assert difference(one, other) < 1e-3
+
+
+def test_uint8_is_near_float32() -> None:
+    one, other = (estimate_depth(small(dtype=dtype), disparity_range=RANGE).disparity for dtype in ("float32", "uint8"))
+    assert difference(one, other) < 0.01
+
+
+def transposed(lf: LightField) -> LightField:
+    return LightField(np.ascontiguousarray(lf.views.swapaxes(1, 2)), lf.positions[:, ::-1], reference=lf.reference)
+
+
+def mirrored(lf: LightField) -> LightField:
+    return LightField(lf.views[:, :, ::-1].copy(), lf.positions * (-1, 1), reference=lf.reference)
+
+
+def rotated(lf: LightField) -> LightField:
+    """A quarter turn: what was to the right is now below."""
+    turned = np.ascontiguousarray(np.rot90(lf.views, -1, axes=(1, 2)))
+    return LightField(turned, np.stack([-lf.positions[:, 1], lf.positions[:, 0]], 1), reference=lf.reference)
+
+
+@pytest.mark.parametrize(
+    ("turn", "back"),
+    [(transposed, np.transpose), (mirrored, np.fliplr), (rotated, np.rot90)],
+    ids=["transposed", "mirrored", "rotated"],
+)
+def test_a_turned_scene_gives_the_turned_map(turn: Any, back: Any) -> None:
+    lf = small()
+    one, other = (estimate_depth(field, disparity_range=RANGE) for field in (lf, turn(lf)))
+    assert difference(one.stages["propagated"], back(other.stages["propagated"])) < 1e-3
+    assert difference(one.disparity, back(other.disparity)) < 5e-3
+    assert difference(one.confidence, back(other.confidence)) < 1e-3
+
+
+def test_views_masked_out_are_views_left_out() -> None:
+    """Off the reference's row and column, so that the local estimate has nothing to do with them."""
+    lf = small()
+    masked = [0, 4, 8, 20]
+    views, valid = lf.views.copy(), np.ones(lf.views.shape[:3], bool)
+    views[masked], valid[masked] = 255 - views[masked], False
+    broken = LightField(views, lf.positions, reference=lf.reference, valid=valid)
+    left = lf.subset([index for index in range(25) if index not in masked])
+    one, other = (estimate_depth(field, disparity_range=RANGE) for field in (broken, left))
+    # The energies differ by the number of views that they are averaged over, the minima by what that changes.
+    assert difference(one.disparity, other.disparity) < 5e-3
+
+
+def test_masked_pixels_do_not_count() -> None:
+    lf = small()
+    corners = [0, 4, 20, 24]
+    valid = np.ones(lf.views.shape[:3], bool)
+    valid[corners, :20, :20] = False
+    garbage = lf.views.copy()
+    garbage[corners, :20, :20] = 255
+    one, other = (
+        estimate_depth(LightField(views, lf.positions, reference=lf.reference, valid=valid), disparity_range=RANGE)
+        for views in (lf.views, garbage)
+    )
+    assert difference(one.disparity, other.disparity) < 1e-3
+    assert np.abs(one.disparity - other.disparity).max() < 0.05
+
+
+def test_backends_agree_on_the_whole_method() -> None:
+    lf = relief(grid=(3, 3), size=(48, 44))
+    config = Config().with_values({"prior.window": 7, "refinement.tolerance": 1e-5})
+    warp, reference = (
+        estimate_depth(lf, config=config, disparity_range=RANGE, backend=backend, device="cpu")
+        for backend in ("warp", "reference")
+    )
+    for stage in ("propagated", "refined"):
+        assert difference(warp.stages[stage], reference.stages[stage]) < 1e-3
+    assert difference(warp.confidence, reference.confidence) < 1e-4
+    assert (warp.backend, reference.backend) == ("warp", "reference")
+
+
+def test_results_are_the_same_again() -> None:
+    one, other = (estimate_depth(small(), disparity_range=RANGE, device="cpu") for _ in range(2))
+    np.testing.assert_array_equal(one.disparity, other.disparity)
+    np.testing.assert_array_equal(one.confidence, other.confidence)
+    assert one.trace == other.trace
+
+
+# --- the result ---
+
+
+def test_disparities_lie_in_the_range() -> None:
+    result = estimate_depth(small(), disparity_range=(-0.5, 0.75))
+    assert result.disparity_range == (-0.5, 0.75)
+    for stage in ("propagated", "refined"):
+        assert np.float32(-0.5) <= result.stages[stage].min()
+        assert result.stages[stage].max() <= np.float32(0.75)
+
+
+def test_maps_are_float32_of_the_views_size() -> None:
+    result = estimate_depth(small(), disparity_range=RANGE, config=QUICK)
+    assert list(result.stages) == ["local", "propagated", "refined"]
+    for values in (result.disparity, result.confidence, result.depth, *result.stages.values()):
+        assert values is not None
+        assert (values.shape, values.dtype) == ((56, 64), np.float32)
+    np.testing.assert_array_equal(result.disparity, result.stages["refined"])
+
+
+def test_confidence_lies_between_0_and_1_and_is_low_where_there_is_nothing_to_see() -> None:
+    lf = small()
+    views = lf.views.copy()
+    views[:, :, 32:] = 120  # the right half is blank in every view
+    blank = estimate_depth(LightField(views, lf.positions, reference=lf.reference), disparity_range=RANGE, config=QUICK)
+    assert blank.confidence.min() >= 0
+    assert blank.confidence.max() <= 1 + 1e-6
+    assert np.median(blank.confidence[:, 48:]) < 0.1
+    assert np.median(blank.confidence[:, :24]) > 0.7
+
+
+def test_depth_is_that_of_the_geometry() -> None:
+    lf = small()
+    result = estimate_depth(lf, disparity_range=RANGE, config=QUICK)
+    assert lf.geometry is not None
+    assert result.depth is not None
+    np.testing.assert_allclose(result.depth, lf.geometry.depth(result.disparity), rtol=1e-6)
+    without = LightField(lf.views, lf.positions, reference=lf.reference)
+    assert estimate_depth(without, disparity_range=RANGE, config=QUICK).depth is None
+
+
+def test_result_says_how_it_came_about() -> None:
+    result = estimate_depth(small(), disparity_range=RANGE, config=QUICK, device="cpu")
+    assert set(result.timings) == {*STAGES, "total"}
+    assert 0 < max(result.timings[stage] for stage in STAGES) <= result.timings["total"]
+    assert sum(result.timings[stage] for stage in STAGES) <= result.timings["total"]
+    assert result.versions.keys() >= {"lfgpu", "numpy", "scipy", "warp-lang"}
+    assert all(version[0].isdigit() for version in result.versions.values())
+    assert result.status.startswith("Propagation: ")
+    assert " Refinement: " in result.status
+    assert result.status.endswith(".")
+    assert (result.backend, result.device, result.name, result.config) == ("warp", "cpu", "relief", QUICK)
+
+
+def test_energy_falls_and_convergence_is_said() -> None:
+    whole, cut = estimated(), estimate_depth(small(), disparity_range=RANGE, config=QUICK)
+    assert (np.diff(whole.trace) <= 0).all()
+    assert whole.converged
+    assert not cut.converged
+    assert len(cut.trace) == 4
+    assert "limit of iterations" in cut.status
+
+
+def test_no_iterations_of_refinement_leave_the_propagated_map() -> None:
+    config = Config().with_values({"refinement.max_iterations": 0})
+    result = estimate_depth(small(), disparity_range=RANGE, config=config)
+    np.testing.assert_allclose(result.disparity, result.stages["propagated"].clip(*RANGE), rtol=0, atol=1e-6)
+
+
+def test_progress_is_reported_stage_by_stage() -> None:
+    calls: list[tuple[str, int, float]] = []
+    result = estimate_depth(
+        small(), disparity_range=RANGE, config=QUICK, on_progress=lambda *call: calls.append(call)
+    )  # fmt: skip
+    assert tuple(dict.fromkeys(stage for stage, _, _ in calls)) == STAGES
+    for stage in STAGES[1:]:
+        iterations = [iteration for name, iteration, _ in calls if name == stage]
+        assert iterations == list(range(1, len(iterations) + 1))
+    assert [value for stage, _, value in calls if stage == "refine"] == list(result.trace[1:])
+
+
+def test_views_are_left_as_they_were() -> None:
+    lf = small()
+    before = lf.views.copy()
+    estimate_depth(lf, disparity_range=RANGE, config=QUICK)
+    np.testing.assert_array_equal(lf.views, before)
+
+
+def test_a_preset_is_its_parameters() -> None:
+    by_name = estimate_depth(small(), disparity_range=RANGE, config="paper")
+    assert by_name.config == preset("paper")
+    again = estimate_depth(small(), disparity_range=RANGE, config=preset("paper"))
+    np.testing.assert_array_equal(again.disparity, by_name.disparity)
+
+
+# --- errors ---
+
+
+@pytest.mark.parametrize(
+    "wrong", [(1.0, 1.0), (2.0, -2.0), (float("nan"), 1.0), (0.0, float("inf"))], ids=str
+)  # fmt: skip
+def test_a_wrong_range_is_refused(wrong: tuple[float, float]) -> None:
+    with pytest.raises(LightFieldError, match="disparity range must be two finite numbers, low < high"):
+        estimate_depth(small(), disparity_range=wrong)
+
+
+@pytest.mark.parametrize("wrong", [(1.0,), (0.0, 1.0, 2.0), 1.0, ("a", "b")], ids=str)
+def test_what_is_no_range_is_refused(wrong: Any) -> None:
+    with pytest.raises(LightFieldError, match="disparity range must be two finite numbers"):
+        estimate_depth(small(), disparity_range=wrong)
+
+
+def test_a_reference_alone_in_its_row_and_column_is_refused() -> None:
+    lf = small()
+    diagonal = lf.subset([lf.index_of(k, k) for k in range(5)])
+    with pytest.raises(LightFieldError, match="alone in its row and in its column"):
+        estimate_depth(diagonal, disparity_range=RANGE)
+    with pytest.raises(LightFieldError, match="alone in its row and in its column"):
+        estimate_depth(diagonal)
+
+
+@pytest.mark.parametrize("disparity_range", [None, RANGE], ids=str)
+def test_views_without_any_texture_are_refused(disparity_range: tuple[float, float] | None) -> None:
+    flat = LightField.from_grid(np.full((3, 3, 40, 40, 3), 128, np.uint8))
+    with pytest.raises(LightFieldError, match="coherent enough"):
+        estimate_depth(flat, disparity_range=disparity_range)
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(LightFieldError, match="unknown preset 'best'"):
+        estimate_depth(small(), config="best")
+    with pytest.raises(BackendError, match="unknown backend 'fpga'"):
+        estimate_depth(small(), backend="fpga")
+    with pytest.raises(BackendError, match="sees no device 'tpu'"):
+        estimate_depth(small(), device="tpu")

@@ -1,0 +1,189 @@
+"""What is installed, what importing it costs, and which way imports go."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
+HOST = sorted((ROOT / "lfgpu").rglob("*.py"))
+KERNELS = sorted((ROOT / "kernels").rglob("*.py"))
+HEAVY = {"warp", "taichi", "matplotlib", "typer", "rich", "scipy", "imageio", "PIL"}
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def packages_in(folder: Path, name: str) -> set[str]:
+    found = {name}
+    for init in folder.rglob("*/__init__.py"):
+        found.add(".".join((name, *init.parent.relative_to(folder).parts)))
+    return found
+
+
+def run_python(code: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, timeout=60)
+
+
+# --- what is installed ---
+
+
+def test_packages_are_the_tree() -> None:
+    settings = SETTINGS["tool"]["setuptools"]
+    tree = packages_in(ROOT / "lfgpu", "lfgpu") | packages_in(ROOT / "kernels", "lfgpu.kernels")
+    assert set(settings["packages"]) == tree
+    assert len(settings["packages"]) == len(tree)
+    assert settings["package-dir"] == {"lfgpu": "lfgpu", "lfgpu.kernels": "kernels"}
+
+
+def test_no_folder_with_code_is_not_a_package() -> None:
+    for path in (*HOST, *KERNELS):
+        assert (path.parent / "__init__.py").is_file(), name_of(path)
+
+
+def test_the_command_line_entry_exists() -> None:
+    for target in SETTINGS["project"]["scripts"].values():
+        module, _, function = target.partition(":")
+        spec = importlib.util.find_spec(module)
+        assert spec is not None, module
+        assert spec.origin is not None
+        assert function in Path(spec.origin).read_text()
+
+
+def test_type_information_is_installed() -> None:
+    assert "py.typed" in SETTINGS["tool"]["setuptools"]["package-data"]["lfgpu"]
+    assert (ROOT / "lfgpu" / "py.typed").is_file()
+
+
+def test_backends_have_files_of_the_same_names() -> None:
+    """So that a kernel's versions are found at once; a backend may have more of its own."""
+    reference = {path.name for path in (ROOT / "kernels" / "reference").glob("*.py")}
+    for backend in (ROOT / "kernels").iterdir():
+        if (backend / "__init__.py").is_file():
+            assert reference <= {path.name for path in backend.glob("*.py")}, backend.name
+
+
+# --- what importing costs ---
+
+
+@pytest.mark.parametrize("statement", ["import lfgpu", "import lfgpu; lfgpu.Config; lfgpu.LightField; lfgpu.PRESETS"])
+def test_import_loads_nothing_heavy(statement: str, tmp_path: Path) -> None:
+    done = run_python(f"{statement}; import sys; print(*sys.modules, sep='\\n')", tmp_path)
+    assert done.returncode == 0, done.stderr
+    loaded = {module.partition(".")[0] for module in done.stdout.split()}
+    assert not loaded & HEAVY
+
+
+def test_import_loads_few_modules(tmp_path: Path) -> None:
+    done = run_python(
+        "import sys; before = set(sys.modules); import lfgpu; print(len(set(sys.modules) - before))", tmp_path
+    )
+    assert int(done.stdout) < 60
+
+
+def test_every_public_name_is_there(tmp_path: Path) -> None:
+    done = run_python("import lfgpu; print(all(getattr(lfgpu, name) is not None for name in lfgpu.__all__))", tmp_path)
+    assert done.stdout.strip() == "True", done.stderr
+
+
+def test_public_names_are_listed_and_unknown_ones_are_refused() -> None:
+    import lfgpu
+
+    assert set(lfgpu.__all__) == set(lfgpu._HOMES)
+    assert dir(lfgpu) == sorted(lfgpu.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = lfgpu.nothing
+
+
+def test_kernels_are_not_imported_by_another_name() -> None:
+    done = run_python("import kernels", ROOT)
+    assert done.returncode != 0
+    assert "ImportError: the folder kernels/ is the package lfgpu.kernels" in done.stderr
+
+
+# --- which way imports go ---
+
+
+def imports(path: Path, *, everywhere: bool = True) -> Iterator[str]:
+    """Absolute names of what a file imports: everywhere, or only when it is itself imported."""
+    nodes: list[ast.AST] = [ast.parse(path.read_text())]
+    relative = path.relative_to(ROOT).with_suffix("").parts
+    module = ("lfgpu", *relative) if relative[0] == "kernels" else relative
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = (
+                ".".join((*module[: len(module) - node.level], *filter(None, [node.module])))
+                if node.level
+                else node.module
+            )
+            assert base is not None
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+        elif not everywhere and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        elif not everywhere and isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            nodes.extend(node.orelse)
+            continue
+        nodes.extend(ast.iter_child_nodes(node))
+
+
+def within(name: str, *packages: str) -> bool:
+    return any(name == package or name.startswith(f"{package}.") for package in packages)
+
+
+@pytest.mark.parametrize("path", KERNELS, ids=name_of)
+def test_kernels_import_only_the_contract_and_their_own_backend(path: Path) -> None:
+    own = "lfgpu." + ".".join(path.relative_to(ROOT).parts[:2]) if path.parent.name != "kernels" else "lfgpu.kernels"
+    for name in imports(path):
+        if within(name, "lfgpu"):
+            assert within(name, "lfgpu.types", own), f"{name_of(path)} imports {name}"
+
+
+@pytest.mark.parametrize("path", HOST, ids=name_of)
+def test_host_code_loads_no_backend_when_it_is_imported(path: Path) -> None:
+    for name in imports(path, everywhere=False):
+        assert not within(name, "warp", "taichi", "lfgpu.kernels", "kernels"), f"{name_of(path)} imports {name}"
+
+
+@pytest.mark.parametrize("path", HOST, ids=name_of)
+def test_nothing_imports_the_ends_of_the_arrows(path: Path) -> None:
+    """Nothing but themselves, and `python -m lfgpu`, imports the command line, the viewer or the stream."""
+    parts = path.relative_to(ROOT / "lfgpu").with_suffix("").parts
+    for end in ("cli", "viewer", "stream"):
+        if parts[0] not in (end, "__main__"):
+            for name in imports(path):
+                assert not within(name, f"lfgpu.{end}"), f"{name_of(path)} imports {name}"
+
+
+ARROWS = {
+    # what it is: what of lfgpu it may import; DESIGN §3
+    "types.py": (),
+    "errors.py": (),
+    "_backends.py": ("errors", "types"),
+    "config.py": ("errors",),
+    "geometry.py": ("errors", "types"),
+    "solvers/solution.py": ("types",),
+    "solvers/cg.py": ("solvers", "types"),
+    "solvers/lbfgsb.py": ("solvers", "types"),
+    "energy.py": ("model", "prior", "types"),
+    "metrics.py": ("errors", "types"),
+}
+
+
+@pytest.mark.parametrize("name", ARROWS)
+def test_arrows_run_one_way(name: str) -> None:
+    allowed = [f"lfgpu.{module}" for module in ARROWS[name]]
+    for imported in imports(ROOT / "lfgpu" / name):
+        if within(imported, "lfgpu"):
+            assert within(imported, *allowed), f"{name} imports {imported}"

@@ -1,0 +1,171 @@
+"""A result as one file: everything comes back, and what is no result is refused in a sentence."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lfgpu.config import Config
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+from lfgpu.io import holds_result, read_map, read_result, write_result
+from lfgpu.result import DepthResult
+
+SHAPE = (6, 7)
+MAPS = ("disparity", "confidence")
+
+
+def a_result(**changes: Any) -> DepthResult:
+    numbers = np.random.default_rng(1).random((5, *SHAPE)).astype(np.float32)
+    numbers[2, 0, 0] = np.nan
+    result = DepthResult(
+        disparity=numbers[0],
+        confidence=numbers[1],
+        stages={"local": numbers[2], "propagated": numbers[3], "refined": numbers[0]},
+        position=(4.0, 3.0),
+        disparity_range=(-1.25, 1.5),
+        config=Config().with_values({"prior.window": 7, "propagation.solver": "lbfgsb"}),
+        status="It stopped after 3 iterations: so it is.",
+        converged=True,
+        trace=(3.0, 2.5, 0.1 + 0.2),
+        timings={"local": 0.1, "total": 0.3},
+        backend="warp",
+        device="cuda:0",
+        versions={"lfgpu": "0.1.0", "numpy": "2.0"},
+        geometry=Geometry(500.0, 0.05, 4.25, (3.0, 2.5)),
+        name="Käse & $dollars$",
+    )
+    return replace(result, **changes)
+
+
+@pytest.mark.parametrize("geometry", [None, Geometry(500.0, 0.05, 4.25, (3.0, 2.5)), Geometry(480.0, 0.1)])
+def test_everything_comes_back(geometry: Geometry | None, tmp_path: Path) -> None:
+    written = a_result(geometry=geometry)
+    write_result(written, tmp_path / "r.npz")
+    read = read_result(tmp_path / "r.npz")
+    for name in MAPS:
+        np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
+        assert getattr(read, name).dtype == np.float32
+    assert list(read.stages) == list(written.stages)
+    for name, values in written.stages.items():
+        np.testing.assert_array_equal(read.stages[name], values)
+    for field in fields(DepthResult):
+        if field.name not in (*MAPS, "stages"):
+            assert getattr(read, field.name) == getattr(written, field.name), field.name
+
+
+def test_others_can_read_the_file_without_lfgpu(tmp_path: Path) -> None:
+    written = a_result(geometry=Geometry(480.0, 0.1))
+    write_result(written, tmp_path / "r.npz")
+    with np.load(tmp_path / "r.npz", allow_pickle=False) as arrays:
+        assert written.depth is not None
+        np.testing.assert_array_equal(arrays["depth"], written.depth)
+        about = json.loads(str(arrays["lfgpu"]), parse_constant=pytest.fail)  # no NaN, no Infinity: not JSON
+    assert about["geometry"]["focus_distance_m"] is None
+    assert about["config"]["prior"]["window"] == 7
+    assert "larger is nearer" in about["convention"]
+    np.testing.assert_array_equal(read_map(tmp_path / "r.npz"), written.disparity)
+
+
+def test_only_results_are_taken_for_results(tmp_path: Path) -> None:
+    write_result(a_result(), tmp_path / "r.npz")
+    np.savez(tmp_path / "other.npz", disparity=np.zeros(SHAPE))
+    (tmp_path / "text.npz").write_text("no zip")
+    found = [holds_result(tmp_path / name) for name in ("r.npz", "other.npz", "text.npz", "missing.npz")]
+    assert found == [True, False, False, False]
+
+
+def test_a_failed_write_leaves_what_was_there(tmp_path: Path) -> None:
+    write_result(a_result(), tmp_path / "r.npz")
+    before = (tmp_path / "r.npz").read_bytes()
+    with pytest.raises(ValueError, match="JSON"):
+        write_result(a_result(timings={"total": float("nan")}), tmp_path / "r.npz")
+    assert (tmp_path / "r.npz").read_bytes() == before
+    with pytest.raises(LightFieldError, match=r"stored as \.npz"):
+        write_result(a_result(), tmp_path / "r.npy")
+    assert [file.name for file in tmp_path.iterdir()] == ["r.npz"]
+
+
+def changed(content: bytes, change: Callable[[dict[str, Any], dict[str, Any]], None]) -> bytes:
+    """The file with `change(arrays, about)` applied."""
+    with np.load(io.BytesIO(content)) as loaded:
+        arrays = dict(loaded)
+    about = json.loads(str(arrays.pop("lfgpu")))
+    change(arrays, about)
+    buffer = io.BytesIO()
+    np.savez(buffer, **{"lfgpu": np.array(json.dumps(about)), **arrays})
+    return buffer.getvalue()
+
+
+def npy(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array)
+    return buffer.getvalue()
+
+
+def other_npz() -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, disparity=np.zeros(SHAPE))
+    return buffer.getvalue()
+
+
+DAMAGES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
+    "empty": (lambda _: b"", "damaged or no"),
+    "text": (lambda _: b"hello", "damaged or no"),
+    "half": (lambda whole: whole[: len(whole) // 2], "damaged or no"),
+    "a byte": (lambda whole: whole[:200] + bytes([whole[200] ^ 255]) + whole[201:], "damaged or no"),
+    "one array": (lambda _: npy(np.zeros(SHAPE)), "single array"),
+    "other npz": (lambda _: other_npz(), "no array 'lfgpu'"),
+    "not JSON": (lambda whole: changed(whole, lambda a, _: a.update(lfgpu=np.array("{"))), "damaged result"),
+    "a list": (lambda whole: changed(whole, lambda a, _: a.update(lfgpu=np.array("[]"))), "damaged result"),
+    "no status": (lambda whole: changed(whole, lambda _, about: about.pop("status")), "it has no 'status'"),
+    "no map": (lambda whole: changed(whole, lambda a, _: a.pop("confidence")), "it has no 'confidence'"),
+    "wrong size": (lambda whole: changed(whole, lambda a, _: a.update(stage_local=np.zeros((2, 2)))), "stage|local"),
+    "wrong value": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].update(window=8)), "must be odd"),
+    "other parameter": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].update(x=1)), "a version of"),
+    "less parameters": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].pop("window")), "a version of"),
+    "later layout": (lambda whole: changed(whole, lambda _, about: about.update(layout=2)), "a version of"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_what_is_no_result_is_refused(damage: str, tmp_path: Path) -> None:
+    write_result(a_result(), tmp_path / "good.npz")
+    bad, words = tmp_path / "bad.npz", DAMAGES[damage][1]
+    bad.write_bytes(DAMAGES[damage][0]((tmp_path / "good.npz").read_bytes()))
+    with pytest.raises(LightFieldError, match=words) as caught:
+        read_result(bad)
+    assert str(bad) in str(caught.value)
+
+
+def test_pickles_are_not_opened(tmp_path: Path) -> None:
+    np.savez(tmp_path / "bad.npz", lfgpu=np.array([print], dtype=object))
+    with pytest.raises(LightFieldError, match="damaged or no"):
+        read_result(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize(("name", "words"), [("missing.npz", "does not exist"), (".", "cannot be opened")])
+def test_what_is_not_there(name: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(LightFieldError, match=words):
+        read_result(tmp_path / name)
+
+
+def test_noise_in_a_file_is_never_a_traceback(tmp_path: Path, rng: np.random.Generator) -> None:
+    write_result(a_result(), tmp_path / "r.npz")
+    whole = (tmp_path / "r.npz").read_bytes()
+    for _ in range(60):
+        noisy = bytearray(whole)
+        for place in rng.integers(0, len(whole), 8):
+            noisy[place] = rng.integers(0, 256)
+        (tmp_path / "noisy.npz").write_bytes(noisy)
+        for reader in (read_result, read_map):
+            with suppress(LightFieldError):  # or it was read: not every byte matters
+                reader(tmp_path / "noisy.npz")
