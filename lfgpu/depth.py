@@ -127,10 +127,14 @@ def estimate_depth(
 
 
 def _checked_range(disparity_range: tuple[float, float], lf: LightField) -> tuple[float, float]:
-    low, high = (float(bound) for bound in disparity_range)
+    try:
+        low, high = (float(bound) for bound in disparity_range)
+    except (TypeError, ValueError):
+        low = high = np.nan
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise LightFieldError(
-            f"disparity range must be two finite numbers, low < high, in pixels per view step; found {low:g}, {high:g}."
+            "disparity range must be two finite numbers, low < high, in pixels per view step; found "
+            f"{disparity_range!r}."
         )
     least = 0.0 if low <= 0 <= high else min(abs(low), abs(high))
     reach, size = np.abs(lf.offsets).max(), max(lf.size)

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter, minimum_filter1d
 
 from lfgpu.config import LocalConfig, PropagationConfig
 from lfgpu.errors import LightFieldError
@@ -63,9 +64,14 @@ def local_estimate(
             floor=config.gradient_floor,
         )
         disparity_out, coherence_out = kernels.zeros(size, device), kernels.zeros(size, device)
+        valid = None if lf.valid is None else lf.valid[line]
+        if valid is not None and vertical:
+            valid = valid.swapaxes(1, 2)
         for shear in shears:
             tensor(float(shear), disparity_out, coherence_out)
             disparity, coherence = kernels.numpy(disparity_out), kernels.numpy(coherence_out)
+            if valid is not None:
+                coherence[~_rests_on_valid(valid, offsets, float(shear), config)] = -1
             if vertical:
                 disparity, coherence = disparity.T, coherence.T
             # Beyond its neighbours' places a shear aliases, however coherent it looks.
@@ -203,6 +209,19 @@ def propagate(
         max_iterations=config.max_iterations,
         callback=callback,
     )
+
+
+def _rests_on_valid(
+    valid: NDArray[np.bool_], offsets: Float64Array, shear: float, config: LocalConfig
+) -> NDArray[np.bool_]:
+    """Where nothing that the filters reach is invalid: [y, x] from masks [u, y, x], sheared as the EPIs are."""
+    reach = _reach(config.inner_scale) + _reach(config.outer_scale)
+    columns = np.arange(valid.shape[2])
+    clean = np.ones(valid.shape[1:], np.bool_)
+    for mask, offset in zip(valid, offsets, strict=True):
+        if abs(offset) <= reach:
+            clean &= mask[:, np.clip(np.round(columns - shear * offset).astype(int), 0, len(columns) - 1)]
+    return np.asarray(minimum_filter1d(clean, 2 * int(reach) + 3, axis=1), np.bool_)  # and one for the shear's rounding
 
 
 def _reach(scale: float) -> float:

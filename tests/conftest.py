@@ -92,7 +92,8 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         "absent": [target for target in targets if target.kernels is None],
     }
     for name, values in chosen.items():
-        if name in metafunc.fixturenames:
+        own = any(name in mark.args[0] for mark in metafunc.definition.iter_markers("parametrize"))
+        if name in metafunc.fixturenames and not own:
             metafunc.parametrize(name, values, ids=str)
 
 

@@ -146,7 +146,6 @@ def test_the_mirrored_scene_gives_the_mirrored_map(axis: int) -> None:
     assert np.quantile(np.abs(one.disparity - np.flip(other.disparity, 1 - axis)), 0.99) < 1e-4
 
 
-@pytest.mark.xfail(strict=True, reason="the local estimate does not look at validity masks")
 def test_masked_pixels_of_the_row_do_not_count() -> None:
     lf = relief()
     others = [index for index in lf.row() if index != lf.reference]

@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from warp.utils import array_inner
 
 wp.set_module_options({"enable_backward": False})
+
+_DOT_THREADS = 16384
 
 
 @wp.kernel
@@ -29,10 +30,21 @@ def _clamp_kernel(x: wp.array(dtype=float), low: float, high: float, x_out: wp.a
     x_out[i] = wp.clamp(x[i], low, high)
 
 
+@wp.kernel
+def _dot_kernel(x: wp.array(dtype=float), y: wp.array(dtype=float), threads: int, sum_out: wp.array(dtype=wp.float64)):
+    total = wp.float64(0.0)
+    first = wp.tid()
+    for i in range(first, x.shape[0], threads):
+        total = total + wp.float64(x[i]) * wp.float64(y[i])
+    wp.atomic_add(sum_out, 0, total)
+
+
 def dot(a: Any, b: Any) -> float:
     if a.device.is_cpu:
         return float(np.einsum("i,i->", a.numpy().ravel(), b.numpy().ravel(), dtype=np.float64))
-    return float(array_inner(a.flatten(), b.flatten()))
+    total = wp.zeros(1, dtype=wp.float64, device=a.device)
+    wp.launch(_dot_kernel, _DOT_THREADS, [a.flatten(), b.flatten(), _DOT_THREADS], [total], device=a.device)
+    return float(total.numpy()[0])
 
 
 def copy(source: Any, target_out: Any) -> None:

@@ -10,6 +10,8 @@ from scipy.optimize import minimize
 from lfgpu.solvers.solution import Solution
 from lfgpu.types import Float32Array, Float64Array
 
+_REASONS = {0: "the energy no longer falls", 1: "the limit of iterations is reached"}  # scipy's status
+
 
 def minimize_lbfgsb(
     value_and_gradient: Callable[[Float64Array], tuple[float, Float64Array]],
@@ -40,6 +42,8 @@ def minimize_lbfgsb(
     shape = start.shape
     first = np.clip(start, *bounds).astype(np.float64)
     trace = [value_and_gradient(first)[0]]
+    if max_iterations == 0:  # scipy would make one all the same
+        return Solution(first.astype(np.float32), False, "no iteration was allowed.", 0, 1, tuple(trace))
 
     def flat(x: Float64Array) -> tuple[float, Float64Array]:
         value, gradient = value_and_gradient(x.reshape(shape))
@@ -59,7 +63,7 @@ def minimize_lbfgsb(
         callback=after_iteration,
         options={"maxiter": max_iterations, "maxfun": 10 * max_iterations + 10, "ftol": tolerance, "gtol": 0.0},
     )
-    reason = "the energy no longer falls" if result.success else "the limit of iterations is reached"
+    reason = _REASONS.get(result.status, "the line search finds nothing lower")
     return Solution(
         result.x.reshape(shape).astype(np.float32),
         bool(result.success),
