@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,53 +43,63 @@ def local_estimate(
     around it, the most coherent one is kept. LightFieldError where neither row nor column has a second view.
     """
     low, high = disparity_range
-    count = max(1, int(np.ceil((high - low) / config.shear_step)))
-    shears = low + (np.arange(count) + 0.5) * (high - low) / count
-    if config.shear_step == round(config.shear_step):
-        # Whole shears need no interpolation on a regular grid.
-        shears = np.arange(np.round(low), np.round(high) + 0.5 * config.shear_step, config.shear_step)
-    best = Local(np.zeros(lf.size, np.float32), np.full(lf.size, -1, np.float32))
-    for vertical, line in ((False, lf.row()), (True, lf.column())):
-        if len(line) < 2:
-            continue
-        views, offsets = lf.views[line], lf.offsets[line, int(vertical)]
-        if vertical:
-            views = np.ascontiguousarray(views.swapaxes(1, 2))
-        size = views.shape[1:3]
-        filters = StructureFilters(*(kernels.field(f, device) for f in structure_filters(offsets, config)))
-        tensor = kernels.structure_tensor(
-            kernels.image(views, device),
-            kernels.field(offsets, device),
-            filters,
-            scale=lf.scale,
-            floor=config.gradient_floor,
+    if max(len(lf.row()), len(lf.column())) < 2:
+        raise LightFieldError(
+            f"{lf.name}: the reference view is alone in its row and in its column of views, but the local estimate "
+            "needs a second view in one of them; pick another reference view."
         )
-        disparity_out, coherence_out = kernels.zeros(size, device), kernels.zeros(size, device)
-        valid = None if lf.valid is None else lf.valid[line]
-        if valid is not None and vertical:
-            valid = valid.swapaxes(1, 2)
-        for shear in shears:
-            tensor(float(shear), disparity_out, coherence_out)
-            disparity, coherence = kernels.numpy(disparity_out), kernels.numpy(coherence_out)
-            if valid is not None:
-                coherence[~_rests_on_valid(valid, offsets, float(shear), config)] = -1
-            if vertical:
-                disparity, coherence = disparity.T, coherence.T
+    # Multiples of the step: whole shears need no interpolation on a regular grid.
+    steps = np.arange(np.round(low / config.shear_step), np.round(high / config.shear_step) + 1)
+    best = Local(np.zeros(lf.size, np.float32), np.full(lf.size, -1, np.float32))
+    for vertical in (False, True):
+        for shear, disparity, coherence in _line_estimates(
+            lf, vertical, steps * config.shear_step, config, kernels, device
+        ):
             # Beyond its neighbours' places a shear aliases, however coherent it looks.
             trusted = (np.abs(disparity - shear) <= config.shear_step) & (disparity >= low) & (disparity <= high)
             better = trusted & (coherence > best.coherence)
             best.disparity[better], best.coherence[better] = disparity[better], coherence[better]
     if (best.coherence < 0).all():
-        if max(len(lf.row()), len(lf.column())) < 2:
-            raise LightFieldError(
-                f"{lf.name}: the reference view is alone in its row and in its column of views, but the local estimate "
-                "needs a second view in one of them; pick another reference view."
-            )
         raise LightFieldError(
             f"{lf.name}: no estimate lies in the disparity range {low:g} to {high:g}; give a wider one."
         )
     defined = (best.coherence > 0) & (best.coherence >= config.coherence_threshold)
     return Local(best.disparity, np.where(defined, best.coherence, np.float32(0)))
+
+
+def _line_estimates(
+    lf: LightField, vertical: bool, shears: Float64Array, config: LocalConfig, kernels: KernelSet, device: str
+) -> Iterator[tuple[float, Float32Array, Float32Array]]:
+    """(shear, disparity [y, x], coherence [y, x]) from the reference's row or column of views, for each shear.
+
+    Coherence is -1 where the estimate rests on invalid pixels.
+    """
+    line = lf.column() if vertical else lf.row()
+    if len(line) < 2:
+        return
+
+    def turned(a: Any) -> Any:
+        """A column of views lies like a row once x and y change places."""
+        return np.ascontiguousarray(a.swapaxes(-2, -1)) if vertical else a
+
+    views, offsets = lf.views[line], lf.offsets[line, int(vertical)]
+    if vertical:
+        views = np.ascontiguousarray(views.swapaxes(1, 2))
+    valid = None if lf.valid is None else turned(lf.valid[line])
+    tensor = kernels.structure_tensor(
+        kernels.image(views, device),
+        kernels.field(offsets, device),
+        StructureFilters(*(kernels.field(f, device) for f in structure_filters(offsets, config))),
+        scale=lf.scale,
+        floor=config.gradient_floor,
+    )
+    disparity, coherence = kernels.zeros(views.shape[1:3], device), kernels.zeros(views.shape[1:3], device)
+    for shear in shears:
+        tensor(float(shear), disparity, coherence)
+        trust = kernels.numpy(coherence)
+        if valid is not None:
+            trust[~_rests_on_valid(valid, offsets, float(shear), config)] = -1
+        yield float(shear), turned(kernels.numpy(disparity)), turned(trust)
 
 
 def structure_filters(offsets: Float64Array, config: LocalConfig) -> StructureFilters:

@@ -112,78 +112,44 @@ _ROW_LOOP = """
 """
 
 
-def _row_loop(term: str) -> str:
-    return _ROW_LOOP.replace("TERM", term)
+@cache
+def _operator(name: str, term: str, keep: float) -> Any:
+    """The kernel that starts from `keep` times the values and adds `term` for each pixel of the window."""
 
+    @wp.func_native(_ROW_LOOP.replace("TERM", term))
+    def add_row(
+        weight: wp.array(dtype=float),
+        here: wp.array(dtype=float),
+        other: wp.array(dtype=float),
+        dx: int,
+        back: int,
+        lane: int,
+        lanes: int,
+        sums: wp.array(dtype=float),
+    ): ...
 
-@wp.func_native(_row_loop("s[x] += w[x + back] * o[x + dx]"))
-def _add_neighbors(
-    weight: wp.array(dtype=float),
-    here: wp.array(dtype=float),
-    other: wp.array(dtype=float),
-    dx: int,
-    back: int,
-    lane: int,
-    lanes: int,
-    sums: wp.array(dtype=float),
-): ...
+    @wp.kernel(module=f"lfgpu_nlm_{name}", enable_backward=False)
+    def operator_kernel(
+        weights: wp.array3d(dtype=float),
+        values: wp.array2d(dtype=float),
+        half_window: wp.array(dtype=wp.vec2i),
+        row: int,
+        lanes: int,
+        sums_out: wp.array2d(dtype=float),
+    ):
+        y, lane = wp.tid()
+        y = y + row
+        for x in range(lane, values.shape[1], lanes):
+            sums_out[y, x] = wp.static(keep) * values[y, x]
+        for k in range(half_window.shape[0]):
+            dy = half_window[k][0]
+            dx = half_window[k][1]
+            if y + dy < values.shape[0]:
+                add_row(weights[k, y], values[y], values[y + dy], dx, 0, lane, lanes, sums_out[y])
+            if y - dy >= 0:
+                add_row(weights[k, y - dy], values[y], values[y - dy], -dx, -dx, lane, lanes, sums_out[y])
 
-
-@wp.func_native(_row_loop("s[x] += w[x + back] * (h[x] - o[x + dx])"))
-def _add_flow(
-    weight: wp.array(dtype=float),
-    here: wp.array(dtype=float),
-    other: wp.array(dtype=float),
-    dx: int,
-    back: int,
-    lane: int,
-    lanes: int,
-    sums: wp.array(dtype=float),
-): ...
-
-
-@wp.kernel
-def _neighbors_kernel(
-    weights: wp.array3d(dtype=float),
-    values: wp.array2d(dtype=float),
-    half_window: wp.array(dtype=wp.vec2i),
-    row: int,
-    lanes: int,
-    sums_out: wp.array2d(dtype=float),
-):
-    y, lane = wp.tid()
-    y = y + row
-    for x in range(lane, values.shape[1], lanes):
-        sums_out[y, x] = values[y, x]
-    for k in range(half_window.shape[0]):
-        dy = half_window[k][0]
-        dx = half_window[k][1]
-        if y + dy < values.shape[0]:
-            _add_neighbors(weights[k, y], values[y], values[y + dy], dx, 0, lane, lanes, sums_out[y])
-        if y - dy >= 0:
-            _add_neighbors(weights[k, y - dy], values[y], values[y - dy], -dx, -dx, lane, lanes, sums_out[y])
-
-
-@wp.kernel
-def _laplacian_kernel(
-    weights: wp.array3d(dtype=float),
-    values: wp.array2d(dtype=float),
-    half_window: wp.array(dtype=wp.vec2i),
-    row: int,
-    lanes: int,
-    laplacian_out: wp.array2d(dtype=float),
-):
-    y, lane = wp.tid()
-    y = y + row
-    for x in range(lane, values.shape[1], lanes):
-        laplacian_out[y, x] = 0.0
-    for k in range(half_window.shape[0]):
-        dy = half_window[k][0]
-        dx = half_window[k][1]
-        if y + dy < values.shape[0]:
-            _add_flow(weights[k, y], values[y], values[y + dy], dx, 0, lane, lanes, laplacian_out[y])
-        if y - dy >= 0:
-            _add_flow(weights[k, y - dy], values[y], values[y - dy], -dx, -dx, lane, lanes, laplacian_out[y])
+    return operator_kernel
 
 
 @cache
@@ -207,18 +173,25 @@ def nlm_weights(
     steps = _half_window(window, device.alias)
     features = wp.empty(image.shape, dtype=pixel_type(3 * channels), device=device)
     color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
-    dim = (*weights_out.shape[:2], threads)
     wp.launch(kernels.features, (image.shape[0], threads), [image, color, gradient, threads], [features], device=device)
-    wp.launch(kernels.distance, dim, [features, steps, threads], [scratch_out], device=device)
-    wp.launch(_weight_kernel, dim, [scratch_out, steps, patch // 2, floor, threads], [weights_out], device=device)
+    load(device, kernels.distance, _weight_kernel)
+
+    def some_neighbors(_: int, first: int, last: int) -> None:
+        some, distances, dim = steps[first:last], scratch_out[first:last], (last - first, image.shape[0], threads)
+        wp.launch(kernels.distance, dim, [features, some, threads], [distances], device=device)
+        inputs = [distances, some, patch // 2, floor, threads]
+        wp.launch(_weight_kernel, dim, inputs, [weights_out[first:last]], device=device)
+
+    in_slices(device, weights_out.shape[0], some_neighbors)
 
 
 def nlm_neighbors(weights: Any, values: Any, *, window: int, sums_out: Any) -> None:
-    _apply(_neighbors_kernel, weights, values, window, sums_out)
+    _apply(_operator("neighbors", "s[x] += w[x + back] * o[x + dx]", 1.0), weights, values, window, sums_out)
 
 
 def nlm_laplacian(weights: Any, values: Any, *, window: int, laplacian_out: Any) -> None:
-    _apply(_laplacian_kernel, weights, values, window, laplacian_out)
+    flow = "s[x] += w[x + back] * (h[x] - o[x + dx])"
+    _apply(_operator("laplacian", flow, 0.0), weights, values, window, laplacian_out)
 
 
 def _apply(kernel: Any, weights: Any, values: Any, window: int, result_out: Any) -> None:
