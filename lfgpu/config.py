@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 from typing import Any
 
 from lfgpu.errors import LightFieldError
@@ -27,10 +28,10 @@ class _Checked:
             if "choices" in meta:
                 if value not in meta["choices"]:
                     raise LightFieldError(f"{f.name} must be one of {', '.join(meta['choices'])}, not {value!r}.")
-            elif isinstance(value, bool) or not isinstance(value, int | float):
+            elif isinstance(value, bool) or not isinstance(value, Real):
                 raise LightFieldError(f"{f.name} must be a number, not {value!r}.")
-            elif isinstance(f.default, int) and not isinstance(value, int):
-                raise LightFieldError(f"{f.name} must be a whole number, not {value:g}.")
+            elif isinstance(f.default, int) and not isinstance(value, Integral):
+                raise LightFieldError(f"{f.name} must be a whole number, not {float(value):g}.")
             elif not meta["low"] <= value <= meta["high"]:
                 raise LightFieldError(f"{f.name} must lie in {meta['low']:g} to {meta['high']:g}, not {value:g}.")
             elif meta["odd"] and value % 2 == 0:
@@ -63,7 +64,7 @@ class PriorConfig(_Checked):
     window: int = _number(11, 3, 31, "side of the neighbourhood, pixels", symbol="N", odd=True)
     patch: int = _number(3, 1, 9, "side of the patches that are compared, pixels", symbol="patch P", odd=True)
     sigma_color: float = _number(
-        0.015, 1e-3, 10.0, "root mean square colour difference of patches that halves trust (to 1/e), intensity",
+        0.015, 1e-3, 10.0, "root mean square colour difference of patches that lowers their weight to 1/e, intensity",
         symbol="σ_color / √|P|",
     )  # fmt: skip
     sigma_gradient: float = _number(
@@ -100,7 +101,9 @@ class RefinementConfig(_Checked):
         "0 compares raw intensities, as the paper does",
     )  # fmt: skip
     contrast_floor: float = _number(0.01, 1e-4, 1.0, "contrast that is taken for noise, intensity")
-    tolerance: float = _number(1e-4, 0.0, 1e-1, "stop when an iteration lowers the energy by less, relative")
+    tolerance: float = _number(
+        1e-4, 0.0, 1e-1, "stop when an iteration lowers the energy by less than this share of the first energy"
+    )
     max_iterations: int = _number(100, 0, 10000, "stop after as many iterations")
 
 
@@ -140,7 +143,12 @@ def parameters(config: Config) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
 
 
 PRESETS = {"paper": Config()}
-"""Complete parameter sets by name: `paper` is Sajjadi et al. 2016."""
+"""Complete parameter sets by name.
+
+`paper` is the method of Sajjadi et al. 2016, but for the local contrast normalisation of the views before they are
+compared, the floor of the weights and the rim that is left out: README says why. With `refinement.detail_scale` 0 the
+data term is the paper's.
+"""
 
 
 def preset(name: str) -> Config:

@@ -66,6 +66,8 @@ def estimate_depth(
         If the backend or the device is not there.
     """
     parameters = preset(config) if isinstance(config, str) else config
+    if not isinstance(parameters, Config):
+        raise LightFieldError(f"config must be a Config or the name of a preset, not {type(config).__name__}.")
     bounds = None if disparity_range is None else _checked_range(disparity_range, lf)
     kernels = load(backend)
     where = pick_device(kernels, device)
@@ -88,7 +90,9 @@ def estimate_depth(
                 bounds = find_disparity_range(lf, parameters.local, kernels, where)
             local = local_estimate(lf, bounds, parameters.local, kernels, where)
         with timed("propagate"):
-            prior = NonLocalMeans(lf.image(lf.reference_index), parameters.prior, kernels, where)
+            reference = lf.reference_index
+            valid = None if lf.valid is None else lf.valid[reference]
+            prior = NonLocalMeans(lf.image(reference), parameters.prior, kernels, where, valid=valid)
             filled = propagate(local, prior, parameters.propagation, report("propagate"))
             confidence = prior.mean(local.coherence)
         with timed("refine"):
@@ -102,7 +106,7 @@ def estimate_depth(
                 max_iterations=parameters.refinement.max_iterations,
                 callback=report("refine"),
             )
-    position = lf.positions[lf.reference_index]
+    position = lf.positions[reference]
     return DepthResult(
         disparity=refined.values,
         confidence=confidence,
@@ -136,12 +140,11 @@ def _checked_range(disparity_range: tuple[float, float], lf: LightField) -> tupl
             "disparity range must be two finite numbers, low < high, in pixels per view step; found "
             f"{disparity_range!r}."
         )
-    least = 0.0 if low <= 0 <= high else min(abs(low), abs(high))
-    reach, size = np.abs(lf.offsets).max(), max(lf.size)
-    if least * reach >= size:
+    distances = np.abs(lf.offsets).max(1)
+    nearest, size = distances[distances > 0].min(), max(lf.size)
+    if max(abs(low), abs(high)) * nearest >= size:
         raise LightFieldError(
-            f"disparity range {low:g}, {high:g} is in pixels per view step: it moves everything by at least "
-            f"{least * reach:g} px between the reference and the outermost view, out of views of {size} px; give "
-            "smaller disparities."
+            f"disparity range {low:g}, {high:g} is in pixels per view step: already the nearest view would be shifted "
+            f"by {max(abs(low), abs(high)) * nearest:g} px, out of views of {size} px; give smaller disparities."
         )
     return low, high

@@ -16,8 +16,8 @@ from lfgpu.types import Float32Array
 _TRUNCATE = 2.5  # Gaussians end after as many standard deviations
 
 
-def normalized_views(lf: LightField, scale: float, floor: float) -> Float32Array:
-    """Every view without its local mean and in units of its local contrast: float32 [n, y, x, c].
+def normalized_views(lf: LightField, which: NDArray[np.intp], scale: float, floor: float) -> Float32Array:
+    """Some views without their local mean and in units of their local contrast: float32 [n, y, x, c].
 
     The generative model adds up what lands on a pixel, so that its brightness follows the coverage, which on slanted
     surfaces is not 1: comparing raw intensities bends them. Detail has no brightness to follow, faint texture counts as
@@ -27,6 +27,8 @@ def normalized_views(lf: LightField, scale: float, floor: float) -> Float32Array
     ----------
     lf
         The light field. What its validity masks leave out does not leak into what is valid.
+    which
+        Indices of the views that are wanted.
     scale
         Standard deviation in pixels of the Gaussian whose local mean is taken off; contrast is measured over twice as
         much. 0 returns the intensities as they are.
@@ -34,19 +36,20 @@ def normalized_views(lf: LightField, scale: float, floor: float) -> Float32Array
         Contrast that is taken for noise, in intensity: less of it is not amplified to 1.
     """
     if scale == 0:
-        return np.stack([lf.image(index) for index in range(len(lf.views))])
-    out = np.empty(lf.views.shape, np.float32)
+        return np.stack([lf.image(index) for index in which])
+    out = np.empty((len(which), *lf.views.shape[1:]), np.float32)
 
-    def normalize(index: int) -> None:
+    def normalize(place: int) -> None:
+        index = int(which[place])
         mean = _local_mean(scale, None if lf.valid is None else lf.valid[index])
         wide = _local_mean(2 * scale, None if lf.valid is None else lf.valid[index])
         image = lf.image(index)
         detail = image - np.stack([mean(channel) for channel in np.moveaxis(image, 2, 0)], axis=2)
         contrast = np.sqrt(wide((detail**2).mean(2)) + np.float32(floor**2))
-        out[index] = detail / contrast[..., None]
+        out[place] = detail / contrast[..., None]
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(normalize, range(len(lf.views))))
+        list(pool.map(normalize, range(len(which))))
     return out
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter, minimum_filter1d
+from scipy.ndimage import minimum_filter1d
 
 from lfgpu.config import LocalConfig, PropagationConfig
 from lfgpu.errors import LightFieldError
@@ -20,10 +20,12 @@ from lfgpu.solvers.solution import Solution
 from lfgpu.types import Float32Array, Float64Array, KernelSet, StructureFilters
 
 _NEGLIGIBLE = 1e-3  # filters end where their Gaussian has fallen below this
-_RANGE_LEVEL = 4  # the disparity range is looked for in views shrunk as many times,
-_RANGE_REACH = 4  # where it spans at most as many pixels per view step either way,
+_RANGE_LEVELS = (4, 8, 16)  # the disparity range is looked for in views shrunk as many times,
+_RANGE_LEAST = 16  # but not below this many pixels,
+_RANGE_REACH = 4.0  # where it spans at most as many pixels between neighbouring views either way,
 _RANGE_TAIL = 0.002  # without this share of the estimates at either end,
-_RANGE_MARGIN = 0.3  # and with this margin, pixels per view step at full size.
+_RANGE_MARGIN = 0.3  # and with this margin, pixels between neighbouring views at full size.
+_RANGE_SHARE = 0.8  # A finer level will do where it is coherent at as large a share of pixels.
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,31 +50,25 @@ def local_estimate(
             f"{lf.name}: the reference view is alone in its row and in its column of views, but the local estimate "
             "needs a second view in one of them; pick another reference view."
         )
-    # Multiples of the step: whole shears need no interpolation on a regular grid.
-    steps = np.arange(np.round(low / config.shear_step), np.round(high / config.shear_step) + 1)
-    best = Local(np.zeros(lf.size, np.float32), np.full(lf.size, -1, np.float32))
+    best = Local(np.zeros(lf.size, np.float32), np.zeros(lf.size, np.float32))
     for vertical in (False, True):
-        for shear, disparity, coherence in _line_estimates(
-            lf, vertical, steps * config.shear_step, config, kernels, device
-        ):
-            # Beyond its neighbours' places a shear aliases, however coherent it looks.
-            trusted = (np.abs(disparity - shear) <= config.shear_step) & (disparity >= low) & (disparity <= high)
-            better = trusted & (coherence > best.coherence)
+        for trusted, disparity, coherence in _line_estimates(lf, vertical, disparity_range, config, kernels, device):
+            better = trusted & (disparity >= low) & (disparity <= high) & (coherence > best.coherence)
             best.disparity[better], best.coherence[better] = disparity[better], coherence[better]
-    if (best.coherence < 0).all():
-        raise LightFieldError(
-            f"{lf.name}: no estimate lies in the disparity range {low:g} to {high:g}; give a wider one."
-        )
-    defined = (best.coherence > 0) & (best.coherence >= config.coherence_threshold)
-    return Local(best.disparity, np.where(defined, best.coherence, np.float32(0)))
+    return Local(best.disparity, np.where(best.coherence >= config.coherence_threshold, best.coherence, np.float32(0)))
 
 
 def _line_estimates(
-    lf: LightField, vertical: bool, shears: Float64Array, config: LocalConfig, kernels: KernelSet, device: str
-) -> Iterator[tuple[float, Float32Array, Float32Array]]:
-    """(shear, disparity [y, x], coherence [y, x]) from the reference's row or column of views, for each shear.
+    lf: LightField,
+    vertical: bool,
+    disparity_range: tuple[float, float],
+    config: LocalConfig,
+    kernels: KernelSet,
+    device: str,
+) -> Iterator[tuple[NDArray[np.bool_], Float32Array, Float32Array]]:
+    """(trusted, disparity, coherence), each [y, x], from the reference's row or column of views, one for each shear.
 
-    Coherence is -1 where the estimate rests on invalid pixels.
+    All is done in steps between neighbouring cameras of the line, in which aliasing sets in at a disparity of about 1.
     """
     line = lf.column() if vertical else lf.row()
     if len(line) < 2:
@@ -86,20 +82,34 @@ def _line_estimates(
     if vertical:
         views = np.ascontiguousarray(views.swapaxes(1, 2))
     valid = None if lf.valid is None else turned(lf.valid[line])
+    spacing = _spacing(offsets)
+    offsets = offsets / spacing
+    filters = structure_filters(offsets, config)
     tensor = kernels.structure_tensor(
         kernels.image(views, device),
         kernels.field(offsets, device),
-        StructureFilters(*(kernels.field(f, device) for f in structure_filters(offsets, config))),
+        StructureFilters(*(kernels.field(f, device) for f in filters)),
         scale=lf.scale,
         floor=config.gradient_floor,
     )
-    disparity, coherence = kernels.zeros(views.shape[1:3], device), kernels.zeros(views.shape[1:3], device)
-    for shear in shears:
-        tensor(float(shear), disparity, coherence)
-        trust = kernels.numpy(coherence)
+    disparity_out, coherence_out = kernels.zeros(views.shape[1:3], device), kernels.zeros(views.shape[1:3], device)
+    # Multiples of the step: whole shears need no interpolation on a regular grid.
+    first, last = (np.round(bound * spacing / config.shear_step) for bound in disparity_range)
+    for shear in np.arange(first, last + 1) * config.shear_step:
+        tensor(float(shear), disparity_out, coherence_out)
+        disparity = kernels.numpy(disparity_out)
+        # Beyond its neighbours' places a shear aliases, however coherent it looks.
+        trusted = np.abs(disparity - shear) <= config.shear_step
         if valid is not None:
-            trust[~_rests_on_valid(valid, offsets, float(shear), config)] = -1
-        yield float(shear), turned(kernels.numpy(disparity)), turned(trust)
+            used = (filters.along_value != 0).any(0)
+            trusted &= _rests_on_valid(valid[used], offsets[used], float(shear), config)
+        yield turned(trusted), turned(disparity) / np.float32(spacing), turned(kernels.numpy(coherence_out))
+
+
+def _spacing(offsets: Float64Array) -> float:
+    """The distance of the nearest neighbours among views at `offsets`, in view steps; nearly equal ones are one."""
+    gaps = np.diff(np.sort(offsets))
+    return float(gaps[gaps > 1e-3 * gaps.max()].min())
 
 
 def structure_filters(offsets: Float64Array, config: LocalConfig) -> StructureFilters:
@@ -113,10 +123,11 @@ def structure_filters(offsets: Float64Array, config: LocalConfig) -> StructureFi
     value, slope = np.zeros((2, len(places), len(offsets)))
     for m, place in enumerate(places):
         distance = offsets - place
-        near = np.abs(distance) <= inner
-        if near.sum() < 2:  # far apart cameras: the nearest two
+        near, scale = np.abs(distance) <= inner, config.inner_scale
+        if near.sum() < 2:  # a small scale or an uneven line: the nearest two
             near[np.argsort(np.abs(distance))[:2]] = True
-        weight = np.where(near, _gaussian(distance, max(config.inner_scale, np.abs(distance[near]).max() / 3)), 0)
+            scale = max(scale, np.abs(distance[near]).max() / 3)
+        weight = np.where(near, _gaussian(distance, scale), 0)
         weight /= weight.sum()
         mean = (weight * distance).sum()
         centred = weight * (distance - mean)
@@ -139,20 +150,43 @@ def structure_filters(offsets: Float64Array, config: LocalConfig) -> StructureFi
 def find_disparity_range(lf: LightField, config: LocalConfig, kernels: KernelSet, device: str) -> tuple[float, float]:
     """The range of disparities in the scene, found from the views alone.
 
-    Coherent structure tensor estimates on shrunk views, where disparities are small, span it; a few outliers at
-    either end are left out and a margin is added. Pixels per view step of the full-size views.
+    Coherent structure tensor estimates on shrunk views, where disparities are small, span it; what stands alone and a
+    few outliers at either end are left out and a margin is added. Views are shrunk 4 to 16 times, as it takes and as
+    their size allows: up to 16 to 64 pixels between neighbouring views are found. Pixels per view step of the full-size
+    views. LightFieldError where no structure is coherent or disparities reach the end of what is searched.
     """
-    level = max(1, min(_RANGE_LEVEL, min(lf.size) // 16))
-    coarse = local_estimate(lf.downsampled(level), (-_RANGE_REACH, _RANGE_REACH), config, kernels, device)
-    # What stands alone among its neighbours is taken for an outlier.
-    found = median_filter(coarse.disparity, 3)[coarse.coherence > 0]
-    if found.size == 0:
+    lines = [(lf.row(), 0), (lf.column(), 1)]
+    spacing = max((_spacing(lf.offsets[line, axis]) for line, axis in lines if len(line) > 1), default=1.0)
+    reach = _RANGE_REACH / spacing
+    found: dict[int, Float32Array] = {}
+    share: dict[int, float] = {}
+    for level in _RANGE_LEVELS:
+        if level == _RANGE_LEVELS[0] or min(lf.size) // level >= _RANGE_LEAST:
+            level = max(1, min(level, min(lf.size) // _RANGE_LEAST))
+            coarse = local_estimate(lf.downsampled(level), (-reach, reach), config, kernels, device)
+            found[level] = _without_outliers(coarse)
+            share[level] = found[level].size / coarse.disparity.size
+    enough = _RANGE_SHARE * max(share.values())
+    level = next(level for level in share if share[level] >= enough)
+    if found[level].size == 0:
         raise LightFieldError(
-            f"{lf.name}: no structure is coherent enough to find the disparity range; give disparity_range yourself, "
-            "or lower local.coherence_threshold."
+            f"{lf.name}: the views have no structure that is coherent enough to find the disparity range (no texture, "
+            "all masked, or cameras too far apart); give disparity_range, or lower local.coherence_threshold."
         )
-    low, high = np.quantile(found, (_RANGE_TAIL, 1 - _RANGE_TAIL)) * level
-    return float(low) - _RANGE_MARGIN, float(high) + _RANGE_MARGIN
+    low, high = np.quantile(found[level], (_RANGE_TAIL, 1 - _RANGE_TAIL))
+    if max(-low, high) > reach - 0.1 / spacing:
+        raise LightFieldError(
+            f"{lf.name}: disparities reach the end of what is searched, {reach * level:g} px per view step; give "
+            "disparity_range."
+        )
+    return float(low * level - _RANGE_MARGIN / spacing), float(high * level + _RANGE_MARGIN / spacing)
+
+
+def _without_outliers(local: Local) -> Float32Array:
+    """The defined disparities as medians of the defined ones around them."""
+    padded = np.pad(np.where(local.coherence > 0, local.disparity, np.nan), 1, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))[local.coherence > 0]
+    return np.asarray(np.nanmedian(windows, axis=(1, 2)), np.float32)
 
 
 def propagate(
@@ -176,7 +210,10 @@ def propagate(
     prior.neighbors(weighted, target)
     defined = local.coherence > 0
     if not defined.any():
-        raise LightFieldError("no pixel is coherent enough to start from; lower local.coherence_threshold.")
+        raise LightFieldError(
+            "no pixel has a coherent estimate within the disparity range: the views have no texture, are masked, or "
+            "the range is wrong; give another one, or lower local.coherence_threshold."
+        )
     start = np.where(defined, local.disparity, np.average(local.disparity[defined], weights=local.coherence[defined]))
 
     def apply(m: object, result_out: object) -> None:
@@ -226,13 +263,12 @@ def _rests_on_valid(
     valid: NDArray[np.bool_], offsets: Float64Array, shear: float, config: LocalConfig
 ) -> NDArray[np.bool_]:
     """Where nothing that the filters reach is invalid: [y, x] from masks [u, y, x], sheared as the EPIs are."""
-    reach = _reach(config.inner_scale) + _reach(config.outer_scale)
+    across = int(_reach(config.inner_scale)) + int(_reach(config.outer_scale)) + 1  # one for the shear's rounding
     columns = np.arange(valid.shape[2])
     clean = np.ones(valid.shape[1:], np.bool_)
     for mask, offset in zip(valid, offsets, strict=True):
-        if abs(offset) <= reach:
-            clean &= mask[:, np.clip(np.round(columns - shear * offset).astype(int), 0, len(columns) - 1)]
-    return np.asarray(minimum_filter1d(clean, 2 * int(reach) + 3, axis=1), np.bool_)  # and one for the shear's rounding
+        clean &= mask[:, np.clip(np.round(columns - shear * offset).astype(int), 0, len(columns) - 1)]
+    return np.asarray(minimum_filter1d(clean, 2 * across + 1, axis=1), np.bool_)
 
 
 def _reach(scale: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,9 @@ from lfgpu.geometry import Geometry
 PATTERNS = ("full", "star", "cross", "row", "column")
 """Names that `LightField.subset` knows: all views; the reference's row, column and diagonals; row and column; one."""
 
-_POSITION_TOLERANCE = 1e-6  # in view steps; positions come from whole numbers or from measured archives
+_POSITION_TOLERANCE = 1e-6  # in view steps: what is nearer is the same place
+_LINE_TOLERANCE = 0.1  # in view steps: measured cameras do not stand exactly in line
+_FARTHEST = 1e6  # in view steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +86,7 @@ class LightField:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        views = np.asarray(self.views)
+        views = _array("views", self.views)
         if views.ndim == 3:
             views = views[..., None]
         if views.ndim != 4 or views.shape[3] not in (1, 3) or 0 in views.shape:
@@ -94,10 +97,11 @@ class LightField:
             raise LightFieldError(f"views must be uint8, uint16 or float32, found {views.dtype}; convert them first.")
         if len(views) < 2:
             raise LightFieldError(f"{self.name} has one view only; depth needs at least two views of the scene.")
-        positions = np.array(self.positions, np.float64)
-        if positions.shape != (len(views), 2) or not np.isfinite(positions).all():
+        positions = _array("positions", self.positions, np.float64).copy()
+        if positions.shape != (len(views), 2) or not (np.abs(positions) <= _FARTHEST).all():
             raise LightFieldError(
-                f"positions must be {len(views)} finite pairs (u, v), one for each view, found shape {positions.shape}."
+                f"positions must be {len(views)} finite pairs (u, v) within {_FARTHEST:g} view steps, one for each "
+                f"view, found shape {positions.shape}."
             )
         _check_values(views, positions)
         _check_distinct(positions)
@@ -105,19 +109,21 @@ class LightField:
         if reference is None:
             middle = (positions.min(0) + positions.max(0)) / 2
             reference = int(np.argmin(np.abs(positions - middle).sum(1)))
-        if not 0 <= reference < len(views):
+        if not isinstance(reference, Integral) or not 0 <= reference < len(views):
             raise LightFieldError(f"reference view {reference} does not exist: there are views 0 to {len(views) - 1}.")
-        if self.valid is not None and (self.valid.shape != views.shape[:3] or self.valid.dtype != np.bool_):
-            raise LightFieldError(f"valid must be bool {views.shape[:3]}, found {self.valid.dtype} {self.valid.shape}.")
-        if self.truth is not None and self.truth.disparity.shape != views.shape[1:3]:
-            raise LightFieldError(
-                f"truth must be {views.shape[1:3]} as the views are, found {self.truth.disparity.shape}."
-            )
+        valid = None if self.valid is None else _array("valid", self.valid)
+        if valid is not None and (valid.shape != views.shape[:3] or valid.dtype != np.bool_):
+            raise LightFieldError(f"valid must be bool {views.shape[:3]}, found {valid.dtype} {valid.shape}.")
+        if self.truth is not None:
+            for values in (self.truth.disparity, self.truth.mask):
+                if values is not None and values.shape != views.shape[1:3]:
+                    raise LightFieldError(f"truth must be {views.shape[1:3]} as the views are, found {values.shape}.")
         if self.grid_shape is not None:
             _check_grid(positions, self.grid_shape)
         object.__setattr__(self, "views", views)
         object.__setattr__(self, "positions", positions)
-        object.__setattr__(self, "reference", reference)
+        object.__setattr__(self, "reference", int(reference))
+        object.__setattr__(self, "valid", valid)
 
     @classmethod
     def from_grid(cls, views: ArrayLike, **fields: Any) -> LightField:
@@ -202,11 +208,11 @@ class LightField:
         return index
 
     def row(self) -> NDArray[np.intp]:
-        """Indices of the views in the reference's row (same v), from left to right."""
+        """Indices of the views in the reference's row (same v within 0.1 view steps), from left to right."""
         return self._line(axis=0)
 
     def column(self) -> NDArray[np.intp]:
-        """Indices of the views in the reference's column (same u), from top to bottom."""
+        """Indices of the views in the reference's column (same u within 0.1 view steps), from top to bottom."""
         return self._line(axis=1)
 
     def epi_horizontal(self, y: int) -> NDArray[Any]:
@@ -300,17 +306,17 @@ class LightField:
         return int(found[0]) if len(found) else None
 
     def _line(self, axis: int) -> NDArray[np.intp]:
-        on_line = np.flatnonzero(np.abs(self.offsets[:, 1 - axis]) < _POSITION_TOLERANCE)
+        on_line = np.flatnonzero(np.abs(self.offsets[:, 1 - axis]) < _LINE_TOLERANCE)
         return on_line[np.argsort(self.positions[on_line, axis])]
 
     def _pattern(self, name: str) -> NDArray[np.bool_]:
         du, dv = np.abs(self.offsets).T
-        in_row, in_column = dv < _POSITION_TOLERANCE, du < _POSITION_TOLERANCE
+        in_row, in_column = dv < _LINE_TOLERANCE, du < _LINE_TOLERANCE
         match name:
             case "full":
                 return np.ones(len(self.views), np.bool_)
             case "star":
-                return in_row | in_column | (np.abs(du - dv) < _POSITION_TOLERANCE)
+                return in_row | in_column | (np.abs(du - dv) < _LINE_TOLERANCE)
             case "cross":
                 return in_row | in_column
             case "row":
@@ -318,6 +324,13 @@ class LightField:
             case "column":
                 return in_column
         raise LightFieldError(f"unknown view pattern {name!r}; known are {', '.join(PATTERNS)}.")
+
+
+def _array(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:
+    try:
+        return np.asarray(values, dtype)
+    except (TypeError, ValueError) as error:
+        raise LightFieldError(f"{name} must be one array of numbers: {error}.") from error
 
 
 def _check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:

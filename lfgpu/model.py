@@ -23,8 +23,8 @@ class ForwardModel:
     kernels, device
         Where the views live from now on.
     start
-        A first disparity map [y, x]: what by it lies outside the reference view, at the rims of the others, has no
-        prediction and is not compared. None compares everything.
+        A first disparity map [y, x]: what by it lies outside the reference view, at the rims of the others, or where
+        the reference is not valid has no prediction and is not compared. None compares everything.
     """
 
     def __init__(
@@ -36,18 +36,22 @@ class ForwardModel:
         start: Float32Array | None = None,
     ) -> None:
         self._kernels, self._device, self._softness = kernels, device, config.softness
-        others = np.arange(len(lf.views)) != lf.reference_index  # the reference predicts itself whatever the map
-        self.shape = (int(others.sum()), *lf.size, lf.channels)
+        others = np.flatnonzero(np.arange(len(lf.views)) != lf.reference_index)  # the reference predicts itself
+        self.shape = (len(others), *lf.size, lf.channels)
         self._image = kernels.image(lf.image(lf.reference_index), device)
         self._offsets = kernels.field(lf.offsets[others], device)
+        detail = config.detail_scale, config.contrast_floor
+        reference = normalized_views(lf, np.array([lf.reference_index]), *detail)[0]
         valid = None if lf.valid is None else lf.valid[others]
+        if lf.valid is not None:
+            reference = reference * lf.valid[lf.reference_index, ..., None]
         if start is not None:
-            inside = _inside_reference(start, lf.offsets[others])
-            valid = inside if valid is None else valid & inside
-        views = normalized_views(lf, config.detail_scale, config.contrast_floor)
+            known = np.ones(lf.size, np.bool_) if lf.valid is None else lf.valid[lf.reference_index]
+            seen = _seen_by_reference(start, lf.offsets[others], known)
+            valid = seen if valid is None else valid & seen
         self._data_term = kernels.data_term(
-            kernels.image(views[lf.reference_index], device),
-            kernels.image(views[others], device),
+            kernels.image(reference, device),
+            kernels.image(normalized_views(lf, others, *detail), device),
             None if valid is None else kernels.field(valid, device),
             self._offsets,
             scale=1.0,
@@ -80,16 +84,18 @@ class ForwardModel:
         return mean * value
 
 
-def _inside_reference(disparity: Float32Array, offsets: Float64Array) -> NDArray[np.bool_]:
-    """Whether what each pixel of the views at `offsets` shows lies in the frame of the reference view: [n, y, x].
+def _seen_by_reference(disparity: Float32Array, offsets: Float64Array, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether what each pixel of the views at `offsets` shows is known to the reference view: bool [n, y, x].
 
-    Near enough, the disparity at a pixel of another view is that at the same pixel of the reference.
+    `known` [y, x] are the valid pixels of the reference; nothing is known outside its frame. Near enough, the disparity
+    at a pixel of another view is that at the same pixel of the reference.
     """
     height, width = disparity.shape
     y, x = np.mgrid[:height, :width]
-    inside = np.empty((len(offsets), height, width), np.bool_)
+    seen = np.empty((len(offsets), height, width), np.bool_)
     for n, (du, dv) in enumerate(offsets):
-        in_x = np.abs(x + disparity * du - (width - 1) / 2) <= (width - 1) / 2
-        in_y = np.abs(y + disparity * dv - (height - 1) / 2) <= (height - 1) / 2
-        inside[n] = in_x & in_y
-    return inside
+        from_x, from_y = x + disparity * du, y + disparity * dv
+        inside = (from_x >= 0) & (from_x <= width - 1) & (from_y >= 0) & (from_y <= height - 1)
+        column, row = np.where(inside, from_x, x), np.where(inside, from_y, y)
+        seen[n] = inside & known[np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)]
+    return seen

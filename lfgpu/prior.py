@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfgpu.config import PriorConfig
 from lfgpu.types import Array, Float32Array, KernelSet, half_window
+
+_UNLIKE_ANY = 10.0  # an intensity far from all recorded ones: similar to nothing but to others that are not valid
 
 
 class NonLocalMeans:
@@ -19,9 +22,20 @@ class NonLocalMeans:
         Window, patch and scales of the weights.
     kernels, device
         Where the weights live; they take window² / 2 floats a pixel.
+    valid
+        bool [y, x], False where the image means nothing; None is valid everywhere.
     """
 
-    def __init__(self, image: Float32Array, config: PriorConfig, kernels: KernelSet, device: str) -> None:
+    def __init__(
+        self,
+        image: Float32Array,
+        config: PriorConfig,
+        kernels: KernelSet,
+        device: str,
+        valid: NDArray[np.bool_] | None = None,
+    ) -> None:
+        if valid is not None:
+            image = np.where(valid[..., None], image, np.float32(_UNLIKE_ANY))
         self.kernels, self.device, self.window = kernels, device, config.window
         shape = (len(half_window(config.window)), *image.shape[:2])
         self._weights = kernels.zeros(shape, device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -338,7 +339,7 @@ def test_a_reference_alone_in_its_row_and_column_is_refused() -> None:
 @pytest.mark.parametrize("disparity_range", [None, RANGE], ids=str)
 def test_views_without_any_texture_are_refused(disparity_range: tuple[float, float] | None) -> None:
     flat = LightField.from_grid(np.full((3, 3, 40, 40, 3), 128, np.uint8))
-    with pytest.raises(LightFieldError, match="coherent enough"):
+    with pytest.raises(LightFieldError, match="coherent"):
         estimate_depth(flat, disparity_range=disparity_range)
 
 
@@ -349,3 +350,25 @@ def test_unknown_names_are_refused() -> None:
         estimate_depth(small(), backend="fpga")
     with pytest.raises(BackendError, match="sees no device 'tpu'"):
         estimate_depth(small(), device="tpu")
+
+
+@pytest.mark.parametrize("bad", [(-1e9, 1e9), (50.0, 70.0)])
+def test_disparities_beyond_the_picture_are_refused_at_once(bad: tuple[float, float]) -> None:
+    with pytest.raises(LightFieldError, match="already the nearest view would be shifted"):
+        estimate_depth(small(), disparity_range=bad)
+
+
+def test_a_config_of_another_kind_is_refused() -> None:
+    with pytest.raises(LightFieldError, match="config must be a Config or the name of a preset, not dict"):
+        estimate_depth(small(), config={"prior.window": 5})  # type: ignore[arg-type]
+
+
+def test_what_is_masked_in_the_reference_is_filled_from_around_it() -> None:
+    lf = relief()
+    reference, hole = lf.reference_index, np.s_[40:56, 40:56]
+    views, valid = lf.views.copy(), np.ones(lf.views.shape[:3], bool)
+    views[reference][hole] = np.random.default_rng(0).integers(0, 256, (16, 16, 3))
+    valid[reference][hole] = False
+    error = np.abs(estimate_depth(replace(lf, views=views, valid=valid)).disparity - lf.truth.disparity)  # type: ignore[union-attr]
+    assert error[hole].max() < 0.6  # the relief itself spans three
+    assert np.sqrt((error[15:-15, 15:-15] ** 2).mean()) < 0.1

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.config import LocalConfig
@@ -211,8 +212,8 @@ def test_a_reference_alone_in_its_row_and_column_is_refused() -> None:
 
 
 def test_a_range_without_any_estimate_is_refused() -> None:
-    with pytest.raises(LightFieldError, match=r"no estimate lies in the disparity range 7 to 7\.0001"):
-        estimated(relief(), (7.0, 7.0001))
+    with pytest.raises(LightFieldError, match="no pixel has a coherent estimate within the disparity range"):
+        lfgpu.estimate_depth(relief(), disparity_range=(7.0, 7.0001))
 
 
 def test_views_without_texture_have_no_range() -> None:
@@ -226,3 +227,32 @@ def test_views_without_texture_have_no_range() -> None:
 def test_views_without_texture_are_undefined_everywhere() -> None:
     flat = LightField.from_grid(np.full((3, 3, 40, 40, 3), 128, np.uint8))
     assert not estimated(flat).coherence.any()
+
+
+# --- cameras that do not stand one step apart, and disparities out of the ordinary ---
+
+
+def test_cameras_far_apart_are_as_accurate_in_their_own_steps() -> None:
+    lf = scenes.make("relief", grid=(9, 9), size=(96, 96), disparity_range=(-0.4, 0.4))
+    sparse = lf.subset([lf.index_of(row, column) for row in (0, 4, 8) for column in (0, 4, 8)])
+    unit = replace(sparse, positions=sparse.positions / 4, grid_shape=None)
+    one = local_estimate(sparse, (-0.5, 0.5), LocalConfig(), WARP, "cpu")
+    other = local_estimate(unit, (-2.0, 2.0), LocalConfig(), WARP, "cpu")
+    np.testing.assert_allclose(4 * one.disparity, other.disparity, atol=1e-5)
+    assert evaluate(one.disparity, lf.truth.disparity).rmse < 0.02  # type: ignore[union-attr]
+
+
+def test_cameras_a_little_out_of_line_still_make_a_row() -> None:
+    lf = relief()
+    jitter = np.random.default_rng(0).uniform(-0.02, 0.02, lf.positions.shape)
+    shaken = replace(lf, positions=lf.positions + jitter, grid_shape=None, truth=None)
+    assert len(shaken.row()) == len(shaken.column()) == 7
+    assert np.median(np.abs(estimated(shaken).disparity - estimated(lf).disparity)) < 0.02
+
+
+@pytest.mark.parametrize("extent", [(14.2, 18.8), (-20.0, -17.0)])
+def test_the_range_of_large_disparities_is_found(extent: tuple[float, float]) -> None:
+    lf = scenes.make("relief", grid=(5, 5), size=(256, 256), disparity_range=extent)
+    low, high = find_disparity_range(lf, LocalConfig(), WARP, "cpu")
+    assert extent[0] - 2 < low < extent[0] + 0.5
+    assert extent[1] - 0.5 < high < extent[1] + 2

@@ -1117,3 +1117,19 @@ def test_real_views_move_as_their_truth_says() -> None:
         return float(np.mean(np.abs(errors)))
 
     assert mismatch(-1, -1) < 0.5 * min(mismatch(1, 1), mismatch(0, 0))
+
+
+def test_a_folder_in_the_way_of_one_file_leaves_all_files_as_they_were(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (out / "b.txt").mkdir(parents=True)
+    (out / "a.txt").write_text("old")
+
+    def write() -> None:
+        with atomic_folder(out) as folder:
+            for name in ("a.txt", "b.txt", "c.txt"):
+                (folder / name).write_text("new")
+
+    with pytest.raises(LightFieldError, match=r"b\.txt is in the way"):
+        write()
+    assert (out / "a.txt").read_text() == "old"
+    assert sorted(path.name for path in out.iterdir()) == ["a.txt", "b.txt"]

@@ -296,5 +296,5 @@ def test_propagation_calls_back(solver: str, rng: np.random.Generator) -> None:
 def test_propagation_from_nothing_is_refused(rng: np.random.Generator) -> None:
     prior = NonLocalMeans(rng.random((9, 8, 1), np.float32), PROPAGATION_PRIOR, REFERENCE, "cpu")
     nothing = Local(np.zeros((9, 8), np.float32), np.zeros((9, 8), np.float32))
-    with pytest.raises(LightFieldError, match="no pixel is coherent enough"):
+    with pytest.raises(LightFieldError, match="no pixel has a coherent estimate"):
         propagate(nothing, prior, PropagationConfig())

@@ -4,17 +4,18 @@ import os
 import sys
 import tempfile
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from .threads import once
+
 _SCALARS: dict[type, Any] = {np.uint8: wp.uint8, np.uint16: wp.uint16, np.float32: wp.float32}
 
 
-@cache
+@once
 def start() -> None:
     """Start Warp once, at first use, without its banner and its notes on each module that it compiles."""
     if wp.config.log_level == wp.LOG_INFO:  # its default: whoever chose another level keeps it
@@ -35,7 +36,7 @@ def start() -> None:
                 os.write(2, line)
 
 
-@cache
+@once
 def pixel_type(channels: int, scalar: Any = wp.float32) -> Any:
     """The Warp vector of `channels` values that one pixel is."""
     return wp.types.vector(length=channels, dtype=scalar)

@@ -1,6 +1,5 @@
 """Non-local-means weights and the two linear operators that they make; `kernels/reference/nlm.py` says which."""
 
-from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,12 +9,12 @@ import warp as wp
 from lfgpu.types import half_window
 
 from .memory import lanes, pixel_type
-from .threads import in_slices, load
+from .threads import in_slices, load, once
 
 wp.set_module_options({"enable_backward": False})
 
 
-@cache
+@once
 def _feature_kernels(channels: int) -> SimpleNamespace:
     pixel, feature = pixel_type(channels), pixel_type(3 * channels)
     module = f"lfgpu_nlm_{channels}"
@@ -112,7 +111,7 @@ _ROW_LOOP = """
 """
 
 
-@cache
+@once
 def _operator(name: str, term: str, keep: float) -> Any:
     """The kernel that starts from `keep` times the values and adds `term` for each pixel of the window."""
 
@@ -152,7 +151,7 @@ def _operator(name: str, term: str, keep: float) -> Any:
     return operator_kernel
 
 
-@cache
+@once
 def _half_window(window: int, device: str) -> Any:
     return wp.array(half_window(window).astype(np.int32), dtype=wp.vec2i, device=device)
 

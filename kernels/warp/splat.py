@@ -1,6 +1,5 @@
 """The forward splat, its two transposes, its derivative, and the data term that is made of them."""
 
-from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +9,7 @@ from lfgpu.types import DataTerm
 
 from .memory import lanes, pixel_type
 from .tent import tent, tent_slope
-from .threads import in_slices, load, slices
+from .threads import in_slices, load, once, slices
 
 
 @wp.struct
@@ -38,7 +37,7 @@ def land(x: int, y: int, disparity: float, offset: wp.vec2f) -> Landing:
     return landing
 
 
-@cache
+@once
 def _kernels(channels: int, stored: Any) -> SimpleNamespace:
     """The kernels for pixels of `channels` values; recorded views are of scalar type `stored`."""
     pixel = pixel_type(channels)

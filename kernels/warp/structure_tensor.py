@@ -1,6 +1,5 @@
 """Structure tensors on sheared epipolar plane images; `kernels/reference/structure_tensor.py` says what they are."""
 
-from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,11 +8,12 @@ import warp as wp
 from lfgpu.types import LocalEstimate, StructureFilters
 
 from .memory import lanes, pixel_type
+from .threads import once
 
 wp.set_module_options({"enable_backward": False})
 
 
-@cache
+@once
 def _kernels(channels: int, stored: Any) -> SimpleNamespace:
     pixel, stored_pixel = pixel_type(channels), pixel_type(channels, stored)
     module = f"lfgpu_structure_tensor_{channels}_{stored.__name__}"

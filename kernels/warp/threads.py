@@ -4,14 +4,30 @@ How the work is cut does not depend on the number of threads, so neither do the 
 """
 
 import os
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
-from typing import Any
+from functools import cache, wraps
+from typing import Any, TypeVar
 
 import warp as wp
 
 _SLICES = 16
+_LOCK = threading.RLock()
+
+Result = TypeVar("Result")
+
+
+def once(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Call a function once for each set of arguments and keep what it returned; other threads wait meanwhile."""
+    kept = cache(function)
+
+    @wraps(function)
+    def call(*arguments: Hashable) -> Result:
+        with _LOCK:
+            return kept(*arguments)
+
+    return call
 
 
 def in_slices(device: Any, count: int, work: Callable[[int, int, int], None]) -> None:
@@ -32,10 +48,15 @@ def slices(device: Any, count: int) -> list[tuple[int, int]]:
 
 def load(device: Any, *kernels: Any) -> None:
     """Compile and load what threads are about to launch; they must not do it at the same time."""
-    for module in {kernel.module for kernel in kernels}:
-        wp.load_module(module, device=device)
+    with _LOCK:
+        for module in {kernel.module for kernel in kernels}:
+            wp.load_module(module, device=device)
 
 
 @cache
 def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="lfgpu")
+
+
+if hasattr(os, "register_at_fork"):  # the threads of a pool do not live on in a forked process
+    os.register_at_fork(after_in_child=_pool.cache_clear)

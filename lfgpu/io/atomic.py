@@ -107,6 +107,10 @@ def _staged(target: Path, place: Path) -> Iterator[Path]:
 
 
 def _move_files(source: Path, target: Path) -> None:
+    for path in source.rglob("*"):  # all or nothing: what stands in the way is found before the first move
+        place = target / path.relative_to(source)
+        if place.exists() and place.is_dir() != path.is_dir():
+            raise IsADirectoryError(None, f"{place} is in the way")
     for folder, _, files in os.walk(source):
         destination = target / Path(folder).relative_to(source)
         destination.mkdir(exist_ok=True)

@@ -33,7 +33,7 @@ def minimize_lbfgsb(
     bounds
         (low, high) of every pixel.
     tolerance
-        Stop when an iteration lowers the value by less than this share of it.
+        Stop when an iteration lowers the value by less than this share of the first value.
     max_iterations
         Stop after as many.
     callback
@@ -41,21 +41,26 @@ def minimize_lbfgsb(
     """
     shape = start.shape
     first = np.clip(start, *bounds).astype(np.float64)
-    trace = [value_and_gradient(first)[0]]
+    first_value, first_gradient = value_and_gradient(first)
+    trace = [first_value]
     if max_iterations == 0:  # scipy would make one all the same
         return Solution(first.astype(np.float32), False, "no iteration was allowed.", 0, 1, tuple(trace))
+    scale = 1.0 / (abs(first_value) or 1.0)  # then scipy's measure of a decrease is a share of the first value
+    known = [(scale * first_value, scale * first_gradient.ravel())]  # scipy begins where we have been
 
-    def flat(x: Float64Array) -> tuple[float, Float64Array]:
+    def scaled(x: Float64Array) -> tuple[float, Float64Array]:
+        if known:
+            return known.pop()
         value, gradient = value_and_gradient(x.reshape(shape))
-        return value, gradient.ravel()
+        return scale * value, scale * gradient.ravel()
 
     def after_iteration(intermediate_result: object) -> None:
-        trace.append(float(intermediate_result.fun))  # type: ignore[attr-defined]
+        trace.append(float(intermediate_result.fun) / scale)  # type: ignore[attr-defined]
         if callback is not None:
             callback(len(trace) - 1, trace[-1])
 
     result = minimize(
-        flat,
+        scaled,
         first.ravel(),
         jac=True,
         method="L-BFGS-B",
@@ -67,8 +72,8 @@ def minimize_lbfgsb(
     return Solution(
         result.x.reshape(shape).astype(np.float32),
         bool(result.success),
-        f"L-BFGS-B stopped after {result.nit} iterations: {reason} ({result.fun:.6g}).",
+        f"L-BFGS-B stopped after {result.nit} iterations: {reason} ({result.fun / scale:.6g}).",
         int(result.nit),
-        int(result.nfev) + 1,
+        int(result.nfev),
         tuple(trace),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -10,7 +12,7 @@ import checks
 import numpy as np
 import pytest
 
-SPLIT = {"splat": ("data_term",), "nlm": ("nlm_neighbors", "nlm_laplacian")}
+SPLIT = {"splat": ("data_term",), "nlm": ("nlm_weights", "nlm_neighbors", "nlm_laplacian")}
 
 
 @pytest.fixture
@@ -66,3 +68,26 @@ def test_a_failure_in_a_thread_is_not_lost(warp: Any) -> None:
 
     with pytest.raises(ZeroDivisionError, match="in part 3"):
         threads.in_slices(warp.kernels.zeros((1,), "cpu").device, 8, work)
+
+
+def test_once_runs_a_function_once_however_many_threads_ask() -> None:
+    once = pytest.importorskip("lfgpu.kernels.warp.threads").once
+    calls: list[int] = []
+    together = threading.Barrier(8)
+
+    @once
+    def slow(value: int) -> int:
+        calls.append(value)
+        time.sleep(0.02)
+        return value
+
+    def ask() -> None:
+        together.wait()
+        slow(3)
+
+    asking = [threading.Thread(target=ask) for _ in range(8)]
+    for thread in asking:
+        thread.start()
+    for thread in asking:
+        thread.join()
+    assert calls == [3]
