@@ -35,11 +35,12 @@ def conjugate_gradients(
     preconditioner
         An approximate inverse of A's diagonal [y, x], > 0.
     tolerance
-        Stop when |b - A x| <= tolerance * |b|.
+        Stop when the residual r = b - A x is as small: √(rᵀ M r) <= tolerance * √(bᵀ M b), M the preconditioner. In
+        this norm a weakly tied unknown counts as much as a strongly tied one.
     max_iterations
         Stop after as many.
     callback
-        Called as callback(iteration, |b - A x| / |b|).
+        Called as callback(iteration, √(rᵀ M r) / √(bᵀ M b)).
     """
     shape = start.shape
     x, inverse = kernels.field(start, device), kernels.field(preconditioner, device)
@@ -49,8 +50,9 @@ def conjugate_gradients(
     kernels.multiply(inverse, r, z)
     kernels.copy(z, p)
     rz = kernels.dot(r, z)
-    norm = np.sqrt(kernels.dot(right_side, right_side)) or 1.0
-    trace = [float(np.sqrt(kernels.dot(r, r)) / norm)]
+    kernels.multiply(inverse, right_side, q)
+    norm = np.sqrt(kernels.dot(right_side, q)) or 1.0
+    trace = [float(np.sqrt(rz) / norm)]
     while trace[-1] > tolerance and len(trace) <= max_iterations:
         apply(p, q)
         alpha = rz / kernels.dot(p, q)
@@ -59,7 +61,7 @@ def conjugate_gradients(
         kernels.multiply(inverse, r, z)
         rz, previous = kernels.dot(r, z), rz
         kernels.axpby(1.0, z, rz / previous, p, p)
-        trace.append(float(np.sqrt(kernels.dot(r, r)) / norm))
+        trace.append(float(np.sqrt(rz) / norm))
         if callback is not None:
             callback(len(trace) - 1, trace[-1])
     iterations, converged = len(trace) - 1, trace[-1] <= tolerance
