@@ -102,7 +102,10 @@ class RefinementConfig(_Checked):
     )  # fmt: skip
     contrast_floor: float = _number(0.01, 1e-4, 1.0, "contrast that is taken for noise, intensity")
     tolerance: float = _number(
-        1e-4, 0.0, 1e-1, "stop when an iteration lowers the energy by less than this share of the first energy"
+        1e-4,
+        0.0,
+        1e-1,
+        "stop when an iteration, five on average, lowers the energy by less than this share of the first",
     )
     max_iterations: int = _number(100, 0, 10000, "stop after as many iterations")
 

@@ -10,7 +10,8 @@ from scipy.optimize import minimize
 from lfgpu.solvers.solution import Solution
 from lfgpu.types import Float32Array, Float64Array
 
-_REASONS = {0: "the energy no longer falls", 1: "the limit of iterations is reached"}  # scipy's status
+_PATIENCE = 5  # iterations over which a decrease is judged: a single short step says little
+_LIMIT = 1  # scipy's status
 
 
 def minimize_lbfgsb(
@@ -33,7 +34,7 @@ def minimize_lbfgsb(
     bounds
         (low, high) of every pixel.
     tolerance
-        Stop when an iteration lowers the value by less than this share of the first value.
+        Stop when iterations lower the value by less than this share of the first value, five of them on average.
     max_iterations
         Stop after as many.
     callback
@@ -45,7 +46,7 @@ def minimize_lbfgsb(
     trace = [first_value]
     if max_iterations == 0:  # scipy would make one all the same
         return Solution(first.astype(np.float32), False, "no iteration was allowed.", 0, 1, tuple(trace))
-    scale = 1.0 / (abs(first_value) or 1.0)  # then scipy's measure of a decrease is a share of the first value
+    scale = 1.0 / (abs(first_value) or 1.0)  # some of scipy's thresholds are absolute
     known = [(scale * first_value, scale * first_gradient.ravel())]  # scipy begins where we have been
 
     def scaled(x: Float64Array) -> tuple[float, Float64Array]:
@@ -58,6 +59,12 @@ def minimize_lbfgsb(
         trace.append(float(intermediate_result.fun) / scale)  # type: ignore[attr-defined]
         if callback is not None:
             callback(len(trace) - 1, trace[-1])
+        if flat(trace):
+            raise StopIteration
+
+    def flat(values: list[float]) -> bool:
+        last = values[-_PATIENCE - 1 :]
+        return len(last) > _PATIENCE and scale * (last[0] - last[-1]) <= _PATIENCE * tolerance
 
     result = minimize(
         scaled,
@@ -66,14 +73,20 @@ def minimize_lbfgsb(
         method="L-BFGS-B",
         bounds=[bounds] * first.size,
         callback=after_iteration,
-        options={"maxiter": max_iterations, "maxfun": 10 * max_iterations + 10, "ftol": tolerance, "gtol": 0.0},
+        options={"maxiter": max_iterations, "maxfun": 10 * max_iterations + 10, "ftol": 0.0, "gtol": 0.0},
     )
-    reason = _REASONS.get(result.status, "the line search finds nothing lower")
+    converged = flat(trace) or bool(result.success)
+    if converged:
+        reason = "the energy no longer falls"
+    elif result.status == _LIMIT:
+        reason = "the limit of iterations is reached"
+    else:
+        reason = "the line search finds nothing lower"
     return Solution(
         result.x.reshape(shape).astype(np.float32),
-        bool(result.success),
-        f"L-BFGS-B stopped after {result.nit} iterations: {reason} ({result.fun / scale:.6g}).",
-        int(result.nit),
+        converged,
+        f"L-BFGS-B stopped after {len(trace) - 1} iterations: {reason} ({trace[-1]:.6g}).",
+        len(trace) - 1,
         int(result.nfev),
         tuple(trace),
     )
