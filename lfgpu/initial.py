@@ -48,7 +48,7 @@ def local_estimate(
     if max(len(lf.row()), len(lf.column())) < 2:
         raise LightFieldError(
             f"{lf.name}: the reference view is alone in its row and in its column of views, but the local estimate "
-            "needs a second view in one of them; pick another reference view."
+            "needs a second camera in line with it (within 0.1 view steps); pick another reference view, or add one."
         )
     best = Local(np.zeros(lf.size, np.float32), np.zeros(lf.size, np.float32))
     for vertical in (False, True):
@@ -200,20 +200,18 @@ def propagate(
     With L the Laplacian and W the neighbour sums of the weights the normal equations are
     (2 L + diag(W C)) m = W (C m0). The minimum lies within the range of the defined m0.
     """
-    kernels, device = prior.kernels, prior.device
-    shape = local.disparity.shape
-    coherence, weighted = kernels.zeros(shape, device), kernels.zeros(shape, device)
-    trust, target = kernels.zeros(shape, device), kernels.zeros(shape, device)
-    kernels.copy(kernels.field(local.coherence, device), coherence)
-    kernels.multiply(coherence, kernels.field(local.disparity, device), weighted)
-    prior.neighbors(coherence, trust)
-    prior.neighbors(weighted, target)
     defined = local.coherence > 0
     if not defined.any():
         raise LightFieldError(
             "no pixel has a coherent estimate within the disparity range: the views have no texture, are masked, or "
             "the range is wrong; give another one, or lower local.coherence_threshold."
         )
+    kernels, device, shape = prior.kernels, prior.device, local.disparity.shape
+    coherence, weighted = kernels.field(local.coherence, device), kernels.zeros(shape, device)
+    trust, target = kernels.zeros(shape, device), kernels.zeros(shape, device)
+    kernels.multiply(coherence, kernels.field(local.disparity, device), weighted)
+    prior.neighbors(coherence, trust)
+    prior.neighbors(weighted, target)
     start = np.where(defined, local.disparity, np.average(local.disparity[defined], weights=local.coherence[defined]))
 
     def apply(m: object, result_out: object) -> None:
@@ -223,9 +221,7 @@ def propagate(
         kernels.axpby(2.0, result_out, 1.0, weighted, result_out)
 
     if config.solver == "cg":
-        degree = kernels.zeros(shape, device)
-        prior.neighbors(kernels.field(np.ones(shape), device), degree)
-        diagonal = 2 * (kernels.numpy(degree) - 1) + kernels.numpy(trust)
+        diagonal = 2 * (kernels.numpy(prior.degree) - 1) + kernels.numpy(trust)
         return conjugate_gradients(
             apply,
             target,

@@ -49,6 +49,9 @@ class NonLocalMeans:
             scratch_out=kernels.zeros(shape, device),
             weights_out=self._weights,
         )
+        self.degree = kernels.zeros(image.shape[:2], device)
+        """W 1: the sum of the weights of each pixel's window, its own 1 included; a field [y, x]."""
+        self.neighbors(kernels.field(np.ones(image.shape[:2]), device), self.degree)
 
     def neighbors(self, values: Array, sums_out: Array) -> None:
         """W v: the weighted sum over each pixel's window, itself included."""
@@ -57,10 +60,9 @@ class NonLocalMeans:
     def mean(self, values: Float32Array) -> Float32Array:
         """W v / W 1: the weighted mean over each pixel's window, [y, x] to [y, x]."""
         kernels, device = self.kernels, self.device
-        sums, weights = kernels.zeros(values.shape, device), kernels.zeros(values.shape, device)
+        sums = kernels.zeros(values.shape, device)
         self.neighbors(kernels.field(values, device), sums)
-        self.neighbors(kernels.field(np.ones(values.shape), device), weights)
-        return np.asarray(kernels.numpy(sums) / kernels.numpy(weights), np.float32)
+        return np.asarray(kernels.numpy(sums) / kernels.numpy(self.degree), np.float32)
 
     def laplacian(self, values: Array, laplacian_out: Array) -> None:
         """L v, with Σ_p Σ_q w_pq (v_p - v_q)² = 2 vᵀ L v."""
