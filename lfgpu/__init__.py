@@ -13,7 +13,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from lfgpu._backends import list_backends
+    from lfgpu._backends import BackendInfo, describe_backends, list_backends
     from lfgpu.config import PRESETS, Config
     from lfgpu.depth import estimate_depth
     from lfgpu.errors import BackendError, LfgpuError, LightFieldError
@@ -22,9 +22,11 @@ if TYPE_CHECKING:
     from lfgpu.lightfield import GroundTruth, LightField
     from lfgpu.metrics import evaluate
     from lfgpu.result import DepthResult
+    from lfgpu.threads import get_threads, set_threads
 
 _HOMES = {
     "BackendError": "errors",
+    "BackendInfo": "_backends",
     "Config": "config",
     "DepthResult": "result",
     "Geometry": "geometry",
@@ -33,15 +35,19 @@ _HOMES = {
     "LightField": "lightfield",
     "LightFieldError": "errors",
     "PRESETS": "config",
+    "describe_backends": "_backends",
     "estimate_depth": "depth",
     "evaluate": "metrics",
+    "get_threads": "threads",
     "list_backends": "_backends",
     "read": "io",
+    "set_threads": "threads",
 }
 
 __all__ = [
     "PRESETS",
     "BackendError",
+    "BackendInfo",
     "Config",
     "DepthResult",
     "Geometry",
@@ -49,10 +55,13 @@ __all__ = [
     "LfgpuError",
     "LightField",
     "LightFieldError",
+    "describe_backends",
     "estimate_depth",
     "evaluate",
+    "get_threads",
     "list_backends",
     "read",
+    "set_threads",
 ]
 
 

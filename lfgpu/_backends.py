@@ -3,14 +3,44 @@
 from __future__ import annotations
 
 import importlib
-from typing import cast
+import importlib.metadata
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
 
 from lfgpu.errors import BackendError
-from lfgpu.types import KernelSet
 
-_PACKAGES = {"warp": "warp-lang", "reference": "numpy"}  # backend -> what pip calls what it needs
+if TYPE_CHECKING:
+    from lfgpu.types import KernelSet
+
+_PACKAGES = {"warp": "warp-lang", "taichi": "taichi", "reference": "numpy"}  # backend -> what pip calls what it needs
 
 DEFAULT = "warp"
+
+
+@dataclass(frozen=True)
+class BackendInfo:
+    """What of a backend is here.
+
+    Parameters
+    ----------
+    name
+        The name under which it is asked for.
+    package, version
+        What pip calls what it needs, and the version that is installed; None if there is none.
+    devices
+        Names of the devices that it sees, its default first; none if it cannot be loaded.
+    problem
+        Why it cannot be loaded; None if it can.
+    remedy
+        The command that would install what it needs; None if nothing is missing.
+    """
+
+    name: str
+    package: str
+    version: str | None
+    devices: tuple[str, ...] = ()
+    problem: str | None = None
+    remedy: str | None = None
 
 
 def list_backends() -> tuple[str, ...]:
@@ -18,17 +48,27 @@ def list_backends() -> tuple[str, ...]:
     return tuple(_PACKAGES)
 
 
+def describe_backends() -> tuple[BackendInfo, ...]:
+    """What of each backend is here, the default first. Loads them all; one that fails says why and hides no other."""
+    return tuple(_describe(backend) for backend in _PACKAGES)
+
+
+def package_of(backend: str) -> str:
+    """What pip calls the package that a backend computes with."""
+    return _PACKAGES[backend]
+
+
 def load(backend: str = DEFAULT) -> KernelSet:
-    """The operations of a backend; BackendError if it is unknown or what it needs is not installed."""
+    """The operations of a backend; BackendError if it is unknown or what it needs is not installed or broken."""
     if backend not in _PACKAGES:
         raise BackendError(f"unknown backend {backend!r}; there are {', '.join(_PACKAGES)}.")
     try:
         module = importlib.import_module(f"lfgpu.kernels.{backend}")
-    except ImportError as error:
+    except Exception as error:  # a broken installation raises anything: OSError, AttributeError, RuntimeError
         raise BackendError(
-            f"backend {backend!r} cannot be loaded ({error}); install it with: pip install {_PACKAGES[backend]}"
+            f"backend {backend!r} cannot be loaded ({_said(error)}); install it with: {_remedy(backend)}"
         ) from error
-    return cast(KernelSet, module.KERNELS)
+    return cast("KernelSet", module.KERNELS)
 
 
 def pick_device(kernels: KernelSet, device: str | None) -> str:
@@ -40,3 +80,36 @@ def pick_device(kernels: KernelSet, device: str | None) -> str:
     if wanted not in devices:
         raise BackendError(f"backend {kernels.name!r} sees no device {device!r} here; there is {', '.join(devices)}.")
     return wanted
+
+
+def _describe(backend: str) -> BackendInfo:
+    package = _PACKAGES[backend]
+    version = _version(package)
+    try:
+        kernels = load(backend)
+    except BackendError as error:
+        problem = f"cannot be loaded: {_said(error.__cause__ or error)}"
+        return BackendInfo(backend, package, version, problem=problem, remedy=_remedy(backend))
+    try:
+        return BackendInfo(backend, package, version, kernels.devices())
+    except Exception as error:  # a driver that fails raises anything
+        return BackendInfo(backend, package, version, problem=f"cannot list its devices: {_said(error)}")
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _remedy(backend: str) -> str:
+    """What is there and cannot be loaded is broken: pip would leave it as it is unless it is told not to."""
+    package = _PACKAGES[backend]
+    return f"pip install {package}" if _version(package) is None else f"pip install --force-reinstall {package}"
+
+
+def _said(error: BaseException) -> str:
+    """The message of an error in one line; what kind it is where that is not plain from the message."""
+    message = " ".join(str(error).split())
+    return message if message and isinstance(error, ImportError) else f"{type(error).__name__}: {message}".rstrip(": ")

@@ -9,7 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu._backends import DEFAULT, load, package_of, pick_device
 from lfgpu.config import Config, preset
 from lfgpu.energy import Energy
 from lfgpu.errors import LightFieldError
@@ -46,7 +46,7 @@ def estimate_depth(
     disparity_range
         (low, high) bounds of the disparity in pixels per view step, larger is nearer. Default: found from the views.
     backend
-        "warp" (default) or "reference".
+        "warp" (default), "taichi" or "reference".
     device
         "cpu", "cuda", "cuda:1"; default is the backend's best.
     on_progress
@@ -124,7 +124,7 @@ def estimate_depth(
         timings=timings,
         backend=backend,
         device=where,
-        versions={name: importlib.metadata.version(name) for name in ("lfgpu", "numpy", "scipy", "warp-lang")},
+        versions={name: importlib.metadata.version(name) for name in ("lfgpu", "numpy", "scipy", package_of(backend))},
         geometry=lf.geometry,
         name=lf.name,
     )

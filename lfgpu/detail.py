@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from lfgpu.lightfield import LightField
+from lfgpu.threads import get_threads
 from lfgpu.types import Float32Array
 
 _TRUNCATE = 2.5  # Gaussians end after as many standard deviations
@@ -48,7 +48,7 @@ def normalized_views(lf: LightField, which: NDArray[np.intp], scale: float, floo
         contrast = np.sqrt(wide((detail**2).mean(2)) + np.float32(floor**2))
         out[place] = detail / contrast[..., None]
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(get_threads()) as pool:
         list(pool.map(normalize, range(len(which))))
     return out
 

@@ -43,7 +43,7 @@ class DepthResult:
     backend, device
         What it was computed with.
     versions
-        Versions of lfgpu and of the packages that computed it.
+        Versions of lfgpu and of the packages that computed it, that of the backend among them.
     geometry
         What turns disparity into metres; None if unknown.
     name

@@ -69,17 +69,31 @@ def _find_targets(only_backend: str | None, only_device: str | None) -> Iterator
             elif device not in devices:
                 yield Target(backend, device, None, f"no such device here; there is {', '.join(devices)}")
             else:
-                yield Target(backend, device, kernels)
+                yield _started(Target(backend, device, kernels))
     if only_backend is not None and only_backend not in list_backends():
         raise pytest.UsageError(f"--backend={only_backend}: there are {', '.join(list_backends())}")
 
 
+def _started(target: Target) -> Target:
+    """The target if an array can be made there: a backend may run on one device per process, the first asked for."""
+    assert target.kernels is not None
+    try:
+        target.kernels.zeros((1,), target.device)
+    except BackendError as error:
+        return target._replace(kernels=None, reason=str(error))
+    return target
+
+
 def pytest_report_header(config: pytest.Config) -> list[str]:
     targets = config.stash[_TARGETS]
-    tried = ", ".join(str(target) for target in targets if target.kernels is not None)
-    skipped = [f"kernels not tried: {target} ({target.reason})" for target in targets if target.kernels is None]
+    backends, devices = (max(len(target[column]) for target in targets) for column in (0, 1))
+    table = [
+        f"  {target.backend:<{backends}}  {target.device:<{devices}}  "
+        + (f"not tried: {target.reason}" if target.kernels is None else "tried")
+        for target in targets
+    ]
     data = f"{DATA}" if DATA.is_dir() else f"{DATA} is not there: tests on real light fields are skipped"
-    return [f"kernels tried: {tried or 'none'}", *skipped, f"random inputs: --seed={os.environ[SEED]}", f"data: {data}"]
+    return ["kernels:", *table, f"random inputs: --seed={os.environ[SEED]}", f"data: {data}"]
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -95,6 +109,13 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         own = any(name in mark.args[0] for mark in metafunc.definition.iter_markers("parametrize"))
         if name in metafunc.fixturenames and not own:
             metafunc.parametrize(name, values, ids=str)
+
+
+@pytest.fixture
+def others(request: pytest.FixtureRequest) -> list[Target]:
+    """All backends x devices but the reference that can be tried."""
+    targets = request.config.stash[_TARGETS]
+    return [target for target in targets if target.kernels is not None and target.backend != "reference"]
 
 
 @pytest.fixture

@@ -4,15 +4,28 @@ from __future__ import annotations
 
 import builtins
 import importlib
+import importlib.metadata
+import importlib.util
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast
 
+import conftest
 import numpy as np
 import pytest
 
-from lfgpu import _backends
+from lfgpu import _backends, scenes
+from lfgpu.config import Config
+from lfgpu.depth import estimate_depth
 from lfgpu.errors import BackendError
 from lfgpu.types import KernelSet
+
+
+def raising(error: Exception) -> Callable[..., Any]:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    return fail
 
 
 def machine_with(*devices: str) -> KernelSet:
@@ -47,14 +60,90 @@ def test_a_missing_package_is_named_with_how_to_install_it(
         raise ModuleNotFoundError(f"No module named {package!r}")
 
     monkeypatch.setattr(_backends.importlib, "import_module", missing)
+    monkeypatch.setattr(_backends, "_version", lambda package: None)
     with pytest.raises(BackendError) as error:
         _backends.load(backend)
-    for words in (repr(backend), f"No module named {package!r}", f"pip install {package}"):
-        assert words in str(error.value)
+    assert str(error.value) == (
+        f"backend {backend!r} cannot be loaded (No module named {package!r}); install it with: pip install {package}"
+    )
     assert isinstance(error.value.__cause__, ModuleNotFoundError)
 
 
-def test_every_backend_is_a_package_of_that_name(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError("libsome.so: cannot open\nshared object file"), "OSError: libsome.so: cannot open shared object file"),
+        (AttributeError("module 'numpy' has no attribute 'int'"), "AttributeError: module 'numpy' has no attribute"),
+        (RuntimeError(), "RuntimeError"),
+        (ImportError("DLL load failed"), "(DLL load failed)"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_a_broken_installation_is_a_sentence_too(error: Exception, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_backends.importlib, "import_module", raising(error))
+    with pytest.raises(BackendError) as refused:
+        _backends.load("reference")
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert str(refused.value).endswith("pip install --force-reinstall numpy")
+
+
+# --- what is here ---
+
+
+def test_all_backends_are_described_the_default_first(target: Any) -> None:
+    described = {info.name: info for info in _backends.describe_backends()}
+    assert tuple(described) == _backends.list_backends()
+    info = described[target.backend]
+    assert info.package == _backends.package_of(target.backend)
+    assert info.version == importlib.metadata.version(info.package)
+    assert info.devices == target.kernels.devices()
+    assert info.problem is None
+    assert info.remedy is None
+
+
+def test_one_backend_that_fails_hides_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    right = importlib.import_module
+
+    def broken(name: str) -> Any:
+        return raising(OSError("a broken library"))() if name == "lfgpu.kernels.warp" else right(name)
+
+    monkeypatch.setattr(_backends.importlib, "import_module", broken)
+    described = {info.name: info for info in _backends.describe_backends()}
+    assert described["reference"].devices == ("cpu",)
+    warp = described["warp"]
+    assert warp.devices == ()
+    assert warp.problem == "cannot be loaded: OSError: a broken library"
+    assert warp.remedy == "pip install --force-reinstall warp-lang"
+
+
+def test_a_package_that_is_missing_has_no_version_and_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(_backends._PACKAGES, "fpga", "no-such-package")
+    info = _backends.describe_backends()[-1]
+    assert (info.name, info.version, info.devices) == ("fpga", None, ())
+    assert info.problem == "cannot be loaded: No module named 'lfgpu.kernels.fpga'"
+    assert info.remedy == "pip install no-such-package"
+
+
+def test_devices_that_cannot_be_listed_are_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    failing = SimpleNamespace(KERNELS=SimpleNamespace(devices=raising(RuntimeError("the driver is too old"))))
+    monkeypatch.setattr(_backends.importlib, "import_module", lambda name: failing)
+    info = _backends.describe_backends()[0]
+    assert info.problem == "cannot list its devices: RuntimeError: the driver is too old"
+    assert info.version is not None
+    assert info.remedy is None
+
+
+def test_a_result_lists_the_package_of_its_backend(target: Any) -> None:
+    lf = scenes.make("relief", grid=(1, 3), size=(24, 24))
+    config = Config().with_values({"refinement.max_iterations": 0, "prior.window": 3})
+    result = estimate_depth(
+        lf, config=config, disparity_range=(-1.5, 1.5), backend=target.backend, device=target.device
+    )
+    assert result.versions.keys() == {"lfgpu", "numpy", "scipy", _backends.package_of(target.backend)}
+
+
+def test_every_backend_is_a_package_of_that_name() -> None:
     for backend in _backends.list_backends():
         assert importlib.util.find_spec(f"lfgpu.kernels.{backend}") is not None
 
@@ -71,6 +160,26 @@ def test_loading_the_reference_does_not_load_warp(monkeypatch: pytest.MonkeyPatc
 
 
 # --- devices ---
+
+
+def test_tests_try_a_backend_of_one_device_on_the_first_that_it_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[str] = []
+
+    def zeros(shape: tuple[int, ...], device: str) -> None:
+        started.append(device)
+        if device != started[0]:
+            raise BackendError(f"runs on {started[0]} already.")
+
+    one_device = SimpleNamespace(devices=lambda: ("cuda:0", "cpu"), zeros=zeros)
+    monkeypatch.setattr(conftest, "list_backends", lambda: ("one",))
+    monkeypatch.setattr(conftest, "load", lambda backend: one_device)
+    first, second = conftest._find_targets(None, None)
+    assert (first.device, first.kernels) == ("cuda:0", one_device)
+    assert (second.device, second.kernels, second.reason) == ("cpu", None, "runs on cuda:0 already.")
+    started.clear()
+    first, second = conftest._find_targets("one", "cpu")
+    assert (first.device, first.kernels, first.reason) == ("cuda:0", None, "--device=cpu")
+    assert (second.device, second.kernels) == ("cpu", one_device)
 
 
 @pytest.mark.parametrize(

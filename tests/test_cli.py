@@ -8,7 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,8 +17,10 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from lfgpu import scenes
+from lfgpu import get_threads, list_backends, scenes, set_threads
+from lfgpu._backends import BackendInfo
 from lfgpu.cli import app, demo
+from lfgpu.cli.machine import device_name
 from lfgpu.config import Config
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read, read_map, read_result, write_hci, write_pfm
@@ -468,6 +470,65 @@ def test_eval_refuses(
     refused(lfgpu("eval", *arguments), words)
 
 
+# --- backends ---
+
+
+def test_backends_shows_what_is_here_and_how_to_get_what_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    described = (
+        BackendInfo("warp", "warp-lang", "1.19.0", ("cuda:0", "cpu")),
+        BackendInfo("taichi", "taichi", None, (), "cannot be loaded: No module named 'taichi'", "pip install taichi"),
+        BackendInfo("fpga", "fpga-tools", "2.0", (), "cannot be loaded: OSError: libfpga.so: [no such file]", None),
+    )
+    monkeypatch.setattr("lfgpu._backends.describe_backends", lambda: described)
+    monkeypatch.setattr("lfgpu.cli.machine.device_name", {"cuda:0": "NVIDIA H200"}.get)
+    outcome = lfgpu("backends")
+    assert (outcome.code, outcome.err) == (0, "")
+    rows = [" ".join(line.split()) for line in outcome.out.splitlines() if line.strip()][2:]
+    assert rows == [
+        "warp (default) warp-lang 1.19.0 cuda:0: NVIDIA H200",
+        "cpu",
+        "taichi taichi: not installed cannot be loaded: No module named 'taichi'",
+        "pip install taichi",
+        "fpga fpga-tools 2.0 cannot be loaded: OSError: libfpga.so: [no such file]",
+    ]
+
+
+def test_backends_has_a_row_for_each_that_there_is() -> None:
+    outcome = lfgpu("backends")
+    assert outcome.code == 0
+    for backend in list_backends():
+        assert re.search(rf"^ {backend} ", outcome.out, re.MULTILINE)
+
+
+def test_devices_without_a_known_name_have_none() -> None:
+    assert device_name("tpu:0") is None
+    assert device_name("cuda:999") is None
+    assert device_name("cpu") != ""
+
+
+# --- threads ---
+
+
+@pytest.fixture
+def _threads_as_before() -> Iterator[None]:
+    yield
+    set_threads(None)
+
+
+@pytest.mark.usefixtures("_threads_as_before")
+def test_threads_are_used_and_change_nothing(solved: tuple[Path, Outcome], recorded: Path, out: Path) -> None:
+    outcome = lfgpu("depth", recorded, "-o", out, "--threads", 3, *RANGE)
+    assert outcome.code == 0, outcome.err
+    assert get_threads() == 3
+    np.testing.assert_array_equal(read_map(out / "disparity.pfm"), read_map(solved[0] / "disparity.pfm"))
+
+
+@pytest.mark.parametrize("command", [["depth", "nowhere"], ["demo"]], ids=["depth", "demo"])
+def test_no_threads_are_refused(command: list[str], out: Path) -> None:
+    refused(lfgpu(*command, "-o", out, "--threads", 0), "--threads must be a whole number from 1 on, not 0")
+    assert not out.parent.exists()
+
+
 # --- demo and the whole ---
 
 
@@ -514,3 +575,4 @@ def test_help_loads_nothing_heavy() -> None:
     done = python("-c", script)
     assert done.returncode == 0, done.stderr
     assert "--disparity-range" in done.stdout
+    assert all(backend in done.stdout for backend in list_backends())

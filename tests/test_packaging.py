@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import re
 import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import pytest
+
+from lfgpu import _backends
 
 ROOT = Path(__file__).parents[1]
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
 HOST = sorted((ROOT / "lfgpu").rglob("*.py"))
 KERNELS = sorted((ROOT / "kernels").rglob("*.py"))
+LEAVES = ("lfgpu.errors", "lfgpu.threads", "lfgpu.types")  # what kernels may import of the host side
 HEAVY = {"warp", "taichi", "matplotlib", "typer", "rich", "scipy", "imageio", "PIL"}
 
 
@@ -34,6 +39,13 @@ def run_python(code: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, timeout=60)
 
 
+def required() -> set[str]:
+    """What pip calls all that lfgpu and its extras need."""
+    project = SETTINGS["project"]
+    lines = [*project["dependencies"], *chain(*project["optional-dependencies"].values())]
+    return {re.match(r"[\w-]+", line)[0] for line in lines} - {"lfgpu"}  # type: ignore[index]
+
+
 # --- what is installed ---
 
 
@@ -43,6 +55,23 @@ def test_packages_are_the_tree() -> None:
     assert set(settings["packages"]) == tree
     assert len(settings["packages"]) == len(tree)
     assert settings["package-dir"] == {"lfgpu": "lfgpu", "lfgpu.kernels": "kernels"}
+
+
+def test_every_backend_is_a_package_whose_needs_can_be_installed() -> None:
+    for backend, package in _backends._PACKAGES.items():
+        assert f"lfgpu.kernels.{backend}" in SETTINGS["tool"]["setuptools"]["packages"]
+        assert package in required()
+
+
+def test_all_is_every_extra() -> None:
+    extras = SETTINGS["project"]["optional-dependencies"]
+    (everything,) = extras["all"]
+    assert set(everything.removeprefix("lfgpu[").removesuffix("]").split(",")) == extras.keys() - {"all"}
+
+
+def test_what_the_project_needs_is_pinned() -> None:
+    pinned = {line.partition("==")[0].lower() for line in (ROOT / "constraints.txt").read_text().splitlines()}
+    assert {name.lower() for name in required()} <= pinned
 
 
 def test_no_folder_with_code_is_not_a_package() -> None:
@@ -143,11 +172,11 @@ def within(name: str, *packages: str) -> bool:
 
 
 @pytest.mark.parametrize("path", KERNELS, ids=name_of)
-def test_kernels_import_only_the_contract_and_their_own_backend(path: Path) -> None:
+def test_kernels_import_only_leaves_and_their_own_backend(path: Path) -> None:
     own = "lfgpu." + ".".join(path.relative_to(ROOT).parts[:2]) if path.parent.name != "kernels" else "lfgpu.kernels"
     for name in imports(path):
         if within(name, "lfgpu"):
-            assert within(name, "lfgpu.types", own), f"{name_of(path)} imports {name}"
+            assert within(name, *LEAVES, own), f"{name_of(path)} imports {name}"
 
 
 @pytest.mark.parametrize("path", HOST, ids=name_of)
@@ -170,6 +199,7 @@ ARROWS = {
     # what it is: what of lfgpu it may import; DESIGN §3
     "types.py": (),
     "errors.py": (),
+    "threads.py": ("errors",),
     "_backends.py": ("errors", "types"),
     "config.py": ("errors",),
     "geometry.py": ("errors", "types"),

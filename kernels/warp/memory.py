@@ -71,11 +71,3 @@ def zeros_image(shape: Sequence[int], device: str) -> Any:
 def numpy(array: Any) -> NDArray[Any]:
     values = np.array(array.numpy())
     return values if array.dtype is wp.float32 else values.reshape(*array.shape, array.dtype._length_)
-
-
-def lanes(array: Any) -> int:
-    """How many kernel threads share a row of pixels: one for each pixel on a GPU; one for the whole row on a CPU.
-
-    A CPU runs the threads of a launch one after the other, and a plain loop costs it less than a thread per pixel.
-    """
-    return 1 if array.device.is_cpu else int(array.shape[-1])

@@ -8,8 +8,8 @@ import warp as wp
 
 from lfgpu.types import half_window
 
-from .memory import lanes, pixel_type
-from .threads import in_slices, load, once
+from .memory import pixel_type
+from .threads import in_slices, lanes, launch_rows, load, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,11 +24,13 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
         image: wp.array2d(dtype=pixel),
         color: float,
         gradient: float,
+        row: int,
         lanes: int,
         features_out: wp.array2d(dtype=feature),
     ):
         """Colour and its central differences in x and y, times `color` and `gradient`."""
         y, lane = wp.tid()
+        y = y + row
         height = image.shape[0]
         width = image.shape[1]
         for x in range(lane, width, lanes):
@@ -172,7 +174,7 @@ def nlm_weights(
     steps = _half_window(window, device.alias)
     features = wp.empty(image.shape, dtype=pixel_type(3 * channels), device=device)
     color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
-    wp.launch(kernels.features, (image.shape[0], threads), [image, color, gradient, threads], [features], device=device)
+    launch_rows(kernels.features, [image, color, gradient], features)
     load(device, kernels.distance, _weight_kernel)
 
     def some_neighbors(_: int, first: int, last: int) -> None:
@@ -194,11 +196,4 @@ def nlm_laplacian(weights: Any, values: Any, *, window: int, laplacian_out: Any)
 
 
 def _apply(kernel: Any, weights: Any, values: Any, window: int, result_out: Any) -> None:
-    device, threads, steps = values.device, lanes(values), _half_window(window, values.device.alias)
-    load(device, kernel)
-
-    def some_rows(_: int, first: int, last: int) -> None:
-        inputs = [weights, values, steps, first, threads]
-        wp.launch(kernel, (last - first, threads), inputs, [result_out], device=device)
-
-    in_slices(device, values.shape[0], some_rows)
+    launch_rows(kernel, [weights, values, _half_window(window, values.device.alias)], result_out)

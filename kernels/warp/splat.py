@@ -7,9 +7,9 @@ import warp as wp
 
 from lfgpu.types import DataTerm
 
-from .memory import lanes, pixel_type
+from .memory import pixel_type
 from .tent import tent, tent_slope
-from .threads import in_slices, load, once, slices
+from .threads import in_slices, lanes, launch_rows, load, once, slices
 
 
 @wp.struct
@@ -119,10 +119,12 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         disparity: wp.array2d(dtype=float),
         offsets: wp.array(dtype=wp.vec2f),
         softness: float,
+        row: int,
         lanes: int,
         image_out: wp.array2d(dtype=pixel),
     ):
         y, lane = wp.tid()
+        y = y + row
         for x in range(lane, disparity.shape[1], lanes):
             total = pixel()
             for n in range(offsets.shape[0]):
@@ -166,11 +168,13 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         offsets: wp.array(dtype=wp.vec2f),
         factor: float,
         softness: float,
+        row: int,
         lanes: int,
         gradient_out: wp.array2d(dtype=float),
     ):
         """Adds factor * Jᵀ r, so that views can come in batches."""
         y, lane = wp.tid()
+        y = y + row
         for x in range(lane, image.shape[1], lanes):
             d = disparity[y, x]
             value = image[y, x]
@@ -229,8 +233,9 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         wp.atomic_add(squares_out, first + n, y, total)
 
     @wp.kernel(module=module, enable_backward=False)
-    def total_kernel(gradients: wp.array3d(dtype=float), lanes: int, gradient_out: wp.array2d(dtype=float)):
+    def total_kernel(gradients: wp.array3d(dtype=float), row: int, lanes: int, gradient_out: wp.array2d(dtype=float)):
         y, lane = wp.tid()
+        y = y + row
         for x in range(lane, gradients.shape[2], lanes):
             total = float(0.0)
             for k in range(gradients.shape[0]):
@@ -258,33 +263,42 @@ def as_offsets(offsets: Any) -> Any:
 
 
 def splat(image: Any, disparity: Any, offsets: Any, *, softness: float, views_out: Any, coverage_out: Any) -> None:
-    kernels, threads, pairs = _for_image(image), lanes(image), as_offsets(offsets)
-    dim, device = (*views_out.shape[:2], threads), image.device
-    views_out.zero_()
-    coverage_out.zero_()
-    wp.launch(kernels.splat, dim, [image, disparity, pairs, softness, threads], [views_out], device=device)
-    wp.launch(kernels.coverage, dim, [disparity, pairs, softness, threads], [coverage_out], device=device)
+    kernels, threads, pairs, device = _for_image(image), lanes(image), as_offsets(offsets), image.device
+    load(device, kernels.splat)
+
+    def some_views(_: int, first: int, last: int) -> None:
+        views, coverage, some = views_out[first:last], coverage_out[first:last], pairs[first:last]
+        views.zero_()
+        coverage.zero_()
+        dim = (last - first, image.shape[0], threads)
+        wp.launch(kernels.splat, dim, [image, disparity, some, softness, threads], [views], device=device)
+        wp.launch(kernels.coverage, dim, [disparity, some, softness, threads], [coverage], device=device)
+
+    in_slices(device, views_out.shape[0], some_views)
 
 
 def splat_transpose(views: Any, disparity: Any, offsets: Any, *, softness: float, image_out: Any) -> None:
-    threads = lanes(disparity)
-    inputs = [views, disparity, as_offsets(offsets), softness, threads]
-    dim = (disparity.shape[0], threads)
-    wp.launch(_for_image(views).transpose, dim, inputs, [image_out], device=disparity.device)
+    inputs = [views, disparity, as_offsets(offsets), softness]
+    launch_rows(_for_image(views).transpose, inputs, image_out)
 
 
 def splat_jvp(image: Any, disparity: Any, tangent: Any, offsets: Any, *, softness: float, views_out: Any) -> None:
-    threads = lanes(image)
-    inputs = [image, disparity, tangent, as_offsets(offsets), softness, threads]
-    views_out.zero_()
-    wp.launch(_for_image(image).jvp, (*views_out.shape[:2], threads), inputs, [views_out], device=image.device)
+    kernel, threads, pairs, device = _for_image(image).jvp, lanes(image), as_offsets(offsets), image.device
+    load(device, kernel)
+
+    def some_views(_: int, first: int, last: int) -> None:
+        views = views_out[first:last]
+        views.zero_()
+        inputs = [image, disparity, tangent, pairs[first:last], softness, threads]
+        wp.launch(kernel, (last - first, image.shape[0], threads), inputs, [views], device=device)
+
+    in_slices(device, views_out.shape[0], some_views)
 
 
 def splat_vjp(image: Any, disparity: Any, residual: Any, offsets: Any, *, softness: float, gradient_out: Any) -> None:
-    threads = lanes(image)
-    inputs = [image, disparity, residual, as_offsets(offsets), 1.0, softness, threads]
     gradient_out.zero_()
-    wp.launch(_for_image(image).vjp, (image.shape[0], threads), inputs, [gradient_out], device=image.device)
+    inputs = [image, disparity, residual, as_offsets(offsets), 1.0, softness]
+    launch_rows(_for_image(image).vjp, inputs, gradient_out)
 
 
 def data_term(image: Any, recorded: Any, valid: Any | None, offsets: Any, *, scale: float, softness: float) -> DataTerm:
@@ -322,7 +336,7 @@ def data_term(image: Any, recorded: Any, valid: Any | None, offsets: Any, *, sca
                 wp.launch(
                     kernels.vjp,
                     (height, threads),
-                    [image, disparity, residual, some, 2.0, softness, threads],
+                    [image, disparity, residual, some, 2.0, softness, 0, threads],
                     [gradient],
                     device=device,
                 )
@@ -330,7 +344,7 @@ def data_term(image: Any, recorded: Any, valid: Any | None, offsets: Any, *, sca
         gradients.zero_()
         squares.zero_()
         in_slices(device, n, some_views)
-        wp.launch(kernels.total, (height, threads), [gradients, threads], [gradient_out], device=device)
+        launch_rows(kernels.total, [gradients], gradient_out)
         return float(squares.numpy().sum(dtype="float64"))
 
     return evaluate

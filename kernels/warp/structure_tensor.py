@@ -7,8 +7,8 @@ import warp as wp
 
 from lfgpu.types import LocalEstimate, StructureFilters
 
-from .memory import lanes, pixel_type
-from .threads import once
+from .memory import pixel_type
+from .threads import launch_rows, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -34,28 +34,31 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         along_slope: wp.array2d(dtype=float),
         scale: float,
         shear: float,
+        row: int,
         lanes: int,
         value_out: wp.array3d(dtype=pixel),
         slope_out: wp.array3d(dtype=pixel),
     ):
         """Smoothed value and derivative along the views, of EPIs sheared by linear interpolation."""
-        m, y, lane = wp.tid()
+        y, lane = wp.tid()
+        y = y + row
         last = epis.shape[2] - 1
-        for x in range(lane, epis.shape[2], lanes):
-            value = pixel()
-            slope = pixel()
-            for u in range(epis.shape[0]):
-                shift = -shear * offsets[u]
-                whole = wp.floor(shift)
-                share = shift - whole
-                left = x + int(whole)
-                sample = value_of(epis, u, y, wp.clamp(left, 0, last))
-                if share > 0.0:
-                    sample = sample * (1.0 - share) + value_of(epis, u, y, wp.clamp(left + 1, 0, last)) * share
-                value = value + sample * (scale * along_value[m, u])
-                slope = slope + sample * (scale * along_slope[m, u])
-            value_out[m, y, x] = value
-            slope_out[m, y, x] = slope
+        for m in range(value_out.shape[0]):
+            for x in range(lane, epis.shape[2], lanes):
+                value = pixel()
+                slope = pixel()
+                for u in range(epis.shape[0]):
+                    shift = -shear * offsets[u]
+                    whole = wp.floor(shift)
+                    share = shift - whole
+                    left = x + int(whole)
+                    sample = value_of(epis, u, y, wp.clamp(left, 0, last))
+                    if share > 0.0:
+                        sample = sample * (1.0 - share) + value_of(epis, u, y, wp.clamp(left + 1, 0, last)) * share
+                    value = value + sample * (scale * along_value[m, u])
+                    slope = slope + sample * (scale * along_slope[m, u])
+                value_out[m, y, x] = value
+                slope_out[m, y, x] = slope
 
     @wp.kernel(module=module, enable_backward=False)
     def across_kernel(
@@ -64,11 +67,13 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         across_value: wp.array(dtype=float),
         across_slope: wp.array(dtype=float),
         along_outer: wp.array(dtype=float),
+        row: int,
         lanes: int,
         tensor_out: wp.array2d(dtype=wp.vec3f),
     ):
         """Gradients, and their products summed over channels and the outer window along the views."""
         y, lane = wp.tid()
+        y = y + row
         last = value.shape[2] - 1
         radius = across_value.shape[0] / 2
         for x in range(lane, value.shape[2], lanes):
@@ -92,12 +97,14 @@ def _slope_kernel(
     across_outer: wp.array(dtype=float),
     shear: float,
     floor: float,
+    row: int,
     lanes: int,
     disparity_out: wp.array2d(dtype=float),
     coherence_out: wp.array2d(dtype=float),
 ):
     """Outer smoothing across the views, then the direction and coherence of the tensor."""
     y, lane = wp.tid()
+    y = y + row
     last = tensor.shape[1] - 1
     radius = across_outer.shape[0] / 2
     for x in range(lane, tensor.shape[1], lanes):
@@ -113,35 +120,17 @@ def _slope_kernel(
 def structure_tensor(
     epis: Any, offsets: Any, filters: StructureFilters, *, scale: float, floor: float
 ) -> LocalEstimate:
-    device, (_, height, width), threads = epis.device, epis.shape, lanes(epis)
-    channels = epis.dtype._length_
+    device, (_, height, width), channels = epis.device, epis.shape, epis.dtype._length_
     kernels = _kernels(channels, epis.dtype._wp_scalar_type_)
-    places = filters.along_outer.shape[0]
-    value = wp.empty((places, height, width), dtype=pixel_type(channels), device=device)
+    value = wp.empty((filters.along_outer.shape[0], height, width), dtype=pixel_type(channels), device=device)
     slope = wp.empty_like(value)
     tensor = wp.empty((height, width), dtype=wp.vec3f, device=device)
 
     def evaluate(shear: float, disparity_out: Any, coherence_out: Any) -> None:
-        wp.launch(
-            kernels.along,
-            (places, height, threads),
-            [epis, offsets, filters.along_value, filters.along_slope, scale, shear, threads],
-            [value, slope],
-            device=device,
-        )
-        wp.launch(
-            kernels.across,
-            (height, threads),
-            [value, slope, filters.across_value, filters.across_slope, filters.along_outer, threads],
-            [tensor],
-            device=device,
-        )
-        wp.launch(
-            _slope_kernel,
-            (height, threads),
-            [tensor, filters.across_outer, shear, floor, threads],
-            [disparity_out, coherence_out],
-            device=device,
-        )
+        along = [epis, offsets, filters.along_value, filters.along_slope, scale, shear]
+        launch_rows(kernels.along, along, value, slope)
+        across = [value, slope, filters.across_value, filters.across_slope, filters.along_outer]
+        launch_rows(kernels.across, across, tensor)
+        launch_rows(_slope_kernel, [tensor, filters.across_outer, shear, floor], disparity_out, coherence_out)
 
     return evaluate

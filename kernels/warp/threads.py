@@ -7,10 +7,12 @@ import os
 import threading
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, wraps
+from functools import cache, lru_cache, wraps
 from typing import Any, TypeVar
 
 import warp as wp
+
+from lfgpu.threads import get_threads
 
 _SLICES = 16
 _LOCK = threading.RLock()
@@ -32,11 +34,12 @@ def once(function: Callable[..., Result]) -> Callable[..., Result]:
 
 def in_slices(device: Any, count: int, work: Callable[[int, int, int], None]) -> None:
     """Call work(slice, first, last) for slices of range(count): one for all on a GPU, several at a time on a CPU."""
-    cuts = slices(device, count)
-    if len(cuts) == 1:
-        work(0, 0, count)
+    cuts, threads = slices(device, count), get_threads()
+    if len(cuts) == 1 or threads == 1:
+        for k, (first, last) in enumerate(cuts):
+            work(k, first, last)
         return
-    for done in [_pool().submit(work, k, first, last) for k, (first, last) in enumerate(cuts)]:
+    for done in [_pool(threads).submit(work, k, first, last) for k, (first, last) in enumerate(cuts)]:
         done.result()
 
 
@@ -46,6 +49,28 @@ def slices(device: Any, count: int) -> list[tuple[int, int]]:
     return [(count * k // parts, count * (k + 1) // parts) for k in range(parts)]
 
 
+def launch_rows(kernel: Any, inputs: list[Any], *outputs: Any) -> None:
+    """Launch kernel(*inputs, row, lanes, *outputs) on (y, lane) over the rows of outputs [.., y, x], in slices of them.
+
+    Slices begin at `row`, which the kernel adds to its y.
+    """
+    device, height, threads = outputs[0].device, outputs[0].shape[-2], lanes(outputs[0])
+    load(device, kernel)
+
+    def some_rows(_: int, first: int, last: int) -> None:
+        wp.launch(kernel, (last - first, threads), [*inputs, first, threads], list(outputs), device=device)
+
+    in_slices(device, height, some_rows)
+
+
+def lanes(array: Any) -> int:
+    """How many kernel threads share a row of pixels: one for each pixel on a GPU; one for the whole row on a CPU.
+
+    A CPU runs the threads of a launch one after the other, and a plain loop costs it less than a thread per pixel.
+    """
+    return 1 if array.device.is_cpu else int(array.shape[-1])
+
+
 def load(device: Any, *kernels: Any) -> None:
     """Compile and load what threads are about to launch; they must not do it at the same time."""
     with _LOCK:
@@ -53,9 +78,9 @@ def load(device: Any, *kernels: Any) -> None:
             wp.load_module(module, device=device)
 
 
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="lfgpu")
+@lru_cache(maxsize=1)
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="lfgpu")
 
 
 if hasattr(os, "register_at_fork"):  # the threads of a pool do not live on in a forked process

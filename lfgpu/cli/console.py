@@ -67,6 +67,17 @@ def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
     console.print(Padding(table, (0, 0, 0, 2), expand=False))
 
 
+def backend_rows(console: Console, rows: Sequence[tuple[str, str, Sequence[str]]]) -> None:
+    """A row for each backend: its name, what of it is installed, and lines on where it runs or why it does not."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
+    table.add_column("backend", no_wrap=True)
+    table.add_column("needs", no_wrap=True)
+    table.add_column("runs on", overflow="fold")
+    for name, installed, where in rows:
+        table.add_row(name, installed, "\n".join(where))
+    console.print(table)
+
+
 def remark(console: Console, text: str) -> None:
     """A sentence below a heading."""
     console.print(Padding(Text(text), (0, 0, 0, 2), expand=False))

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lfgpu.cli.options import Threads
+
 if TYPE_CHECKING:
     from lfgpu.lightfield import LightField
     from lfgpu.metrics import Metrics
@@ -24,9 +26,10 @@ def demo(
         Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where everything goes; made if missing.")
     ] = Path("lfgpu-demo"),
     seed: Annotated[int, typer.Option(help="Another scene for each.")] = 0,
+    threads: Threads = None,
 ) -> None:
     """Make a light field, estimate its depth, compare with the exact truth and draw an overview."""
-    from lfgpu.cli import summary
+    from lfgpu.cli import summary, values
     from lfgpu.cli.console import output
     from lfgpu.cli.depth import Estimation
     from lfgpu.cli.outputs import write_outputs
@@ -35,6 +38,7 @@ def demo(
     from lfgpu.scenes import make
 
     check_writable(out)
+    values.use_threads("--threads", threads)
     console = output()
     rows, columns = GRID
     console.print(f"Making {rows * columns} views of {_SCENE}, seed {seed}, then estimating the depth of one ...")

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lfgpu._backends import DEFAULT, list_backends
 from lfgpu.cli import values
+from lfgpu.cli.options import Threads
 
 if TYPE_CHECKING:
     from lfgpu.config import Config
@@ -22,7 +24,7 @@ class Estimation:
 
     config: Config
     disparity_range: tuple[float, float] | None = None
-    backend: str = "warp"
+    backend: str = DEFAULT
     device: str | None = None
 
     def check_device(self) -> None:
@@ -64,10 +66,11 @@ def depth(
             metavar="LOW,HIGH", help="Bounds in pixels per view step, larger is nearer.", show_default="found"
         ),
     ] = None,
-    backend: Annotated[str, typer.Option(metavar="NAME", help="Kernels: warp or reference.")] = "warp",
+    backend: Annotated[str, typer.Option(metavar="NAME", help=f"Kernels: {', '.join(list_backends())}.")] = DEFAULT,
     device: Annotated[
         str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the best there is")
     ] = None,
+    threads: Threads = None,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
@@ -96,6 +99,7 @@ def depth(
     )
     place = None if reference_view is None else values.parse_place("--reference-view", reference_view)
     values.check_pattern("--views", pattern)
+    values.use_threads("--threads", threads)
     estimation.check_device()
 
     lf = _chosen(read(source, format=format_name, allow_missing=allow_missing), place, pattern)

@@ -45,6 +45,17 @@ def numbers(option: str, text: str, separator: str, what: str) -> tuple[float, f
     return first, second
 
 
+def use_threads(option: str, count: int | None) -> None:
+    """Compute on `count` threads of the CPU at most; None leaves it as it is. LightFieldError if there are none."""
+    from lfgpu.threads import set_threads
+
+    if count is None:
+        return
+    if count < 1:
+        raise LightFieldError(f"{option} must be a whole number from 1 on, not {count}.")
+    set_threads(count)
+
+
 def configured(preset_name: str, settings: Sequence[str]) -> Config:
     """A preset with `stage.parameter=value` settings applied; LightFieldError if one is wrong or unknown."""
     from lfgpu.config import preset

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
+from threadpoolctl import threadpool_limits
 
 from lfgpu.solvers.solution import Solution
 from lfgpu.types import Float32Array, Float64Array
@@ -66,15 +67,17 @@ def minimize_lbfgsb(
         last = values[-_PATIENCE - 1 :]
         return len(last) > _PATIENCE and scale * (last[0] - last[-1]) <= _PATIENCE * tolerance
 
-    result = minimize(
-        scaled,
-        first.ravel(),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[bounds] * first.size,
-        callback=after_iteration,
-        options={"maxiter": max_iterations, "maxfun": 10 * max_iterations + 10, "ftol": 0.0, "gtol": 0.0},
-    )
+    # The products are of a few vectors: BLAS threads spend longer waiting for each other, and hold up the kernels.
+    with threadpool_limits(1, user_api="blas"):
+        result = minimize(
+            scaled,
+            first.ravel(),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=Bounds(np.full(first.size, bounds[0]), np.full(first.size, bounds[1])),
+            callback=after_iteration,
+            options={"maxiter": max_iterations, "maxfun": 10 * max_iterations + 10, "ftol": 0.0, "gtol": 0.0},
+        )
     converged = flat(trace) or bool(result.success)
     if converged:
         reason = "the energy no longer falls"

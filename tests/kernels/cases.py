@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.config import LocalConfig
+from lfgpu.config import LocalConfig, PriorConfig, RefinementConfig
 from lfgpu.initial import structure_filters
+from lfgpu.lightfield import LightField
 from lfgpu.types import half_window
 
 FLOAT32_STEP = 2.0**-24  # half the distance of neighbouring float32 numbers around 1
@@ -76,6 +77,8 @@ SPLAT_CASES = (
     SplatCase("sharp tent", softness=2.0**-6),
     SplatCase("softest tent", softness=0.5, channels=1),
     SplatCase("arbitrary numbers", softness=0.1, exact=False, offsets=((0.31, -1.2), (1.7, 0.9))),
+    SplatCase("grid with holes", offsets=tuple(grid(3, 3)[k] for k in (0, 1, 3, 5, 8)), dtype="uint8"),
+    SplatCase("work for several threads", size=(61, 38), offsets=grid(5, 5), masked=True),
 )
 
 
@@ -127,6 +130,7 @@ NLM_CASES = (
     NlmCase("window wider than image", size=(4, 3), window=11),
     NlmCase("weights at their floor", sigma_color=0.01, sigma_gradient=0.01, floor=0.05),
     NlmCase("alike everywhere", sigma_color=10.0, sigma_gradient=10.0),
+    NlmCase("work for several threads", size=(61, 53), window=7),
 )
 
 
@@ -185,6 +189,8 @@ EPI_CASES = (
     EpiCase("one pixel wide", size=(9, 1)),
     EpiCase("one pixel high", size=(1, 17), shear=-0.5),
     EpiCase("high floor", floor=0.25),
+    EpiCase("a view missing", offsets=(-2.0, -1.0, 0.0, 2.0, 3.0), dtype="uint8"),
+    EpiCase("work for several threads", size=(41, 67), dtype="uint8", shear=0.5),
 )
 
 
@@ -227,6 +233,7 @@ VECTOR_CASES = (
     VectorCase("one pixel", (1, 1)),
     VectorCase("line", (1, 1000)),
     VectorCase("stack", (3, 7, 5)),
+    VectorCase("work for several threads", (301, 257)),
 )
 
 
@@ -235,6 +242,55 @@ def vector_inputs(case: VectorCase, rng: np.random.Generator) -> SimpleNamespace
     x, y = _float32(rng.normal(size=(2, *case.shape)))
     alpha, beta = (float(number) for number in _float32(rng.normal(size=2)))
     return SimpleNamespace(x=x, y=y, alpha=alpha, beta=beta, low=-0.5, high=0.75)
+
+
+@dataclass(frozen=True)
+class EnergyCase:
+    """A light field of random views at `offsets` from its reference, and a map in `disparities`."""
+
+    name: str
+    size: tuple[int, int] = (6, 7)
+    channels: int = 3
+    dtype: str = "float32"
+    offsets: tuple[tuple[float, float], ...] = grid(3, 3)
+    disparities: tuple[float, float] = (-1.5, 1.5)
+    masked: bool = False
+    detail_scale: float = 1.5
+    tolerance: float = 1e-5
+
+    def __str__(self) -> str:
+        return self.name.replace(" ", "-")
+
+
+ENERGY_CASES = (
+    EnergyCase("colour grid"),
+    EnergyCase("grey uint8", channels=1, dtype="uint8"),
+    EnergyCase("raw intensities uint16", dtype="uint16", detail_scale=0.0),
+    EnergyCase("one row of views", offsets=grid(1, 5)),
+    EnergyCase("one column of views", offsets=grid(5, 1), channels=1),
+    EnergyCase("two views", offsets=((0.0, 0.0), (1.0, 0.0))),
+    EnergyCase("grid with holes", offsets=tuple(grid(3, 3)[k] for k in (0, 1, 3, 4, 8)), dtype="uint8"),
+    EnergyCase("irregular offsets", offsets=((0.0, 0.0), *IRREGULAR)),
+    EnergyCase("masked", masked=True),
+    EnergyCase("mostly out of the frame", disparities=(-8.0, 8.0)),
+    EnergyCase("one pixel high", size=(1, 13), channels=1),
+)
+
+
+def energy_inputs(case: EnergyCase, rng: np.random.Generator) -> SimpleNamespace:
+    """A light field of random views, a random map, and the parameters of the two terms."""
+    shape = len(case.offsets), *case.size
+    return SimpleNamespace(
+        lf=LightField(
+            stored(rng.random((*shape, case.channels)), case.dtype),
+            np.array(case.offsets),
+            reference=case.offsets.index((0.0, 0.0)),
+            valid=rng.random(shape) < 0.8 if case.masked else None,
+        ),
+        disparity=_coarse(rng.uniform(*case.disparities, case.size), 2.0**-10).astype(np.float64),
+        refinement=RefinementConfig(softness=0.125, detail_scale=case.detail_scale),
+        prior=PriorConfig(window=5, sigma_color=0.25, sigma_gradient=0.15),
+    )
 
 
 def stored(intensities: NDArray[np.float64], dtype: str) -> NDArray[Any]:

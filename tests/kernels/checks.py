@@ -14,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import load
+from lfgpu.energy import Energy
+from lfgpu.model import ForwardModel
+from lfgpu.prior import NonLocalMeans
 from lfgpu.types import KernelSet, StructureFilters
 
 Values = NDArray[Any]
@@ -396,6 +399,47 @@ def check_masked_view_is_a_missing_view(kernels: KernelSet, device: str, i: Simp
     got, want = (compute(kernels, device, operation_of(data_term), inputs) for inputs in (masked, missing))
     for name in want:
         assert largest_error(got[name], want[name]) <= adjoint_tolerance(kernels), f"a masked view changes the {name}"
+
+
+def check_nothing_valid_is_nothing_at_all(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
+    """Where no recorded pixel is valid, there is nothing to differ from: value and gradient are 0."""
+    hidden = SimpleNamespace(**{**vars(i), "valid": np.zeros_like(i.valid)})
+    for name, output in compute(kernels, device, operation_of(data_term), hidden).items():
+        assert not output.any(), f"without a valid pixel the {name} is not 0"
+
+
+# --- the whole energy: data term and prior as the refinement puts them together ---
+
+_DIFFERENCE_STEP = 1e-6  # pixels per view step
+
+
+def check_energy(kernels: KernelSet, device: str, i: SimpleNamespace, tolerance: float) -> None:
+    """Value and gradient are the reference's; the gradient is that of central differences in float64."""
+    value, gradient = _energy(kernels, device, i)(i.disparity)
+    true_energy = _energy(load("reference"), "cpu", i)
+    true_value, true_gradient = true_energy(i.disparity)
+    assert gradient.shape == i.disparity.shape
+    differences = np.empty_like(true_gradient)
+    for place in np.ndindex(i.disparity.shape):
+        step = np.zeros_like(i.disparity)
+        step[place] = _DIFFERENCE_STEP
+        above, below = true_energy(i.disparity + step)[0], true_energy(i.disparity - step)[0]
+        differences[place] = (above - below) / (2 * _DIFFERENCE_STEP)
+    errors = {
+        "value": largest_error(np.float64(value), np.float64(true_value)),
+        "gradient": largest_error(gradient, true_gradient),
+        "gradient against central differences": largest_error(gradient, differences),
+    }
+    for name, error in errors.items():
+        assert error <= tolerance, f"energy: the {name} is off by {error:.2e}, more than {tolerance:.0e}"
+
+
+def _energy(kernels: KernelSet, device: str, i: SimpleNamespace) -> Energy:
+    reference = i.lf.reference_index
+    valid = None if i.lf.valid is None else i.lf.valid[reference]
+    model = ForwardModel(i.lf, i.refinement, kernels, device)
+    prior = NonLocalMeans(i.lf.image(reference), i.prior, kernels, device, valid=valid)
+    return Energy(model, prior, i.refinement.smoothness)
 
 
 def check_dot_in_double(kernels: KernelSet, device: str) -> None:

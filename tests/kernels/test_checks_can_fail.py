@@ -1,12 +1,19 @@
 """Each check can fail: the reference with one single fault is caught by the very checks of the matrix.
 
-The reference as it is passes them, so that it is the fault that is caught and not the wrapping.
+The reference as it is passes them, so that it is the fault that is caught and not the wrapping. At the end, a whole
+backend with a fault goes through the matrix itself, in a run of pytest of its own.
 """
 
 from __future__ import annotations
 
+import os
+import re
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -52,11 +59,16 @@ IMAGE_ADJOINT = of_splat(checks.check_image_adjoint)
 DISPARITY_ADJOINT = of_splat(checks.check_disparity_adjoint)
 MASKED_PIXELS = of_splat(checks.check_masked_pixels_do_not_count)
 MASKED_VIEW = of_splat(checks.check_masked_view_is_a_missing_view)
+NOTHING_VALID = of_splat(checks.check_nothing_valid_is_nothing_at_all)
 DOUBLE_DOT: Check = lambda kernels, rng: checks.check_dot_in_double(kernels, "cpu")  # noqa: E731
 
 
 def NLM_SYMMETRIC(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
     checks.check_nlm_symmetric(kernels, "cpu", cases.nlm_inputs(NLM, rng))
+
+
+def ENERGY(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
+    checks.check_energy(kernels, "cpu", cases.energy_inputs(cases.EnergyCase("energy"), rng), 1e-5)
 
 
 @dataclass(frozen=True)
@@ -320,6 +332,8 @@ FAULTS = (
     Fault("mask ignored", "data_term", argument(2, lambda _: None), value_of("data_term")),
     Fault("mask ignored, seen without a truth", "data_term", argument(2, lambda _: None), MASKED_PIXELS),
     Fault("masked view counts", "data_term", argument(2, lambda _: None), MASKED_VIEW),
+    Fault("mask ignored, seen where nothing is valid", "data_term", argument(2, lambda _: None), NOTHING_VALID),
+    Fault("factor 2 of the gradient missing, seen in the energy", "data_term", planned(half_gradient), ENERGY),
     Fault("mask the other way round", "data_term", argument(2, lambda v: None if v is None else 1 - v), MASKED_PIXELS),
     Fault("last view skipped", "data_term", before(without_last_view), value_of("data_term")),
     Fault("softness ignored", "data_term", option("softness", lambda _: 0.5), value_of("data_term")),
@@ -355,6 +369,7 @@ FAULTS = (
         after(lambda a: np.add(a, 1e-3, out=a), "laplacian_out"),
         NLM_SYMMETRIC,
     ),
+    Fault("factor 2 too much, seen in the energy", "nlm_laplacian", after(scaled(2), "laplacian_out"), ENERGY),
     # the local estimate
     Fault("wrong sign", "structure_tensor", planned(flipped_slope), value_of("structure_tensor")),
     Fault("shear not added", "structure_tensor", planned(shear_forgotten), value_of("structure_tensor")),
@@ -432,3 +447,59 @@ def test_every_operation_has_a_fault_that_its_check_catches() -> None:
     assert broken == {str(operation) for operation in checks.OPERATIONS} - {"memory", "image_memory"} | {
         *("field", "image", "zeros", "zeros_image", "numpy")
     }
+
+
+# --- a whole broken backend, in the matrix itself ---
+
+ROOT = Path(__file__).parents[2]
+REGISTRATION = """
+import lfgpu.kernels
+from lfgpu import _backends
+
+lfgpu.kernels.__path__.append({folder!r})
+_backends._PACKAGES["copied"] = "numpy"
+"""
+OFFSETS, FLIPPED = "zip(residual, offsets, strict=True)", "zip(residual, offsets * (-1, 1), strict=True)"
+"""In `splat_vjp`: the sign of du is the wrong one. The data term of the copy goes through it too."""
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert text.count(old) == 1, f"{old!r} does not stand once in {path.name}: this test needs another fault"
+    path.write_text(text.replace(old, new))
+
+
+def outcomes_of_the_matrix(folder: Path, cases: str) -> dict[str, str]:
+    """Outcome of each test of the matrix for the backend `copied`, a package in that folder."""
+    (folder / "register_copied.py").write_text(REGISTRATION.format(folder=str(folder)))
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    options = ("-p", "register_copied", "-p", "no:cacheprovider", "-rA", "--tb=no", "--backend=copied", "-k", cases)
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, str(ROOT / "tests" / "kernels" / "test_matrix.py")],
+        cwd=ROOT,
+        env={**environment, "PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    found = re.findall(r"^(PASSED|FAILED|ERROR) \S+::(\S+)", done.stdout, re.MULTILINE)
+    assert found, done.stdout + done.stderr
+    return {test: outcome for outcome, test in found}
+
+
+@pytest.mark.parametrize("fault", [False, True], ids=["right", "broken"])
+def test_matrix_finds_a_new_backend_and_what_is_wrong_with_it(fault: bool, tmp_path: Path) -> None:
+    copied = shutil.copytree(ROOT / "kernels" / "reference", tmp_path / "copied")
+    edit(copied / "backend.py", 'name = "reference"', 'name = "copied"')
+    if fault:
+        edit(copied / "splat.py", OFFSETS, FLIPPED)
+    outcomes = outcomes_of_the_matrix(tmp_path, "one-row-of-views or devices_are_names")
+    wrong = {
+        "test_operation_equals_the_reference[copied-cpu-splat_vjp-one-row-of-views]",
+        "test_operation_equals_the_reference[copied-cpu-data_term-one-row-of-views]",
+        "test_splat_vjp_is_the_adjoint_of_splat_jvp[copied-cpu-one-row-of-views]",
+        "test_energy_and_its_gradient[copied-cpu-one-row-of-views]",
+    }
+    assert wrong <= outcomes.keys()
+    assert len(outcomes) > 2 * len(wrong)
+    assert outcomes == {test: "FAILED" if fault and test in wrong else "PASSED" for test in outcomes}

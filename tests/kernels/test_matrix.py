@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import pkgutil
+import re
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +14,7 @@ import checks
 import numpy as np
 import pytest
 
-from lfgpu import types
+from lfgpu import _backends, types
 
 CASES: dict[str, tuple[Any, ...]] = {
     "splat": cases.SPLAT_CASES,
@@ -37,6 +41,33 @@ def test_matrix_has_every_operation_of_the_contract() -> None:
     covered = {str(operation) for operation in checks.OPERATIONS} - {"memory", "image_memory"}
     memory = {"field", "image", "zeros", "zeros_image", "numpy"}  # in every check, and in the two about memory
     assert contract == covered | memory
+
+
+PAGE = (Path(__file__).parents[2] / "kernels" / "README.md").read_text(encoding="utf-8")
+
+
+def test_page_on_new_backends_names_the_whole_contract() -> None:
+    contract = {name for name in vars(types.KernelSet) if not name.startswith("_")}
+    assert contract == {name for name in contract if f"`{name}`" in PAGE}
+
+
+def test_page_on_new_backends_names_files_and_leaves_that_there_are() -> None:
+    folder = Path(__file__).parents[2] / "kernels" / "reference"
+    assert all(f"`{path.name}`" in PAGE for path in folder.glob("*.py"))
+    for leaf in re.findall(r"`(lfgpu\.\w+(?:\.\w+)?)`", PAGE):
+        assert pkgutil.resolve_name(leaf) is not None
+
+
+def test_example_of_the_page_is_a_backend(monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator) -> None:
+    (example,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    monkeypatch.setattr(_backends, "_PACKAGES", dict(_backends._PACKAGES))
+    monkeypatch.setitem(sys.modules, "lfgpu.kernels.mine", None)  # so that it is gone again afterwards
+    exec(compile(example, "mine.py", "exec"), {})
+    kernels = _backends.load("mine")
+    assert kernels.name == "mine"
+    assert kernels.dot is not _backends.load("reference").dot
+    inputs = cases.vector_inputs(cases.VECTOR_CASES[0], rng)
+    checks.check_value(kernels, "cpu", checks.operation_of(checks.dot), inputs, 1e-12)
 
 
 def test_backend_and_device_are_here(absent: Any) -> None:
@@ -87,6 +118,16 @@ def test_masked_pixels_do_not_count(target: Any, case: cases.SplatCase, rng: np.
 @pytest.mark.parametrize("case", MASKED, ids=str)
 def test_masked_view_is_a_missing_view(target: Any, case: cases.SplatCase, rng: np.random.Generator) -> None:
     checks.check_masked_view_is_a_missing_view(target.kernels, target.device, cases.splat_inputs(case, rng))
+
+
+@pytest.mark.parametrize("case", MASKED, ids=str)
+def test_nothing_valid_is_nothing_at_all(target: Any, case: cases.SplatCase, rng: np.random.Generator) -> None:
+    checks.check_nothing_valid_is_nothing_at_all(target.kernels, target.device, cases.splat_inputs(case, rng))
+
+
+@pytest.mark.parametrize("case", cases.ENERGY_CASES, ids=str)
+def test_energy_and_its_gradient(target: Any, case: cases.EnergyCase, rng: np.random.Generator) -> None:
+    checks.check_energy(target.kernels, target.device, cases.energy_inputs(case, rng), case.tolerance)
 
 
 def test_all_out_of_the_frame_is_nothing_at_all(target: Any, rng: np.random.Generator) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from typing import Any
 
 import cases
@@ -12,7 +12,20 @@ import checks
 import numpy as np
 import pytest
 
-SPLIT = {"splat": ("data_term",), "nlm": ("nlm_weights", "nlm_neighbors", "nlm_laplacian")}
+import lfgpu
+
+wp = pytest.importorskip("warp")
+
+INPUTS = {
+    "splat": lambda rng: cases.splat_inputs(
+        cases.SplatCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
+    ),
+    "nlm": lambda rng: cases.nlm_inputs(cases.NlmCase("large", size=(61, 53), window=7), rng),
+    "epi": lambda rng: cases.epi_inputs(cases.EpiCase("many rows", size=(61, 53)), rng),
+}
+SPLIT = [
+    operation for operation in checks.OPERATIONS if operation.inputs in INPUTS and str(operation) != "image_memory"
+]
 
 
 @pytest.fixture
@@ -22,35 +35,39 @@ def warp(other: Any) -> Any:
     return other
 
 
-@pytest.mark.parametrize("name", [name for names in SPLIT.values() for name in names])
+@pytest.fixture
+def threads(warp: Any) -> Iterator[Any]:
+    """The module that cuts work into slices; the number of threads is what it was before when the test is over."""
+    yield pytest.importorskip("lfgpu.kernels.warp.threads")
+    lfgpu.set_threads(None)
+
+
+@pytest.mark.parametrize("operation", SPLIT, ids=str)
 def test_bits_do_not_depend_on_the_number_of_threads(
-    warp: Any, name: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+    warp: Any, threads: Any, operation: checks.Operation, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    threads = pytest.importorskip("lfgpu.kernels.warp.threads")
-    (operation,) = (operation for operation in checks.OPERATIONS if str(operation) == name)
-    if operation.inputs == "splat":
-        inputs = cases.splat_inputs(cases.SplatCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng)
-    else:
-        inputs = cases.nlm_inputs(cases.NlmCase("large", size=(61, 53), window=7), rng)
-    results, used = [], []
+    launched: dict[int, set[str]] = {}
+    launch = wp.launch
+
+    def noted(*args: Any, **kwargs: Any) -> None:
+        launched.setdefault(lfgpu.get_threads(), set()).add(threading.current_thread().name)
+        launch(*args, **kwargs)
+
+    monkeypatch.setattr(wp, "launch", noted)
+    inputs, results = INPUTS[operation.inputs](rng), []
     for count in (1, 2, 5):
-        with ThreadPoolExecutor(count) as pool:
-
-            def counted(pool: ThreadPoolExecutor = pool) -> ThreadPoolExecutor:
-                used.append(pool)
-                return pool
-
-            monkeypatch.setattr(threads, "_pool", counted)
-            results.append(checks.compute(warp.kernels, warp.device, operation, inputs))
-    assert len(set(used)) == 3  # the work did go through the pools
+        lfgpu.set_threads(count)
+        results.append(checks.compute(warp.kernels, warp.device, operation, inputs))
+    assert launched[1] == {threading.current_thread().name}
+    for count in (2, 5):  # the work did go through the pool
+        assert any(name.startswith("lfgpu") for name in launched[count])
     for other in results[1:]:
         for output in other:
             np.testing.assert_array_equal(other[output], results[0][output])
 
 
 @pytest.mark.parametrize("count", [1, 2, 15, 16, 17, 100])
-def test_slices_cover_everything_once(warp: Any, count: int) -> None:
-    threads = pytest.importorskip("lfgpu.kernels.warp.threads")
+def test_slices_cover_everything_once(warp: Any, threads: Any, count: int) -> None:
     device = warp.kernels.zeros((1,), "cpu").device
     cuts = threads.slices(device, count)
     assert [i for first, last in cuts for i in range(first, last)] == list(range(count))
@@ -59,8 +76,8 @@ def test_slices_cover_everything_once(warp: Any, count: int) -> None:
     assert sorted(seen) == cuts
 
 
-def test_a_failure_in_a_thread_is_not_lost(warp: Any) -> None:
-    threads = pytest.importorskip("lfgpu.kernels.warp.threads")
+def test_a_failure_in_a_thread_is_not_lost(warp: Any, threads: Any) -> None:
+    lfgpu.set_threads(2)
 
     def work(part: int, first: int, last: int) -> None:
         if part == 3:

@@ -1,0 +1,191 @@
+"""Non-local-means weights and the two linear operators that they make; `kernels/reference/nlm.py` says which."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import taichi as ti
+
+from .memory import DeviceArray, empty, flat
+from .runtime import TASK, on_cpu, once, run
+
+
+@ti.func
+def inside(x: int, y: int, height: int, width: int):
+    return x >= 0 and x < width and y >= 0 and y < height
+
+
+@ti.func
+def step_of(k: int, radius: int):
+    """(dx, dy) of the k-th of `half_window`."""
+    side = 2 * radius + 1
+    place = k + side * radius + radius + 1
+    return ti.Vector([place % side - radius, place // side - radius])
+
+
+@once
+def _feature_kernels(channels: int) -> SimpleNamespace:
+    feature = ti.types.vector(3 * channels, ti.f32)
+
+    @ti.kernel
+    def features_kernel(
+        image: flat(channels=channels),
+        color: float,
+        gradient: float,
+        height: int,
+        width: int,
+        features_out: flat(channels=3 * channels),
+    ):
+        """Colour and its central differences in x and y, times `color` and `gradient`."""
+        for p in range(height * width):
+            x = p % width
+            y = p // width
+            across = image[y * width + ti.min(x + 1, width - 1)] - image[y * width + ti.max(x - 1, 0)]
+            down = image[ti.min(y + 1, height - 1) * width + x] - image[ti.max(y - 1, 0) * width + x]
+            f = feature(0.0)
+            for c in ti.static(range(channels)):
+                f[c] = color * image[p][c]
+                f[c + channels] = 0.5 * gradient * across[c]
+                f[c + 2 * channels] = 0.5 * gradient * down[c]
+            features_out[p] = f
+
+    @ti.kernel
+    def distance_kernel(
+        features: flat(channels=3 * channels), height: int, width: int, radius: int, distances_out: flat()
+    ):
+        """Squared feature distance of each pixel from its neighbour k; 0 where that lies outside."""
+        size = height * width
+        for i in range(distances_out.shape[0]):
+            k = i // size
+            p = i - k * size
+            step = step_of(k, radius)
+            distance = 0.0
+            if inside(p % width + step[0], p // width + step[1], height, width):
+                distance = (features[p] - features[p + step[1] * width + step[0]]).norm_sqr()
+            distances_out[i] = distance
+
+    return SimpleNamespace(features=features_kernel, distance=distance_kernel)
+
+
+@ti.kernel
+def _weight_kernel(
+    distances: flat(), height: int, width: int, radius: int, patch_radius: int, floor: float, weights_out: flat()
+):
+    """exp(-mean distance over the patch), over those patch pixels that both have; at least `floor`."""
+    size = height * width
+    for i in range(weights_out.shape[0]):
+        k = i // size
+        p = i - k * size
+        x = p % width
+        y = p // width
+        step = step_of(k, radius)
+        weight = 0.0
+        if inside(x + step[0], y + step[1], height, width):
+            left = ti.max(x - patch_radius, 0, -step[0])
+            right = ti.min(x + patch_radius, width - 1, width - 1 - step[0])
+            top = ti.max(y - patch_radius, 0)
+            bottom = ti.min(y + patch_radius, height - 1 - step[1])
+            total = 0.0
+            for py in range(top, bottom + 1):
+                for px in range(left, right + 1):
+                    total += distances[k * size + py * width + px]
+            mean = total / ti.cast((bottom - top + 1) * (right - left + 1), ti.f32)
+            weight = ti.max(ti.exp(-mean), floor)
+        weights_out[i] = weight
+
+
+@once
+def _operator(flow: Any, keep: float) -> SimpleNamespace:
+    """The kernels that start from `keep` times the values and add `flow(weight, here, other)` for each neighbour."""
+
+    @ti.kernel
+    def row_kernel(weights: flat(), values: flat(), height: int, width: int, radius: int, sums_out: flat()):
+        """A row on each thread of a CPU; the window is the outer loop, so that weights are read as they lie."""
+        size = height * width
+        for task in range(height * TASK):
+            if task % TASK == 0:
+                y = task // TASK
+                row = y * width
+                for x in range(width):
+                    sums_out[row + x] = keep * values[row + x]
+                for k in range(weights.shape[0] // size):
+                    step = step_of(k, radius)
+                    dx = step[0]
+                    first = ti.max(0, -dx)
+                    last = ti.min(width, width - dx)
+                    if y + step[1] < height:
+                        other = row + step[1] * width + dx
+                        for x in range(first, last):
+                            here = row + x
+                            added = flow(weights[k * size + here], values[here], values[other + x])
+                            sums_out[here] = sums_out[here] + added
+                    if y - step[1] >= 0:
+                        other = row - step[1] * width
+                        for x in range(first, last):
+                            here = row + x + dx
+                            added = flow(weights[k * size + other + x], values[here], values[other + x])
+                            sums_out[here] = sums_out[here] + added
+
+    @ti.kernel
+    def pixel_kernel(weights: flat(), values: flat(), height: int, width: int, radius: int, sums_out: flat()):
+        """A pixel on each thread of a GPU."""
+        size = height * width
+        for p in range(size):
+            x = p % width
+            y = p // width
+            total = keep * values[p]
+            for k in range(weights.shape[0] // size):
+                step = step_of(k, radius)
+                q = step[1] * width + step[0]
+                if inside(x + step[0], y + step[1], height, width):
+                    total += flow(weights[k * size + p], values[p], values[p + q])
+                if inside(x - step[0], y - step[1], height, width):
+                    total += flow(weights[k * size + p - q], values[p], values[p - q])
+            sums_out[p] = total
+
+    return SimpleNamespace(rows=row_kernel, pixels=pixel_kernel)
+
+
+@ti.func
+def _neighbor(weight: float, here: float, other: float):
+    return weight * other
+
+
+@ti.func
+def _difference(weight: float, here: float, other: float):
+    return weight * (here - other)
+
+
+def nlm_weights(
+    image: DeviceArray,
+    *,
+    window: int,
+    patch: int,
+    sigma_color: float,
+    sigma_gradient: float,
+    floor: float,
+    scratch_out: DeviceArray,
+    weights_out: DeviceArray,
+) -> None:
+    channels = image.channels or 1
+    kernels = _feature_kernels(channels)
+    features = empty(image.shape, channels=3 * channels)
+    color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
+    radius = window // 2
+    run(kernels.features, image.values, color, gradient, *image.shape, features.values)
+    run(kernels.distance, features.values, *image.shape, radius, scratch_out.values)
+    run(_weight_kernel, scratch_out.values, *image.shape, radius, patch // 2, floor, weights_out.values)
+
+
+def nlm_neighbors(weights: DeviceArray, values: DeviceArray, *, window: int, sums_out: DeviceArray) -> None:
+    _apply(_operator(_neighbor, 1.0), weights, values, window, sums_out)
+
+
+def nlm_laplacian(weights: DeviceArray, values: DeviceArray, *, window: int, laplacian_out: DeviceArray) -> None:
+    _apply(_operator(_difference, 0.0), weights, values, window, laplacian_out)
+
+
+def _apply(
+    operator: SimpleNamespace, weights: DeviceArray, values: DeviceArray, window: int, result_out: DeviceArray
+) -> None:
+    kernel = operator.rows if on_cpu() else operator.pixels
+    run(kernel, weights.values, values.values, *values.shape, window // 2, result_out.values)

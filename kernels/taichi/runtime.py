@@ -1,0 +1,100 @@
+"""Taichi's one runtime: started at first use, on one device for as long as the process lives; one thread uses it."""
+
+import contextlib
+import io
+import os
+import threading
+from collections.abc import Callable, Hashable, Iterator
+from functools import cache
+from typing import Any, TypeVar
+
+import taichi as ti
+from taichi.lang import impl
+
+from lfgpu.errors import BackendError
+from lfgpu.threads import get_threads
+
+TASK = 512
+"""Taichi gives each thread of a CPU at least so many iterations of a loop.
+
+Where an iteration is a whole row or view, the loop is made as much longer and all but every 512th passes at once.
+"""
+
+_ARCHES = {"cuda:0": ti.cuda, "cpu": ti.cpu}
+_LOCK = threading.RLock()
+_process: int | None = None  # the one in which Taichi was started
+
+Kernels = TypeVar("Kernels")
+
+
+@cache
+def devices() -> tuple[str, ...]:
+    _say_only_errors()
+    return tuple(device for device, arch in _ARCHES.items() if ti.lang.misc.is_arch_supported(arch))
+
+
+def start(device: str) -> None:
+    """Start Taichi on `device` unless it runs there; BackendError if it runs elsewhere."""
+    global _process
+    with _LOCK:
+        if impl.get_runtime().prog is None:
+            _say_only_errors()
+            with contextlib.redirect_stdout(io.StringIO()):  # a line that says that it starts
+                # Fast mathematics would cost digits and gain nothing where kernels wait for memory.
+                ti.init(_ARCHES[device], log_level=_level(), fast_math=False, cpu_max_num_threads=get_threads())
+        _process = _process or os.getpid()
+        running = _running()
+        if running != device:
+            raise BackendError(
+                f"backend 'taichi' is asked for {device}, but Taichi already runs on {running} in this process and can "
+                f"run on one device only: use {running}, another backend, or a process of its own."
+            )
+
+
+@contextlib.contextmanager
+def alone() -> Iterator[None]:
+    """Threads wait for each other: what Taichi does must not overlap."""
+    with _LOCK:
+        if os.getpid() != _process:
+            raise BackendError(
+                "Taichi was started before this process was forked, and its threads did not come along: start "
+                'processes by "spawn", or use another backend.'
+            )
+        yield
+
+
+def run(kernel: Callable[..., None], *arguments: Any) -> None:
+    """Launch a kernel."""
+    with alone():
+        kernel(*arguments)
+
+
+def once(function: Callable[..., Kernels]) -> Callable[..., Kernels]:
+    """Call a function that makes kernels once for each set of arguments, and keep them."""
+    kept = cache(function)
+
+    def call(*arguments: Hashable) -> Kernels:
+        with alone():
+            return kept(*arguments)
+
+    return call
+
+
+def on_cpu() -> bool:
+    """Whether the running Taichi computes on the CPU."""
+    return _running() == "cpu"
+
+
+def _running() -> str:
+    arch = impl.current_cfg().arch
+    return {ti.x64: "cpu", ti.arm64: "cpu", ti.cuda: "cuda:0"}.get(arch, ti._lib.core.arch_name(arch))
+
+
+def _level() -> str:
+    return os.environ.get("TI_LOG_LEVEL") or ti.ERROR
+
+
+def _say_only_errors() -> None:
+    """That a machine has no CUDA driver is no news to its owner; whoever uses Taichi already keeps their level."""
+    if impl.get_runtime().prog is None:
+        ti.set_logging_level(_level())

@@ -1,0 +1,525 @@
+"""The forward splat, its two transposes, its derivative, and the data term that is made of them.
+
+A GPU gives each pixel of each view a thread, and pixels that land on the same place add up atomically. On a CPU, where
+atomics cost several times as much, a view belongs to one thread.
+"""
+
+from types import SimpleNamespace
+from typing import Any
+
+import taichi as ti
+
+from lfgpu.types import DataTerm
+
+from .memory import DeviceArray, clear, empty, flat, numpy
+from .runtime import TASK, on_cpu, once, run
+from .tent import tent, tent_slope
+
+_SLICES = 16  # of the views on a CPU; fixed, so that results do not depend on the number of threads
+
+
+@ti.dataclass
+class Landing:
+    """Where a reference pixel lands in a view: the pixel above and to the left, and how far beyond it."""
+
+    x: ti.i32
+    y: ti.i32
+    ax: ti.f32
+    ay: ti.f32
+
+
+@ti.func
+def land(x: int, y: int, disparity: float, du: float, dv: float):
+    # The shift is split before the column is added: a small number keeps its digits in float32.
+    shift_x = -disparity * du
+    shift_y = -disparity * dv
+    whole_x = ti.floor(shift_x)
+    whole_y = ti.floor(shift_y)
+    return Landing(
+        x=x + ti.cast(whole_x, ti.i32), y=y + ti.cast(whole_y, ti.i32), ax=shift_x - whole_x, ay=shift_y - whole_y
+    )
+
+
+@ti.func
+def inside(x: int, y: int, height: int, width: int):
+    return x >= 0 and x < width and y >= 0 and y < height
+
+
+@once
+def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
+    """The kernels for pixels of `channels` values; recorded views are of scalar type `stored`."""
+    field, image_type, stored_image = flat(), flat(channels=channels), flat(stored, channels)
+    pixel = ti.types.vector(channels, ti.f32)
+
+    @ti.func
+    def add(target: ti.template(), i: int, value):
+        if ti.static(cpu):
+            target[i] = target[i] + value
+        else:
+            ti.atomic_add(target[i], value)
+
+    @ti.func
+    def give(target: ti.template(), first: int, to, height: int, width: int, w00, w01, w10, w11):
+        """Add what goes to the four pixels, as far as they lie in the view that begins at `first`."""
+        i = first + to.y * width + to.x
+        if inside(to.x, to.y, height - 1, width - 1):
+            add(target, i, w00)
+            add(target, i + 1, w01)
+            add(target, i + width, w10)
+            add(target, i + width + 1, w11)
+        else:
+            if inside(to.x, to.y, height, width):
+                add(target, i, w00)
+            if inside(to.x + 1, to.y, height, width):
+                add(target, i + 1, w01)
+            if inside(to.x, to.y + 1, height, width):
+                add(target, i + width, w10)
+            if inside(to.x + 1, to.y + 1, height, width):
+                add(target, i + width + 1, w11)
+
+    @ti.func
+    def at(image: ti.template(), first: int, x: int, y: int, height: int, width: int):
+        value = pixel(0.0)
+        if inside(x, y, height, width):
+            value = image[first + y * width + x]
+        return value
+
+    @ti.func
+    def give_color(
+        image: ti.template(),
+        disparity: ti.template(),
+        offsets: ti.template(),
+        n: int,
+        p: int,
+        height: int,
+        width: int,
+        softness: float,
+        first: int,
+        views: ti.template(),
+    ):
+        to = land(p % width, p // width, disparity[p], offsets[2 * n], offsets[2 * n + 1])
+        wx = tent(to.ax, softness)
+        wy = tent(to.ay, softness)
+        left = image[p] * wx
+        right = image[p] * (1.0 - wx)
+        give(views, first, to, height, width, left * wy, right * wy, left * (1.0 - wy), right * (1.0 - wy))
+
+    @ti.func
+    def give_weight(
+        disparity: ti.template(),
+        offsets: ti.template(),
+        n: int,
+        p: int,
+        height: int,
+        width: int,
+        softness: float,
+        coverage: ti.template(),
+    ):
+        to = land(p % width, p // width, disparity[p], offsets[2 * n], offsets[2 * n + 1])
+        wx = tent(to.ax, softness)
+        wy = tent(to.ay, softness)
+        first = n * height * width
+        give(coverage, first, to, height, width, wx * wy, (1 - wx) * wy, wx * (1 - wy), (1 - wx) * (1 - wy))
+
+    @ti.func
+    def give_change(
+        image: ti.template(),
+        disparity: ti.template(),
+        tangent: ti.template(),
+        offsets: ti.template(),
+        n: int,
+        p: int,
+        height: int,
+        width: int,
+        softness: float,
+        views: ti.template(),
+    ):
+        du = offsets[2 * n]
+        dv = offsets[2 * n + 1]
+        to = land(p % width, p // width, disparity[p], du, dv)
+        wx = tent(to.ax, softness)
+        wy = tent(to.ay, softness)
+        sx = -du * tent_slope(to.ax, softness)
+        sy = -dv * tent_slope(to.ay, softness)
+        change = image[p] * tangent[p]
+        give(
+            views,
+            n * height * width,
+            to,
+            height,
+            width,
+            change * (sx * wy + wx * sy),
+            change * ((1.0 - wx) * sy - sx * wy),
+            change * (sx * (1.0 - wy) - wx * sy),
+            change * (-sx * (1.0 - wy) - (1.0 - wx) * sy),
+        )
+
+    @ti.func
+    def slope_of(
+        value,
+        d: float,
+        du: float,
+        dv: float,
+        x: int,
+        y: int,
+        residual: ti.template(),
+        first: int,
+        height: int,
+        width: int,
+        softness: float,
+    ):
+        """What the residuals of one view say about the disparity `d` of a reference pixel of colour `value`."""
+        to = land(x, y, d, du, dv)
+        wx = tent(to.ax, softness)
+        wy = tent(to.ay, softness)
+        sx = -du * tent_slope(to.ax, softness)
+        sy = -dv * tent_slope(to.ay, softness)
+        a00 = value.dot(at(residual, first, to.x, to.y, height, width))
+        a01 = value.dot(at(residual, first, to.x + 1, to.y, height, width))
+        a10 = value.dot(at(residual, first, to.x, to.y + 1, height, width))
+        a11 = value.dot(at(residual, first, to.x + 1, to.y + 1, height, width))
+        return sx * (wy * (a00 - a01) + (1.0 - wy) * (a10 - a11)) + sy * (wx * (a00 - a10) + (1.0 - wx) * (a01 - a11))
+
+    @ti.func
+    def difference(
+        predicted, recorded: ti.template(), valid: ti.template(), masked: ti.template(), i: int, scale: float
+    ):
+        """The residual at recorded pixel `i`; 0 where it does not count."""
+        value = predicted - scale * ti.cast(recorded[i], ti.f32)
+        if ti.static(masked):
+            if valid[i] == 0.0:
+                value = pixel(0.0)
+        return value
+
+    @ti.kernel
+    def splat_kernel(
+        image: image_type,
+        disparity: field,
+        offsets: field,
+        softness: float,
+        height: int,
+        width: int,
+        views_out: image_type,
+    ):
+        count = offsets.shape[0] // 2
+        if ti.static(cpu):
+            for task in range(count * TASK):
+                if task % TASK == 0:
+                    n = task // TASK
+                    for p in range(height * width):
+                        give_color(
+                            image, disparity, offsets, n, p, height, width, softness, n * height * width, views_out
+                        )
+        else:
+            for i in range(count * height * width):
+                n = i // (height * width)
+                first = n * height * width
+                give_color(image, disparity, offsets, n, i - first, height, width, softness, first, views_out)
+
+    @ti.kernel
+    def coverage_kernel(
+        disparity: field, offsets: field, softness: float, height: int, width: int, coverage_out: field
+    ):
+        count = offsets.shape[0] // 2
+        if ti.static(cpu):
+            for task in range(count * TASK):
+                if task % TASK == 0:
+                    for p in range(height * width):
+                        give_weight(disparity, offsets, task // TASK, p, height, width, softness, coverage_out)
+        else:
+            for i in range(count * height * width):
+                n = i // (height * width)
+                give_weight(disparity, offsets, n, i - n * height * width, height, width, softness, coverage_out)
+
+    @ti.kernel
+    def jvp_kernel(
+        image: image_type,
+        disparity: field,
+        tangent: field,
+        offsets: field,
+        softness: float,
+        height: int,
+        width: int,
+        views_out: image_type,
+    ):
+        count = offsets.shape[0] // 2
+        if ti.static(cpu):
+            for task in range(count * TASK):
+                if task % TASK == 0:
+                    n = task // TASK
+                    for p in range(height * width):
+                        give_change(image, disparity, tangent, offsets, n, p, height, width, softness, views_out)
+        else:
+            for i in range(count * height * width):
+                n = i // (height * width)
+                p = i - n * height * width
+                give_change(image, disparity, tangent, offsets, n, p, height, width, softness, views_out)
+
+    @ti.kernel
+    def transpose_kernel(
+        views: image_type,
+        disparity: field,
+        offsets: field,
+        softness: float,
+        height: int,
+        width: int,
+        image_out: image_type,
+    ):
+        for p in range(height * width):
+            total = pixel(0.0)
+            for n in range(offsets.shape[0] // 2):
+                to = land(p % width, p // width, disparity[p], offsets[2 * n], offsets[2 * n + 1])
+                wx = tent(to.ax, softness)
+                wy = tent(to.ay, softness)
+                first = n * height * width
+                upper = at(views, first, to.x, to.y, height, width) * wx
+                upper += at(views, first, to.x + 1, to.y, height, width) * (1.0 - wx)
+                lower = at(views, first, to.x, to.y + 1, height, width) * wx
+                lower += at(views, first, to.x + 1, to.y + 1, height, width) * (1.0 - wx)
+                total += upper * wy + lower * (1.0 - wy)
+            image_out[p] = total
+
+    @ti.kernel
+    def vjp_kernel(
+        image: image_type,
+        disparity: field,
+        residual: image_type,
+        offsets: field,
+        factor: float,
+        softness: float,
+        height: int,
+        width: int,
+        gradient_out: field,
+    ):
+        for p in range(height * width):
+            x = p % width
+            y = p // width
+            total = 0.0
+            for n in range(offsets.shape[0] // 2):
+                total += slope_of(
+                    image[p],
+                    disparity[p],
+                    offsets[2 * n],
+                    offsets[2 * n + 1],
+                    x,
+                    y,
+                    residual,
+                    n * height * width,
+                    height,
+                    width,
+                    softness,
+                )
+            gradient_out[p] = factor * total
+
+    @ti.kernel
+    def residual_kernel(
+        recorded: stored_image,
+        valid: field,
+        masked: ti.template(),
+        scale: float,
+        width: int,
+        views_out: image_type,
+        squares_out: field,
+    ):
+        """Turns predicted views into residuals and adds up their squares row by row."""
+        for i in range(recorded.shape[0]):
+            value = difference(views_out[i], recorded, valid, masked, i, scale)
+            views_out[i] = value
+            ti.atomic_add(squares_out[i // width], value.norm_sqr())
+
+    @ti.kernel
+    def slice_kernel(
+        image: image_type,
+        disparity: field,
+        recorded: stored_image,
+        valid: field,
+        masked: ti.template(),
+        offsets: field,
+        scale: float,
+        softness: float,
+        height: int,
+        width: int,
+        slices: int,
+        residuals: image_type,
+        gradients_out: field,
+        squares_out: field,
+    ):
+        """A slice of the views on each thread of a CPU, one view after the other, so that it stays in its cache."""
+        count = offsets.shape[0] // 2
+        size = height * width
+        for task in range(slices * TASK):
+            if task % TASK == 0:
+                k = task // TASK
+                own = k * size
+                for p in range(size):
+                    gradients_out[own + p] = 0.0
+                for n in range(count * k // slices, count * (k + 1) // slices):
+                    du = offsets[2 * n]
+                    dv = offsets[2 * n + 1]
+                    for p in range(size):
+                        residuals[own + p] = pixel(0.0)
+                    for p in range(size):
+                        give_color(image, disparity, offsets, n, p, height, width, softness, own, residuals)
+                    for y in range(height):
+                        total = 0.0
+                        for x in range(width):
+                            p = y * width + x
+                            value = difference(residuals[own + p], recorded, valid, masked, n * size + p, scale)
+                            residuals[own + p] = value
+                            total = total + value.norm_sqr()
+                        squares_out[n * height + y] = total
+                    for y in range(height):
+                        for x in range(width):
+                            p = y * width + x
+                            slope = slope_of(
+                                image[p], disparity[p], du, dv, x, y, residuals, own, height, width, softness
+                            )
+                            gradients_out[own + p] = gradients_out[own + p] + slope
+
+    @ti.kernel
+    def total_kernel(gradients: field, slices: int, gradient_out: field):
+        for p in range(gradient_out.shape[0]):
+            total = 0.0
+            for k in range(slices):
+                total += gradients[k * gradient_out.shape[0] + p]
+            gradient_out[p] = 2.0 * total
+
+    return SimpleNamespace(
+        splat=splat_kernel,
+        coverage=coverage_kernel,
+        jvp=jvp_kernel,
+        transpose=transpose_kernel,
+        vjp=vjp_kernel,
+        residual=residual_kernel,
+        slice=slice_kernel,
+        total=total_kernel,
+    )
+
+
+def _for_image(image: DeviceArray) -> SimpleNamespace:
+    return _kernels(image.channels, ti.f32, on_cpu())
+
+
+def splat(
+    image: DeviceArray,
+    disparity: DeviceArray,
+    offsets: DeviceArray,
+    *,
+    softness: float,
+    views_out: DeviceArray,
+    coverage_out: DeviceArray,
+) -> None:
+    kernels = _for_image(image)
+    run(
+        kernels.splat,
+        image.values,
+        disparity.values,
+        offsets.values,
+        softness,
+        *image.shape,
+        clear(views_out).values,
+    )
+    run(kernels.coverage, disparity.values, offsets.values, softness, *image.shape, clear(coverage_out).values)
+
+
+def splat_transpose(
+    views: DeviceArray, disparity: DeviceArray, offsets: DeviceArray, *, softness: float, image_out: DeviceArray
+) -> None:
+    kernel = _for_image(views).transpose
+    run(kernel, views.values, disparity.values, offsets.values, softness, *disparity.shape, image_out.values)
+
+
+def splat_jvp(
+    image: DeviceArray,
+    disparity: DeviceArray,
+    tangent: DeviceArray,
+    offsets: DeviceArray,
+    *,
+    softness: float,
+    views_out: DeviceArray,
+) -> None:
+    run(
+        _for_image(image).jvp,
+        image.values,
+        disparity.values,
+        tangent.values,
+        offsets.values,
+        softness,
+        *image.shape,
+        clear(views_out).values,
+    )
+
+
+def splat_vjp(
+    image: DeviceArray,
+    disparity: DeviceArray,
+    residual: DeviceArray,
+    offsets: DeviceArray,
+    *,
+    softness: float,
+    gradient_out: DeviceArray,
+) -> None:
+    run(
+        _for_image(image).vjp,
+        image.values,
+        disparity.values,
+        residual.values,
+        offsets.values,
+        1.0,
+        softness,
+        *image.shape,
+        gradient_out.values,
+    )
+
+
+def data_term(
+    image: DeviceArray,
+    recorded: DeviceArray,
+    valid: DeviceArray | None,
+    offsets: DeviceArray,
+    *,
+    scale: float,
+    softness: float,
+) -> DataTerm:
+    (height, width), n, cpu = image.shape, recorded.shape[0], on_cpu()
+    kernels = _kernels(image.channels, recorded.scalar, cpu)
+    slices = min(_SLICES, n) if cpu else n
+    residuals = empty((slices, height, width), channels=image.channels)
+    gradients = empty((slices if cpu else 0, height, width))
+    squares = empty((n, height))
+    masked = valid is not None
+    mask = squares if valid is None else valid  # a kernel wants an array, if only one that it does not look at
+
+    def in_slices(disparity: DeviceArray, gradient_out: DeviceArray) -> None:
+        run(
+            kernels.slice,
+            image.values,
+            disparity.values,
+            recorded.values,
+            mask.values,
+            masked,
+            offsets.values,
+            scale,
+            softness,
+            height,
+            width,
+            slices,
+            residuals.values,
+            gradients.values,
+            squares.values,
+        )
+        run(kernels.total, gradients.values, slices, gradient_out.values)
+
+    def at_once(disparity: DeviceArray, gradient_out: DeviceArray) -> None:
+        seen = image.values, disparity.values
+        clear(residuals)
+        clear(squares)
+        run(kernels.splat, *seen, offsets.values, softness, height, width, residuals.values)
+        run(kernels.residual, recorded.values, mask.values, masked, scale, width, residuals.values, squares.values)
+        run(kernels.vjp, *seen, residuals.values, offsets.values, 2.0, softness, height, width, gradient_out.values)
+
+    def evaluate(disparity: DeviceArray, gradient_out: DeviceArray) -> float:
+        (in_slices if cpu else at_once)(disparity, gradient_out)
+        return float(numpy(squares).sum(dtype="float64"))
+
+    return evaluate

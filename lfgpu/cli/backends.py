@@ -1,0 +1,35 @@
+"""`lfgpu backends`: which kernels there are, which can run here and on what."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from lfgpu._backends import BackendInfo
+
+
+def backends() -> None:
+    """Show all backends: whether each is installed, the devices that it sees, and how to install what is missing."""
+    from lfgpu._backends import DEFAULT, describe_backends
+    from lfgpu.cli.console import backend_rows, output
+
+    backend_rows(
+        output(),
+        [
+            (f"{info.name} (default)" if info.name == DEFAULT else info.name, _installed(info), _runs_on(info))
+            for info in describe_backends()
+        ],
+    )
+
+
+def _installed(info: BackendInfo) -> str:
+    return f"{info.package} {info.version}" if info.version else f"{info.package}: not installed"
+
+
+def _runs_on(info: BackendInfo) -> list[str]:
+    """A line for each device, or why there is none and what to do."""
+    from lfgpu.cli.machine import device_name
+
+    if info.problem is not None:
+        return [info.problem, *filter(None, [info.remedy])]
+    return [f"{device}: {name}" if (name := device_name(device)) else device for device in info.devices]

@@ -1,0 +1,94 @@
+"""Whole pipelines: every backend on every device ends where the reference ends, and where the others end."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from lfgpu import scenes
+from lfgpu.config import Config
+from lfgpu.depth import estimate_depth
+from lfgpu.lightfield import LightField
+from lfgpu.result import DepthResult
+
+RANGE = (-1.5, 1.5)
+CONVERGED = Config().with_values({"prior.window": 7, "refinement.tolerance": 1e-6, "refinement.max_iterations": 500})
+"""Minima are compared, not the iterations at which minimisations happened to stop."""
+NEAR = 1e-3  # pixels per view step: the median of the differences between two maps
+SAME_CONFIDENCE = 1e-4  # the largest difference
+DEFINED = 0.005  # the share of pixels whose coherence may lie on the other side of the threshold
+
+
+class Scene(NamedTuple):
+    """What a pipeline is tried on."""
+
+    name: str
+    options: tuple[tuple[str, Any], ...] = (("grid", (5, 5)), ("size", (40, 44)))
+    damaged: bool = False  # with views missing and pixels masked
+
+    def __str__(self) -> str:
+        return f"{self.name}{'-damaged' if self.damaged else ''}"
+
+
+SCENES = (
+    Scene("relief"),
+    Scene("boxes"),
+    Scene("textureless"),
+    Scene("relief", (("grid", (3, 5)), ("size", (44, 36)), ("channels", 1), ("dtype", "uint16")), damaged=True),
+)
+
+
+@cache
+def light_field(scene: Scene) -> LightField:
+    lf = scenes.make(scene.name, **dict(scene.options))
+    if not scene.damaged:
+        return lf
+    some = lf.subset([index for index in range(len(lf.views)) if index not in (0, 9)])
+    valid = np.ones(some.views.shape[:3], bool)
+    valid[2, 10:20, 5:25] = valid[some.reference_index, :3, :4] = False
+    return LightField(some.views, some.positions, reference=some.reference, valid=valid, name=lf.name)
+
+
+@cache
+def estimated(scene: Scene, backend: str, device: str) -> DepthResult:
+    lf = light_field(scene)
+    return estimate_depth(lf, config=CONVERGED, disparity_range=RANGE, backend=backend, device=device)
+
+
+def assert_same(one: DepthResult, other: DepthResult) -> None:
+    assert one.stages.keys() == other.stages.keys()
+    for stage in one.stages:
+        defined = [np.isfinite(result.stages[stage]) for result in (one, other)]
+        assert (defined[0] != defined[1]).mean() <= DEFINED, stage
+        difference = np.abs(one.stages[stage] - other.stages[stage])[defined[0] & defined[1]]
+        assert np.median(difference) <= NEAR, stage
+    assert np.abs(one.confidence - other.confidence).max() <= SAME_CONFIDENCE
+    assert reasons(one) == reasons(other)
+    assert one.converged
+    assert other.converged
+
+
+def reasons(result: DepthResult) -> str:
+    """The status without its numbers: the last iterations differ by what float32 rounds off."""
+    return re.sub(r"\d[\d.e+-]*", "#", result.status)
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=str)
+def test_pipeline_ends_where_the_reference_ends(other: Any, scene: Scene) -> None:
+    result = estimated(scene, other.backend, other.device)
+    assert (result.backend, result.device) == (other.backend, other.device)
+    assert_same(result, estimated(scene, "reference", "cpu"))
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=str)
+def test_pipelines_end_where_each_other_ends(scene: Scene, others: list[Any]) -> None:
+    if len(others) < 2:
+        pytest.skip(f"one backend on one device here: {', '.join(map(str, others)) or 'none'}")
+    results = [estimated(scene, target.backend, target.device) for target in others]
+    for one, other in itertools.combinations(results, 2):
+        assert_same(one, other)

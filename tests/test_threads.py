@@ -1,0 +1,98 @@
+"""The number of threads: who decides it, and that results do not depend on it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lfgpu
+from lfgpu import scenes, threads
+from lfgpu.detail import normalized_views
+from lfgpu.errors import LfgpuError
+
+VARIABLE = "LFGPU_THREADS"
+
+
+@pytest.fixture(autouse=True)
+def _nothing_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(VARIABLE, raising=False)
+    monkeypatch.setattr(threads, "_chosen", None)
+
+
+def test_one_for_each_core_of_the_process_by_default() -> None:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    assert lfgpu.get_threads() == cores
+
+
+def test_the_environment_decides_and_set_threads_overrules_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, "3")
+    assert lfgpu.get_threads() == 3
+    lfgpu.set_threads(5)
+    assert lfgpu.get_threads() == 5
+    lfgpu.set_threads(None)
+    assert lfgpu.get_threads() == 3
+    monkeypatch.setenv(VARIABLE, "")
+    assert lfgpu.get_threads() >= 1
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 1.5, "many", "", True, float("nan"), float("inf"), [2]], ids=repr)
+def test_what_is_no_number_of_threads_is_refused_and_changes_nothing(wrong: Any) -> None:
+    lfgpu.set_threads(2)
+    with pytest.raises(LfgpuError) as error:
+        lfgpu.set_threads(wrong)
+    assert str(error.value) == f"set_threads: the number of threads must be a whole number from 1 on, found {wrong!r}."
+    assert lfgpu.get_threads() == 2
+
+
+@pytest.mark.parametrize("wrong", ["0", "-2", "1.5", "all"])
+def test_a_wrong_environment_is_named(wrong: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, wrong)
+    with pytest.raises(LfgpuError) as error:
+        lfgpu.get_threads()
+    assert str(error.value) == f"${VARIABLE}: the number of threads must be a whole number from 1 on, found {wrong!r}."
+
+
+def test_normalized_views_have_the_same_bits_for_any_number_of_threads() -> None:
+    lf = scenes.make("boxes", grid=(3, 3), size=(40, 48))
+    found = []
+    for count in (1, 3):
+        lfgpu.set_threads(count)
+        found.append(normalized_views(lf, np.arange(9), 1.5, 0.01))
+    np.testing.assert_array_equal(*found)
+
+
+ESTIMATE = """
+import hashlib, sys
+import lfgpu
+from lfgpu import scenes
+lf = scenes.make("boxes", grid=(3, 3), size=(56, 64))
+backend = sys.argv[1]
+result = lfgpu.estimate_depth(lf, config="paper", disparity_range=(-1.5, 1.5), backend=backend, device="cpu")
+maps = (*result.stages.values(), result.confidence)
+print(hashlib.sha256(b"".join(values.tobytes() for values in maps)).hexdigest())
+"""
+
+
+def test_maps_have_the_same_bits_for_any_number_of_threads(other: Any) -> None:
+    """In processes of their own: a backend may keep the number that it started with."""
+    if other.device != "cpu":
+        pytest.skip("threads of the CPU only")
+    done = [
+        subprocess.run(
+            [sys.executable, "-c", ESTIMATE, other.backend],
+            env={**os.environ, VARIABLE: count},
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        for count in ("1", "3")
+    ]
+    for process in done:
+        assert process.returncode == 0, process.stderr
+    assert done[0].stdout == done[1].stdout
+    assert done[0].stdout.strip()
