@@ -483,9 +483,9 @@ def data_term(
 ) -> DataTerm:
     (height, width), n, cpu = image.shape, recorded.shape[0], on_cpu()
     kernels = _kernels(image.channels, recorded.scalar, cpu)
-    slices = min(_SLICES, n) if cpu else n
-    residuals = empty((slices, height, width), channels=image.channels)
-    gradients = empty((slices if cpu else 0, height, width))
+    slices = min(_SLICES, n) if cpu else 1
+    residuals = empty((slices if cpu else n, height, width), channels=image.channels)
+    gradients = empty((slices, height, width))
     squares = empty((n, height))
     masked = valid is not None
     mask = squares if valid is None else valid  # a kernel wants an array, if only one that it does not look at
