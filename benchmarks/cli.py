@@ -1,0 +1,124 @@
+"""The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmarks import cases, compare, merge, operations, plot, results, show, suite
+from benchmarks.errors import BenchmarkError
+from benchmarks.failures import Group
+from lfgpu._backends import list_backends
+from lfgpu.io.atomic import check_writable
+from lfgpu.threads import get_threads
+
+app = typer.Typer(
+    cls=Group,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Files = Annotated[list[Path], typer.Argument(metavar="FILE.json...", help="What `--out` wrote; several are merged.")]
+
+
+def main() -> None:
+    """Run and exit: 0 for done, 1 for an error or a finding of `compare`, 2 for wrong usage, 130 for interrupted."""
+    app(prog_name="python -m benchmarks")
+
+
+@app.callback(invoke_without_command=True)
+def measure(
+    context: typer.Context,
+    case_names: Annotated[
+        str, typer.Option("--cases", metavar="NAME,...", help="ROWSxCOLUMNSxHEIGHTxWIDTH; default: those for minutes.")
+    ] = "",
+    operation_names: Annotated[
+        str, typer.Option("--operations", metavar="NAME,...", help='Default: all; "none" measures none.')
+    ] = "",
+    backends: Annotated[str, typer.Option(metavar="NAME,...", help="Default: all.")] = "",
+    devices: Annotated[
+        str, typer.Option(metavar="NAME,...", help="cpu, cuda:0 ...; default: the CPU and the first GPU.")
+    ] = "",
+    repeats: Annotated[int, typer.Option(min=1, help="At most; fewer where a call takes long.")] = 15,
+    threads: Annotated[int | None, typer.Option(min=1, help="Of the CPU; default: one for each core.")] = None,
+    timeout: Annotated[float, typer.Option(min=1, help="Seconds that one process may take.")] = 600,
+    pipelines: Annotated[bool, typer.Option(help="The whole method.")] = True,
+    startup: Annotated[bool, typer.Option(help="Import and time to the first result.")] = True,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Where the results go.")] = None,
+) -> None:
+    """Measure time, memory and error of every backend on every device, and print a table."""
+    if context.invoked_subcommand is not None:
+        return
+    plan = suite.Plan(
+        cases=tuple(cases.find(n) for n in _names(case_names)) or tuple(c for c in cases.CASES if c.default),
+        operations=_operations(operation_names),
+        backends=tuple(_known_backend(n) for n in _names(backends)) or list_backends(),
+        devices=tuple("cuda:0" if n == "cuda" else n for n in _names(devices)) or None,
+        pipelines=pipelines,
+        startup=startup,
+        repeats=repeats,
+        threads=threads or get_threads(),
+        timeout=timeout,
+    )
+    if out is not None:
+        check_writable(out, folder=False)
+    run = suite.run(plan, lambda what: typer.echo(what, err=True))
+    if out is not None:
+        results.save(run, out)
+    show.terminal(run)
+    if not any(record.seconds for record in run.records):
+        raise BenchmarkError("nothing could be measured, see above.")
+
+
+@app.command()
+def table(files: Files) -> None:
+    """Print results as Markdown, a section for each machine."""
+    typer.echo("\n".join(show.markdown(run) for run in merge.merged(map(results.load, files))), nl=False)
+
+
+@app.command("plot")
+def plot_(
+    files: Files,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help=".png, .svg or .pdf")],
+) -> None:
+    """Draw time against the size of the light field."""
+    plot.write(merge.merged(map(results.load, files)), out)
+
+
+@app.command("compare")
+def compare_(
+    old: Annotated[Path, typer.Argument(metavar="OLD.json")],
+    new: Annotated[Path, typer.Argument(metavar="NEW.json")],
+    threshold: Annotated[float, typer.Option(min=0, help="Percent.")] = 10,
+) -> None:
+    """Say what got slower, faster or worse; exit with 1 if something got slower or worse."""
+    found = compare.compare(results.load(old), results.load(new), threshold / 100)
+    for warning in found.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    for title, lines in compare.sections(found):
+        for line in lines:
+            typer.echo(f"{title}: {line}")
+    typer.echo(
+        f"{found.compared} compared, {len(found.slower)} slower, {len(found.faster)} faster, {len(found.worse)} worse."
+    )
+    if found.fails:
+        raise typer.Exit(1)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _operations(text: str) -> tuple[operations.Operation, ...]:
+    if text == "none":
+        return ()
+    return tuple(operations.find(name) for name in _names(text)) or operations.OPERATIONS
+
+
+def _known_backend(name: str) -> str:
+    if name not in list_backends():
+        raise BenchmarkError(f"unknown backend {name!r}; there are {', '.join(list_backends())}.")
+    return name

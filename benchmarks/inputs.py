@@ -1,0 +1,141 @@
+"""Host arrays that the operations read, by name: the same for every backend, like those that the method makes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.cases import CHANNELS, Case
+from lfgpu.config import preset
+from lfgpu.types import half_window
+
+LARGEST_DISPARITY = 1.5  # pixels per view step, either way
+CONFIG = preset("paper")
+BYTE = 1 / 255
+"""The intensity of one step of a uint8 view."""
+
+
+def offsets(case: Case) -> NDArray[np.float32]:
+    """[n, 2], (du, dv) of all views but the reference in the middle, which predicts itself."""
+    rows, columns = case.grid
+    v, u = np.mgrid[:rows, :columns].reshape(2, -1)
+    all_views = np.stack([u - columns // 2, v - rows // 2], axis=1)
+    return all_views[(all_views != 0).any(1)].astype(np.float32)
+
+
+def line_offsets(case: Case) -> NDArray[np.float32]:
+    """[u], du of the views in the reference's row, itself included."""
+    columns = case.grid[1]
+    return np.arange(columns, dtype=np.float32) - columns // 2
+
+
+@cache
+def image(case: Case) -> NDArray[np.float32]:
+    """[y, x, c]: coarse and fine waves with a little noise, in [0, 1]."""
+    rng = _rng(case, 1)
+    pattern = np.stack([_waves(case, rng, (4, 8, 16, 40, 90)) for _ in range(CHANNELS)], axis=-1)
+    return np.clip(0.5 + 0.35 * pattern + rng.normal(0, 0.01, pattern.shape), 0, 1).astype(np.float32)
+
+
+@cache
+def disparity(case: Case) -> NDArray[np.float32]:
+    """[y, x]: a smooth map that spans the disparities, as a refined one does nearly everywhere."""
+    waves = _waves(case, _rng(case, 2), (0.7, 1.1, 1.9))
+    return (LARGEST_DISPARITY * waves / np.abs(waves).max()).astype(np.float32)
+
+
+def recorded(case: Case) -> NDArray[np.float32]:
+    """[n, y, x, c]: the image where the disparity sends it, nearest pixel."""
+    places = offsets(case)
+    views = np.empty((len(places), *case.size, CHANNELS), np.float32)
+    for view, (du, dv) in zip(views, places, strict=True):
+        rows, columns = _sources(case, du, dv)
+        view[:] = image(case)[_inside(rows, case.size[0]), _inside(columns, case.size[1])]
+    return views
+
+
+def valid(case: Case) -> NDArray[np.float32]:
+    """[n, y, x]: 1 where a view shows what lies in the frame of the reference view, else 0."""
+    places, (height, width) = offsets(case), case.size
+    known = np.empty((len(places), height, width), np.float32)
+    for mask, (du, dv) in zip(known, places, strict=True):
+        rows, columns = _sources(case, du, dv)
+        mask[:] = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    return known
+
+
+def residual(case: Case) -> NDArray[np.float32]:
+    """[n, y, x, c]: differences of either sign."""
+    views = recorded(case)
+    views -= 0.5
+    return views
+
+
+def epis(case: Case) -> NDArray[np.uint8]:
+    """[u, y, x, c]: the reference's row of views, as a file holds them."""
+    line = line_offsets(case)
+    views = np.empty((len(line), *case.size, CHANNELS), np.uint8)
+    for view, du in zip(views, line, strict=True):
+        rows, columns = _sources(case, du, 0.0)
+        view[:] = np.rint(image(case)[rows, _inside(columns, case.size[1])] / BYTE)
+    return views
+
+
+def weights(case: Case) -> NDArray[np.float32]:
+    """[k, y, x]: positive, 0 where the neighbour lies outside the image."""
+    (height, width), half = case.size, half_window(CONFIG.prior.window)
+    random = _rng(case, 3).random((len(half), height, width), np.float32)
+    for weight, (dy, dx) in zip(random, half, strict=True):
+        weight[height - dy :] = 0
+        weight[:, : max(0, -dx)] = 0
+        weight[:, min(width, width - dx) :] = 0
+    return random
+
+
+def other_values(case: Case) -> NDArray[np.float32]:
+    """[y, x]: a second map."""
+    return _rng(case, 4).random(case.size, np.float32)
+
+
+INPUTS: dict[str, Callable[[Case], NDArray[Any]]] = {
+    "image": image,
+    "disparity": disparity,
+    "offsets": offsets,
+    "recorded": recorded,
+    "valid": valid,
+    "residual": residual,
+    "epis": epis,
+    "line_offsets": line_offsets,
+    "weights": weights,
+    "other_values": other_values,
+}
+
+
+def _rng(case: Case, stream: int) -> np.random.Generator:
+    return np.random.default_rng([stream, *case.grid, *case.size])
+
+
+def _waves(case: Case, rng: np.random.Generator, frequencies: tuple[float, ...]) -> NDArray[np.float64]:
+    """[y, x] in about [-1, 1]: plane waves of so many periods across the image, but none below 4 pixels."""
+    y, x = np.mgrid[: case.size[0], : case.size[1]] / max(case.size)
+    total = np.zeros(case.size)
+    for frequency in frequencies:
+        angle, phase = rng.uniform(0, 2 * np.pi, 2)
+        periods = 2 * np.pi * min(frequency, max(case.size) / 4)
+        total += np.sin(periods * (x * np.cos(angle) + y * np.sin(angle)) + phase)
+    return total / len(frequencies)
+
+
+def _sources(case: Case, du: float, dv: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns [y, x] of the image that the view at (du, dv) shows; they may lie outside."""
+    y, x = np.indices(case.size, sparse=True)
+    shift = disparity(case)
+    return np.rint(y + shift * dv).astype(np.intp), np.rint(x + shift * du).astype(np.intp)
+
+
+def _inside(indices: NDArray[np.intp], size: int) -> NDArray[np.intp]:
+    return np.clip(indices, 0, size - 1)

@@ -1,0 +1,80 @@
+"""What a run was measured on and with."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import subprocess
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+_PACKAGES = ("lfgpu", "warp-lang", "taichi", "numpy", "scipy")
+
+
+def describe() -> dict[str, Any]:
+    """CPU model, cores that may be used, memory, GPUs and their driver, system, Python."""
+    gpus = nvidia_smi("name") or []
+    drivers = nvidia_smi("driver_version") or []
+    return {
+        "cpu": _cpu(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "memory_bytes": _memory(),
+        "gpus": gpus,
+        "driver": drivers[0] if drivers else None,
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "python": platform.python_version(),
+    }
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of lfgpu and what computes for it; None where it is not installed."""
+    found: dict[str, str | None] = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = None
+    return found
+
+
+def commit() -> str | None:
+    """The commit that is checked out, with "+" if files differ from it; None without git or a repository."""
+    head, changes = _said("git", "rev-parse", "HEAD"), _said("git", "status", "--porcelain")
+    return None if head is None else head.strip() + ("+" if changes else "")
+
+
+def load_average() -> float | None:
+    """How many processes wanted to run in the last minute; None where the system does not tell."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
+def nvidia_smi(query: str) -> list[str] | None:
+    """What nvidia-smi answers, a line for each GPU; None where it is not there or fails."""
+    said = _said("nvidia-smi", f"--query-gpu={query}", "--format=csv,noheader,nounits")
+    return None if said is None else [line.strip() for line in said.splitlines() if line.strip()]
+
+
+def _said(*command: str) -> str | None:
+    try:
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=30)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout if done.returncode == 0 else None
+
+
+def _cpu() -> str:
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()
+
+
+def _memory() -> int | None:
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return None

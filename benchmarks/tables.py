@@ -1,0 +1,168 @@
+"""What was measured, as tables of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from benchmarks import bandwidth
+from benchmarks.cases import CASES
+from benchmarks.results import Record, Run
+
+NONE = "–"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Text in rows; the first `labels` columns are words, the others numbers."""
+
+    title: str
+    columns: tuple[str, ...]
+    labels: int
+    rows: Sequence[tuple[str, ...]]
+
+
+def headings(run: Run) -> list[str]:
+    """Where, when and with what: a sentence each."""
+    m, v = run.machine, run.versions
+    driver = f", driver {m['driver']}" if m.get("driver") else ""
+    software = ", ".join(f"{name} {version}" for name, version in v.items() if version)
+    lines = [
+        f"{run.where}; {m.get('system')}{driver}.",
+        f"{run.date[:10]}, {run.threads} threads; Python {m.get('python')}, {software}"
+        + (f"; commit {run.commit[:10]}{'+' if run.commit.endswith('+') else ''}." if run.commit else "."),
+    ]
+    if run.load is not None and run.load > 0.5:
+        lines.append(f"The machine was not idle: its load average was {run.load:.1f} when the run began.")
+    return lines
+
+
+def tables(records: Sequence[Record]) -> list[Table]:
+    """All tables that have rows."""
+    done = [record for record in records if record.seconds is not None]
+    made = [
+        *(_operations(case.name, _of(done, "operation", case.name)) for case in CASES),
+        _pipelines([r for case in CASES for r in _of(done, "pipeline", case.name)]),
+        _bandwidth(_of(done, "bandwidth")),
+        _startup(_of(done, "startup")),
+    ]
+    return [table for table in made if table.rows]
+
+
+def remarks(run: Run) -> list[str]:
+    """What could not be measured, and why."""
+    failed: dict[tuple[str, str], list[str]] = {}
+    for r in run.records:
+        if r.failed:
+            failed.setdefault((" ".join(filter(None, (r.backend, r.device, r.case))), r.failed), []).append(r.name)
+    return [
+        *(f"{s.backend} {s.device}: {s.reason}" for s in run.skipped),
+        *(f"{where} {', '.join(names)}: {reason}" for (where, reason), names in failed.items()),
+    ]
+
+
+def duration(seconds: float) -> str:
+    """Three digits and a unit."""
+    for factor, unit in ((1.0, "s"), (1e3, "ms")):
+        if seconds * factor >= 0.9995:
+            return f"{_digits(seconds * factor)} {unit}"
+    return f"{_digits(seconds * 1e6)} µs"
+
+
+def _operations(case: str, records: list[Record]) -> Table:
+    columns = ("operation", "backend", "device", "time", "quartiles", "n", "ratio", "of limit", "error", "host", "GPU")
+    rows = []
+    names = list(dict.fromkeys(record.name for record in records))
+    for r in sorted(records, key=lambda r: names.index(r.name)):
+        assert r.seconds is not None
+        rows.append(
+            (
+                r.name,
+                r.backend,
+                r.device,
+                duration(r.seconds.median),
+                _quartiles(r),
+                str(r.seconds.n),
+                _ratio(r, records),
+                NONE if r.limit is None else f"{100 * r.limit / r.seconds.median:.2g} %",
+                f"{r.errors['relative']:.1g}",
+                _megabytes(r.host_bytes),
+                _megabytes(r.gpu_bytes),
+            )
+        )
+    return Table(f"Operations, {case}", columns, 3, rows)
+
+
+def _pipelines(records: list[Record]) -> Table:
+    columns = (
+        *("case", "backend", "device", "time", "quartiles", "n", "ratio", "local", "propagate", "refine", "iterations"),
+        *("MSE×100", "BadPix 0.07", "0.03", "0.01", "Q25×100", "host", "GPU"),
+    )
+    rows = []
+    for r in records:
+        assert r.seconds is not None
+        e, stages = r.errors, r.details["stages"]
+        rows.append(
+            (
+                r.case,
+                r.backend,
+                r.device,
+                duration(r.seconds.median),
+                _quartiles(r),
+                str(r.seconds.n),
+                _ratio(r, records),
+                *(duration(stages[stage]) for stage in ("local", "propagate", "refine")),
+                str(r.details["iterations"]),
+                f"{e['mse_100']:.3f}",
+                *(f"{e[name]:.1f} %" for name in ("badpix_07", "badpix_03", "badpix_01")),
+                f"{e['q25']:.2f}",
+                _megabytes(r.host_bytes),
+                _megabytes(r.gpu_bytes),
+            )
+        )
+    return Table("The whole method, preset paper, scene boxes", columns, 3, rows)
+
+
+def _bandwidth(records: list[Record]) -> Table:
+    rows = [
+        (r.backend, r.device, r.name, f"{bandwidth.of(r) / 1e9:.3g} GB/s")
+        for r in sorted(records, key=lambda r: r.device)
+    ]
+    return Table("Memory bandwidth", ("backend", "device", "operation", "bandwidth"), 3, rows)
+
+
+def _startup(records: list[Record]) -> Table:
+    what = {"import": "import lfgpu", "cold": "first result, empty caches", "warm": "first result, filled caches"}
+    rows = []
+    for r in records:
+        assert r.seconds is not None
+        rows.append((r.backend, r.device, what[r.name], duration(r.seconds.median), _quartiles(r), str(r.seconds.n)))
+    return Table("Start-up", ("backend", "device", "what", "time", "quartiles", "n"), 3, rows)
+
+
+def _of(records: Iterable[Record], kind: str, case: str | None = None) -> list[Record]:
+    return [r for r in records if r.kind == kind and case in (None, r.case)]
+
+
+def _ratio(record: Record, records: list[Record]) -> str:
+    """To the fastest backend on the same device."""
+    assert record.seconds is not None
+    best = min(
+        r.seconds.median
+        for r in records
+        if r.seconds is not None and (r.device, r.name, r.case) == (record.device, record.name, record.case)
+    )
+    return f"{record.seconds.median / best:.3g}"
+
+
+def _quartiles(record: Record) -> str:
+    assert record.seconds is not None
+    return NONE if record.seconds.n == 1 else f"{duration(record.seconds.q1)} – {duration(record.seconds.q3)}"
+
+
+def _digits(number: float) -> str:
+    return f"{number:.3g}" if number < 999.5 else f"{number:.0f}"
+
+
+def _megabytes(size: int | None) -> str:
+    return NONE if size is None else f"{size / 1e6:.0f} MB"

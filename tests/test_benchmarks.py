@@ -1,0 +1,382 @@
+"""The benchmark: that it runs, that it measures what it says, and that it notices what it is for."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import (
+    accuracy,
+    bandwidth,
+    clock,
+    machine,
+    memory,
+    merge,
+    operations,
+    plot,
+    processes,
+    results,
+    show,
+    suite,
+)
+from benchmarks.cases import CASES, Case
+from benchmarks.compare import compare
+from benchmarks.inputs import INPUTS, LARGEST_DISPARITY
+from benchmarks.jobs import Job
+from benchmarks.operations import OPERATIONS, Operation
+from benchmarks.prepare import prepare, whole
+from benchmarks.results import Record, Run, Skipped, Spread
+from lfgpu._backends import load
+
+ROOT = Path(__file__).parents[1]
+TINY = CASES[0]
+MEASURED = ("data_term", "nlm_laplacian", "dot")
+
+
+def benchmarks(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "benchmarks", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of the tiny case, with a device that is not there."""
+    out = tmp_path_factory.mktemp("benchmarks") / "run.json"
+    done = benchmarks(
+        *("--cases", TINY.name, "--operations", ",".join(MEASURED), "--backends", "warp,reference"),
+        *("--devices", "cpu,cuda:99", "--repeats", "1", "--threads", "1", "--no-startup", "--out", out),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "data_term" in done.stdout
+    assert "BadPix" in done.stdout
+    assert "not measured: warp cuda:99" in done.stdout
+    return out
+
+
+def run_of(*records: Record, **fields: object) -> Run:
+    machine = {"cpu": "a CPU", "cores": 2, "gpus": [], "system": "a system", "python": "3.12"}
+    run = Run("2030-01-01T00:00:00+00:00", machine, {"lfgpu": "1"}, "c0ffee", 2, 0.0, list(records), [])
+    return replace(run, **fields)  # type: ignore[arg-type]
+
+
+def record_of(median: float = 1.0, *, half_spread: float = 0.01, error: float = 1e-6) -> Record:
+    spread = Spread(median, median - half_spread, median + half_spread, 9)
+    errors = {"relative": error}
+    return Record("operation", "warp", "cpu", CASES[1].name, "splat", spread, bytes=10**6, errors=errors)
+
+
+# --- a run ---
+
+
+def test_a_run_has_times_errors_and_memory(measured: Path) -> None:
+    run = results.load(measured)
+    assert run.threads == 1
+    assert run.machine["cpu"]
+    assert run.versions["numpy"] == np.__version__
+    found = {(r.kind, r.backend, r.name) for r in run.records}
+    assert found == {
+        *(("operation", backend, name) for backend in ("warp", "reference") for name in MEASURED),
+        *(("pipeline", backend, "paper") for backend in ("warp", "reference")),
+        *(("bandwidth", *pair) for pair in (("numpy", "copy"), ("warp", "copy"), ("warp", "axpby"))),
+    }
+    for record in run.records:
+        assert not record.failed
+        assert record.seconds is not None
+        assert 0 < record.seconds.q1 <= record.seconds.median <= record.seconds.q3
+        if record.kind == "operation":
+            assert record.errors["relative"] < 1e-4
+            assert record.limit is not None
+        if record.kind == "pipeline":
+            assert record.errors.keys() == {"mse_100", "badpix_07", "badpix_03", "badpix_01", "q25"}
+            assert record.details["iterations"] > 0
+            assert set(record.details["stages"]) == {"local", "propagate", "refine"}
+        if record.kind != "bandwidth":
+            assert record.host_bytes is not None
+            assert record.host_bytes > 10**7
+
+
+def test_a_device_that_is_not_there_is_listed(measured: Path) -> None:
+    skipped = {(s.backend, s.device): s.reason for s in results.load(measured).skipped}
+    assert skipped.keys() == {("warp", "cuda:99"), ("reference", "cuda:99")}
+    assert "there is" in skipped["reference", "cuda:99"]
+
+
+def test_a_backend_that_cannot_be_loaded_is_listed() -> None:
+    plan = suite.Plan((TINY,), (), ("nosuch",), None, False, False, 1, 1, 60.0)
+    run = suite.run(plan, lambda _: None)
+    assert run.records == []
+    assert [(s.backend, s.device) for s in run.skipped] == [("nosuch", "any device")]
+    assert "unknown backend" in run.skipped[0].reason
+
+
+def test_what_fails_is_listed_and_the_rest_goes_on() -> None:
+    job = Job("operation", "reference", "cpu", TINY.name, ("dot", "nosuch", "axpby"), 1)
+    records = processes.run(job, processes.environment(1), 60.0)
+    assert [(r.name, bool(r.failed)) for r in records] == [("dot", False), ("nosuch", True), ("axpby", False)]
+    assert "unknown operation" in records[1].failed
+
+
+def test_what_takes_too_long_is_listed() -> None:
+    job = Job("operation", "reference", "cpu", TINY.name, ("dot", "axpby"), 1)
+    records = processes.run(job, processes.environment(1), 0.01)
+    assert [r.failed for r in records] == [
+        "took longer than 0.01 s",
+        "not reached: what came before took too long",
+    ]
+
+
+def test_how_a_process_ended_is_said() -> None:
+    assert processes.reason(-9, "") == "ended by SIGKILL, as when memory runs out"
+    assert processes.reason(1, "Traceback\nValueError: no\n") == "ValueError: no"
+    assert processes.reason(3, "") == "ended with exit code 3"
+
+
+# --- what is measured ---
+
+
+@pytest.mark.parametrize("operation", OPERATIONS, ids=lambda operation: operation.name)
+def test_traffic_is_the_size_of_the_arrays(operation: Operation) -> None:
+    kernels = load("warp")
+    arrays = prepare(operation, kernels, "cpu", TINY, whole(TINY)).arrays
+    counted = [arrays[slot.name] for slot in (*operation.reads, *operation.writes)]
+    assert operation.traffic(TINY) == sum(kernels.numpy(array).nbytes for array in counted)
+
+
+@pytest.mark.parametrize("operation", OPERATIONS, ids=lambda operation: operation.name)
+@pytest.mark.parametrize("case", [Case((3, 3), (100, 110)), Case((5, 3), (96, 130))], ids=lambda case: case.name)
+def test_a_window_is_what_the_whole_is_there(operation: Operation, case: Case) -> None:
+    """The margin suffices: the reference finds itself, whether it sees all or what is around the window."""
+    reference = load("reference")
+    done = prepare(operation, reference, "cpu", case, whole(case))
+    error, compared = accuracy.compare(operation, case, done, done.call(), reference)
+    assert error < 1e-12
+    assert compared == "64 x 64 of {} x {} pixels, over all views".format(*case.size) or not operation.local
+
+
+def test_a_wrong_output_is_noticed() -> None:
+    reference, operation = load("reference"), operations.find("splat")
+    done = prepare(operation, reference, "cpu", TINY, whole(TINY))
+    done.call()
+    done.arrays["coverage"][0, 24, 24] += 0.5
+    assert accuracy.compare(operation, TINY, done, None, reference)[0] > 0.1
+
+
+def test_inputs_are_like_those_of_the_method() -> None:
+    disparity = INPUTS["disparity"](CASES[1])
+    assert np.abs(disparity).max() == pytest.approx(LARGEST_DISPARITY)
+    assert np.abs(np.diff(disparity, axis=0)).max() < 0.2
+    assert INPUTS["recorded"](TINY).shape == (8, 48, 48, 3)
+    weights = INPUTS["weights"](TINY)
+    assert weights.shape == (60, 48, 48)
+    arrays = prepare(operations.find("nlm_weights"), load("reference"), "cpu", TINY, whole(TINY))
+    arrays.call()
+    np.testing.assert_array_equal(weights > 0, arrays.arrays["weights_out"] > 0)
+    assert 0.5 < INPUTS["valid"](TINY).mean() < 1
+
+
+def test_the_clock_batches_short_calls() -> None:
+    timed = clock.measure(lambda: None, lambda: None, repeats=4, budget=10.0)
+    assert timed.calls > 100
+    assert timed.seconds.n == 4
+
+
+def test_the_limit_is_that_of_the_fastest_memory_of_the_device() -> None:
+    copy = Record("bandwidth", "warp", "cpu", "", "copy", Spread(1.0, 1.0, 1.0, 3), bytes=10**6)
+    faster = replace(copy, backend="numpy", bytes=10**7)
+    elsewhere = replace(copy, device="cuda:0", bytes=10**9)
+    *_, limited = bandwidth.with_limits([copy, faster, elsewhere, record_of()])
+    assert limited.limit == pytest.approx(0.1)
+    assert bandwidth.with_limits([record_of()]) == [record_of()]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a script that can be started by its name")
+def test_gpus_are_asked_for_their_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stand_in = tmp_path / "nvidia-smi"
+    used = tmp_path / "used"
+    stand_in.write_text(f'#!/bin/sh\ncase "$1" in *memory.used) cat {used};; *=name) echo A GPU;; *) echo 1.0;; esac\n')
+    stand_in.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    used.write_text("100\n5\n")
+    with memory.GpuPeak() as peak:
+        used.write_text("300\n5\n")
+    assert peak.bytes == 305 << 20
+    described = machine.describe()
+    assert (described["gpus"], described["driver"]) == (["A GPU"], "1.0")
+    used.write_text("[N/A]\n")
+    assert memory.gpu_used() is None
+
+
+# --- files ---
+
+
+def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
+    run = run_of(record_of(), skipped=[Skipped("taichi", "cpu", "not there")])
+    results.save(run, tmp_path / "run.json")
+    assert results.load(tmp_path / "run.json") == run
+    assert json.loads((tmp_path / "run.json").read_text())["schema"] == results.SCHEMA
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (None, "cannot be read"),
+        ("{", "is not a JSON file of a benchmark run"),
+        ("[]", "is not a JSON file of a benchmark run"),
+        ('{"schema": 99, "records": []}', "has schema 99"),
+        ('{"schema": 1, "records": []}', "is not a whole file"),
+        ('{"schema": 1, "records": [{"nonsense": 1}], "skipped": []}', "is not a whole file"),
+    ],
+)
+def test_broken_files_get_a_sentence(content: str | None, sentence: str, tmp_path: Path) -> None:
+    path = tmp_path / "broken.json"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(results.BenchmarkError, match=sentence):
+        results.load(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--cases", "9x9"), "unknown case '9x9'; there are 3x3x48x48"),
+        (("--operations", "splash"), "unknown operation 'splash'"),
+        (("--backends", "cuda"), "unknown backend 'cuda'; there are warp"),
+        (("--out", "."), "it is a folder"),
+        (("table", "nowhere.json"), "nowhere.json cannot be read"),
+    ],
+)
+def test_mistakes_get_one_sentence(arguments: tuple[str, ...], sentence: str) -> None:
+    done = benchmarks(*arguments)
+    assert done.returncode == 1
+    assert sentence in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_files_of_one_state_on_one_machine_are_one_run() -> None:
+    other = replace(record_of(2.0), name="dot")
+    later = run_of(record_of(3.0), other, date="2030-02-01T00:00:00+00:00")
+    (run,) = merge.merged([later, run_of(record_of())])
+    assert run.date == later.date
+    assert {r.name: r.seconds.median for r in run.records if r.seconds} == {"splat": 3.0, "dot": 2.0}
+    changed = [run_of(record_of()), run_of(record_of(), commit="decade"), run_of(record_of(), threads=1)]
+    assert len(merge.merged(changed)) == 3
+    assert len({place("cpu") for place in merge.places(merge.merged(changed))}) == 3
+    assert [place("cpu") for place in merge.places([run])] == ["cpu"]
+
+
+# --- tables and plots ---
+
+
+def test_the_table_is_markdown(measured: Path) -> None:
+    done = benchmarks("table", measured)
+    assert done.returncode == 0, done.stderr
+    assert f"**Operations, {TINY.name}**" in done.stdout
+    assert re.search(r"^\| data_term \| warp \| cpu \| [\d.]+ [mµ]?s \|", done.stdout, re.MULTILINE)
+    assert "- warp cuda:99: no such device here" in done.stdout
+    rows = [line.count("|") for line in done.stdout.splitlines() if line.startswith("| data_term")]
+    assert len(set(rows)) == 1
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg"])
+def test_a_plot_is_drawn(suffix: str, measured: Path, tmp_path: Path) -> None:
+    plot.write([results.load(measured)], tmp_path / f"plot.{suffix}")
+    assert (tmp_path / f"plot.{suffix}").stat().st_size > 5000
+
+
+def test_plots_of_several_machines_name_them(measured: Path) -> None:
+    run = results.load(measured)
+    figure = plot.draw([run, replace(run, machine={**run.machine, "cpu": "another CPU"})])
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels[:2] == ["warp", "reference"]
+    assert labels[3] == "cpu (another CPU, 1 threads)"
+
+
+def test_what_cannot_be_drawn_gets_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(results.BenchmarkError, match="must end in"):
+        plot.write([run_of()], tmp_path / "plot.bmp")
+    with pytest.raises(results.BenchmarkError, match="nothing to draw"):
+        plot.write([run_of()], tmp_path / "plot.png")
+
+
+def test_a_busy_machine_is_said_to_be_busy() -> None:
+    assert "not idle" not in show.markdown(run_of(record_of()))
+    assert "not idle: its load average was 1.5" in show.markdown(run_of(record_of(), load=1.5))
+
+
+# --- comparison ---
+
+
+def test_what_got_slower_or_faster_is_found() -> None:
+    slower = compare(run_of(record_of(1.0)), run_of(record_of(1.2)), 0.1)
+    assert slower.slower == ["warp cpu operation 5x5x128x128 splat: 1 s → 1.2 s (+20 %)"]
+    assert slower.fails
+    faster = compare(run_of(record_of(1.2)), run_of(record_of(1.0)), 0.1)
+    assert len(faster.faster) == 1
+    assert not faster.fails
+
+
+@pytest.mark.parametrize(
+    ("new", "why"),
+    [
+        (record_of(1.05), "below the threshold"),
+        (record_of(1.2, half_spread=0.25), "within the spread"),
+        (record_of(error=1.3e-6), "the error is as large"),
+    ],
+)
+def test_chance_is_not_a_finding(new: Record, why: str) -> None:
+    found = compare(run_of(record_of()), run_of(new), 0.1)
+    assert not found.fails, why
+    assert not found.faster
+    assert not found.only
+
+
+def test_a_larger_error_and_a_failure_are_found() -> None:
+    assert compare(run_of(record_of()), run_of(record_of(error=1e-5)), 0.1).worse == [
+        "warp cpu operation 5x5x128x128 splat: error relative 1e-06 → 1e-05"
+    ]
+    assert compare(run_of(record_of()), run_of(record_of(error=float("nan"))), 0.1).fails
+    failed = replace(record_of(), seconds=None, errors={}, failed="no memory")
+    assert compare(run_of(record_of()), run_of(failed), 0.1).fails
+
+
+def test_what_is_in_one_run_only_is_named() -> None:
+    found = compare(run_of(record_of()), run_of(replace(record_of(), backend="taichi")), 0.1)
+    assert [line.rpartition(": ")[2] for line in found.only] == ["only in the old one", "only in the new one"]
+    assert found.compared == 0
+
+
+def test_other_machines_are_warned_of() -> None:
+    other = run_of(record_of(), threads=1)
+    assert "different machines" in compare(run_of(record_of()), other, 0.1).warnings[0]
+    assert not compare(run_of(record_of()), run_of(record_of()), 0.1).warnings
+
+
+def test_the_comparison_exits_with_what_it_found(tmp_path: Path) -> None:
+    old, new = tmp_path / "old.json", tmp_path / "new.json"
+    results.save(run_of(record_of()), old)
+    results.save(run_of(record_of(1.2), threads=1), new)
+    done = benchmarks("compare", old, new)
+    assert done.returncode == 1
+    assert "slower: warp cpu" in done.stdout
+    assert done.stderr.startswith("warning: ")
+    assert benchmarks("compare", old, new, "--threshold", "25").returncode == 0
+
+
+# --- the README ---
+
+
+def test_the_readme_has_each_formula_and_each_case() -> None:
+    text = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
+    table = text.split("<!-- formulas -->")[1].split("<!-- /formulas -->")[0]
+    rows = [line for line in table.splitlines() if line.startswith("| `")]
+    assert rows == [f"| `{operation.name}` | {operation.formula} |" for operation in OPERATIONS]
+    assert all(f"`{case.name}`" in text for case in CASES)
+    assert "<!-- results -->" in text
