@@ -477,7 +477,7 @@ def outcomes_of_the_matrix(folder: Path, cases: str) -> dict[str, str]:
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *options, str(ROOT / "tests" / "kernels" / "test_matrix.py")],
         cwd=ROOT,
-        env={**environment, "PYTHONPATH": str(folder)},
+        env={**environment, "PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])},
         capture_output=True,
         text=True,
         timeout=120,
