@@ -3,46 +3,53 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.cases import Case
-from benchmarks.inputs import LARGEST_DISPARITY
-from benchmarks.operations import Operation
+from benchmarks.inputs import CONFIG, LARGEST_DISPARITY
+from benchmarks.operations import Operation, Slot
 from benchmarks.prepare import Prepared, Region, prepare, whole
 from lfgpu._backends import load
-from lfgpu.types import KernelSet
+from lfgpu.types import Array, KernelSet
 
 _WINDOW = 64  # pixels along each side: what the reference can do at every size
+_CUT_OFF = 2.5  # standard deviations after which the normalisation's Gaussians end, of one and of two detail scales
 
 
-def compare(
-    operation: Operation, case: Case, done: Prepared, value: float | None, kernels: KernelSet
-) -> tuple[float, str]:
-    """The largest error of what `done` wrote relative to the largest magnitude, and what was compared.
+def compare(operation: Operation, case: Case, done: Prepared, kernels: KernelSet, device: str) -> tuple[float, str]:
+    """The largest error of what `done.once` wrote relative to the largest magnitude, and what was compared.
 
-    Tiny cases are compared in whole, others in a window at a random place that all views are splatted to and from. The
-    reference sees a margin around it that is wider than anything can reach. A value that sums over the image (that of
-    the data term) is compared where the image is compared in whole.
+    Of masks it is the share of pixels that differ. Tiny cases are compared in whole, others in a window at a random
+    place that all views are splatted to and from. The reference sees a margin around it that is wider than anything can
+    reach. A number that sums over the image (the value of the data term) is compared where the image is compared in
+    whole.
     """
     everything = case.tiny or not operation.local
     inner = whole(case) if everything else _window(case)
     outer = _grown(inner, _margin(case), case)
     reference = load("reference")
-    truth = prepare(operation, reference, reference.devices()[0], case, outer)
-    true_value = truth.call()
+    truth = prepare(operation, reference, reference.devices()[0], case, outer, as_on=device)
+    truth.once()
     kept = Region(_within(inner.rows, outer.rows), _within(inner.columns, outer.columns))
 
+    compared_slots = [slot for slot in operation.writes if not slot.inside and (everything or slot.axes)]
+    true = {s.name: kept.cut(_values(reference, truth.arrays[s.name], s), s.axes) for s in compared_slots}
     errors = []
-    true = {s.name: kept.cut(reference.numpy(truth.arrays[s.name]), s.axes) for s in operation.writes}
-    for slot in operation.writes:
-        found = inner.cut(kernels.numpy(done.arrays[slot.name]), slot.axes)
-        errors.append(_relative(found, true[slot.name], _counted(operation, slot.name, true)))
-    if everything and value is not None and true_value is not None:
-        errors.append(abs(value - true_value) / abs(true_value))
+    for slot in compared_slots:
+        found = inner.cut(_values(kernels, done.arrays[slot.name], slot), slot.axes)
+        if operation.mask:
+            errors.append(float((found != true[slot.name]).mean()))
+        else:
+            errors.append(_relative(found, true[slot.name], _counted(operation, slot.name, true)))
     compared = "all" if everything else f"{_size(inner)} of {_size(whole(case))} pixels, over all views"
     return max(errors), compared
+
+
+def _values(kernels: KernelSet, array: Array, slot: Slot) -> NDArray[Any]:
+    return kernels.numpy(array) if slot.axes else np.array(kernels.number(array))
 
 
 def _counted(operation: Operation, name: str, true: dict[str, NDArray[np.float64]]) -> NDArray[np.bool_] | None:
@@ -63,9 +70,10 @@ def _relative(found: NDArray[np.floating], true: NDArray[np.float64], counted: N
 def _margin(case: Case) -> int:
     """Twice as far as a splat goes: a predicted view, and what in turn lands where it is looked at.
 
-    At least 8 pixels, which windows, patches, gradients and the filters of the structure tensor do not reach.
+    At least as far as the two Gaussians of the normalisation go together; other windows and filters reach less far.
     """
-    return 2 * (math.ceil(LARGEST_DISPARITY * (max(case.grid) // 2)) + 2)
+    splats = 2 * (math.ceil(LARGEST_DISPARITY * (max(case.grid) // 2)) + 2)
+    return max(splats, math.ceil(3 * _CUT_OFF * CONFIG.refinement.detail_scale) + 1)
 
 
 def _window(case: Case) -> Region:

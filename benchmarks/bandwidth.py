@@ -22,7 +22,7 @@ _BUDGET = 2.0  # seconds
 def measure(job: Job, kernels: KernelSet, device: str) -> Iterator[Record]:
     """A backend's own `copy` (one array read, one written) and `axpby` (two read, one written) of long vectors."""
     item = np.dtype(kernels.dtype).itemsize
-    stop = clock.stopper(kernels, device)
+    stop, capture = clock.stopper(kernels, device), clock.capturer(kernels, device)
     # Not zeros: memory that was never written is no memory yet.
     ones = np.ones((_LENGTH // 8192, 8192), np.float32)
     x, y = kernels.field(ones, device), kernels.field(ones, device)
@@ -33,7 +33,7 @@ def measure(job: Job, kernels: KernelSet, device: str) -> Iterator[Record]:
     }
     for name in job.names:
         arrays, call = calls[name]
-        timed = clock.measure(call, stop, repeats=job.repeats, budget=_BUDGET)
+        timed = clock.measure(call, stop, repeats=job.repeats, budget=_BUDGET, capture=capture)
         yield Record(
             "bandwidth",
             job.backend,
@@ -43,6 +43,7 @@ def measure(job: Job, kernels: KernelSet, device: str) -> Iterator[Record]:
             seconds=timed.seconds,
             calls=timed.calls,
             bytes=arrays * _LENGTH * item,
+            details={"captured": timed.captured},
         )
 
 

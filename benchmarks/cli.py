@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from benchmarks import cases, compare, merge, operations, plot, results, show, suite
+from benchmarks import cases, compare, merge, operations, pipelines, plot, results, show, suite
 from benchmarks.errors import BenchmarkError
 from benchmarks.failures import Group
 from lfgpu._backends import list_backends
@@ -45,7 +45,10 @@ def measure(
     repeats: Annotated[int, typer.Option(min=1, help="At most; fewer where a call takes long.")] = 15,
     threads: Annotated[int | None, typer.Option(min=1, help="Of the CPU; default: one for each core.")] = None,
     timeout: Annotated[float, typer.Option(min=1, help="Seconds that one process may take.")] = 600,
-    pipelines: Annotated[bool, typer.Option(help="The whole method.")] = True,
+    pipeline_names: Annotated[
+        str, typer.Option("--pipelines", metavar="NAME,...", help='paper, resident, scipy; default: all; or "none".')
+    ] = "",
+    runs: Annotated[int, typer.Option(min=1, help="Repeats of the resident method on a GPU.")] = 50,
     startup: Annotated[bool, typer.Option(help="Import and time to the first result.")] = True,
     out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Where the results go.")] = None,
 ) -> None:
@@ -57,9 +60,10 @@ def measure(
         operations=_operations(operation_names),
         backends=tuple(_known_backend(n) for n in _names(backends)) or list_backends(),
         devices=tuple("cuda:0" if n == "cuda" else n for n in _names(devices)) or None,
-        pipelines=pipelines,
+        pipelines=_pipelines(pipeline_names),
         startup=startup,
         repeats=repeats,
+        runs=runs,
         threads=threads or get_threads(),
         timeout=timeout,
     )
@@ -116,6 +120,14 @@ def _operations(text: str) -> tuple[operations.Operation, ...]:
     if text == "none":
         return ()
     return tuple(operations.find(name) for name in _names(text)) or operations.OPERATIONS
+
+
+def _pipelines(text: str) -> tuple[str, ...]:
+    names = () if text == "none" else tuple(_names(text)) or pipelines.NAMES
+    for name in names:
+        if name not in pipelines.NAMES:
+            raise BenchmarkError(f"unknown pipeline {name!r}; there are {', '.join(pipelines.NAMES)}.")
+    return names
 
 
 def _known_backend(name: str) -> str:

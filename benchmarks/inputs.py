@@ -20,11 +20,10 @@ BYTE = 1 / 255
 
 
 def offsets(case: Case) -> NDArray[np.float32]:
-    """[n, 2], (du, dv) of all views but the reference in the middle, which predicts itself."""
+    """[n, 2], (du, dv) of all views; the reference is the one in the middle."""
     rows, columns = case.grid
     v, u = np.mgrid[:rows, :columns].reshape(2, -1)
-    all_views = np.stack([u - columns // 2, v - rows // 2], axis=1)
-    return all_views[(all_views != 0).any(1)].astype(np.float32)
+    return np.stack([u - columns // 2, v - rows // 2], axis=1).astype(np.float32)
 
 
 def line_offsets(case: Case) -> NDArray[np.float32]:
@@ -51,11 +50,11 @@ def disparity(case: Case) -> NDArray[np.float32]:
 def recorded(case: Case) -> NDArray[np.float32]:
     """[n, y, x, c]: the image where the disparity sends it, nearest pixel."""
     places = offsets(case)
-    views = np.empty((len(places), *case.size, CHANNELS), np.float32)
-    for view, (du, dv) in zip(views, places, strict=True):
+    shown = np.empty((len(places), *case.size, CHANNELS), np.float32)
+    for view, (du, dv) in zip(shown, places, strict=True):
         rows, columns = _sources(case, du, dv)
         view[:] = image(case)[_inside(rows, case.size[0]), _inside(columns, case.size[1])]
-    return views
+    return shown
 
 
 def valid(case: Case) -> NDArray[np.float32]:
@@ -68,21 +67,26 @@ def valid(case: Case) -> NDArray[np.float32]:
     return known
 
 
+def views(case: Case) -> NDArray[np.uint8]:
+    """[n, y, x, c]: the same views, as a file holds them."""
+    return np.rint(recorded(case) / BYTE).astype(np.uint8)
+
+
 def residual(case: Case) -> NDArray[np.float32]:
     """[n, y, x, c]: differences of either sign."""
-    views = recorded(case)
-    views -= 0.5
-    return views
+    differences = recorded(case)
+    differences -= 0.5
+    return differences
 
 
 def epis(case: Case) -> NDArray[np.uint8]:
     """[u, y, x, c]: the reference's row of views, as a file holds them."""
     line = line_offsets(case)
-    views = np.empty((len(line), *case.size, CHANNELS), np.uint8)
-    for view, du in zip(views, line, strict=True):
+    lines = np.empty((len(line), *case.size, CHANNELS), np.uint8)
+    for view, du in zip(lines, line, strict=True):
         rows, columns = _sources(case, du, 0.0)
         view[:] = np.rint(image(case)[rows, _inside(columns, case.size[1])] / BYTE)
-    return views
+    return lines
 
 
 def weights(case: Case) -> NDArray[np.float32]:
@@ -101,17 +105,39 @@ def other_values(case: Case) -> NDArray[np.float32]:
     return _rng(case, 4).random(case.size, np.float32)
 
 
+def x_gradient(case: Case) -> NDArray[np.float32]:
+    """[y, x]: of some energy at the disparity, of either sign."""
+    return _rng(case, 5).random(case.size, np.float32) - np.float32(0.5)
+
+
+def trial(case: Case) -> NDArray[np.float32]:
+    """[y, x]: a map near the disparity, within the same bounds."""
+    step = np.float32(0.1) * (other_values(case) - np.float32(0.5))
+    return np.clip(disparity(case) + step, -LARGEST_DISPARITY, LARGEST_DISPARITY).astype(np.float32)
+
+
+def trial_gradient(case: Case) -> NDArray[np.float32]:
+    """[y, x]: of the same energy at the trial, the energy having a positive curvature that differs between pixels."""
+    curvature = np.float32(0.5) + _rng(case, 6).random(case.size, np.float32)
+    return x_gradient(case) + curvature * (trial(case) - disparity(case))
+
+
 INPUTS: dict[str, Callable[[Case], NDArray[Any]]] = {
     "image": image,
     "disparity": disparity,
     "offsets": offsets,
     "recorded": recorded,
     "valid": valid,
+    "views": views,
     "residual": residual,
     "epis": epis,
     "line_offsets": line_offsets,
     "weights": weights,
     "other_values": other_values,
+    "x": disparity,
+    "x_gradient": x_gradient,
+    "trial": trial,
+    "trial_gradient": trial_gradient,
 }
 
 

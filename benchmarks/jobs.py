@@ -21,9 +21,9 @@ class Job:
     case
         Name of the case; "" for the bandwidth.
     names
-        What is measured, one record each: operations; the preset; "copy" and "axpby".
+        What is measured, one record each: operations; pipelines; "copy" and "axpby".
     repeats
-        At most so many.
+        At most so many; of the resident method on a GPU exactly so many.
     scene
         The file that holds the light field of a pipeline.
     """
@@ -37,7 +37,8 @@ class Job:
     scene: str = ""
 
     def __str__(self) -> str:
-        return " ".join(filter(None, (self.backend, self.device, self.case, self.kind)))
+        name = self.names[0] if len(self.names) == 1 else ""
+        return " ".join(filter(None, (self.backend, self.device, self.case, self.kind, name)))
 
     def without(self, names: set[str]) -> Job:
         """The same without some of the names."""

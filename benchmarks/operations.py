@@ -5,34 +5,77 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import cycle
 
 import numpy as np
 
 from benchmarks.cases import CHANNELS, Case
 from benchmarks.errors import BenchmarkError
-from benchmarks.inputs import BYTE, CONFIG, INPUTS, line_offsets
+from benchmarks.inputs import BYTE, CONFIG, INPUTS, LARGEST_DISPARITY, line_offsets
 from lfgpu.initial import structure_filters
 from lfgpu.types import Array, KernelSet, StructureFilters, half_window
 
-Arrays = Mapping[str, Array]
-Call = Callable[[], float | None]
-Plan = Callable[[KernelSet, str, Arrays], Call]
-"""From a backend, a device and the arrays by name to what is timed; what is planned once is planned here."""
+_PAIRS = 10  # that the method's L-BFGS remembers
+_TOLERANCE = 1e-4  # relative error of operations in float32, at any size
+_HALF_STEP = 2.0**-11  # half a step of float16, relative
+
+
+def _nothing() -> None:
+    pass
+
+
+@dataclass(frozen=True)
+class Work:
+    """What is timed, and where it remembers something what brings it back to its first call."""
+
+    call: Callable[[], None]
+    begin: Callable[[], None] = _nothing
+
+
+@dataclass(frozen=True)
+class Desk:
+    """A backend, a device, and by name the arrays there and their shapes."""
+
+    kernels: KernelSet
+    device: str
+    arrays: Mapping[str, Array]
+    shapes: Mapping[str, tuple[int, ...]]
+
+
+Plan = Callable[[Desk], Work]
+"""From what lies ready to what is timed; what is planned once is planned here."""
 
 
 @dataclass(frozen=True)
 class Slot:
     """An array: its name, a letter for each axis (see `extents`), and what an element is on the device.
 
-    Arrays whose last axis is c are images, others are fields.
+    Arrays whose last axis is c are images, others are fields; what has no axes is a number.
     """
 
     name: str
     axes: str
     dtype: str = "float32"
+    on_gpu: str = ""
+    """What an element is on a GPU, if not `dtype`."""
+    inside: bool = False
+    """Whether it is a part of what was planned, that nobody else sees."""
 
     def __str__(self) -> str:
-        return f"{self.name}[{','.join(self.axes)}]" + (f" {self.dtype}" if self.dtype != "float32" else "")
+        if not self.axes:
+            return f"{self.name} (a number)"
+        kinds = [self.dtype] if self.dtype != "float32" else []
+        kinds += [f"{self.on_gpu} on a GPU"] if self.on_gpu else []
+        return " ".join([f"{self.name}[{','.join(self.axes)}]", *kinds])
+
+    @property
+    def is_image(self) -> bool:
+        """Whether it has channels."""
+        return self.axes.endswith("c")
+
+    def stored(self, device: str) -> np.dtype[np.generic]:
+        """What an element is on that device."""
+        return np.dtype(self.on_gpu if self.on_gpu and device != "cpu" else self.dtype)
 
 
 @dataclass(frozen=True)
@@ -43,34 +86,39 @@ class Operation:
     reads: tuple[Slot, ...]
     writes: tuple[Slot, ...]
     plan: Plan
-    scratch: tuple[Slot, ...] = ()
-    """Arrays that it may use but that nobody needs: they do not count as traffic."""
     local: bool = True
     """What it writes at a pixel depends on its surroundings alone, so that a window of it can be checked."""
+    mask: bool = False
+    """What it writes is 0 or 1."""
     trusted: tuple[str, float] | None = None
     """(array, least value): the other arrays mean something only where this one is at least that."""
 
-    def traffic(self, case: Case) -> int:
+    def traffic(self, case: Case, device: str) -> int:
         """Compulsory bytes: each array that is read once, each array that is written once, nothing twice."""
-        return sum(size(slot, case) * np.dtype(slot.dtype).itemsize for slot in (*self.reads, *self.writes))
+        return sum(size(slot, case) * slot.stored(device).itemsize for slot in (*self.reads, *self.writes))
+
+    def tolerance(self, device: str) -> float:
+        """The relative error above which something is wrong; what is written as float16 is rounded in any case."""
+        half = any(slot.stored(device) == np.float16 for slot in self.writes)
+        return _TOLERANCE + (_HALF_STEP if half else 0.0)
 
     @property
     def formula(self) -> str:
         """What `traffic` adds up, in words."""
-        writes = " + ".join(map(str, self.writes)) or "a number"
-        return f"{' + '.join(map(str, self.reads))} → {writes}"
+        return f"{' + '.join(map(str, self.reads))} → {' + '.join(map(str, self.writes))}"
 
 
 def extents(case: Case) -> dict[str, int]:
-    """How long each axis is: n views but the reference, u views of its row that are used, y, x, c, k neighbours."""
+    """How long each axis is: n views, u views of the reference's row that are used, y, x, c, k neighbours, m pairs."""
     filters = structure_filters(line_offsets(case).astype(np.float64), CONFIG.local)
     return {
-        "n": case.grid[0] * case.grid[1] - 1,
+        "n": case.grid[0] * case.grid[1],
         "u": int((filters.along_value != 0).any(0).sum()),
         "y": case.size[0],
         "x": case.size[1],
         "c": CHANNELS,
         "k": len(half_window(CONFIG.prior.window)),
+        "m": _PAIRS,
         "2": 2,
     }
 
@@ -92,105 +140,176 @@ def find(name: str) -> Operation:
 # --- how each is called ---
 
 
-def _data_term(k: KernelSet, _: str, a: Arrays) -> Call:
+def _normalization(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    r = CONFIG.refinement
+    normalize = k.normalization(on.shapes["views"], on.device, scale=BYTE, sigma=r.detail_scale, floor=r.contrast_floor)
+    return Work(lambda: normalize(a["views"], None, a["detail"]))
+
+
+def _seen_by_reference(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(lambda: k.seen_by_reference(a["disparity"], a["offsets"], None, None, seen_out=a["seen"]))
+
+
+def _data_term(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    term = k.data_term(on.shapes["recorded"], a["offsets"], scale=1.0, softness=CONFIG.refinement.softness)
+    term.load(a["image"], a["recorded"], a["valid"])
+    return Work(lambda: term(a["disparity"], a["gradient"], a["value"]))
+
+
+def _splat(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(
+        lambda: k.splat(
+            a["image"],
+            a["disparity"],
+            a["offsets"],
+            softness=CONFIG.refinement.softness,
+            views_out=a["predicted"],
+            coverage_out=a["coverage"],
+        )
+    )
+
+
+def _splat_vjp(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(
+        lambda: k.splat_vjp(
+            a["image"],
+            a["disparity"],
+            a["residual"],
+            a["offsets"],
+            softness=CONFIG.refinement.softness,
+            gradient_out=a["gradient"],
+        )
+    )
+
+
+def _splat_transpose(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
     softness = CONFIG.refinement.softness
-    term = k.data_term(a["image"], a["recorded"], a["valid"], a["offsets"], scale=1.0, softness=softness)
-    return lambda: term(a["disparity"], a["gradient"])
-
-
-def _splat(k: KernelSet, _: str, a: Arrays) -> Call:
-    return lambda: k.splat(
-        a["image"],
-        a["disparity"],
-        a["offsets"],
-        softness=CONFIG.refinement.softness,
-        views_out=a["views"],
-        coverage_out=a["coverage"],
+    return Work(
+        lambda: k.splat_transpose(
+            a["residual"], a["disparity"], a["offsets"], softness=softness, image_out=a["image_out"]
+        )
     )
 
 
-def _splat_vjp(k: KernelSet, _: str, a: Arrays) -> Call:
-    return lambda: k.splat_vjp(
-        a["image"],
-        a["disparity"],
-        a["residual"],
-        a["offsets"],
-        softness=CONFIG.refinement.softness,
-        gradient_out=a["gradient"],
-    )
-
-
-def _splat_transpose(k: KernelSet, _: str, a: Arrays) -> Call:
-    softness = CONFIG.refinement.softness
-    return lambda: k.splat_transpose(
-        a["residual"], a["disparity"], a["offsets"], softness=softness, image_out=a["image_out"]
-    )
-
-
-def _nlm_weights(k: KernelSet, _: str, a: Arrays) -> Call:
+def _nlm_weights(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
     prior = CONFIG.prior
-    return lambda: k.nlm_weights(
-        a["image"],
+    weigh = k.nlm_weights(
+        on.shapes["image"],
+        on.device,
         window=prior.window,
         patch=prior.patch,
         sigma_color=prior.sigma_color,
         sigma_gradient=prior.sigma_gradient,
         floor=prior.floor,
-        scratch_out=a["scratch"],
-        weights_out=a["weights_out"],
     )
+    return Work(lambda: weigh(a["image"], a["weights_out"]))
 
 
-def _nlm_laplacian(k: KernelSet, _: str, a: Arrays) -> Call:
-    return lambda: k.nlm_laplacian(
-        a["weights"], a["disparity"], window=CONFIG.prior.window, laplacian_out=a["laplacian"]
-    )
+def _nlm_laplacian(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    window = CONFIG.prior.window
+    return Work(lambda: k.nlm_laplacian(a["weights"], a["disparity"], window=window, laplacian_out=a["laplacian"]))
 
 
-def _nlm_neighbors(k: KernelSet, _: str, a: Arrays) -> Call:
-    return lambda: k.nlm_neighbors(a["weights"], a["disparity"], window=CONFIG.prior.window, sums_out=a["sums"])
+def _nlm_neighbors(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    window = CONFIG.prior.window
+    return Work(lambda: k.nlm_neighbors(a["weights"], a["disparity"], window=window, sums_out=a["sums"]))
 
 
-def _structure_tensor(k: KernelSet, device: str, a: Arrays) -> Call:
+def _structure_tensor(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
     filters = structure_filters(np.asarray(k.numpy(a["line_offsets"]), np.float64), CONFIG.local)
-    placed = StructureFilters(*(k.field(f, device) for f in filters))
-    tensor = k.structure_tensor(a["epis"], a["line_offsets"], placed, scale=BYTE, floor=CONFIG.local.gradient_floor)
-    return lambda: tensor(1.0, a["disparity_out"], a["coherence"])
+    placed = StructureFilters(*(k.field(f, on.device) for f in filters))
+    tensor = k.structure_tensor(
+        on.shapes["epis"], a["line_offsets"], placed, scale=BYTE, floor=CONFIG.local.gradient_floor
+    )
+    return Work(lambda: tensor(a["epis"], 1.0, a["disparity_out"], a["coherence"]))
 
 
-def _dot(k: KernelSet, _: str, a: Arrays) -> Call:
-    return lambda: k.dot(a["disparity"], a["other_values"])
+def _dot(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(lambda: k.dot(a["disparity"], a["other_values"], a["product"]))
 
 
-def _axpby(k: KernelSet, _: str, a: Arrays) -> Call:
-    return lambda: k.axpby(0.75, a["disparity"], -0.5, a["other_values"], a["combined"])
+def _axpby(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(lambda: k.axpby(0.75, a["disparity"], -0.5, a["other_values"], a["combined"]))
 
 
-_MAP = Slot("disparity", "yx")
-_SPLATTED = (Slot("image", "yxc"), _MAP, Slot("offsets", "n2"))
+def _lbfgs_learn(on: Desk) -> Work:
+    """What an accepted iteration asks of a full memory: `learn` of the trial, and `propose` of the next one.
+
+    Two points are x and trial in turns, so that each call has a pair to keep. `judge`, which looks at a few numbers, is
+    left out: its trace has an end.
+    """
+    k, a = on.kernels, on.arrays
+    memory = k.lbfgs(
+        on.shapes["x"],
+        on.device,
+        memory=_PAIRS,
+        low=-LARGEST_DISPARITY,
+        high=LARGEST_DISPARITY,
+        first_step=0.02,
+        tolerance=0.0,
+        patience=5,
+        most=1,
+    )
+    x, gradient = a["x"], a["x_gradient"]
+    first, first_gradient = (k.field(k.numpy(array), on.device) for array in (x, gradient))
+    ends = ((a["trial"], a["trial_gradient"]), (first, first_gradient))
+    turns = cycle(ends)
+    zero, value, much_less = (k.scalar(number, on.device) for number in (0.0, 0.0, -1e30))
+
+    def learn() -> None:
+        memory.learn(x, gradient, *next(turns))
+        memory.propose(x, a["proposed"])
+
+    def begin() -> None:
+        nonlocal turns
+        turns = cycle(ends)
+        k.copy(first, x)
+        k.copy(first_gradient, gradient)
+        k.copy(zero, value)
+        memory.begin(x, gradient, value)
+        memory.judge(value, much_less)  # an accepted trial stays accepted until the next one is judged
+        for _ in range(_PAIRS):
+            learn()
+
+    return Work(learn, begin)
+
+
+_MAP, _OFFSETS, _IMAGE = Slot("disparity", "yx"), Slot("offsets", "n2"), Slot("image", "yxc")
+_SPLATTED = (_IMAGE, _MAP, _OFFSETS)
+_POINT = (Slot("x", "yx"), Slot("x_gradient", "yx"))
 
 OPERATIONS = (
     Operation(
+        "normalization",
+        (Slot("views", "nyxc", "uint8"),),
+        (Slot("detail", "nyxc", on_gpu="float16"),),
+        _normalization,
+    ),
+    Operation("seen_by_reference", (_MAP, _OFFSETS), (Slot("seen", "nyx"),), _seen_by_reference, mask=True),
+    Operation(
         "data_term",
-        (*_SPLATTED, Slot("recorded", "nyxc"), Slot("valid", "nyx")),
-        (Slot("gradient", "yx"),),
+        (*_SPLATTED, Slot("recorded", "nyxc", on_gpu="float16"), Slot("valid", "nyx")),
+        (Slot("gradient", "yx"), Slot("value", "", "float64")),
         _data_term,
     ),
-    Operation("splat", _SPLATTED, (Slot("views", "nyxc"), Slot("coverage", "nyx")), _splat),
+    Operation("splat", _SPLATTED, (Slot("predicted", "nyxc"), Slot("coverage", "nyx")), _splat),
     Operation("splat_vjp", (*_SPLATTED, Slot("residual", "nyxc")), (Slot("gradient", "yx"),), _splat_vjp),
     Operation(
-        "splat_transpose",
-        (_MAP, Slot("offsets", "n2"), Slot("residual", "nyxc")),
-        (Slot("image_out", "yxc"),),
-        _splat_transpose,
+        "splat_transpose", (_MAP, _OFFSETS, Slot("residual", "nyxc")), (Slot("image_out", "yxc"),), _splat_transpose
     ),
-    Operation(
-        "nlm_weights",
-        (Slot("image", "yxc"),),
-        (Slot("weights_out", "kyx"),),
-        _nlm_weights,
-        scratch=(Slot("scratch", "kyx"),),
-    ),
+    Operation("nlm_weights", (_IMAGE,), (Slot("weights_out", "kyx"),), _nlm_weights),
     Operation("nlm_laplacian", (Slot("weights", "kyx"), _MAP), (Slot("laplacian", "yx"),), _nlm_laplacian),
     Operation("nlm_neighbors", (Slot("weights", "kyx"), _MAP), (Slot("sums", "yx"),), _nlm_neighbors),
     Operation(
@@ -200,8 +319,27 @@ OPERATIONS = (
         _structure_tensor,
         trusted=("coherence", CONFIG.local.coherence_threshold),
     ),
-    Operation("dot", (_MAP, Slot("other_values", "yx")), (), _dot, local=False),
+    Operation(
+        "lbfgs_learn",
+        (
+            *_POINT,
+            Slot("trial", "yx"),
+            Slot("trial_gradient", "yx"),
+            Slot("steps", "myx", inside=True),
+            Slot("differences", "myx", inside=True),
+        ),
+        (
+            *_POINT,
+            Slot("step", "yx", inside=True),
+            Slot("difference", "yx", inside=True),
+            Slot("direction", "yx", inside=True),
+            Slot("proposed", "yx"),
+        ),
+        _lbfgs_learn,
+        local=False,
+    ),
+    Operation("dot", (_MAP, Slot("other_values", "yx")), (Slot("product", "", "float64"),), _dot, local=False),
     Operation("axpby", (_MAP, Slot("other_values", "yx")), (Slot("combined", "yx"),), _axpby),
 )
 
-assert all(slot.name in INPUTS for operation in OPERATIONS for slot in operation.reads)
+assert all(slot.inside or slot.name in INPUTS for operation in OPERATIONS for slot in operation.reads)

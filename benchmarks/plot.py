@@ -21,8 +21,8 @@ from lfgpu.io.atomic import atomic_write
 _PANELS = (
     ("operation", "data_term", "data term and gradient"),
     ("operation", "nlm_laplacian", "non-local-means Laplacian"),
-    ("operation", "structure_tensor", "structure tensor, one shear"),
-    ("pipeline", "paper", "whole method"),
+    ("pipeline", "paper", "whole method, from scratch"),
+    ("pipeline", "resident", "whole method, resident"),
 )
 # A backend is a colour of Okabe and Ito's, told apart with any colour vision, and a marker; a device is a style.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -55,7 +55,7 @@ def draw(runs: Sequence[Run]) -> Figure:
     """The figure; BenchmarkError if there is nothing to draw."""
     panels = [(title, lines) for kind, name, title in _PANELS if (lines := _lines(runs, kind, name))]
     if not panels:
-        raise BenchmarkError("nothing to draw: no data term, Laplacian, structure tensor or pipeline was measured.")
+        raise BenchmarkError("nothing to draw: no data term, Laplacian or whole method was measured.")
     figure = Figure(figsize=(1 + 3.9 * len(panels), 5.2), layout="constrained")
     drawn = [line for _, lines in panels for line in lines]
     backends = list(dict.fromkeys(line.backend for line in drawn))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.cases import Case
 from benchmarks.inputs import INPUTS
-from benchmarks.operations import Call, Operation, Slot, extents
+from benchmarks.operations import Desk, Operation, Slot, Work, extents
 from lfgpu.types import Array, KernelSet
 
 
@@ -34,26 +34,43 @@ def whole(case: Case) -> Region:
 
 @dataclass(frozen=True)
 class Prepared:
-    """What to call, and the arrays [by name] that it reads and writes."""
+    """What to do, and the arrays [by name] that it reads and writes."""
 
-    call: Call
+    work: Work
     arrays: Mapping[str, Array]
 
+    def once(self) -> None:
+        """One call from where the first one began, whatever was called before."""
+        self.work.begin()
+        self.work.call()
 
-def prepare(operation: Operation, kernels: KernelSet, device: str, case: Case, region: Region) -> Prepared:
-    """Put a region of the operation's inputs on the device, allocate what it writes, and plan it."""
+
+def prepare(
+    operation: Operation, kernels: KernelSet, device: str, case: Case, region: Region, *, as_on: str = ""
+) -> Prepared:
+    """Put a region of the operation's inputs on the device, allocate what it writes, and plan it.
+
+    Images are rounded to what they are stored as on the device `as_on`, by default the same one.
+    """
     lengths = extents(case)
     lengths["y"] = region.rows.stop - region.rows.start
     lengths["x"] = region.columns.stop - region.columns.start
+    shapes = {s.name: tuple(lengths[axis] for axis in s.axes) for s in (*operation.reads, *operation.writes)}
 
     def placed(slot: Slot) -> Array:
         values = region.cut(INPUTS[slot.name](case), slot.axes)
-        return (kernels.image if slot.axes[-1] == "c" else kernels.field)(values, device)
+        if slot.is_image:
+            return kernels.image(values.astype(slot.stored(as_on or device), copy=False), device)
+        return kernels.field(values, device)
 
     def allocated(slot: Slot) -> Array:
-        shape = [lengths[axis] for axis in slot.axes]
-        return (kernels.zeros_image if slot.axes[-1] == "c" else kernels.zeros)(shape, device)
+        shape = shapes[slot.name]
+        if slot.is_image:
+            return kernels.zeros_image(shape, device, slot.stored(as_on or device).type)
+        return kernels.zeros(shape, device) if shape else kernels.scalar(0.0, device)
 
-    arrays = {slot.name: placed(slot) for slot in operation.reads}
-    arrays |= {slot.name: allocated(slot) for slot in (*operation.writes, *operation.scratch)}
-    return Prepared(operation.plan(kernels, device, arrays), arrays)
+    arrays = {slot.name: placed(slot) for slot in operation.reads if not slot.inside}
+    for slot in operation.writes:
+        if not slot.inside and slot.name not in arrays:
+            arrays[slot.name] = allocated(slot)
+    return Prepared(operation.plan(Desk(kernels, device, arrays, shapes)), arrays)

@@ -11,19 +11,20 @@ from benchmarks.errors import BenchmarkError
 from lfgpu.errors import LfgpuError
 from lfgpu.io.atomic import atomic_write
 
-SCHEMA = 1
+SCHEMA = 2
 
 Kind = TypeVar("Kind")
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Seconds of one call: median and quartiles of n repeats."""
+    """Seconds of one call: median, quartiles and 99 % quantile of n repeats."""
 
     median: float
     q1: float
     q3: float
     n: int
+    p99: float
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Record:
     device: str
     case: str
     name: str
-    """Of the operation, of the preset, or of what is started."""
+    """Of the operation, of the pipeline, or of what is started."""
     seconds: Spread | None = None
     calls: int = 1
     """Calls between two synchronisations; `seconds` are of one."""
@@ -45,6 +46,7 @@ class Record:
     limit: float | None = None
     """Seconds that the traffic takes at the best bandwidth measured on this device in this run."""
     errors: dict[str, float] = field(default_factory=dict)
+    """What came out, in measures of which less is better."""
     compared: str = ""
     """What of the output the errors are about."""
     host_bytes: int | None = None
@@ -109,7 +111,7 @@ def load(path: Path) -> Run:
     if not isinstance(content, dict) or "schema" not in content or "records" not in content:
         raise BenchmarkError(f"{path} is not a JSON file of a benchmark run.")
     if content["schema"] != SCHEMA:
-        raise BenchmarkError(f"{path} has schema {content['schema']!r}, but only {SCHEMA} can be read: run it again.")
+        raise BenchmarkError(f"{path} has schema {content['schema']!r}, but only {SCHEMA} can be read: measure again.")
     try:
         content["records"] = [record(values) for values in content["records"]]
         content["skipped"] = [_checked(Skipped, values) for values in content["skipped"]]

@@ -8,9 +8,9 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from benchmarks.results import Run
-from benchmarks.tables import Table, headings, remarks, tables
+from benchmarks.tables import Table, doubts, headings, remarks, tables
 
-_WIDEST = 200  # columns where the output goes to a file: nobody wraps it there
+_WIDEST = 240  # columns where the output goes to a file: nobody wraps it there
 
 
 def terminal(run: Run) -> None:
@@ -24,15 +24,17 @@ def terminal(run: Run) -> None:
         console.print(_rich(table))
     for line in remarks(run):
         console.print(f"not measured: {line}")
+    for line in doubts(run):
+        console.print(f"wrong: {line}")
 
 
 def markdown(run: Run) -> str:
     """A run as a section of a README."""
     parts = [f"### {run.where}", *headings(run)[1:]]
     parts += [f"**{table.title}**\n\n{_lines(table)}" for table in tables(run.records)]
-    missing = remarks(run)
-    if missing:
-        parts.append("Not measured:\n\n" + "\n".join(f"- {line}" for line in missing))
+    for heading, lines in (("Not measured", remarks(run)), ("Wrong", doubts(run))):
+        if lines:
+            parts.append(f"{heading}:\n\n" + "\n".join(f"- {line}" for line in lines))
     return "\n\n".join(parts) + "\n"
 
 

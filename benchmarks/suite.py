@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from benchmarks import bandwidth, machine, processes, scene, startup
+from benchmarks import bandwidth, machine, pipelines, processes, scene, startup
 from benchmarks.cases import STARTUP_CASE, Case
 from benchmarks.jobs import Job
 from benchmarks.operations import Operation
 from benchmarks.results import Record, Run, Skipped
 
 _REFERENCE = "reference"
-_PRESET = "paper"
-_MOST_PIPELINES = 5  # repeats of a whole estimate
+_MOST_REPEATS = {pipelines.SCRATCH: 5, pipelines.SCIPY: 3}
 
 Say = Callable[[str], None]
 
@@ -31,10 +30,14 @@ class Plan:
         What to measure.
     devices
         On which devices; None for the CPU and the first GPU, where a backend has them.
-    pipelines, startup
-        Whether the whole method and start-up are measured.
+    pipelines
+        In which ways the whole method is measured.
+    startup
+        Whether start-up is measured.
     repeats, threads
         At most so many repeats, with at most so many threads of the CPU.
+    runs
+        Repeats of the resident method on a GPU.
     timeout
         Seconds that one process may take.
     """
@@ -43,9 +46,10 @@ class Plan:
     operations: tuple[Operation, ...]
     backends: tuple[str, ...]
     devices: tuple[str, ...] | None
-    pipelines: bool
+    pipelines: tuple[str, ...]
     startup: bool
     repeats: int
+    runs: int
     threads: int
     timeout: float
 
@@ -120,9 +124,19 @@ def _pipelines(
         pairs = list(_pairs([case], targets))
         if pairs:
             path = _scene(case, folder, say)
-            repeats = min(plan.repeats, _MOST_PIPELINES)
-            jobs = [Job("pipeline", *target, case.name, (_PRESET,), repeats, str(path)) for _, target in pairs]
+            # Each in a process of its own, so that no one uses what another one has allocated.
+            jobs = [
+                Job("pipeline", *target, case.name, (name,), _repeats(plan, name, target[1]), str(path))
+                for name in plan.pipelines
+                for _, target in pairs
+            ]
             yield from _run_all(jobs, env, plan.timeout, say)
+
+
+def _repeats(plan: Plan, name: str, device: str) -> int:
+    if name == pipelines.RESIDENT and device != "cpu":
+        return plan.runs
+    return min(plan.repeats, _MOST_REPEATS.get(name, plan.repeats))
 
 
 def _pairs(cases: Iterable[Case], targets: list[tuple[str, str]]) -> Iterator[tuple[Case, tuple[str, str]]]:

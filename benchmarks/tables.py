@@ -7,9 +7,20 @@ from dataclasses import dataclass
 
 from benchmarks import bandwidth
 from benchmarks.cases import CASES
+from benchmarks.pipelines import RESIDENT, SCIPY, SCRATCH
 from benchmarks.results import Record, Run
+from benchmarks.stages import DOWNLOAD, UPLOAD
+from lfgpu.depth import STAGES
 
 NONE = "–"
+_MANY = 50  # repeats, with which a 99 % quantile says something
+_METRICS = {
+    "mse_100": "MSE×100",
+    "badpix_07": "BadPix 0.07",
+    "badpix_03": "0.03",
+    "badpix_01": "0.01",
+    "q25": "Q25×100",
+}
 
 
 @dataclass(frozen=True)
@@ -40,9 +51,16 @@ def headings(run: Run) -> list[str]:
 def tables(records: Sequence[Record]) -> list[Table]:
     """All tables that have rows."""
     done = [record for record in records if record.seconds is not None]
+    whole = [r for case in CASES for r in _of(done, "pipeline", case.name)]
     made = [
         *(_operations(case.name, _of(done, "operation", case.name)) for case in CASES),
-        _pipelines([r for case in CASES for r in _of(done, "pipeline", case.name)]),
+        _whole("The whole method from scratch", STAGES, [r for r in whole if r.name == SCRATCH]),
+        _whole(
+            "The resident method, a light field after the other",
+            (UPLOAD, *STAGES, DOWNLOAD),
+            [r for r in whole if r.name == RESIDENT],
+        ),
+        _solvers([r for r in whole if r.name in (RESIDENT, SCIPY)]),
         _bandwidth(_of(done, "bandwidth")),
         _startup(_of(done, "startup")),
     ]
@@ -61,6 +79,16 @@ def remarks(run: Run) -> list[str]:
     ]
 
 
+def doubts(run: Run) -> list[str]:
+    """What was measured but is wrong: a time that says nothing."""
+    return [
+        f"{r.backend} {r.device} {r.case} {r.name}: error {r.errors['relative']:.1g}, more than "
+        f"{r.details['tolerance']:.1g}"
+        for r in _of(run.records, "operation")
+        if r.seconds is not None and not r.errors["relative"] <= r.details["tolerance"]
+    ]
+
+
 def duration(seconds: float) -> str:
     """Three digits and a unit."""
     for factor, unit in ((1.0, "s"), (1e3, "ms")):
@@ -70,7 +98,10 @@ def duration(seconds: float) -> str:
 
 
 def _operations(case: str, records: list[Record]) -> Table:
-    columns = ("operation", "backend", "device", "time", "quartiles", "n", "ratio", "of limit", "error", "host", "GPU")
+    columns = (
+        *("operation", "backend", "device", "time", "quartiles", "n", "captured", "ratio", "of limit", "error"),
+        *("host", "GPU"),
+    )
     rows = []
     names = list(dict.fromkeys(record.name for record in records))
     for r in sorted(records, key=lambda r: names.index(r.name)):
@@ -83,6 +114,7 @@ def _operations(case: str, records: list[Record]) -> Table:
                 duration(r.seconds.median),
                 _quartiles(r),
                 str(r.seconds.n),
+                _captured(r),
                 _ratio(r, records),
                 NONE if r.limit is None else f"{100 * r.limit / r.seconds.median:.2g} %",
                 f"{r.errors['relative']:.1g}",
@@ -93,15 +125,17 @@ def _operations(case: str, records: list[Record]) -> Table:
     return Table(f"Operations, {case}", columns, 3, rows)
 
 
-def _pipelines(records: list[Record]) -> Table:
+def _whole(title: str, stages: Sequence[str], records: list[Record]) -> Table:
+    """The 99 % quantile where there are enough repeats, and what was captured where something can be."""
+    many = any(r.seconds.n >= _MANY for r in records if r.seconds)
+    captured = any("captured" in r.details for r in records)
     columns = (
-        *("case", "backend", "device", "time", "quartiles", "n", "ratio", "local", "propagate", "refine", "iterations"),
-        *("MSE×100", "BadPix 0.07", "0.03", "0.01", "Q25×100", "host", "GPU"),
+        *("case", "backend", "device", "time", "quartiles", *(["p99"] * many), "n", *(["captured"] * captured)),
+        *("ratio", *stages, "iterations", *_METRICS.values(), "host", "GPU"),
     )
     rows = []
     for r in records:
         assert r.seconds is not None
-        e, stages = r.errors, r.details["stages"]
         rows.append(
             (
                 r.case,
@@ -109,18 +143,60 @@ def _pipelines(records: list[Record]) -> Table:
                 r.device,
                 duration(r.seconds.median),
                 _quartiles(r),
+                *([duration(r.seconds.p99) if r.seconds.n >= _MANY else NONE] * many),
                 str(r.seconds.n),
+                *([_captured(r)] * captured),
                 _ratio(r, records),
-                *(duration(stages[stage]) for stage in ("local", "propagate", "refine")),
+                *(duration(r.details["stages"][stage]) for stage in stages),
                 str(r.details["iterations"]),
-                f"{e['mse_100']:.3f}",
-                *(f"{e[name]:.1f} %" for name in ("badpix_07", "badpix_03", "badpix_01")),
-                f"{e['q25']:.2f}",
+                *_metrics(r),
                 _megabytes(r.host_bytes),
                 _megabytes(r.gpu_bytes),
             )
         )
-    return Table("The whole method, preset paper, scene boxes", columns, 3, rows)
+    return Table(f"{title}; preset paper, scene boxes", columns, 3, rows)
+
+
+def _solvers(records: list[Record]) -> Table:
+    """The solver on the device beside the one that it has to reach; differences are of energies, to scipy's."""
+    columns = ("case", "backend", "device", "solver", "time", "iterations", "energy", "difference", *_METRICS.values())
+    scipy = {_place(r): r for r in records if r.name == SCIPY}
+    rows = []
+    for resident in (r for r in records if r.name == RESIDENT and _place(r) in scipy):
+        truth = scipy[_place(resident)]
+        difference = resident.errors["energy"] / truth.errors["energy"] - 1
+        for r, solver, apart in ((resident, "lbfgs", f"{100 * difference:+.2f} %"), (truth, "lbfgsb (scipy)", NONE)):
+            assert r.seconds is not None
+            rows.append(
+                (
+                    *_place(r),
+                    solver,
+                    duration(r.seconds.median),
+                    str(r.details["iterations"]),
+                    f"{r.errors['energy']:.6g}",
+                    apart,
+                    *_metrics(r),
+                )
+            )
+    return Table("The solver of the refinement; preset paper, scene boxes", columns, 4, rows)
+
+
+def _place(record: Record) -> tuple[str, str, str]:
+    return record.case, record.backend, record.device
+
+
+def _metrics(record: Record) -> list[str]:
+    """What `_METRICS` names, in that order."""
+    e = record.errors
+    return [
+        f"{e['mse_100']:.3f}",
+        *(f"{e[name]:.1f} %" for name in ("badpix_07", "badpix_03", "badpix_01")),
+        f"{e['q25']:.2f}",
+    ]
+
+
+def _captured(record: Record) -> str:
+    return "yes" if record.details.get("captured") else NONE
 
 
 def _bandwidth(records: list[Record]) -> Table:

@@ -52,11 +52,18 @@ def _operation(job: Job, name: str, kernels: KernelSet, device: str, gpu_before:
     operation, case = operations.find(name), cases.find(job.case)
     memory.reset_host_peak()
     prepared = prepare(operation, kernels, device, case, whole(case))
-    timed = clock.measure(prepared.call, clock.stopper(kernels, device), repeats=job.repeats, budget=_BUDGET)
+    prepared.work.begin()
+    timed = clock.measure(
+        prepared.work.call,
+        clock.stopper(kernels, device),
+        repeats=job.repeats,
+        budget=_BUDGET,
+        capture=clock.capturer(kernels, device),
+    )
     host = memory.host_peak()
     gpu = None if gpu_before is None else memory.gpu_used()  # all arrays are still there
-    value = prepared.call()
-    error, compared = accuracy.compare(operation, case, prepared, value, kernels)
+    prepared.once()
+    error, compared = accuracy.compare(operation, case, prepared, kernels, device)
     return Record(
         "operation",
         job.backend,
@@ -65,12 +72,12 @@ def _operation(job: Job, name: str, kernels: KernelSet, device: str, gpu_before:
         name,
         seconds=timed.seconds,
         calls=timed.calls,
-        bytes=operation.traffic(case),
+        bytes=operation.traffic(case, device),
         errors={"relative": error},
         compared=compared,
         host_bytes=host,
         gpu_bytes=None if gpu is None or gpu_before is None else gpu - gpu_before,
-        details={"stop": timed.stop},
+        details={"stop": timed.stop, "captured": timed.captured, "tolerance": operation.tolerance(device)},
     )
 
 

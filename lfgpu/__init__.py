@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from lfgpu._backends import BackendInfo, describe_backends, list_backends
     from lfgpu.config import PRESETS, Config
-    from lfgpu.depth import estimate_depth
+    from lfgpu.depth import DepthPipeline, estimate_depth
     from lfgpu.errors import BackendError, LfgpuError, LightFieldError
     from lfgpu.geometry import Geometry
     from lfgpu.io import read
@@ -28,6 +28,7 @@ _HOMES = {
     "BackendError": "errors",
     "BackendInfo": "_backends",
     "Config": "config",
+    "DepthPipeline": "depth",
     "DepthResult": "result",
     "Geometry": "geometry",
     "GroundTruth": "lightfield",
@@ -49,6 +50,7 @@ __all__ = [
     "BackendError",
     "BackendInfo",
     "Config",
+    "DepthPipeline",
     "DepthResult",
     "Geometry",
     "GroundTruth",

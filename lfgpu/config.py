@@ -101,6 +101,9 @@ class RefinementConfig(_Checked):
         "0 compares raw intensities, as the paper does",
     )  # fmt: skip
     contrast_floor: float = _number(0.01, 1e-4, 1.0, "contrast that is taken for noise, intensity")
+    solver: str = _choice(
+        "lbfgs", ("lbfgs", "lbfgsb"), "bounded L-BFGS on the device, or scipy's L-BFGS-B on the host"
+    )  # fmt: skip
     tolerance: float = _number(
         1e-4,
         0.0,
@@ -118,6 +121,11 @@ class Config:
     prior: PriorConfig = PriorConfig()
     propagation: PropagationConfig = PropagationConfig()
     refinement: RefinementConfig = RefinementConfig()
+
+    @property
+    def is_on_device(self) -> bool:
+        """Whether all solvers run on the device, so that a whole run can be captured."""
+        return self.propagation.solver == "cg" and self.refinement.solver == "lbfgs"
 
     def with_values(self, values: Mapping[str, Any]) -> Config:
         """A copy with some parameters changed, named as `stage.parameter`; numbers may be given as text."""

@@ -6,21 +6,30 @@ import importlib.metadata
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, load, package_of, pick_device
 from lfgpu.config import Config, preset
 from lfgpu.energy import Energy
 from lfgpu.errors import LightFieldError
-from lfgpu.initial import find_disparity_range, local_estimate, propagate
+from lfgpu.initial import LocalEstimator, find_disparity_range
 from lfgpu.lightfield import LightField
 from lfgpu.model import ForwardModel
-from lfgpu.prior import NonLocalMeans
+from lfgpu.prior import UNLIKE_ANY, NonLocalMeans
+from lfgpu.propagation import Propagation
 from lfgpu.result import DepthResult
-from lfgpu.solvers.lbfgsb import minimize_lbfgsb
+from lfgpu.solvers.lbfgs import BoundedLbfgs
+from lfgpu.solvers.lbfgsb import ScipyLbfgsb
+from lfgpu.types import Array, Float32Array
 
 STAGES = ("local", "propagate", "refine")
+
+_SOLVERS: dict[str, type[BoundedLbfgs] | type[ScipyLbfgsb]] = {"lbfgs": BoundedLbfgs, "lbfgsb": ScipyLbfgsb}
+
+Progress = Callable[[str, int, float], None]
 
 
 def estimate_depth(
@@ -30,7 +39,7 @@ def estimate_depth(
     disparity_range: tuple[float, float] | None = None,
     backend: str = DEFAULT,
     device: str | None = None,
-    on_progress: Callable[[str, int, float], None] | None = None,
+    on_progress: Progress | None = None,
 ) -> DepthResult:
     """Estimate the disparity of the reference view of a light field (Sajjadi et al. 2016).
 
@@ -65,69 +74,217 @@ def estimate_depth(
     BackendError
         If the backend or the device is not there.
     """
-    parameters = preset(config) if isinstance(config, str) else config
-    if not isinstance(parameters, Config):
-        raise LightFieldError(f"config must be a Config or the name of a preset, not {type(config).__name__}.")
-    bounds = None if disparity_range is None else _checked_range(disparity_range, lf)
-    kernels = load(backend)
-    where = pick_device(kernels, device)
-    timings: dict[str, float] = {}
+    pipeline = DepthPipeline(lf, config=config, disparity_range=disparity_range, backend=backend, device=device)
+    return pipeline.estimate(on_progress=on_progress)
+
+
+class DepthPipeline:
+    """The method for light fields of one kind: everything is allocated once, and views go in as often as they come.
+
+        pipeline = DepthPipeline(lf, disparity_range=(-2, 2))
+        pipeline.upload(views)          # [n, y, x, c], like lf.views
+        pipeline.run()                  # asks for all work and returns
+        pipeline.disparity()            # float32 [y, x]; waits for the device
+
+    On a GPU, `run` is one graph of work that the device goes through without the host, once it has been captured:
+    the second run does that.
+
+    Parameters
+    ----------
+    lf
+        A light field of that kind: its cameras, size, stored type, masks and reference view count. Its views are the
+        first to be there.
+    config, disparity_range, backend, device
+        As for `estimate_depth`.
+
+    Raises
+    ------
+    LightFieldError, BackendError
+        As `estimate_depth`.
+    """
+
+    def __init__(
+        self,
+        lf: LightField,
+        *,
+        config: Config | str = "paper",
+        disparity_range: tuple[float, float] | None = None,
+        backend: str = DEFAULT,
+        device: str | None = None,
+    ) -> None:
+        parameters = preset(config) if isinstance(config, str) else config
+        if not isinstance(parameters, Config):
+            raise LightFieldError(f"config must be a Config or the name of a preset, not {type(config).__name__}.")
+        bounds = None if disparity_range is None else _checked_range(disparity_range, lf)
+        self.kernels = load(backend)
+        self.device = pick_device(self.kernels, device)
+        self.config, self._lf, self._backend = parameters, lf, backend
+        self._timings: dict[str, float] = {}
+        self._graph: Callable[[], None] | None = None
+        self._runs = 0
+        start = perf_counter()
+        self.bounds = bounds or find_disparity_range(lf, parameters.local, self.kernels, self.device)
+        self._allocate()
+        self._preparation = perf_counter() - start
+
+    def _allocate(self) -> None:
+        lf, config, where = self._lf, self.config, (self.kernels, self.device)
+        shape = (*lf.size, lf.channels)
+        self._views = self.kernels.image(lf.views, self.device)
+        self._valid = None if lf.valid is None else self.kernels.field(lf.valid, self.device)
+        self._reference = self.kernels.zeros_image(shape, self.device)
+        self._local = LocalEstimator(lf, self.bounds, config.local, *where)
+        self._prior = NonLocalMeans(shape, config.prior, *where)
+        self._propagation = Propagation(lf.size, self.bounds, self._prior, config.propagation)
+        self._confidence, self._disparity = (self.kernels.zeros(lf.size, self.device) for _ in range(2))
+        self._model = ForwardModel(lf, config.refinement, *where)
+        self._energy = Energy(self._model, self._prior, config.refinement.smoothness)
+        self._refinement = _SOLVERS[config.refinement.solver](
+            lf.size,
+            self.bounds,
+            *where,
+            tolerance=config.refinement.tolerance,
+            max_iterations=config.refinement.max_iterations,
+        )
+
+    def upload(self, views: Any) -> None:
+        """Take other views [n, y, x, c], of the shape and type of the light field's; LightFieldError if they differ.
+
+        NumPy, or any array that has `__dlpack__` (PyTorch, CuPy, JAX): on the pipeline's own GPU it is copied there, by
+        the "warp" backend in the order of its stream.
+        """
+        expected, found = self._lf.views, str(views.dtype).removeprefix("torch.")
+        if tuple(views.shape) != expected.shape or found != str(expected.dtype):
+            raise LightFieldError(
+                f"views must be {expected.dtype} {list(expected.shape)} as those that the pipeline was made for, found "
+                f"{found} {list(views.shape)}."
+            )
+        if not isinstance(views, np.ndarray) and (self.device == "cpu" or self._backend != "warp"):
+            views = _on_host(views)
+        self.kernels.upload(views, self._views)
+
+    def run(self) -> None:
+        """Estimate from the views that are there."""
+        if self._graph is None and self._runs == 1 and self.config.is_on_device:
+            self._graph = self.kernels.capture(self._work, self.device)
+        (self._graph or self._work)()
+        self._runs += 1
+
+    @property
+    def device_disparity(self) -> Array:
+        """The map of the last run where it was computed, an array of the backend [y, x] that the next run writes over.
+
+        One of Warp has `__cuda_array_interface__` and `__dlpack__`: torch.from_dlpack(pipeline.device_disparity).
+        """
+        return self._disparity
+
+    def disparity(self) -> Float32Array:
+        """The map of the last run, float32 [y, x]; waits for the device. LightFieldError if nothing was coherent."""
+        self._check()
+        return self._map(self._disparity)
+
+    def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
+        """Run and return everything; waits for the device after each stage."""
+        with self._timed("total"):
+            for stage, work in (("local", self._estimate), ("propagate", self._fill), ("refine", self._refine)):
+                with self._timed(stage):
+                    if stage == "local" and on_progress is not None:
+                        on_progress(stage, 0, 0.0)
+                    work(None if on_progress is None else _of_stage(on_progress, stage))
+                    self.kernels.number(self._propagation.trusted)  # waits
+                if stage == "propagate":
+                    self._check()
+        self._runs += 1
+        if self._runs == 1:
+            for name in ("local", "total"):  # finding the range was a part of them
+                self._timings[name] += self._preparation
+        return self.result()
+
+    def result(self) -> DepthResult:
+        """Everything about the last run; waits for the device."""
+        lf, refined = self._lf, self._refinement.report()
+        coherence, local = self._map(self._local.coherence), self._map(self._local.disparity)
+        disparity, position = self._map(self._disparity), lf.positions[lf.reference_index]
+        return DepthResult(
+            disparity=disparity,
+            confidence=self._map(self._confidence),
+            stages={
+                "local": np.where(coherence > 0, local, np.float32(np.nan)),
+                "propagated": self._map(self._propagation.filled),
+                "refined": disparity,
+            },
+            position=(float(position[0]), float(position[1])),
+            disparity_range=self.bounds,
+            config=self.config,
+            status=f"Propagation: {self._propagation.report().status} Refinement: {refined.status}",
+            converged=refined.converged,
+            trace=refined.trace,
+            timings=dict(self._timings),
+            backend=self._backend,
+            device=self.device,
+            versions={
+                name: importlib.metadata.version(name)
+                for name in ("lfgpu", *dict.fromkeys(("numpy", "scipy", package_of(self._backend))))
+            },
+            geometry=lf.geometry,
+            name=lf.name,
+        )
+
+    def _work(self) -> None:
+        self._estimate(None)
+        self._fill(None)
+        self._refine(None)
+
+    def _estimate(self, _: Callable[[int, float], None] | None) -> None:
+        self._local.run(self._views)
+
+    def _fill(self, callback: Callable[[int, float], None] | None) -> None:
+        self.kernels.intensities(
+            self._views,
+            self._lf.reference_index,
+            self._valid,
+            scale=self._lf.scale,
+            fill=UNLIKE_ANY,
+            image_out=self._reference,
+        )
+        self._prior.load(self._reference)
+        self._propagation.run(self._local.disparity, self._local.coherence, callback)
+        self._prior.mean(self._local.coherence, self._confidence)
+
+    def _refine(self, callback: Callable[[int, float], None] | None) -> None:
+        self._model.load(self._views, self._propagation.filled)
+        self.kernels.copy(self._propagation.filled, self._disparity)
+        self._refinement.minimize(self._energy, self._disparity, callback)
+
+    def _map(self, field: Array) -> Float32Array:
+        return self.kernels.numpy(field).astype(np.float32, copy=False)
+
+    def _check(self) -> None:
+        if self.kernels.number(self._propagation.trusted) == 0:
+            raise LightFieldError(
+                f"{self._lf.name}: no pixel has a coherent estimate within the disparity range: the views have no "
+                "texture, are masked, or the range is wrong; give another one, or lower local.coherence_threshold."
+            )
 
     @contextmanager
-    def timed(stage: str) -> Iterator[None]:
+    def _timed(self, stage: str) -> Iterator[None]:
         start = perf_counter()
         yield
-        timings[stage] = perf_counter() - start
+        self._timings[stage] = perf_counter() - start
 
-    def report(stage: str) -> Callable[[int, float], None] | None:
-        return None if on_progress is None else lambda iteration, value: on_progress(stage, iteration, value)
 
-    with timed("total"):
-        with timed("local"):
-            if on_progress is not None:
-                on_progress("local", 0, 0.0)
-            if bounds is None:
-                bounds = find_disparity_range(lf, parameters.local, kernels, where)
-            local = local_estimate(lf, bounds, parameters.local, kernels, where)
-        with timed("propagate"):
-            reference = lf.reference_index
-            valid = None if lf.valid is None else lf.valid[reference]
-            prior = NonLocalMeans(lf.image(reference), parameters.prior, kernels, where, valid=valid)
-            filled = propagate(local, prior, parameters.propagation, report("propagate"))
-            confidence = prior.mean(local.coherence)
-        with timed("refine"):
-            model = ForwardModel(lf, parameters.refinement, kernels, where, start=filled.values)
-            energy = Energy(model, prior, parameters.refinement.smoothness)
-            refined = minimize_lbfgsb(
-                energy,
-                filled.values,
-                bounds,
-                tolerance=parameters.refinement.tolerance,
-                max_iterations=parameters.refinement.max_iterations,
-                callback=report("refine"),
-            )
-    position = lf.positions[reference]
-    return DepthResult(
-        disparity=refined.values,
-        confidence=confidence,
-        stages={
-            "local": np.where(local.coherence > 0, local.disparity, np.float32(np.nan)),
-            "propagated": filled.values,
-            "refined": refined.values,
-        },
-        position=(float(position[0]), float(position[1])),
-        disparity_range=bounds,
-        config=parameters,
-        status=f"Propagation: {filled.status} Refinement: {refined.status}",
-        converged=refined.converged,
-        trace=refined.trace,
-        timings=timings,
-        backend=backend,
-        device=where,
-        versions={name: importlib.metadata.version(name) for name in ("lfgpu", "numpy", "scipy", package_of(backend))},
-        geometry=lf.geometry,
-        name=lf.name,
-    )
+def _on_host(views: Any) -> NDArray[Any]:
+    try:
+        return np.from_dlpack(views)
+    except (BufferError, RuntimeError, TypeError, ValueError) as error:
+        raise LightFieldError(
+            f"views are on another device than the pipeline ({error}); copy them to the CPU first, or make the "
+            "pipeline for that device with the warp backend."
+        ) from error
+
+
+def _of_stage(on_progress: Progress, stage: str) -> Callable[[int, float], None]:
+    return lambda iteration, value: on_progress(stage, iteration, value)
 
 
 def _checked_range(disparity_range: tuple[float, float], lf: LightField) -> tuple[float, float]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from lfgpu.model import ForwardModel
 from lfgpu.prior import NonLocalMeans
-from lfgpu.types import Float64Array
+from lfgpu.types import Array, Scalar
 
 
 class Energy:
@@ -22,15 +20,13 @@ class Energy:
 
     def __init__(self, model: ForwardModel, prior: NonLocalMeans, smoothness: float) -> None:
         self._model, self._prior, self._smoothness = model, prior, smoothness
-        shape = model.shape[1:3]
-        self._data_gradient = prior.kernels.zeros(shape, prior.device)
-        self._prior_gradient = prior.kernels.zeros(shape, prior.device)
+        self._laplacian = prior.kernels.zeros(model.size, prior.device)
+        self._half = prior.kernels.scalar(0.0, prior.device)
 
-    def __call__(self, disparity: Float64Array) -> tuple[float, Float64Array]:
-        """Value and gradient [y, x] at a disparity map [y, x] in pixels per view step."""
-        kernels = self._prior.kernels
-        field = kernels.field(disparity, self._prior.device)
-        value = self._model.value_and_gradient(field, self._data_gradient)
-        value += self._smoothness * self._prior.value_and_gradient(field, self._prior_gradient)
-        kernels.axpby(1.0, self._data_gradient, self._smoothness, self._prior_gradient, self._data_gradient)
-        return value, kernels.numpy(self._data_gradient).astype(np.float64)
+    def __call__(self, disparity: Array, gradient_out: Array, value_out: Scalar) -> None:
+        """Value and gradient at a disparity map, fields [y, x], pixels per view step."""
+        kernels, mean = self._prior.kernels, self._model.mean
+        self._model.squared_error(disparity, gradient_out, value_out)
+        self._prior.half(disparity, self._laplacian, self._half)
+        kernels.axpby(mean, value_out, 2.0 * self._smoothness, self._half, value_out)
+        kernels.axpby(mean, gradient_out, 4.0 * self._smoothness, self._laplacian, gradient_out)

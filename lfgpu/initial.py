@@ -1,23 +1,15 @@
-"""The first estimate: structure tensors on EPIs, the more coherent answer at each pixel, and its propagation."""
+"""The first estimate: structure tensors on EPIs, and the more coherent answer at each pixel."""
 
 from __future__ import annotations
-
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
-from lfgpu.config import LocalConfig, PropagationConfig
+from lfgpu.config import LocalConfig
 from lfgpu.errors import LightFieldError
 from lfgpu.lightfield import LightField
-from lfgpu.prior import NonLocalMeans
-from lfgpu.solvers.cg import conjugate_gradients
-from lfgpu.solvers.lbfgsb import minimize_lbfgsb
-from lfgpu.solvers.solution import Solution
-from lfgpu.types import Float32Array, Float64Array, KernelSet, StructureFilters
+from lfgpu.types import Array, Float32Array, Float64Array, KernelSet, StructureFilters
 
 _NEGLIGIBLE = 1e-3  # filters end where their Gaussian has fallen below this
 _RANGE_LEVELS = (4, 8, 16)  # the disparity range is looked for in views shrunk as many times,
@@ -28,82 +20,115 @@ _RANGE_MARGIN = 0.3  # and with this margin, pixels between neighbouring views a
 _RANGE_SHARE = 0.8  # A finer level will do where it is coherent at as large a share of pixels.
 
 
-@dataclass(frozen=True, eq=False)
-class Local:
-    """A disparity and its coherence (0 where undefined to 1) at each pixel, both float32 [y, x]."""
-
-    disparity: Float32Array
-    coherence: Float32Array
-
-
-def local_estimate(
-    lf: LightField, disparity_range: tuple[float, float], config: LocalConfig, kernels: KernelSet, device: str
-) -> Local:
+class LocalEstimator:
     """Disparity by structure tensors on the EPIs of the reference's row and column of views (DESIGN §5, steps 1, 2).
 
-    EPIs are sheared to base disparities over `disparity_range` (pixels per view step); each answers for the disparities
-    around it, the most coherent one is kept. LightFieldError where neither row nor column has a second view.
+    EPIs are sheared to base disparities over the range; each answers for the disparities around it, the most coherent
+    one is kept. All is done in steps between neighbouring cameras of a line, in which aliasing sets in at a disparity
+    of about 1.
+
+    Parameters
+    ----------
+    lf
+        A light field of the kind that is estimated: its cameras, size, stored type, masks and reference view count.
+    disparity_range
+        (low, high) of what is looked for, pixels per view step.
+    config
+        Scales, shears and threshold.
+    kernels, device
+        Where it is done. LightFieldError where neither row nor column has a second view.
     """
-    low, high = disparity_range
-    if max(len(lf.row()), len(lf.column())) < 2:
-        raise LightFieldError(
-            f"{lf.name}: the reference view is alone in its row and in its column of views, but the local estimate "
-            "needs a second camera in line with it (within 0.1 view steps); pick another reference view, or add one."
+
+    def __init__(
+        self, lf: LightField, disparity_range: tuple[float, float], config: LocalConfig, kernels: KernelSet, device: str
+    ) -> None:
+        if max(len(lf.row()), len(lf.column())) < 2:
+            raise LightFieldError(
+                f"{lf.name}: the reference view is alone in its row and in its column of views, but the local estimate "
+                "needs a second camera in line with it (within 0.1 view steps); pick another reference view, or add "
+                "one."
+            )
+        self._kernels, self._threshold = kernels, config.coherence_threshold
+        self._lines = [
+            _Line(lf, vertical, disparity_range, config, kernels, device)
+            for vertical in (False, True)
+            if len(lf.column() if vertical else lf.row()) > 1
+        ]
+        self.disparity, self.coherence = kernels.zeros(lf.size, device), kernels.zeros(lf.size, device)
+        """Fields [y, x]: the disparity, and its coherence, 0 where undefined, to 1."""
+
+    def run(self, views: Array) -> None:
+        """Estimate from views [n, y, x, c], as stored."""
+        kernels = self._kernels
+        kernels.fill(0.0, self.disparity)
+        kernels.fill(0.0, self.coherence)
+        for line in self._lines:
+            line.keep_better(views, self.disparity, self.coherence)
+        kernels.at_least(self.coherence, self._threshold, self.coherence)
+
+
+class _Line:
+    """One line of views: its EPIs, lying along x also if it is a column, and the shears that they are given."""
+
+    def __init__(
+        self,
+        lf: LightField,
+        vertical: bool,
+        disparity_range: tuple[float, float],
+        config: LocalConfig,
+        kernels: KernelSet,
+        device: str,
+    ) -> None:
+        self._kernels, self._vertical, self._range = kernels, vertical, disparity_range
+        self._line = [int(index) for index in (lf.column() if vertical else lf.row())]
+        offsets = lf.offsets[self._line, int(vertical)]
+        self._spacing = _spacing(offsets)
+        offsets = offsets / self._spacing
+        filters = structure_filters(offsets, config)
+        height, width = reversed(lf.size) if vertical else lf.size
+        shape = (len(self._line), height, width, lf.channels)
+        self._epis = kernels.zeros_image(shape, device, lf.views.dtype)
+        self._tensor = kernels.structure_tensor(
+            shape,
+            kernels.field(offsets, device),
+            StructureFilters(*(kernels.field(f, device) for f in filters)),
+            scale=lf.scale,
+            floor=config.gradient_floor,
         )
-    best = Local(np.zeros(lf.size, np.float32), np.zeros(lf.size, np.float32))
-    for vertical in (False, True):
-        for trusted, disparity, coherence in _line_estimates(lf, vertical, disparity_range, config, kernels, device):
-            better = trusted & (disparity >= low) & (disparity <= high) & (coherence > best.coherence)
-            best.disparity[better], best.coherence[better] = disparity[better], coherence[better]
-    return Local(best.disparity, np.where(best.coherence >= config.coherence_threshold, best.coherence, np.float32(0)))
-
-
-def _line_estimates(
-    lf: LightField,
-    vertical: bool,
-    disparity_range: tuple[float, float],
-    config: LocalConfig,
-    kernels: KernelSet,
-    device: str,
-) -> Iterator[tuple[NDArray[np.bool_], Float32Array, Float32Array]]:
-    """(trusted, disparity, coherence), each [y, x], from the reference's row or column of views, one for each shear.
-
-    All is done in steps between neighbouring cameras of the line, in which aliasing sets in at a disparity of about 1.
-    """
-    line = lf.column() if vertical else lf.row()
-    if len(line) < 2:
-        return
-
-    def turned(a: Any) -> Any:
-        """A column of views lies like a row once x and y change places."""
-        return np.ascontiguousarray(a.swapaxes(-2, -1)) if vertical else a
-
-    views, offsets = lf.views[line], lf.offsets[line, int(vertical)]
-    if vertical:
-        views = np.ascontiguousarray(views.swapaxes(1, 2))
-    valid = None if lf.valid is None else turned(lf.valid[line])
-    spacing = _spacing(offsets)
-    offsets = offsets / spacing
-    filters = structure_filters(offsets, config)
-    tensor = kernels.structure_tensor(
-        kernels.image(views, device),
-        kernels.field(offsets, device),
-        StructureFilters(*(kernels.field(f, device) for f in filters)),
-        scale=lf.scale,
-        floor=config.gradient_floor,
-    )
-    disparity_out, coherence_out = kernels.zeros(views.shape[1:3], device), kernels.zeros(views.shape[1:3], device)
-    # Multiples of the step: whole shears need no interpolation on a regular grid.
-    first, last = (np.round(bound * spacing / config.shear_step) for bound in disparity_range)
-    for shear in np.arange(first, last + 1) * config.shear_step:
-        tensor(float(shear), disparity_out, coherence_out)
-        disparity = kernels.numpy(disparity_out)
-        # Beyond its neighbours' places a shear aliases, however coherent it looks.
-        trusted = np.abs(disparity - shear) <= config.shear_step
-        if valid is not None:
+        self._disparity, self._coherence = (kernels.zeros((height, width), device) for _ in range(2))
+        # Multiples of the step: whole shears need no interpolation on a regular grid.
+        self._step = config.shear_step
+        first, last = (np.round(bound * self._spacing / self._step) for bound in disparity_range)
+        self._shears = [float(shear) for shear in np.arange(first, last + 1) * self._step]
+        self._trusted: list[Array | None] = [None] * len(self._shears)
+        if lf.valid is not None:
+            valid = lf.valid[self._line]
+            valid = valid.swapaxes(1, 2) if vertical else valid
             used = (filters.along_value != 0).any(0)
-            trusted &= _rests_on_valid(valid[used], offsets[used], float(shear), config)
-        yield turned(trusted), turned(disparity) / np.float32(spacing), turned(kernels.numpy(coherence_out))
+            self._trusted = [
+                kernels.field(_rests_on_valid(valid[used], offsets[used], shear, config), device)
+                for shear in self._shears
+            ]
+
+    def keep_better(self, views: Array, best_disparity: Array, best_coherence: Array) -> None:
+        """Put in what is more coherent than the best so far."""
+        kernels = self._kernels
+        kernels.line_of_views(views, self._line, vertical=self._vertical, epis_out=self._epis)
+        for shear, trusted in zip(self._shears, self._trusted, strict=True):
+            self._tensor(self._epis, shear, self._disparity, self._coherence)
+            kernels.keep_more_coherent(
+                self._disparity,
+                self._coherence,
+                trusted,
+                shear=shear,
+                reach=self._step,  # beyond its neighbours' places a shear aliases, however coherent it looks
+                unit=self._spacing,
+                low=self._range[0],
+                high=self._range[1],
+                vertical=self._vertical,
+                best_disparity_out=best_disparity,
+                best_coherence_out=best_coherence,
+            )
 
 
 def _spacing(offsets: Float64Array) -> float:
@@ -163,9 +188,11 @@ def find_disparity_range(lf: LightField, config: LocalConfig, kernels: KernelSet
     for level in _RANGE_LEVELS:
         if level == _RANGE_LEVELS[0] or min(lf.size) // level >= _RANGE_LEAST:
             level = max(1, min(level, min(lf.size) // _RANGE_LEAST))
-            coarse = local_estimate(lf.downsampled(level), (-reach, reach), config, kernels, device)
-            found[level] = _without_outliers(coarse)
-            share[level] = found[level].size / coarse.disparity.size
+            shrunk = lf.downsampled(level)
+            coarse = LocalEstimator(shrunk, (-reach, reach), config, kernels, device)
+            coarse.run(kernels.image(shrunk.views, device))
+            found[level] = _without_outliers(kernels.numpy(coarse.disparity), kernels.numpy(coarse.coherence))
+            share[level] = found[level].size / (shrunk.size[0] * shrunk.size[1])
     enough = _RANGE_SHARE * max(share.values())
     level = next(level for level in share if share[level] >= enough)
     if found[level].size == 0:
@@ -182,77 +209,11 @@ def find_disparity_range(lf: LightField, config: LocalConfig, kernels: KernelSet
     return float(low * level - _RANGE_MARGIN / spacing), float(high * level + _RANGE_MARGIN / spacing)
 
 
-def _without_outliers(local: Local) -> Float32Array:
+def _without_outliers(disparity: Float32Array, coherence: Float32Array) -> Float32Array:
     """The defined disparities as medians of the defined ones around them."""
-    padded = np.pad(np.where(local.coherence > 0, local.disparity, np.nan), 1, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))[local.coherence > 0]
+    padded = np.pad(np.where(coherence > 0, disparity, np.nan), 1, constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))[coherence > 0]
     return np.asarray(np.nanmedian(windows, axis=(1, 2)), np.float32)
-
-
-def propagate(
-    local: Local,
-    prior: NonLocalMeans,
-    config: PropagationConfig,
-    callback: Callable[[int, float], None] | None = None,
-) -> Solution:
-    """Fill the undefined pixels: argmin_m Σ_p Σ_{q∈N(p)} w_pq [(m_p - m_q)² + C_p (m0_p - m_q)²] (DESIGN §5, step 3).
-
-    With L the Laplacian and W the neighbour sums of the weights the normal equations are
-    (2 L + diag(W C)) m = W (C m0). The minimum lies within the range of the defined m0.
-    """
-    defined = local.coherence > 0
-    if not defined.any():
-        raise LightFieldError(
-            "no pixel has a coherent estimate within the disparity range: the views have no texture, are masked, or "
-            "the range is wrong; give another one, or lower local.coherence_threshold."
-        )
-    kernels, device, shape = prior.kernels, prior.device, local.disparity.shape
-    coherence, weighted = kernels.field(local.coherence, device), kernels.zeros(shape, device)
-    trust, target = kernels.zeros(shape, device), kernels.zeros(shape, device)
-    kernels.multiply(coherence, kernels.field(local.disparity, device), weighted)
-    prior.neighbors(coherence, trust)
-    prior.neighbors(weighted, target)
-    start = np.where(defined, local.disparity, np.average(local.disparity[defined], weights=local.coherence[defined]))
-
-    def apply(m: object, result_out: object) -> None:
-        """(2 L + diag(trust)) m"""
-        prior.laplacian(m, result_out)
-        kernels.multiply(trust, m, weighted)
-        kernels.axpby(2.0, result_out, 1.0, weighted, result_out)
-
-    if config.solver == "cg":
-        diagonal = 2 * (kernels.numpy(prior.degree) - 1) + kernels.numpy(trust)
-        return conjugate_gradients(
-            apply,
-            target,
-            start,
-            1 / np.maximum(diagonal, np.finfo(np.float32).tiny),
-            kernels=kernels,
-            device=device,
-            tolerance=config.tolerance,
-            max_iterations=config.max_iterations,
-            callback=callback,
-        )
-
-    product = kernels.zeros(shape, device)
-
-    def energy(m: Float64Array) -> tuple[float, Float64Array]:
-        """mᵀ A m - 2 bᵀ m: the energy up to a constant."""
-        field = kernels.field(m, device)
-        apply(field, product)
-        value = kernels.dot(field, product) - 2 * kernels.dot(field, target)
-        kernels.axpby(2.0, product, -2.0, target, product)
-        return value, kernels.numpy(product).astype(np.float64)
-
-    values = local.disparity[defined]
-    return minimize_lbfgsb(
-        energy,
-        start,
-        (float(values.min()), float(values.max())),
-        tolerance=config.tolerance,
-        max_iterations=config.max_iterations,
-        callback=callback,
-    )
 
 
 def _rests_on_valid(

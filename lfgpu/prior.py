@@ -2,75 +2,63 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from collections.abc import Sequence
 
 from lfgpu.config import PriorConfig
-from lfgpu.types import Array, Float32Array, KernelSet, half_window
+from lfgpu.types import Array, KernelSet, Scalar, half_window
 
-_UNLIKE_ANY = 10.0  # an intensity far from all recorded ones: similar to nothing but to others that are not valid
+UNLIKE_ANY = 10.0
+"""An intensity far from all recorded ones: where the reference is not valid, similar to nothing but to its like."""
 
 
 class NonLocalMeans:
-    """Weights w_pq of the pixels in each other's window, computed once from the reference image, and their operators.
+    """Weights w_pq of the pixels in each other's window, computed from a reference image, and their operators.
 
     Parameters
     ----------
-    image
-        The reference image, float32 [y, x, c] in [0, 1].
+    shape
+        (height, width, channels) of the reference image.
     config
         Window, patch and scales of the weights.
     kernels, device
-        Where the weights live; they take window² / 2 floats a pixel.
-    valid
-        bool [y, x], False where the image means nothing; None is valid everywhere.
+        Where the weights live; they and what it takes to compute them are window² floats a pixel.
     """
 
-    def __init__(
-        self,
-        image: Float32Array,
-        config: PriorConfig,
-        kernels: KernelSet,
-        device: str,
-        valid: NDArray[np.bool_] | None = None,
-    ) -> None:
-        if valid is not None:
-            image = np.where(valid[..., None], image, np.float32(_UNLIKE_ANY))
+    def __init__(self, shape: Sequence[int], config: PriorConfig, kernels: KernelSet, device: str) -> None:
         self.kernels, self.device, self.window = kernels, device, config.window
-        shape = (len(half_window(config.window)), *image.shape[:2])
-        self._weights = kernels.zeros(shape, device)
-        kernels.nlm_weights(
-            kernels.image(image, device),
+        self._weights = kernels.zeros((len(half_window(config.window)), *shape[:2]), device)
+        self._weigh = kernels.nlm_weights(
+            shape,
+            device,
             window=config.window,
             patch=config.patch,
             sigma_color=config.sigma_color,
             sigma_gradient=config.sigma_gradient,
             floor=config.floor,
-            scratch_out=kernels.zeros(shape, device),
-            weights_out=self._weights,
         )
-        self.degree = kernels.zeros(image.shape[:2], device)
-        """W 1: the sum of the weights of each pixel's window, its own 1 included; a field [y, x]."""
-        self.neighbors(kernels.field(np.ones(image.shape[:2]), device), self.degree)
+        self.ones, self.degree = kernels.zeros(shape[:2], device), kernels.zeros(shape[:2], device)
+        """1; and W 1, the sum of the weights of each pixel's window, its own 1 included; fields [y, x]."""
+
+    def load(self, image: Array) -> None:
+        """Take another reference image, float32 [y, x, c] in [0, 1], or UNLIKE_ANY where it is not valid."""
+        self._weigh(image, self._weights)
+        self.kernels.fill(1.0, self.ones)
+        self.neighbors(self.ones, self.degree)
 
     def neighbors(self, values: Array, sums_out: Array) -> None:
         """W v: the weighted sum over each pixel's window, itself included."""
         self.kernels.nlm_neighbors(self._weights, values, window=self.window, sums_out=sums_out)
 
-    def mean(self, values: Float32Array) -> Float32Array:
-        """W v / W 1: the weighted mean over each pixel's window, [y, x] to [y, x]."""
-        kernels, device = self.kernels, self.device
-        sums = kernels.zeros(values.shape, device)
-        self.neighbors(kernels.field(values, device), sums)
-        return np.asarray(kernels.numpy(sums) / kernels.numpy(self.degree), np.float32)
+    def mean(self, values: Array, means_out: Array) -> None:
+        """W v / W 1: the weighted mean over each pixel's window."""
+        self.neighbors(values, means_out)
+        self.kernels.divide(means_out, self.degree, means_out)
 
     def laplacian(self, values: Array, laplacian_out: Array) -> None:
-        """L v, with Σ_p Σ_q w_pq (v_p - v_q)² = 2 vᵀ L v."""
+        """L v, with R(v) = Σ_p Σ_{q∈N(p)} w_pq (v_p - v_q)² = 2 vᵀ L v and ∇R = 4 L v."""
         self.kernels.nlm_laplacian(self._weights, values, window=self.window, laplacian_out=laplacian_out)
 
-    def value_and_gradient(self, values: Array, gradient_out: Array) -> float:
-        """R(v) = Σ_p Σ_{q∈N(p)} w_pq (v_p - v_q)² and its gradient 4 L v."""
-        self.laplacian(values, gradient_out)
-        value = 2 * self.kernels.dot(values, gradient_out)
-        self.kernels.axpby(4.0, gradient_out, 0.0, gradient_out, gradient_out)
-        return value
+    def half(self, values: Array, laplacian_out: Array, half_out: Scalar) -> None:
+        """L v, and R(v) / 2 = vᵀ L v."""
+        self.laplacian(values, laplacian_out)
+        self.kernels.dot(values, laplacian_out, half_out)

@@ -10,7 +10,7 @@ caller allocated (names end in `_out`) and run on the device that holds them. Wh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -23,11 +23,21 @@ Float64Array: TypeAlias = NDArray[np.float64]
 Float32Array: TypeAlias = NDArray[np.float32]
 
 
-class DataTerm(Protocol):
-    """The squared distance of the predicted from the recorded views, planned for one light field on one device."""
+Scalar: TypeAlias = Any
+"""One float64 number on a device; `KernelSet.number` waits for it."""
 
-    def __call__(self, disparity: Array, gradient_out: Array) -> float:
-        """Sum over views, pixels and channels of (predicted - recorded)^2 where the recorded views are valid.
+
+class DataTerm(Protocol):
+    """The squared distance of the predicted from the recorded views, planned for light fields of one kind."""
+
+    def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
+        """Take a reference image [y, x, c] and `recorded` views [n, y, x, c]: what is compared from now on.
+
+        `valid` [n, y, x] is a field, 0 where a recorded pixel does not count; None counts all.
+        """
+
+    def __call__(self, disparity: Array, gradient_out: Array, value_out: Scalar) -> None:
+        """Sum over views, pixels and channels of (predicted - scale * recorded)^2 where the recorded views are valid.
 
         `disparity` and `gradient_out` are fields [y, x]; the gradient with respect to the disparity is written.
         """
@@ -36,13 +46,94 @@ class DataTerm(Protocol):
 class LocalEstimate(Protocol):
     """Structure tensors on the epipolar plane images of one line of views, planned once."""
 
-    def __call__(self, shear: float, disparity_out: Array, coherence_out: Array) -> None:
-        """Disparity and coherence (0 to 1) of the reference view, fields [y, x], from EPIs sheared by `shear`.
+    def __call__(self, epis: Array, shear: float, disparity_out: Array, coherence_out: Array) -> None:
+        """Disparity and coherence (0 to 1) of the reference view, fields [y, x], from `epis` sheared by `shear`.
 
-        With E(u, x) = epis[u, y, x - shear * u] and J the outer-smoothed tensor of its gradient (E_x, E_u),
-        disparity = shear + tan(atan2(2 J_xu, J_xx - J_uu) / 2), which is right for disparities within about 1 of
-        `shear`, and coherence = ((J_xx - J_uu)^2 + 4 J_xu^2) / (J_xx + J_uu + floor^2)^2.
+        `epis` [u, y, x, c] are stored values. With E(u, x) = scale * epis[u, y, x - shear * u] and J the outer-smoothed
+        tensor of its gradient (E_x, E_u), disparity = shear + tan(atan2(2 J_xu, J_xx - J_uu) / 2), which is right for
+        disparities within about 1 of `shear`, and coherence = ((J_xx - J_uu)^2 + 4 J_xu^2) / (J_xx + J_uu + floor^2)^2.
         """
+
+
+class NlmWeights(Protocol):
+    """Non-local-means weights of images of one shape, planned once."""
+
+    def __call__(self, image: Array, weights_out: Array) -> None:
+        """Weights [k, y, x] of each pixel p with p + half_window(window)[k]; 0 where that lies outside, else >= floor.
+
+        `image` is float32 [y, x, c].
+        """
+
+
+class Normalization(Protocol):
+    """Local contrast normalisation of views of one shape, planned once."""
+
+    def __call__(self, views: Array, valid: Array | None, detail_out: Array) -> None:
+        """Views [n, y, x, c] (as stored) without their local mean and in units of their local contrast.
+
+        With I = scale * views and G_s the Gaussian mean of standard deviation s (cut off after 2.5 s, rounded to the
+        nearest whole pixel; the image is mirrored at its borders, its border pixels repeated), D = I - G_sigma I and
+        detail = D / sqrt(G_(2 sigma) mean_c D^2 + floor^2). Where `valid` [n, y, x] (a field) is 0 a pixel has no part
+        in means, which are of the valid pixels around, 0 where their share of the Gaussian is below 1e-6.
+        sigma = 0 gives detail = I.
+        """
+
+
+class Residuals(Protocol):
+    """What is left after each iteration of a linear solver, and whether that is little enough, on a device."""
+
+    go_on: Scalar
+    """1 while there is something to do, else 0."""
+
+    def begin(self, norm: Scalar) -> None:
+        """Forget everything; residuals are relative to `norm`, or to 1 if that is 0."""
+
+    def add(self, residual: Scalar) -> None:
+        """Add sqrt(max(residual, 0) / norm) to the trace; `go_on` becomes 1 if it is larger than the tolerance and less
+        than `most` + 1 are there, else 0.
+        """
+
+    def report(self) -> list[float]:
+        """The trace; waits for the device."""
+
+
+class Lbfgs(Protocol):
+    """The memory of a limited-memory BFGS solver for fields of one shape within bounds, on a device.
+
+    It holds the last m steps s_j and gradient differences y_j, the direction, the step length and what it takes to
+    decide without the host. `solvers/lbfgs.py` is the algorithm.
+    """
+
+    go_on: Scalar
+    """1 while there is something to do, else 0."""
+
+    def begin(self, x: Array, gradient: Array, value: Scalar) -> None:
+        """Forget everything; the first direction is against the gradient where the bounds leave it free.
+
+        Its length is such that the root mean square of the first step is `first_step`.
+        """
+
+    def propose(self, x: Array, trial_out: Array) -> None:
+        """trial = x + step * direction, moved into the bounds."""
+
+    def judge(self, value: Scalar, trial_value: Scalar) -> None:
+        """Accept the trial if trial_value <= value + 1e-4 * step * slope, the slope being gradient . direction.
+
+        Accepted, `value` becomes `trial_value`, which is added to the trace, and `go_on` becomes 0 if the trace is flat
+        (see `solvers/lbfgs.py`) or as long as it may be. Not accepted, the step shrinks to the minimum of the parabola
+        through both values and the slope, but between 0.1 and 0.5 of what it was; `go_on` becomes 0 after 20 in a row.
+        """
+
+    def learn(self, x: Array, gradient: Array, trial: Array, trial_gradient: Array) -> None:
+        """If the trial was accepted: keep s = trial - x and y = trial_gradient - gradient, if s . y is clearly positive
+        (> 1e-10 |s| |y|), and let x and gradient become those of the trial. The next direction is that of the two-loop
+        recursion (Nocedal 1980) on the gradient, with 0 where the bounds stop it, and its step is 1. A pixel at a bound
+        that its gradient holds there does not move, whatever the recursion says.
+        """
+
+    def report(self) -> tuple[list[float], int, bool]:
+        """The values accepted so far, the first included, the number of values judged plus 1, and whether they are
+        flat; waits for the device."""
 
 
 class StructureFilters(NamedTuple):
@@ -79,16 +170,58 @@ class KernelSet(Protocol):
         """A copy of `values` (any shape) on the device as scalars of `dtype`."""
 
     def image(self, values: NDArray[Any], device: str) -> Array:
-        """`values` [..., c] (uint8, uint16, float32; c = 1 or 3) on the device as they are stored."""
+        """`values` [..., c] (uint8, uint16, float16, float32; c = 1 or 3) on the device as they are stored."""
 
     def zeros(self, shape: Sequence[int], device: str) -> Array:
         """A field of zeros."""
 
-    def zeros_image(self, shape: Sequence[int], device: str) -> Array:
-        """An image of zeros of `dtype`; `shape` is [..., c]."""
+    def zeros_image(self, shape: Sequence[int], device: str, stored: Any = np.float32) -> Array:
+        """An image of zeros of the NumPy type `stored`; `shape` is [..., c]."""
+
+    def scalar(self, value: float, device: str) -> Scalar:
+        """A number on the device."""
+
+    def upload(self, values: NDArray[Any], array_out: Array) -> None:
+        """New contents of a field or an image, of the same shape and, for an image, the type that it is stored in.
+
+        A backend may also take other arrays that have `__dlpack__`, on the device itself, and then copies there.
+        """
 
     def numpy(self, array: Array) -> NDArray[Any]:
-        """What a field or an image holds, as a NumPy array with the channels last."""
+        """What a field or an image holds, as a NumPy array with the channels last; waits for the device."""
+
+    def number(self, scalar: Scalar) -> float:
+        """What a scalar holds; waits for the device."""
+
+    # --- control ---
+
+    def repeat(self, body: Callable[[], None], go_on: Scalar, most: int) -> None:
+        """Call `body` as long as `go_on` is not 0, which is looked at before each call, and at most `most` times.
+
+        `body` asks for operations only, and one of them sets `go_on`. While work is captured (`capture`) the device
+        itself repeats it.
+        """
+
+    def capture(self, work: Callable[[], None], device: str) -> Callable[[], None] | None:
+        """What does `work` again as a whole, without the host; None where the device cannot be given work that way.
+
+        `work` asks for operations only. It must have run once before, so that all kernels are loaded.
+        """
+
+    # --- views ---
+
+    def intensities(
+        self, views: Array, index: int, valid: Array | None, *, scale: float, fill: float, image_out: Array
+    ) -> None:
+        """image [y, x, c] = scale * views[index], but `fill` where `valid` [n, y, x] is 0 in view `index`."""
+
+    def line_of_views(self, views: Array, line: Sequence[int], *, vertical: bool, epis_out: Array) -> None:
+        """epis [u, y, x, c] = views[line[u], y, x, c], or views[line[u], x, y, c] if `vertical`."""
+
+    def normalization(
+        self, shape: Sequence[int], device: str, *, scale: float, sigma: float, floor: float
+    ) -> Normalization:
+        """Plan the local contrast normalisation of views of `shape` [n, y, x, c]."""
 
     # --- the forward splat L(d) = A(d) I, sum_p I(p) Λ(x - x_p + d du) Λ(y - y_p + d dv) ---
 
@@ -133,39 +266,33 @@ class KernelSet(Protocol):
     ) -> None:
         """J^T r: the gradient [y, x] with respect to the disparity that residuals [n, y, x, c] give."""
 
-    def data_term(
-        self,
-        image: Array,
-        recorded: Array,
-        valid: Array | None,
-        offsets: Array,
-        *,
-        scale: float,
-        softness: float,
-    ) -> DataTerm:
-        """Plan ||A(d) I - scale * recorded||^2 and its gradient for `recorded` [n, y, x, c] as stored.
+    def data_term(self, shape: Sequence[int], offsets: Array, *, scale: float, softness: float) -> DataTerm:
+        """Plan ||A(d) I - scale * recorded||^2 and its gradient for recorded views of `shape` [n, y, x, c]."""
 
-        `valid` [n, y, x] is a field, 0 where a recorded pixel does not count; None counts all.
+    def seen_by_reference(
+        self, disparity: Array, offsets: Array, known: Array | None, valid: Array | None, *, seen_out: Array
+    ) -> None:
+        """1 where the reference view knows what a pixel of another view shows, else 0: a field [n, y, x].
+
+        Pixel (x, y) of the view at (du, dv) shows what lies at (x + d du, y + d dv) of the reference with d the
+        disparity [y, x] at (x, y). Known is what lies in the frame and whose nearest pixel has `known` [y, x] not 0
+        (None: all); and `valid` [n, y, x], if given, must not be 0 at (x, y). Halves round to even.
         """
 
     # --- the non-local-means prior ---
 
     def nlm_weights(
         self,
-        image: Array,
+        shape: Sequence[int],
+        device: str,
         *,
         window: int,
         patch: int,
         sigma_color: float,
         sigma_gradient: float,
         floor: float,
-        scratch_out: Array,
-        weights_out: Array,
-    ) -> None:
-        """Weights [k, y, x] of each pixel p with p + half_window(window)[k]; 0 where that lies outside, else >= floor.
-
-        `scratch_out` is a field of the same shape whose contents mean nothing afterwards.
-        """
+    ) -> NlmWeights:
+        """Plan the weights of images of `shape` [y, x, c]."""
 
     def nlm_neighbors(self, weights: Array, values: Array, *, window: int, sums_out: Array) -> None:
         """W v: the weighted sum [y, x] of `values` [y, x] over each pixel's window, itself (weight 1) included."""
@@ -176,30 +303,91 @@ class KernelSet(Protocol):
     # --- the local estimate ---
 
     def structure_tensor(
-        self, epis: Array, offsets: Array, filters: StructureFilters, *, scale: float, floor: float
+        self, shape: Sequence[int], offsets: Array, filters: StructureFilters, *, scale: float, floor: float
     ) -> LocalEstimate:
-        """Plan structure tensors on the EPIs [u, y, x, c] (as stored) of one line of views along x.
+        """Plan structure tensors on EPIs of `shape` [u, y, x, c] of one line of views along x.
 
         `offsets` [u] is each view's place relative to the reference; `filters` holds fields; `floor` is the gradient
         (intensity per pixel) that is taken for noise.
         """
 
+    def keep_more_coherent(
+        self,
+        disparity: Array,
+        coherence: Array,
+        trusted: Array | None,
+        *,
+        shear: float,
+        reach: float,
+        unit: float,
+        low: float,
+        high: float,
+        vertical: bool,
+        best_disparity_out: Array,
+        best_coherence_out: Array,
+    ) -> None:
+        """Where an estimate is better than the best so far, it becomes the best.
+
+        It is if |disparity - shear| <= reach, low <= disparity / unit <= high, `trusted` (a field of its shape) is not
+        0 or None, and its coherence is larger; the best disparity becomes disparity / unit. If `vertical`, estimate and
+        `trusted` are [x, y] where the best are [y, x].
+        """
+
     # --- vectors: fields of one shape ---
 
-    def dot(self, a: Array, b: Array) -> float:
+    def dot(self, a: Array, b: Array, product_out: Scalar) -> None:
         """Sum of products, accumulated in float64."""
 
-    def copy(self, source: Array, target_out: Array) -> None:
-        """target = source."""
+    def ratio(self, numerator: Scalar, denominator: Scalar, ratio_out: Scalar, *, factor: float = 1.0) -> None:
+        """factor * numerator / denominator; 0 where the denominator is 0. `ratio_out` may be one of them."""
 
-    def axpby(self, alpha: float, x: Array, beta: float, y: Array, y_out: Array) -> None:
-        """y_out = alpha x + beta y; `y_out` may be `x` or `y`."""
+    def copy(self, source: Array, target_out: Array) -> None:
+        """target = source, for fields, or for scalars."""
+
+    def axpby(self, alpha: float | Scalar, x: Array, beta: float | Scalar, y: Array, y_out: Array) -> None:
+        """y_out = alpha x + beta y; `y_out` may be `x` or `y`. Also for scalars x, y and y_out, with plain numbers."""
 
     def multiply(self, x: Array, y: Array, product_out: Array) -> None:
         """Element by element; `product_out` may be `x` or `y`."""
 
+    def divide(self, x: Array, y: Array, quotient_out: Array) -> None:
+        """Element by element, 0 where y is 0; `quotient_out` may be `x` or `y`."""
+
+    def fill(self, value: float | Scalar, x_out: Array) -> None:
+        """Each element becomes `value`."""
+
+    def choose(self, condition: Array, x: Array, y: Array, chosen_out: Array) -> None:
+        """x where the condition is > 0, else y, element by element; `chosen_out` may be any of them."""
+
+    def at_least(self, x: Array, threshold: float, x_out: Array) -> None:
+        """x where x >= threshold, else 0; `x_out` may be `x`."""
+
     def clamp(self, x: Array, low: float, high: float, x_out: Array) -> None:
         """Each element moved into [low, high]; `x_out` may be `x`."""
+
+    # --- solvers ---
+
+    def residuals(self, device: str, *, tolerance: float, most: int) -> Residuals:
+        """Plan the bookkeeping of an iterative linear solver that makes at most `most` iterations."""
+
+    def lbfgs(
+        self,
+        shape: Sequence[int],
+        device: str,
+        *,
+        memory: int,
+        low: float,
+        high: float,
+        first_step: float,
+        tolerance: float,
+        patience: int,
+        most: int,
+    ) -> Lbfgs:
+        """Plan an L-BFGS memory of `memory` pairs for fields of `shape` [y, x]; `most` is the longest trace less 1.
+
+        The trace is flat when its last `patience` steps together lowered the value by at most patience * tolerance *
+        |first value|.
+        """
 
 
 def half_window(window: int) -> NDArray[np.int64]:

@@ -163,6 +163,7 @@ def test_damaged_inputs(damage: Callable[[Path], None], words: str, views: Path,
         (["--set", "prior.window=8"], "must be odd"),
         (["--set", "prior.window=many"], "must be a number"),
         (["--set", "propagation.solver=magic"], "cg, lbfgsb"),
+        (["--set", "refinement.solver=magic"], "lbfgs, lbfgsb"),
         (["--backend", "abacus"], "unknown backend 'abacus'"),
         (["--device", "tpu"], "no device 'tpu'"),
         (["--views", "circle"], "full, star, cross, row, column"),
@@ -205,7 +206,7 @@ def raising(error: BaseException) -> Callable[..., None]:
     return fail
 
 
-@pytest.mark.parametrize("where", ["lfgpu.depth.minimize_lbfgsb", "lfgpu.io.write_result", "lfgpu.io.read"])
+@pytest.mark.parametrize("where", ["lfgpu.depth.BoundedLbfgs.minimize", "lfgpu.io.write_result", "lfgpu.io.read"])
 def test_interruption_leaves_nothing(
     where: str, recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

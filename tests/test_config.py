@@ -124,7 +124,7 @@ def test_with_values_changes_what_is_named_and_nothing_else() -> None:
 @pytest.mark.parametrize(
     ("name", "text", "value"),
     [("local.inner_scale", "1.25", 1.25), ("prior.window", "7", 7), ("refinement.tolerance", "1e-3", 1e-3),
-     ("propagation.solver", "lbfgsb", "lbfgsb")],
+     ("propagation.solver", "lbfgsb", "lbfgsb"), ("refinement.solver", "lbfgsb", "lbfgsb")],
 )  # fmt: skip
 def test_numbers_may_be_given_as_text(name: str, text: str, value: object) -> None:
     got = value_of(Config().with_values({name: text}), name)
@@ -151,6 +151,12 @@ def test_unknown_parameters_are_refused_with_all_that_there_are(name: str) -> No
     sentence = refusal({name: 7})
     assert repr(name) in sentence
     assert all(known in sentence for known in names(ALL))
+
+
+@pytest.mark.parametrize("name", ["propagation.solver", "refinement.solver"])
+def test_a_solver_of_scipy_takes_the_method_off_the_device(name: str) -> None:
+    assert Config().is_on_device
+    assert not Config().with_values({name: "lbfgsb"}).is_on_device
 
 
 # --- presets ---

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.config import LocalConfig
 from lfgpu.errors import LightFieldError
-from lfgpu.initial import Local, find_disparity_range, local_estimate, structure_filters
+from lfgpu.initial import LocalEstimator, find_disparity_range, structure_filters
 from lfgpu.lightfield import LightField
 from lfgpu.metrics import Metrics, evaluate
 
@@ -27,8 +27,20 @@ def relief(**options: Any) -> LightField:
     return scenes.make("relief", **({"grid": (7, 7), "size": (96, 96)} | options))
 
 
+class Local(NamedTuple):
+    """What the estimator leaves on the device, maps [y, x]."""
+
+    disparity: np.ndarray
+    coherence: np.ndarray
+
+
 def estimated(lf: LightField, disparity_range: tuple[float, float] = RANGE, **config: float) -> Local:
-    return local_estimate(lf, disparity_range, LocalConfig(**config), WARP, "cpu")
+    return run(LocalEstimator(lf, disparity_range, LocalConfig(**config), WARP, "cpu"), lf.views)
+
+
+def run(estimator: LocalEstimator, views: np.ndarray) -> Local:
+    estimator.run(WARP.image(views, "cpu"))
+    return Local(WARP.numpy(estimator.disparity), WARP.numpy(estimator.coherence))
 
 
 def score(lf: LightField, local: Local) -> Metrics:
@@ -157,6 +169,15 @@ def test_masked_pixels_of_the_row_do_not_count() -> None:
     np.testing.assert_array_equal(one.disparity, other.disparity)
 
 
+def test_estimator_remembers_nothing_of_the_views_before() -> None:
+    """Although it keeps the best so far of one line and shear after the other."""
+    lf, other = relief(), relief(seed=1)
+    estimator = LocalEstimator(lf, RANGE, LocalConfig(), WARP, "cpu")
+    first, _, again = (run(estimator, views) for views in (lf.views, other.views, lf.views))
+    np.testing.assert_array_equal(first.disparity, again.disparity)
+    np.testing.assert_array_equal(first.coherence, again.coherence)
+
+
 # --- what is undefined, and the bounds ---
 
 
@@ -236,8 +257,7 @@ def test_cameras_far_apart_are_as_accurate_in_their_own_steps() -> None:
     lf = scenes.make("relief", grid=(9, 9), size=(96, 96), disparity_range=(-0.4, 0.4))
     sparse = lf.subset([lf.index_of(row, column) for row in (0, 4, 8) for column in (0, 4, 8)])
     unit = replace(sparse, positions=sparse.positions / 4, grid_shape=None)
-    one = local_estimate(sparse, (-0.5, 0.5), LocalConfig(), WARP, "cpu")
-    other = local_estimate(unit, (-2.0, 2.0), LocalConfig(), WARP, "cpu")
+    one, other = estimated(sparse, (-0.5, 0.5)), estimated(unit, (-2.0, 2.0))
     np.testing.assert_allclose(4 * one.disparity, other.disparity, atol=1e-5)
     assert evaluate(one.disparity, lf.truth.disparity).rmse < 0.02  # type: ignore[union-attr]
 

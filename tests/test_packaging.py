@@ -133,6 +133,14 @@ def test_public_names_are_listed_and_unknown_ones_are_refused() -> None:
         _ = lfgpu.nothing
 
 
+def test_pipeline_is_public() -> None:
+    import lfgpu
+    from lfgpu.depth import DepthPipeline
+
+    assert "DepthPipeline" in lfgpu.__all__
+    assert lfgpu.DepthPipeline is DepthPipeline
+
+
 def test_kernels_are_not_imported_by_another_name() -> None:
     done = run_python("import kernels", ROOT)
     assert done.returncode != 0
@@ -203,10 +211,15 @@ ARROWS = {
     "_backends.py": ("errors", "types"),
     "config.py": ("errors",),
     "geometry.py": ("errors", "types"),
-    "solvers/solution.py": ("types",),
-    "solvers/cg.py": ("solvers", "types"),
+    "solvers/solution.py": (),
+    "solvers/cg.py": ("solvers.solution", "types"),
+    "solvers/lbfgs.py": ("solvers.solution", "types"),
     "solvers/lbfgsb.py": ("solvers", "types"),
+    "prior.py": ("config", "types"),
+    "model.py": ("config", "lightfield", "types"),
     "energy.py": ("model", "prior", "types"),
+    "initial.py": ("config", "errors", "lightfield", "types"),
+    "propagation.py": ("config", "prior", "solvers", "types"),
     "metrics.py": ("errors", "types"),
 }
 

@@ -40,6 +40,10 @@ def test_every_format_and_scene_is_named() -> None:
 def test_the_names_of_the_python_example_exist() -> None:
     for name in re.findall(r"lfgpu\.(\w+)\(", README):
         assert hasattr(lfgpu, name), name
+    methods = re.findall(r"pipeline\.(\w+)\(", README)
+    assert {"upload", "run", "disparity"} <= set(methods)
+    for name in methods:
+        assert hasattr(lfgpu.DepthPipeline, name), name
 
 
 def test_pictures_and_commands_exist() -> None:

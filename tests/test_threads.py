@@ -7,12 +7,10 @@ import subprocess
 import sys
 from typing import Any
 
-import numpy as np
 import pytest
 
 import lfgpu
-from lfgpu import scenes, threads
-from lfgpu.detail import normalized_views
+from lfgpu import threads
 from lfgpu.errors import LfgpuError
 
 VARIABLE = "LFGPU_THREADS"
@@ -55,15 +53,6 @@ def test_a_wrong_environment_is_named(wrong: str, monkeypatch: pytest.MonkeyPatc
     with pytest.raises(LfgpuError) as error:
         lfgpu.get_threads()
     assert str(error.value) == f"${VARIABLE}: the number of threads must be a whole number from 1 on, found {wrong!r}."
-
-
-def test_normalized_views_have_the_same_bits_for_any_number_of_threads() -> None:
-    lf = scenes.make("boxes", grid=(3, 3), size=(40, 48))
-    found = []
-    for count in (1, 3):
-        lfgpu.set_threads(count)
-        found.append(normalized_views(lf, np.arange(9), 1.5, 0.01))
-    np.testing.assert_array_equal(*found)
 
 
 ESTIMATE = """

@@ -2,36 +2,57 @@
 
 import numpy as np
 
-from .memory import devices, field, image, numpy, zeros, zeros_image
+from .control import capture, repeat
+from .lbfgs import lbfgs
+from .memory import devices, field, image, number, numpy, scalar, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
-from .splat import data_term, splat, splat_jvp, splat_transpose, splat_vjp
-from .structure_tensor import structure_tensor
-from .vector import axpby, clamp, copy, dot, multiply
+from .residuals import residuals
+from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
+from .structure_tensor import keep_more_coherent, structure_tensor
+from .vector import at_least, axpby, choose, clamp, copy, divide, dot, fill, multiply, ratio
+from .views import intensities, line_of_views, normalization
 
 name = "reference"
 dtype = np.float64
 
 __all__ = [
+    "at_least",
     "axpby",
+    "capture",
+    "choose",
     "clamp",
     "copy",
     "data_term",
     "devices",
+    "divide",
     "dot",
     "dtype",
     "field",
+    "fill",
     "image",
+    "intensities",
+    "keep_more_coherent",
+    "lbfgs",
+    "line_of_views",
     "multiply",
     "name",
     "nlm_laplacian",
     "nlm_neighbors",
     "nlm_weights",
+    "normalization",
+    "number",
     "numpy",
+    "ratio",
+    "repeat",
+    "residuals",
+    "scalar",
+    "seen_by_reference",
     "splat",
     "splat_jvp",
     "splat_transpose",
     "splat_vjp",
     "structure_tensor",
+    "upload",
     "zeros",
     "zeros_image",
 ]

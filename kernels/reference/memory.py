@@ -1,4 +1,4 @@
-"""Arrays of the reference backend: NumPy, float64, images with their channels last."""
+"""Arrays and numbers of the reference backend: NumPy, float64, images with their channels last."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -6,22 +6,40 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+
 
 def devices() -> tuple[str, ...]:
     return ("cpu",)
 
 
-def field(values: NDArray[Any], device: str) -> NDArray[np.float64]:
+def field(values: NDArray[Any], device: str) -> Array:
     return np.array(values, np.float64)
 
 
-def zeros(shape: Sequence[int], device: str) -> NDArray[np.float64]:
+def image(values: NDArray[Any], device: str) -> Array:
+    return np.array(values, np.float64)
+
+
+def zeros(shape: Sequence[int], device: str) -> Array:
     return np.zeros(shape)
 
 
-def numpy(array: NDArray[np.float64]) -> NDArray[np.float64]:
+def zeros_image(shape: Sequence[int], device: str, stored: Any = np.float32) -> Array:
+    return np.zeros(shape)
+
+
+def scalar(value: float, device: str) -> Array:
+    return np.array([value], np.float64)
+
+
+def upload(values: NDArray[Any], array_out: Array) -> None:
+    array_out[...] = values
+
+
+def numpy(array: Array) -> Array:
     return np.array(array)
 
 
-image = field
-zeros_image = zeros
+def number(scalar: Array) -> float:
+    return float(scalar[0])

@@ -6,10 +6,12 @@ that both have count. The paper sums over the patch where this takes the mean: Ï
 pixels).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.types import half_window
+from lfgpu.types import NlmWeights, half_window
 
 Array = NDArray[np.float64]
 
@@ -43,26 +45,27 @@ def box_sum(a: Array, radius: int) -> Array:
 
 
 def nlm_weights(
-    image: Array,
+    shape: Sequence[int],
+    device: str,
     *,
     window: int,
     patch: int,
     sigma_color: float,
     sigma_gradient: float,
     floor: float,
-    scratch_out: Array,
-    weights_out: Array,
-) -> None:
-    del scratch_out  # other backends keep point-wise differences there
-    described = features(image, sigma_color, sigma_gradient)
-    height, width = image.shape[:2]
-    for k, (dy, dx) in enumerate(half_window(window)):
-        here, there = overlap((height, width), dy, dx)
-        weights_out[k] = 0
-        distance = ((described[here] - described[there]) ** 2).sum(2)
-        if distance.size:
-            mean = box_sum(distance, patch // 2) / box_sum(np.ones_like(distance), patch // 2)
-            weights_out[k][here] = np.maximum(np.exp(-mean), floor)
+) -> NlmWeights:
+    def evaluate(image: Array, weights_out: Array) -> None:
+        described = features(image, sigma_color, sigma_gradient)
+        height, width = image.shape[:2]
+        for k, (dy, dx) in enumerate(half_window(window)):
+            here, there = overlap((height, width), dy, dx)
+            weights_out[k] = 0
+            distance = ((described[here] - described[there]) ** 2).sum(2)
+            if distance.size:
+                mean = box_sum(distance, patch // 2) / box_sum(np.ones_like(distance), patch // 2)
+                weights_out[k][here] = np.maximum(np.exp(-mean), floor)
+
+    return evaluate
 
 
 def nlm_neighbors(weights: Array, values: Array, *, window: int, sums_out: Array) -> None:

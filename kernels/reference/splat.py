@@ -4,13 +4,11 @@ Each reference pixel p lands at p - d(p) * (du, dv) in the view with offset (du,
 four pixels around, by Λ in x times Λ in y (Sajjadi et al. 2016, eq. of the generative model; Λ from `tent`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from lfgpu.types import DataTerm
 
 from .tent import tent, tent_slope
 
@@ -82,17 +80,42 @@ def splat_vjp(
             gradient_out[tap.inside] += tap.slope * (image[tap.inside] * view[tap.target]).sum(1)
 
 
-def data_term(
-    image: Array, recorded: Array, valid: Array | None, offsets: Array, *, scale: float, softness: float
-) -> DataTerm:
-    counts = np.ones((*recorded.shape[:3], 1)) if valid is None else (valid != 0)[..., None]
-    residual, coverage = np.empty_like(recorded), np.empty(recorded.shape[:3])
+class DataTerm:
+    """The squared error of what a reference image predicts, and its gradient with respect to the disparity."""
 
-    def evaluate(disparity: Array, gradient_out: Array) -> float:
-        splat(image, disparity, offsets, softness=softness, views_out=residual, coverage_out=coverage)
-        residual[:] = counts * (residual - scale * recorded)
+    def __init__(self, shape: Sequence[int], offsets: Array, scale: float, softness: float) -> None:
+        self._offsets, self._scale, self._softness = offsets, scale, softness
+        self._residual, self._coverage = np.zeros(shape), np.zeros(shape[:3])
+
+    def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
+        self._image, self._recorded, self._valid = image, recorded, valid
+
+    def __call__(self, disparity: Array, gradient_out: Array, value_out: Array) -> None:
+        image, offsets, softness, residual = self._image, self._offsets, self._softness, self._residual
+        splat(image, disparity, offsets, softness=softness, views_out=residual, coverage_out=self._coverage)
+        residual -= self._scale * self._recorded
+        if self._valid is not None:
+            residual[self._valid == 0] = 0
         splat_vjp(image, disparity, residual, offsets, softness=softness, gradient_out=gradient_out)
         gradient_out *= 2
-        return float(np.vdot(residual, residual))
+        value_out[0] = np.vdot(residual, residual)
 
-    return evaluate
+
+def data_term(shape: Sequence[int], offsets: Array, *, scale: float, softness: float) -> DataTerm:
+    return DataTerm(shape, offsets, scale, softness)
+
+
+def seen_by_reference(
+    disparity: Array, offsets: Array, known: Array | None, valid: Array | None, *, seen_out: Array
+) -> None:
+    height, width = disparity.shape
+    rows, columns = np.mgrid[:height, :width]
+    for n, (du, dv) in enumerate(offsets):
+        x, y = columns + disparity * du, rows + disparity * dv
+        seen = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+        if known is not None:
+            row, column = (np.rint(place[seen]).astype(np.intp) for place in (y, x))
+            seen[seen] = known[row, column] != 0
+        if valid is not None:
+            seen &= valid[n] != 0
+        seen_out[n] = seen

@@ -1,5 +1,7 @@
 """Structure tensors on sheared epipolar plane images: NumPy, float64 (Wanner and Goldluecke 2012, §3)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,13 +31,13 @@ def correlate_x(a: Array, kernel: Array) -> Array:
 
 
 def structure_tensor(
-    epis: Array, offsets: Array, filters: StructureFilters, *, scale: float, floor: float
+    shape: Sequence[int], offsets: Array, filters: StructureFilters, *, scale: float, floor: float
 ) -> LocalEstimate:
     def smoothed(product: Array) -> Array:
         along = np.tensordot(filters.along_outer, product.sum(3), axes=(0, 0))
         return correlate_x(along[None], filters.across_outer)[0]
 
-    def evaluate(shear: float, disparity_out: Array, coherence_out: Array) -> None:
+    def evaluate(epis: Array, shear: float, disparity_out: Array, coherence_out: Array) -> None:
         straight = sheared(epis * scale, offsets, shear)
         value = np.tensordot(filters.along_value, straight, axes=(1, 0))  # [m, y, x, c]
         slope = np.tensordot(filters.along_slope, straight, axes=(1, 0))
@@ -45,3 +47,27 @@ def structure_tensor(
         coherence_out[:] = ((j_xx - j_uu) ** 2 + 4 * j_xu**2) / (j_xx + j_uu + floor**2) ** 2
 
     return evaluate
+
+
+def keep_more_coherent(
+    disparity: Array,
+    coherence: Array,
+    trusted: Array | None,
+    *,
+    shear: float,
+    reach: float,
+    unit: float,
+    low: float,
+    high: float,
+    vertical: bool,
+    best_disparity_out: Array,
+    best_coherence_out: Array,
+) -> None:
+    within = (np.abs(disparity - shear) <= reach) & (disparity / unit >= low) & (disparity / unit <= high)
+    if trusted is not None:
+        within &= trusted != 0
+    if vertical:
+        within, disparity, coherence = within.T, disparity.T, coherence.T
+    better = within & (coherence > best_coherence_out)
+    best_disparity_out[better] = disparity[better] / unit
+    best_coherence_out[better] = coherence[better]

@@ -1,25 +1,46 @@
-"""What a solver does with fields: NumPy, float64."""
+"""What a solver does with fields and numbers: NumPy, float64. A number is an array of shape [1]."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Coefficient = float | Array
 
 
-def dot(a: Array, b: Array) -> float:
-    return float(np.vdot(a, b))
+def dot(a: Array, b: Array, product_out: Array) -> None:
+    product_out[0] = np.vdot(a, b)
+
+
+def ratio(numerator: Array, denominator: Array, ratio_out: Array, *, factor: float = 1.0) -> None:
+    ratio_out[0] = factor * numerator[0] / denominator[0] if denominator[0] != 0 else 0.0
 
 
 def copy(source: Array, target_out: Array) -> None:
     target_out[:] = source
 
 
-def axpby(alpha: float, x: Array, beta: float, y: Array, y_out: Array) -> None:
+def axpby(alpha: Coefficient, x: Array, beta: Coefficient, y: Array, y_out: Array) -> None:
     y_out[:] = alpha * x + beta * y
 
 
 def multiply(x: Array, y: Array, product_out: Array) -> None:
     product_out[:] = x * y
+
+
+def divide(x: Array, y: Array, quotient_out: Array) -> None:
+    quotient_out[:] = np.where(y == 0, 0.0, x / np.where(y == 0, 1.0, y))
+
+
+def fill(value: Coefficient, x_out: Array) -> None:
+    x_out[:] = value
+
+
+def choose(condition: Array, x: Array, y: Array, chosen_out: Array) -> None:
+    chosen_out[:] = np.where(condition > 0, x, y)
+
+
+def at_least(x: Array, threshold: float, x_out: Array) -> None:
+    x_out[:] = np.where(x >= threshold, x, 0.0)
 
 
 def clamp(x: Array, low: float, high: float, x_out: Array) -> None:

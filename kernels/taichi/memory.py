@@ -11,15 +11,18 @@ from numpy.typing import NDArray
 
 from lfgpu.errors import BackendError
 
-from .runtime import alone, start
+from .runtime import alone, once, start
 
-_SCALARS: dict[type, Any] = {np.uint8: ti.u8, np.uint16: ti.u16, np.float32: ti.f32}
+_SCALARS: dict[type, Any] = {np.uint8: ti.u8, np.uint16: ti.u16, np.float16: ti.f16, np.float32: ti.f32}
 _MOST = 2**31 - 1  # Taichi's indices have 32 bits
 
 
 @dataclass(frozen=True, eq=False)
 class DeviceArray:
-    """A field of scalars, or an image of pixels with `channels` values each: its elements in row order."""
+    """A field of scalars, or an image of pixels with `channels` values each: its elements in row order.
+
+    One number is a field of one float64.
+    """
 
     values: ti.Ndarray
     shape: tuple[int, ...]
@@ -50,6 +53,27 @@ def empty(shape: Sequence[int], *, channels: int | None = None, scalar: Any = ti
     return DeviceArray(values, tuple(shape), channels, scalar)
 
 
+def doubles(values: NDArray[Any]) -> DeviceArray:
+    """A copy of `values` (any shape) on the running device as float64."""
+    return _filled(empty(values.shape, scalar=ti.f64), np.asarray(values, np.float64))
+
+
+@once
+def one() -> DeviceArray:
+    """The number 1."""
+    return doubles(np.ones(1))
+
+
+@once
+def _nothing() -> DeviceArray:
+    return _filled(empty((1,)), np.zeros(1, np.float32))
+
+
+def optional(array: DeviceArray | None) -> tuple[ti.Ndarray, bool]:
+    """What a kernel gets for a field that need not be there: an array in any case, and whether to look at it."""
+    return (_nothing().values, False) if array is None else (array.values, True)
+
+
 def field(values: NDArray[Any], device: str) -> DeviceArray:
     start(device)
     return _filled(empty(values.shape), np.asarray(values, np.float32))
@@ -57,9 +81,8 @@ def field(values: NDArray[Any], device: str) -> DeviceArray:
 
 def image(values: NDArray[Any], device: str) -> DeviceArray:
     start(device)
-    return _filled(
-        empty(values.shape[:-1], channels=values.shape[-1], scalar=_SCALARS[values.dtype.type]), np.asarray(values)
-    )
+    stored = _SCALARS[values.dtype.type]
+    return _filled(empty(values.shape[:-1], channels=values.shape[-1], scalar=stored), np.asarray(values))
 
 
 def zeros(shape: Sequence[int], device: str) -> DeviceArray:
@@ -67,9 +90,17 @@ def zeros(shape: Sequence[int], device: str) -> DeviceArray:
     return clear(empty(shape))
 
 
-def zeros_image(shape: Sequence[int], device: str) -> DeviceArray:
+def zeros_image(shape: Sequence[int], device: str, stored: Any = np.float32) -> DeviceArray:
+    return image(np.zeros(tuple(shape), stored), device)
+
+
+def scalar(value: float, device: str) -> DeviceArray:
     start(device)
-    return clear(empty(shape[:-1], channels=shape[-1]))
+    return doubles(np.array([value]))
+
+
+def upload(values: NDArray[Any], array_out: DeviceArray) -> None:
+    _filled(array_out, np.asarray(values, np.float32) if array_out.channels is None else np.asarray(values))
 
 
 def clear(array: DeviceArray) -> DeviceArray:
@@ -83,6 +114,11 @@ def numpy(array: DeviceArray) -> NDArray[Any]:
     with alone():
         values: NDArray[Any] = array.values.to_numpy()
     return values.reshape(array.shape if array.channels is None else (*array.shape, array.channels))
+
+
+def number(scalar: DeviceArray) -> float:
+    with alone():
+        return float(scalar.values[0])
 
 
 def _filled(array: DeviceArray, values: NDArray[Any]) -> DeviceArray:

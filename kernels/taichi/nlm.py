@@ -1,12 +1,15 @@
 """Non-local-means weights and the two linear operators that they make; `kernels/reference/nlm.py` says which."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
 import taichi as ti
 
+from lfgpu.types import NlmWeights, half_window
+
 from .memory import DeviceArray, empty, flat
-from .runtime import TASK, on_cpu, once, run
+from .runtime import TASK, on_cpu, once, run, start
 
 
 @ti.func
@@ -156,24 +159,28 @@ def _difference(weight: float, here: float, other: float):
 
 
 def nlm_weights(
-    image: DeviceArray,
+    shape: Sequence[int],
+    device: str,
     *,
     window: int,
     patch: int,
     sigma_color: float,
     sigma_gradient: float,
     floor: float,
-    scratch_out: DeviceArray,
-    weights_out: DeviceArray,
-) -> None:
-    channels = image.channels or 1
+) -> NlmWeights:
+    start(device)
+    (height, width, channels), radius = shape, window // 2
     kernels = _feature_kernels(channels)
-    features = empty(image.shape, channels=3 * channels)
+    features = empty((height, width), channels=3 * channels)
+    distances = empty((len(half_window(window)), height, width))
     color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
-    radius = window // 2
-    run(kernels.features, image.values, color, gradient, *image.shape, features.values)
-    run(kernels.distance, features.values, *image.shape, radius, scratch_out.values)
-    run(_weight_kernel, scratch_out.values, *image.shape, radius, patch // 2, floor, weights_out.values)
+
+    def evaluate(image: DeviceArray, weights_out: DeviceArray) -> None:
+        run(kernels.features, image.values, color, gradient, height, width, features.values)
+        run(kernels.distance, features.values, height, width, radius, distances.values)
+        run(_weight_kernel, distances.values, height, width, radius, patch // 2, floor, weights_out.values)
+
+    return evaluate
 
 
 def nlm_neighbors(weights: DeviceArray, values: DeviceArray, *, window: int, sums_out: DeviceArray) -> None:

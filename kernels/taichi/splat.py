@@ -4,6 +4,7 @@ A GPU gives each pixel of each view a thread, and pixels that land on the same p
 atomics cost several times as much, a view belongs to one thread.
 """
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,8 +12,9 @@ import taichi as ti
 
 from lfgpu.types import DataTerm
 
-from .memory import DeviceArray, clear, empty, flat, numpy
+from .memory import DeviceArray, clear, empty, flat, optional
 from .runtime import TASK, on_cpu, once, run
+from .sums import GPU_PARTS, Total, share
 from .tent import tent, tent_slope
 
 _SLICES = 16  # of the views on a CPU; fixed, so that results do not depend on the number of threads
@@ -317,15 +319,20 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         valid: field,
         masked: ti.template(),
         scale: float,
-        width: int,
         views_out: image_type,
-        squares_out: field,
+        squares_out: flat(ti.f64),
     ):
-        """Turns predicted views into residuals and adds up their squares row by row."""
-        for i in range(recorded.shape[0]):
-            value = difference(views_out[i], recorded, valid, masked, i, scale)
-            views_out[i] = value
-            ti.atomic_add(squares_out[i // width], value.norm_sqr())
+        """Turns predicted views into residuals; each thread of a GPU adds up the squares of its own."""
+        parts = squares_out.shape[0]
+        for part in range(parts):
+            total = ti.f64(0.0)
+            i, step, end = share(part, parts, recorded.shape[0], cpu)
+            while i < end:
+                value = difference(views_out[i], recorded, valid, masked, i, scale)
+                views_out[i] = value
+                total += ti.cast(value.norm_sqr(), ti.f64)
+                i += step
+            squares_out[part] = total
 
     @ti.kernel
     def slice_kernel(
@@ -342,7 +349,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         slices: int,
         residuals: image_type,
         gradients_out: field,
-        squares_out: field,
+        squares_out: flat(ti.f64),
     ):
         """A slice of the views on each thread of a CPU, one view after the other, so that it stays in its cache."""
         count = offsets.shape[0] // 2
@@ -367,7 +374,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
                             value = difference(residuals[own + p], recorded, valid, masked, n * size + p, scale)
                             residuals[own + p] = value
                             total = total + value.norm_sqr()
-                        squares_out[n * height + y] = total
+                        squares_out[n * height + y] = ti.cast(total, ti.f64)
                     for y in range(height):
                         for x in range(width):
                             p = y * width + x
@@ -472,54 +479,110 @@ def splat_vjp(
     )
 
 
-def data_term(
-    image: DeviceArray,
-    recorded: DeviceArray,
-    valid: DeviceArray | None,
-    offsets: DeviceArray,
-    *,
-    scale: float,
-    softness: float,
-) -> DataTerm:
-    (height, width), n, cpu = image.shape, recorded.shape[0], on_cpu()
-    kernels = _kernels(image.channels, recorded.scalar, cpu)
-    slices = min(_SLICES, n) if cpu else 1
-    residuals = empty((slices if cpu else n, height, width), channels=image.channels)
-    gradients = empty((slices, height, width))
-    squares = empty((n, height))
-    masked = valid is not None
-    mask = squares if valid is None else valid  # a kernel wants an array, if only one that it does not look at
+class _DataTerm:
+    """Slices of the views, one view after the other, on a CPU; all of them at once on a GPU."""
 
-    def in_slices(disparity: DeviceArray, gradient_out: DeviceArray) -> None:
+    def __init__(self, shape: Sequence[int], offsets: DeviceArray, scale: float, softness: float) -> None:
+        n, height, width, channels = shape
+        self._cpu, self._channels = on_cpu(), channels
+        self._slices = min(_SLICES, n) if self._cpu else 1
+        self._residuals = empty((self._slices if self._cpu else n, height, width), channels=channels)
+        self._gradients = empty((self._slices, height, width))
+        self._squares, self._total = empty((n * height if self._cpu else GPU_PARTS,), scalar=ti.f64), Total()
+        self._offsets, self._scale, self._softness = offsets, scale, softness
+
+    def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
+        self._image, self._recorded, self._valid = image, recorded, optional(valid)
+        self._kernels = _kernels(self._channels, recorded.scalar, self._cpu)
+
+    def __call__(self, disparity: DeviceArray, gradient_out: DeviceArray, value_out: DeviceArray) -> None:
+        (self._in_slices if self._cpu else self._at_once)(disparity, gradient_out)
+        self._total(self._squares, value_out)
+
+    def _in_slices(self, disparity: DeviceArray, gradient_out: DeviceArray) -> None:
         run(
-            kernels.slice,
-            image.values,
+            self._kernels.slice,
+            self._image.values,
             disparity.values,
-            recorded.values,
-            mask.values,
-            masked,
-            offsets.values,
-            scale,
-            softness,
-            height,
-            width,
-            slices,
-            residuals.values,
-            gradients.values,
-            squares.values,
+            self._recorded.values,
+            *self._valid,
+            self._offsets.values,
+            self._scale,
+            self._softness,
+            *disparity.shape,
+            self._slices,
+            self._residuals.values,
+            self._gradients.values,
+            self._squares.values,
         )
-        run(kernels.total, gradients.values, slices, gradient_out.values)
+        run(self._kernels.total, self._gradients.values, self._slices, gradient_out.values)
 
-    def at_once(disparity: DeviceArray, gradient_out: DeviceArray) -> None:
-        seen = image.values, disparity.values
-        clear(residuals)
-        clear(squares)
-        run(kernels.splat, *seen, offsets.values, softness, height, width, residuals.values)
-        run(kernels.residual, recorded.values, mask.values, masked, scale, width, residuals.values, squares.values)
-        run(kernels.vjp, *seen, residuals.values, offsets.values, 2.0, softness, height, width, gradient_out.values)
+    def _at_once(self, disparity: DeviceArray, gradient_out: DeviceArray) -> None:
+        seen, offsets, residuals = (self._image.values, disparity.values), self._offsets.values, self._residuals.values
+        compared = self._recorded.values, *self._valid, self._scale
+        clear(self._residuals)
+        run(self._kernels.splat, *seen, offsets, self._softness, *disparity.shape, residuals)
+        run(self._kernels.residual, *compared, residuals, self._squares.values)
+        gradient = 2.0, self._softness, *disparity.shape, gradient_out.values
+        run(self._kernels.vjp, *seen, residuals, offsets, *gradient)
 
-    def evaluate(disparity: DeviceArray, gradient_out: DeviceArray) -> float:
-        (in_slices if cpu else at_once)(disparity, gradient_out)
-        return float(numpy(squares).sum(dtype="float64"))
 
-    return evaluate
+def data_term(shape: Sequence[int], offsets: DeviceArray, *, scale: float, softness: float) -> DataTerm:
+    return _DataTerm(shape, offsets, scale, softness)
+
+
+@ti.func
+def nearest(whole: int, beyond: float):
+    """The whole number nearest to whole + beyond with `beyond` in [0, 1]; halves round to even."""
+    result = whole
+    if beyond > 0.5 or (beyond == 0.5 and whole % 2 != 0):
+        result += 1
+    return result
+
+
+@ti.func
+def within(whole: int, beyond: float, size: int):
+    """Whether whole + beyond lies in [0, size - 1]."""
+    return whole >= 0 and (whole < size - 1 or (whole == size - 1 and beyond == 0.0))
+
+
+@ti.kernel
+def _seen_kernel(
+    disparity: flat(),
+    offsets: flat(),
+    known: flat(),
+    some_known: ti.template(),
+    valid: flat(),
+    masked: ti.template(),
+    height: int,
+    width: int,
+    seen_out: flat(),
+):
+    size = height * width
+    for i in range(seen_out.shape[0]):
+        n = i // size
+        p = i - n * size
+        # Where a pixel comes from is where one of the reference lands with the opposite offset.
+        place = land(p % width, p // width, disparity[p], -offsets[2 * n], -offsets[2 * n + 1])
+        seen = 0.0
+        if within(place.x, place.ax, width) and within(place.y, place.ay, height):
+            seen = 1.0
+            if ti.static(some_known):
+                if known[nearest(place.y, place.ay) * width + nearest(place.x, place.ax)] == 0.0:
+                    seen = 0.0
+            if ti.static(masked):
+                if valid[i] == 0.0:
+                    seen = 0.0
+        seen_out[i] = seen
+
+
+def seen_by_reference(
+    disparity: DeviceArray,
+    offsets: DeviceArray,
+    known: DeviceArray | None,
+    valid: DeviceArray | None,
+    *,
+    seen_out: DeviceArray,
+) -> None:
+    inputs = disparity.values, offsets.values, *optional(known), *optional(valid), *disparity.shape
+    run(_seen_kernel, *inputs, seen_out.values)

@@ -1,5 +1,6 @@
 """Structure tensors on sheared epipolar plane images; `kernels/reference/structure_tensor.py` says what they are."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -7,7 +8,7 @@ import taichi as ti
 
 from lfgpu.types import LocalEstimate, StructureFilters
 
-from .memory import DeviceArray, empty, flat
+from .memory import DeviceArray, empty, flat, optional
 from .runtime import once, run
 
 
@@ -104,17 +105,48 @@ def _slope_kernel(
         coherence_out[p] = (difference * difference + 4.0 * t[1] * t[1]) / (trace * trace)
 
 
+@ti.kernel
+def _keep_kernel(
+    disparity: flat(),
+    coherence: flat(),
+    trusted: flat(),
+    masked: ti.template(),
+    shear: float,
+    reach: float,
+    unit: float,
+    low: float,
+    high: float,
+    height: int,
+    width: int,
+    vertical: int,
+    best_disparity_out: flat(),
+    best_coherence_out: flat(),
+):
+    for p in range(height * width):
+        i = p
+        if vertical == 1:
+            i = p % width * height + p // width
+        value = disparity[i] / unit
+        better = coherence[i] > best_coherence_out[p] and ti.abs(disparity[i] - shear) <= reach
+        better = better and value >= low and value <= high
+        if ti.static(masked):
+            better = better and trusted[i] != 0.0
+        if better:
+            best_disparity_out[p] = value
+            best_coherence_out[p] = coherence[i]
+
+
 def structure_tensor(
-    epis: DeviceArray, offsets: DeviceArray, filters: StructureFilters, *, scale: float, floor: float
+    shape: Sequence[int], offsets: DeviceArray, filters: StructureFilters, *, scale: float, floor: float
 ) -> LocalEstimate:
-    (_, height, width), size = epis.shape, epis.shape[1] * epis.shape[2]
-    kernels = _kernels(epis.channels, epis.scalar)
-    value = empty((filters.along_outer.shape[0], height, width), channels=epis.channels)
-    slope = empty(value.shape, channels=epis.channels)
+    (_, height, width, channels), size = shape, shape[1] * shape[2]
+    value = empty((filters.along_outer.shape[0], height, width), channels=channels)
+    slope = empty(value.shape, channels=channels)
     tensor = empty((height, width), channels=3)
     f = StructureFilters(*(weights.values for weights in filters))
 
-    def evaluate(shear: float, disparity_out: DeviceArray, coherence_out: DeviceArray) -> None:
+    def evaluate(epis: DeviceArray, shear: float, disparity_out: DeviceArray, coherence_out: DeviceArray) -> None:
+        kernels = _kernels(channels, epis.scalar)
         along = f.along_value, f.along_slope, scale, shear, width, size
         run(kernels.along, epis.values, offsets.values, *along, value.values, slope.values)
         across = f.across_value, f.across_slope, f.along_outer, width, size
@@ -123,3 +155,22 @@ def structure_tensor(
         run(_slope_kernel, tensor.values, f.across_outer, shear, floor, width, *maps)
 
     return evaluate
+
+
+def keep_more_coherent(
+    disparity: DeviceArray,
+    coherence: DeviceArray,
+    trusted: DeviceArray | None,
+    *,
+    shear: float,
+    reach: float,
+    unit: float,
+    low: float,
+    high: float,
+    vertical: bool,
+    best_disparity_out: DeviceArray,
+    best_coherence_out: DeviceArray,
+) -> None:
+    best = best_disparity_out.values, best_coherence_out.values
+    tests = shear, reach, unit, low, high, *best_disparity_out.shape, int(vertical)
+    run(_keep_kernel, disparity.values, coherence.values, *optional(trusted), *tests, *best)

@@ -1,70 +1,139 @@
-"""What a solver does with fields, on the device."""
+"""What a solver does with fields and scalars, on the device."""
 
-import numpy as np
+from types import SimpleNamespace
+from typing import Any
+
 import taichi as ti
 
-from .memory import DeviceArray, flat
-from .runtime import on_cpu, run
-
-_PARTS = 16384  # partial sums of a dot product, one for each thread of a GPU
+from .memory import DeviceArray, flat, one
+from .runtime import once, run
 
 
-@ti.kernel
-def _copy_kernel(source: flat(), target_out: flat()):
-    for i in range(source.shape[0]):
-        target_out[i] = source[i]
+@once
+def _linear_kernels(kind: Any) -> SimpleNamespace:
+    """What fields (float32) and scalars (float64) have in common."""
+    array, scalar = flat(kind), flat(ti.f64)
+
+    @ti.func
+    def coefficient(number: ti.f64, scalar: ti.template()):
+        """A number times a scalar, one of which is 1."""
+        return ti.cast(number * scalar[0], kind)
+
+    @ti.kernel
+    def copy_kernel(source: array, target_out: array):
+        for i in range(source.shape[0]):
+            target_out[i] = source[i]
+
+    @ti.kernel
+    def axpby_kernel(
+        alpha: ti.f64, alpha_scalar: scalar, x: array, beta: ti.f64, beta_scalar: scalar, y: array, y_out: array
+    ):
+        for i in range(x.shape[0]):
+            y_out[i] = coefficient(alpha, alpha_scalar) * x[i] + coefficient(beta, beta_scalar) * y[i]
+
+    @ti.kernel
+    def fill_kernel(value: ti.f64, value_scalar: scalar, x_out: array):
+        for i in range(x_out.shape[0]):
+            x_out[i] = coefficient(value, value_scalar)
+
+    return SimpleNamespace(copy=copy_kernel, axpby=axpby_kernel, fill=fill_kernel)
 
 
-@ti.kernel
-def _axpby_kernel(alpha: float, x: flat(), beta: float, y: flat(), y_out: flat()):
-    for i in range(x.shape[0]):
-        y_out[i] = alpha * x[i] + beta * y[i]
+@once
+def _kernels() -> SimpleNamespace:
+    field, scalar = flat(), flat(ti.f64)
+
+    @ti.kernel
+    def multiply_kernel(x: field, y: field, product_out: field):
+        for i in range(x.shape[0]):
+            product_out[i] = x[i] * y[i]
+
+    @ti.kernel
+    def divide_kernel(x: field, y: field, quotient_out: field):
+        for i in range(x.shape[0]):
+            quotient = 0.0
+            if y[i] != 0.0:
+                quotient = x[i] / y[i]
+            quotient_out[i] = quotient
+
+    @ti.kernel
+    def choose_kernel(condition: field, x: field, y: field, chosen_out: field):
+        for i in range(x.shape[0]):
+            chosen = y[i]
+            if condition[i] > 0.0:
+                chosen = x[i]
+            chosen_out[i] = chosen
+
+    @ti.kernel
+    def at_least_kernel(x: field, threshold: float, x_out: field):
+        for i in range(x.shape[0]):
+            value = 0.0
+            if x[i] >= threshold:
+                value = x[i]
+            x_out[i] = value
+
+    @ti.kernel
+    def clamp_kernel(x: field, low: float, high: float, x_out: field):
+        for i in range(x.shape[0]):
+            x_out[i] = ti.math.clamp(x[i], low, high)
+
+    @ti.kernel
+    def ratio_kernel(numerator: scalar, denominator: scalar, factor: ti.f64, ratio_out: scalar):
+        quotient = ti.f64(0.0)
+        if denominator[0] != 0.0:
+            quotient = factor * numerator[0] / denominator[0]
+        ratio_out[0] = quotient
+
+    return SimpleNamespace(
+        multiply=multiply_kernel,
+        divide=divide_kernel,
+        choose=choose_kernel,
+        at_least=at_least_kernel,
+        clamp=clamp_kernel,
+        ratio=ratio_kernel,
+    )
 
 
-@ti.kernel
-def _multiply_kernel(x: flat(), y: flat(), product_out: flat()):
-    for i in range(x.shape[0]):
-        product_out[i] = x[i] * y[i]
-
-
-@ti.kernel
-def _clamp_kernel(x: flat(), low: float, high: float, x_out: flat()):
-    for i in range(x.shape[0]):
-        x_out[i] = ti.math.clamp(x[i], low, high)
-
-
-@ti.kernel
-def _dot_kernel(x: flat(), y: flat(), serial: ti.template(), sums_out: ti.types.ndarray(dtype=ti.f64, ndim=1)):
-    """Partial sums over parts of the fields: each in one piece on a CPU, interleaved on a GPU."""
-    for part in range(_PARTS):
-        total = ti.cast(0.0, ti.f64)
-        step, i, last = _PARTS, part, x.shape[0]
-        if ti.static(serial):
-            length = (x.shape[0] + _PARTS - 1) // _PARTS
-            step, i, last = 1, part * length, ti.min((part + 1) * length, x.shape[0])
-        while i < last:
-            total += ti.cast(x[i], ti.f64) * ti.cast(y[i], ti.f64)
-            i += step
-        sums_out[part] = total
-
-
-def dot(a: DeviceArray, b: DeviceArray) -> float:
-    sums = np.empty(_PARTS)
-    run(_dot_kernel, a.values, b.values, on_cpu(), sums)
-    return float(sums.sum())
+def ratio(numerator: DeviceArray, denominator: DeviceArray, ratio_out: DeviceArray, *, factor: float = 1.0) -> None:
+    run(_kernels().ratio, numerator.values, denominator.values, factor, ratio_out.values)
 
 
 def copy(source: DeviceArray, target_out: DeviceArray) -> None:
-    run(_copy_kernel, source.values, target_out.values)
+    run(_linear_kernels(source.scalar).copy, source.values, target_out.values)
 
 
-def axpby(alpha: float, x: DeviceArray, beta: float, y: DeviceArray, y_out: DeviceArray) -> None:
-    run(_axpby_kernel, alpha, x.values, beta, y.values, y_out.values)
+def axpby(
+    alpha: float | DeviceArray, x: DeviceArray, beta: float | DeviceArray, y: DeviceArray, y_out: DeviceArray
+) -> None:
+    run(
+        _linear_kernels(y_out.scalar).axpby, *_coefficient(alpha), x.values, *_coefficient(beta), y.values, y_out.values
+    )
 
 
 def multiply(x: DeviceArray, y: DeviceArray, product_out: DeviceArray) -> None:
-    run(_multiply_kernel, x.values, y.values, product_out.values)
+    run(_kernels().multiply, x.values, y.values, product_out.values)
+
+
+def divide(x: DeviceArray, y: DeviceArray, quotient_out: DeviceArray) -> None:
+    run(_kernels().divide, x.values, y.values, quotient_out.values)
+
+
+def fill(value: float | DeviceArray, x_out: DeviceArray) -> None:
+    run(_linear_kernels(x_out.scalar).fill, *_coefficient(value), x_out.values)
+
+
+def choose(condition: DeviceArray, x: DeviceArray, y: DeviceArray, chosen_out: DeviceArray) -> None:
+    run(_kernels().choose, condition.values, x.values, y.values, chosen_out.values)
+
+
+def at_least(x: DeviceArray, threshold: float, x_out: DeviceArray) -> None:
+    run(_kernels().at_least, x.values, threshold, x_out.values)
 
 
 def clamp(x: DeviceArray, low: float, high: float, x_out: DeviceArray) -> None:
-    run(_clamp_kernel, x.values, low, high, x_out.values)
+    run(_kernels().clamp, x.values, low, high, x_out.values)
+
+
+def _coefficient(value: float | DeviceArray) -> tuple[float, ti.Ndarray]:
+    """A number and a scalar whose product the value is."""
+    return (1.0, value.values) if isinstance(value, DeviceArray) else (value, one().values)

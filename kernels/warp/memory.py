@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from .threads import once
 
-_SCALARS: dict[type, Any] = {np.uint8: wp.uint8, np.uint16: wp.uint16, np.float32: wp.float32}
+_SCALARS: dict[type, Any] = {
+    np.uint8: wp.uint8,
+    np.uint16: wp.uint16,
+    np.float16: wp.float16,
+    np.float32: wp.float32,
+}
 
 
 @once
@@ -63,11 +68,31 @@ def zeros(shape: Sequence[int], device: str) -> Any:
     return wp.zeros(tuple(shape), dtype=wp.float32, device=device)
 
 
-def zeros_image(shape: Sequence[int], device: str) -> Any:
+def zeros_image(shape: Sequence[int], device: str, stored: Any = np.float32) -> Any:
     start()
-    return wp.zeros(tuple(shape[:-1]), dtype=pixel_type(shape[-1]), device=device)
+    return wp.zeros(tuple(shape[:-1]), dtype=pixel_type(shape[-1], _SCALARS[np.dtype(stored).type]), device=device)
+
+
+def scalar(value: float, device: str) -> Any:
+    start()
+    return wp.array([value], dtype=wp.float64, device=device)
+
+
+def upload(values: Any, array_out: Any) -> None:
+    if not isinstance(values, np.ndarray):
+        source = wp.from_dlpack(values, dtype=array_out.dtype)
+    elif array_out.dtype is wp.float32:
+        source = wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.float32, device="cpu", copy=False)
+    else:
+        contiguous = np.ascontiguousarray(values)
+        source = wp.array(contiguous, dtype=array_out.dtype, shape=array_out.shape, device="cpu", copy=False)
+    wp.copy(array_out, source)
 
 
 def numpy(array: Any) -> NDArray[Any]:
     values = np.array(array.numpy())
     return values if array.dtype is wp.float32 else values.reshape(*array.shape, array.dtype._length_)
+
+
+def number(scalar: Any) -> float:
+    return float(scalar.numpy()[0])

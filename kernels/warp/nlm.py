@@ -1,17 +1,20 @@
 """Non-local-means weights and the two linear operators that they make; `kernels/reference/nlm.py` says which."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from lfgpu.types import half_window
+from lfgpu.types import NlmWeights, half_window
 
 from .memory import pixel_type
 from .threads import in_slices, lanes, launch_rows, load, once
 
 wp.set_module_options({"enable_backward": False})
+
+_WARP = 32  # pixels of a block on a GPU
 
 
 @once
@@ -29,8 +32,9 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
         features_out: wp.array2d(dtype=feature),
     ):
         """Colour and its central differences in x and y, times `color` and `gradient`."""
-        y, lane = wp.tid()
-        y = y + row
+        i = wp.tid()
+        y = row + i / lanes
+        lane = i % lanes
         height = image.shape[0]
         width = image.shape[1]
         for x in range(lane, width, lanes):
@@ -106,16 +110,13 @@ _ROW_LOOP = """
     float* __restrict__ s = sums.data;
     const int first = dx < 0 ? -dx : 0;
     const int last = dx < 0 ? here.shape[0] : here.shape[0] - dx;
-    if (lanes == 1)
-        for (int x = first; x < last; ++x) TERM;
-    else if (lane >= first && lane < last)
-        for (int x = lane; x < last; x += lanes) TERM;
+    for (int x = first; x < last; ++x) TERM;
 """
 
 
 @once
 def _operator(name: str, term: str, keep: float) -> Any:
-    """The kernel that starts from `keep` times the values and adds `term` for each pixel of the window."""
+    """The CPU's kernel that starts from `keep` times the values and adds `term` for each pixel of the window."""
 
     @wp.func_native(_ROW_LOOP.replace("TERM", term))
     def add_row(
@@ -124,8 +125,6 @@ def _operator(name: str, term: str, keep: float) -> Any:
         other: wp.array(dtype=float),
         dx: int,
         back: int,
-        lane: int,
-        lanes: int,
         sums: wp.array(dtype=float),
     ): ...
 
@@ -138,17 +137,87 @@ def _operator(name: str, term: str, keep: float) -> Any:
         lanes: int,
         sums_out: wp.array2d(dtype=float),
     ):
-        y, lane = wp.tid()
-        y = y + row
+        i = wp.tid()
+        y = row + i / lanes
+        lane = i % lanes
         for x in range(lane, values.shape[1], lanes):
             sums_out[y, x] = wp.static(keep) * values[y, x]
         for k in range(half_window.shape[0]):
             dy = half_window[k][0]
             dx = half_window[k][1]
             if y + dy < values.shape[0]:
-                add_row(weights[k, y], values[y], values[y + dy], dx, 0, lane, lanes, sums_out[y])
+                add_row(weights[k, y], values[y], values[y + dy], dx, 0, sums_out[y])
             if y - dy >= 0:
-                add_row(weights[k, y - dy], values[y], values[y - dy], -dx, -dx, lane, lanes, sums_out[y])
+                add_row(weights[k, y - dy], values[y], values[y - dy], -dx, -dx, sums_out[y])
+
+    return operator_kernel
+
+
+_PIXEL_SUM = """
+    // The warps of a block have the same 32 pixels, and each one row of the half window.
+    __shared__ float parts[RADIUS + 1][32];
+    const int height = values.shape[0], width = values.shape[1], p = y * width + x;
+    const size_t size = (size_t)height * width;
+    float total = 0.f;
+    if (x < width) {
+        const float here = values.data[p];
+        const bool below = y + dy < height, above = y >= dy, inner = x >= RADIUS && x < width - RADIUS;
+        const float* const down = values.data + p + dy * width;
+        const float* const up = values.data + p - dy * width;
+        // Of the row's first neighbour, dx = -RADIUS; the centre row begins at dx = 1, which is neighbour 0.
+        const float* w = weights.data + ((long long)dy * (2 * RADIUS + 1) - RADIUS - 1) * (long long)size + p;
+    #pragma unroll
+        for (int dx = -RADIUS; dx <= RADIUS; ++dx, w += size) {
+            if (dy == 0 && dx <= 0) continue;
+            if (below && (inner || (unsigned)(x + dx) < (unsigned)width)) {
+                const float other = down[dx];
+                total += w[0] * TERM;
+            }
+            if (above && (inner || (unsigned)(x - dx) < (unsigned)width)) {
+                const float other = up[-dx];
+                total += w[-dy * width - dx] * TERM;
+            }
+        }
+    }
+    parts[dy][lane] = total;
+    __syncthreads();
+    if (dy == 0 && x < width) {
+        total = KEEP * values.data[p];
+        for (int row = 0; row <= RADIUS; ++row) total += parts[row][lane];
+        sums.data[p] = total;
+    }
+"""
+
+
+@once
+def _gpu_operator(name: str, term: str, keep: float, radius: int) -> Any:
+    """The same for a GPU: several threads for each pixel."""
+    code = _PIXEL_SUM.replace("TERM", term).replace("KEEP", f"{keep}f").replace("RADIUS", str(radius))
+
+    @wp.func_native(code)
+    def add_pixel(
+        weights: wp.array3d(dtype=float),
+        values: wp.array2d(dtype=float),
+        y: int,
+        x: int,
+        dy: int,
+        lane: int,
+        sums: wp.array2d(dtype=float),
+    ): ...
+
+    @wp.kernel(module=f"lfgpu_nlm_gpu_{name}_{radius}", enable_backward=False)
+    def operator_kernel(
+        weights: wp.array3d(dtype=float), values: wp.array2d(dtype=float), sums_out: wp.array2d(dtype=float)
+    ):
+        i = wp.tid()
+        block = i / wp.static(_WARP * (radius + 1))
+        thread = i - block * wp.static(_WARP * (radius + 1))
+        dy = thread / wp.static(_WARP)
+        lane = thread - dy * wp.static(_WARP)
+        columns = (values.shape[1] + wp.static(_WARP - 1)) / wp.static(_WARP)
+        y = block / columns
+        x = (block - y * columns) * wp.static(_WARP) + lane
+        add_pixel(weights, values, y, x, dy, lane, sums_out)
 
     return operator_kernel
 
@@ -159,41 +228,60 @@ def _half_window(window: int, device: str) -> Any:
 
 
 def nlm_weights(
-    image: Any,
+    shape: Sequence[int],
+    device: str,
     *,
     window: int,
     patch: int,
     sigma_color: float,
     sigma_gradient: float,
     floor: float,
-    scratch_out: Any,
-    weights_out: Any,
-) -> None:
-    device, threads, channels = image.device, lanes(image), image.dtype._length_
-    kernels = _feature_kernels(channels)
-    steps = _half_window(window, device.alias)
-    features = wp.empty(image.shape, dtype=pixel_type(3 * channels), device=device)
+) -> NlmWeights:
+    (height, width, channels), place = shape, wp.get_device(device)
+    kernels, steps = _feature_kernels(channels), _half_window(window, device)
+    features = wp.empty((height, width), dtype=pixel_type(3 * channels), device=place)
+    distances = wp.empty((len(steps), height, width), dtype=float, device=place)
     color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
-    launch_rows(kernels.features, [image, color, gradient], features)
-    load(device, kernels.distance, _weight_kernel)
 
-    def some_neighbors(_: int, first: int, last: int) -> None:
-        some, distances, dim = steps[first:last], scratch_out[first:last], (last - first, image.shape[0], threads)
-        wp.launch(kernels.distance, dim, [features, some, threads], [distances], device=device)
-        inputs = [distances, some, patch // 2, floor, threads]
-        wp.launch(_weight_kernel, dim, inputs, [weights_out[first:last]], device=device)
+    def weigh(image: Any, weights_out: Any) -> None:
+        threads = lanes(image)
+        launch_rows(kernels.features, [image, color, gradient], features)
+        load(place, kernels.distance, _weight_kernel)
 
-    in_slices(device, weights_out.shape[0], some_neighbors)
+        def some_neighbors(_: int, first: int, last: int) -> None:
+            some, room, dim = steps[first:last], distances[first:last], (last - first, height, threads)
+            wp.launch(kernels.distance, dim, [features, some, threads], [room], device=place)
+            inputs = [room, some, patch // 2, floor, threads]
+            wp.launch(_weight_kernel, dim, inputs, [weights_out[first:last]], device=place)
+
+        in_slices(place, len(steps), some_neighbors)
+
+    return weigh
 
 
 def nlm_neighbors(weights: Any, values: Any, *, window: int, sums_out: Any) -> None:
-    _apply(_operator("neighbors", "s[x] += w[x + back] * o[x + dx]", 1.0), weights, values, window, sums_out)
+    if values.device.is_cpu:
+        _by_rows(_operator("neighbors", "s[x] += w[x + back] * o[x + dx]", 1.0), weights, values, window, sums_out)
+    else:
+        kernel = _gpu_operator("neighbors", "other", 1.0, window // 2)
+        _by_pixels(kernel, weights, values, window, sums_out)
 
 
 def nlm_laplacian(weights: Any, values: Any, *, window: int, laplacian_out: Any) -> None:
-    flow = "s[x] += w[x + back] * (h[x] - o[x + dx])"
-    _apply(_operator("laplacian", flow, 0.0), weights, values, window, laplacian_out)
+    if values.device.is_cpu:
+        flow = "s[x] += w[x + back] * (h[x] - o[x + dx])"
+        _by_rows(_operator("laplacian", flow, 0.0), weights, values, window, laplacian_out)
+    else:
+        kernel = _gpu_operator("laplacian", "(here - other)", 0.0, window // 2)
+        _by_pixels(kernel, weights, values, window, laplacian_out)
 
 
-def _apply(kernel: Any, weights: Any, values: Any, window: int, result_out: Any) -> None:
+def _by_rows(kernel: Any, weights: Any, values: Any, window: int, result_out: Any) -> None:
     launch_rows(kernel, [weights, values, _half_window(window, values.device.alias)], result_out)
+
+
+def _by_pixels(kernel: Any, weights: Any, values: Any, window: int, result_out: Any) -> None:
+    (height, width), rows = values.shape, window // 2 + 1
+    block = rows * _WARP
+    dim = height * -(-width // _WARP) * block
+    wp.launch(kernel, dim, [weights, values], [result_out], device=values.device, block_dim=block)

@@ -1,5 +1,6 @@
-"""The forward splat, its two transposes, its derivative, and the data term that is made of them."""
+"""The forward splat, its two transposes, its derivative, and the data term that is made of them on a CPU."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -7,6 +8,7 @@ import warp as wp
 
 from lfgpu.types import DataTerm
 
+from .gpu_data_term import GpuDataTerm
 from .memory import pixel_type
 from .tent import tent, tent_slope
 from .threads import in_slices, lanes, launch_rows, load, once, slices
@@ -123,8 +125,9 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         lanes: int,
         image_out: wp.array2d(dtype=pixel),
     ):
-        y, lane = wp.tid()
-        y = y + row
+        i = wp.tid()
+        y = row + i / lanes
+        lane = i % lanes
         for x in range(lane, disparity.shape[1], lanes):
             total = pixel()
             for n in range(offsets.shape[0]):
@@ -173,8 +176,9 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         gradient_out: wp.array2d(dtype=float),
     ):
         """Adds factor * Jᵀ r, so that views can come in batches."""
-        y, lane = wp.tid()
-        y = y + row
+        i = wp.tid()
+        y = row + i / lanes
+        lane = i % lanes
         for x in range(lane, image.shape[1], lanes):
             d = disparity[y, x]
             value = image[y, x]
@@ -234,8 +238,9 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
 
     @wp.kernel(module=module, enable_backward=False)
     def total_kernel(gradients: wp.array3d(dtype=float), row: int, lanes: int, gradient_out: wp.array2d(dtype=float)):
-        y, lane = wp.tid()
-        y = y + row
+        i = wp.tid()
+        y = row + i / lanes
+        lane = i % lanes
         for x in range(lane, gradients.shape[2], lanes):
             total = float(0.0)
             for k in range(gradients.shape[0]):
@@ -301,50 +306,85 @@ def splat_vjp(image: Any, disparity: Any, residual: Any, offsets: Any, *, softne
     launch_rows(_for_image(image).vjp, inputs, gradient_out)
 
 
-def data_term(image: Any, recorded: Any, valid: Any | None, offsets: Any, *, scale: float, softness: float) -> DataTerm:
-    device, (height, width), n = image.device, image.shape, recorded.shape[0]
-    kernels, threads = _kernels(image.dtype._length_, recorded.dtype._wp_scalar_type_), lanes(image)
-    load(device, kernels.splat)
-    cuts = slices(device, n)
-    # One view at a time keeps the prediction in a CPU's cache; a GPU wants all of them in one launch.
-    batch = 1 if device.is_cpu else n
-    residuals = [wp.zeros((batch, height, width), dtype=image.dtype, device=device) for _ in cuts]
-    gradients = wp.zeros((len(cuts), height, width), dtype=float, device=device)
-    squares = wp.zeros((n, height), dtype=float, device=device)
-    pairs = as_offsets(offsets)
+@wp.kernel
+def _seen_kernel(
+    disparity: wp.array2d(dtype=float),
+    offsets: wp.array(dtype=wp.vec2f),
+    known: wp.array2d(dtype=float),
+    valid: wp.array3d(dtype=float),
+    lanes: int,
+    seen_out: wp.array3d(dtype=float),
+):
+    i = wp.tid()
+    height = disparity.shape[0]
+    width = disparity.shape[1]
+    lane = i % lanes
+    n = i / lanes / height
+    y = i / lanes - n * height
+    for x in range(lane, width, lanes):
+        from_x = float(x) + disparity[y, x] * offsets[n][0]
+        from_y = float(y) + disparity[y, x] * offsets[n][1]
+        seen = from_x >= 0.0 and from_x <= float(width - 1) and from_y >= 0.0 and from_y <= float(height - 1)
+        if seen and known:
+            seen = known[int(wp.rint(from_y)), int(wp.rint(from_x))] != 0.0
+        if valid and valid[n, y, x] == 0.0:
+            seen = False
+        seen_out[n, y, x] = wp.where(seen, 1.0, 0.0)
 
-    def evaluate(disparity: Any, gradient_out: Any) -> float:
+
+def seen_by_reference(disparity: Any, offsets: Any, known: Any, valid: Any, *, seen_out: Any) -> None:
+    threads, pairs, device = lanes(disparity), as_offsets(offsets), disparity.device
+    load(device, _seen_kernel)
+
+    def some_views(_: int, first: int, last: int) -> None:
+        mask = None if valid is None else valid[first:last]
+        inputs = [disparity, pairs[first:last], known, mask, threads]
+        dim = (last - first) * disparity.shape[0] * threads
+        wp.launch(_seen_kernel, dim, inputs, [seen_out[first:last]], device=device)
+
+    in_slices(device, seen_out.shape[0], some_views)
+
+
+class _CpuDataTerm:
+    """Slices of the views on the cores; one view at a time keeps the prediction in a core's cache."""
+
+    def __init__(self, shape: Sequence[int], offsets: Any, scale: float, softness: float) -> None:
+        n, height, width, channels = shape
+        self._cuts = slices(offsets.device, n)
+        pixel, parts = pixel_type(channels), len(self._cuts)
+        self._residuals = wp.empty((parts, 1, height, width), dtype=pixel, device=offsets.device)
+        self._gradients = wp.zeros((parts, height, width), dtype=float, device=offsets.device)
+        self._squares = wp.zeros((n, height), dtype=float, device=offsets.device)
+        self._pairs, self._scale, self._softness, self._channels = as_offsets(offsets), scale, softness, channels
+
+    def load(self, image: Any, recorded: Any, valid: Any) -> None:
+        self._image, self._recorded, self._valid = image, recorded, valid
+        self._kernels = _kernels(self._channels, recorded.dtype._wp_scalar_type_)
+        load(image.device, self._kernels.splat)
+
+    def __call__(self, disparity: Any, gradient_out: Any, value_out: Any) -> None:
+        image, device, softness = self._image, disparity.device, self._softness
+        dim = (1, disparity.shape[0], 1)
+
         def some_views(k: int, first: int, last: int) -> None:
-            residual, gradient = residuals[k], gradients[k]
-            for start in range(first, last, batch):
-                some = pairs[start : start + batch]
+            residual, gradient = self._residuals[k], self._gradients[k]
+            for n in range(first, last):
+                pair = self._pairs[n : n + 1]
                 residual.zero_()
-                wp.launch(
-                    kernels.splat,
-                    (batch, height, threads),
-                    [image, disparity, some, softness, threads],
-                    [residual],
-                    device=device,
-                )
-                wp.launch(
-                    kernels.residual,
-                    (batch, height, threads),
-                    [recorded, valid, start, scale, threads],
-                    [residual, squares],
-                    device=device,
-                )
-                wp.launch(
-                    kernels.vjp,
-                    (height, threads),
-                    [image, disparity, residual, some, 2.0, softness, 0, threads],
-                    [gradient],
-                    device=device,
-                )
+                inputs = [image, disparity, pair, softness, 1]
+                wp.launch(self._kernels.splat, dim, inputs, [residual], device=device)
+                inputs = [self._recorded, self._valid, n, self._scale, 1]
+                wp.launch(self._kernels.residual, dim, inputs, [residual, self._squares], device=device)
+                inputs = [image, disparity, residual, pair, 2.0, softness, 0, 1]
+                wp.launch(self._kernels.vjp, disparity.shape[0], inputs, [gradient], device=device)
 
-        gradients.zero_()
-        squares.zero_()
-        in_slices(device, n, some_views)
-        launch_rows(kernels.total, [gradients], gradient_out)
-        return float(squares.numpy().sum(dtype="float64"))
+        self._gradients.zero_()
+        self._squares.zero_()
+        in_slices(device, len(self._squares), some_views)
+        launch_rows(self._kernels.total, [self._gradients], gradient_out)
+        value_out.numpy()[0] = self._squares.numpy().sum(dtype="float64")
 
-    return evaluate
+
+def data_term(shape: Sequence[int], offsets: Any, *, scale: float, softness: float) -> DataTerm:
+    kind = _CpuDataTerm if offsets.device.is_cpu else GpuDataTerm
+    return kind(shape, offsets, scale, softness)

@@ -1,5 +1,6 @@
 """Structure tensors on sheared epipolar plane images; `kernels/reference/structure_tensor.py` says what they are."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -40,8 +41,9 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         slope_out: wp.array3d(dtype=pixel),
     ):
         """Smoothed value and derivative along the views, of EPIs sheared by linear interpolation."""
-        y, lane = wp.tid()
-        y = y + row
+        i = wp.tid()
+        y = row + i / lanes
+        lane = i % lanes
         last = epis.shape[2] - 1
         for m in range(value_out.shape[0]):
             for x in range(lane, epis.shape[2], lanes):
@@ -72,8 +74,9 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         tensor_out: wp.array2d(dtype=wp.vec3f),
     ):
         """Gradients, and their products summed over channels and the outer window along the views."""
-        y, lane = wp.tid()
-        y = y + row
+        i = wp.tid()
+        y = row + i / lanes
+        lane = i % lanes
         last = value.shape[2] - 1
         radius = across_value.shape[0] / 2
         for x in range(lane, value.shape[2], lanes):
@@ -103,8 +106,9 @@ def _slope_kernel(
     coherence_out: wp.array2d(dtype=float),
 ):
     """Outer smoothing across the views, then the direction and coherence of the tensor."""
-    y, lane = wp.tid()
-    y = y + row
+    i = wp.tid()
+    y = row + i / lanes
+    lane = i % lanes
     last = tensor.shape[1] - 1
     radius = across_outer.shape[0] / 2
     for x in range(lane, tensor.shape[1], lanes):
@@ -117,16 +121,48 @@ def _slope_kernel(
         coherence_out[y, x] = (difference * difference + 4.0 * t[1] * t[1]) / (trace * trace)
 
 
+@wp.kernel
+def _keep_kernel(
+    disparity: wp.array2d(dtype=float),
+    coherence: wp.array2d(dtype=float),
+    trusted: wp.array2d(dtype=float),
+    shear: float,
+    reach: float,
+    unit: float,
+    low: float,
+    high: float,
+    vertical: int,
+    row: int,
+    lanes: int,
+    best_disparity: wp.array2d(dtype=float),
+    best_coherence: wp.array2d(dtype=float),
+):
+    i = wp.tid()
+    y = row + i / lanes
+    lane = i % lanes
+    for x in range(lane, best_disparity.shape[1], lanes):
+        down = wp.where(vertical == 1, x, y)
+        across = wp.where(vertical == 1, y, x)
+        found = disparity[down, across]
+        better = wp.abs(found - shear) <= reach and coherence[down, across] > best_coherence[y, x]
+        if trusted and trusted[down, across] == 0.0:
+            better = False
+        found = found / unit
+        if better and found >= low and found <= high:
+            best_disparity[y, x] = found
+            best_coherence[y, x] = coherence[down, across]
+
+
 def structure_tensor(
-    epis: Any, offsets: Any, filters: StructureFilters, *, scale: float, floor: float
+    shape: Sequence[int], offsets: Any, filters: StructureFilters, *, scale: float, floor: float
 ) -> LocalEstimate:
-    device, (_, height, width), channels = epis.device, epis.shape, epis.dtype._length_
-    kernels = _kernels(channels, epis.dtype._wp_scalar_type_)
+    (_, height, width, channels), device = shape, offsets.device
     value = wp.empty((filters.along_outer.shape[0], height, width), dtype=pixel_type(channels), device=device)
     slope = wp.empty_like(value)
     tensor = wp.empty((height, width), dtype=wp.vec3f, device=device)
 
-    def evaluate(shear: float, disparity_out: Any, coherence_out: Any) -> None:
+    def evaluate(epis: Any, shear: float, disparity_out: Any, coherence_out: Any) -> None:
+        kernels = _kernels(channels, epis.dtype._wp_scalar_type_)
         along = [epis, offsets, filters.along_value, filters.along_slope, scale, shear]
         launch_rows(kernels.along, along, value, slope)
         across = [value, slope, filters.across_value, filters.across_slope, filters.along_outer]
@@ -134,3 +170,21 @@ def structure_tensor(
         launch_rows(_slope_kernel, [tensor, filters.across_outer, shear, floor], disparity_out, coherence_out)
 
     return evaluate
+
+
+def keep_more_coherent(
+    disparity: Any,
+    coherence: Any,
+    trusted: Any,
+    *,
+    shear: float,
+    reach: float,
+    unit: float,
+    low: float,
+    high: float,
+    vertical: bool,
+    best_disparity_out: Any,
+    best_coherence_out: Any,
+) -> None:
+    inputs = [disparity, coherence, trusted, shear, reach, unit, low, high, int(vertical)]
+    launch_rows(_keep_kernel, inputs, best_disparity_out, best_coherence_out)

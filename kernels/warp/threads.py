@@ -15,6 +15,7 @@ import warp as wp
 from lfgpu.threads import get_threads
 
 _SLICES = 16
+_MANY = 2**18  # pixels: to cut light work on fewer of them takes longer than the work
 _LOCK = threading.RLock()
 
 Result = TypeVar("Result")
@@ -49,18 +50,23 @@ def slices(device: Any, count: int) -> list[tuple[int, int]]:
     return [(count * k // parts, count * (k + 1) // parts) for k in range(parts)]
 
 
-def launch_rows(kernel: Any, inputs: list[Any], *outputs: Any) -> None:
-    """Launch kernel(*inputs, row, lanes, *outputs) on (y, lane) over the rows of outputs [.., y, x], in slices of them.
+def launch_rows(kernel: Any, inputs: list[Any], *outputs: Any, light: bool = False) -> None:
+    """Launch kernel(*inputs, row, lanes, *outputs) over rows of outputs [.., y, x], in slices of them from `row` on.
 
-    Slices begin at `row`, which the kernel adds to its y.
+    Thread i has y = row + i / lanes and lane = i % lanes; kernels work that out themselves, in 32 bits, as the 64 bits
+    of launches in two dimensions cost a GPU more than what some kernels do. What is `light` work for each pixel stays
+    on one thread of a CPU unless there are many pixels.
     """
     device, height, threads = outputs[0].device, outputs[0].shape[-2], lanes(outputs[0])
     load(device, kernel)
 
     def some_rows(_: int, first: int, last: int) -> None:
-        wp.launch(kernel, (last - first, threads), [*inputs, first, threads], list(outputs), device=device)
+        wp.launch(kernel, (last - first) * threads, [*inputs, first, threads], list(outputs), device=device)
 
-    in_slices(device, height, some_rows)
+    if light and outputs[0].shape[-2] * outputs[0].shape[-1] < _MANY:
+        some_rows(0, 0, height)
+    else:
+        in_slices(device, height, some_rows)
 
 
 def lanes(array: Any) -> int:

@@ -1,21 +1,50 @@
-"""What a solver does with fields, on the device."""
+"""What a solver does with fields and scalars, on the device."""
 
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from .threads import once
+
 wp.set_module_options({"enable_backward": False})
 
-_DOT_THREADS = 16384
+BLOCK = 256
+_BLOCKS = 128  # of a dot product on a GPU
+
+
+@wp.func
+def value_of(number: float, scalar: wp.array(dtype=wp.float64)) -> float:
+    """The scalar if there is one, else the number."""
+    value = number
+    if scalar:
+        value = float(scalar[0])
+    return value
 
 
 @wp.kernel
 def _axpby_kernel(
-    alpha: float, x: wp.array(dtype=float), beta: float, y: wp.array(dtype=float), y_out: wp.array(dtype=float)
+    alpha: float,
+    alpha_scalar: wp.array(dtype=wp.float64),
+    x: wp.array(dtype=float),
+    beta: float,
+    beta_scalar: wp.array(dtype=wp.float64),
+    y: wp.array(dtype=float),
+    y_out: wp.array(dtype=float),
 ):
     i = wp.tid()
-    y_out[i] = alpha * x[i] + beta * y[i]
+    y_out[i] = value_of(alpha, alpha_scalar) * x[i] + value_of(beta, beta_scalar) * y[i]
+
+
+@wp.kernel
+def _axpby_scalar_kernel(
+    alpha: wp.float64,
+    x: wp.array(dtype=wp.float64),
+    beta: wp.float64,
+    y: wp.array(dtype=wp.float64),
+    y_out: wp.array(dtype=wp.float64),
+):
+    y_out[0] = alpha * x[0] + beta * y[0]
 
 
 @wp.kernel
@@ -25,42 +54,133 @@ def _multiply_kernel(x: wp.array(dtype=float), y: wp.array(dtype=float), product
 
 
 @wp.kernel
+def _divide_kernel(x: wp.array(dtype=float), y: wp.array(dtype=float), quotient_out: wp.array(dtype=float)):
+    i = wp.tid()
+    quotient = float(0.0)
+    if y[i] != 0.0:
+        quotient = x[i] / y[i]
+    quotient_out[i] = quotient
+
+
+@wp.kernel
+def _fill_kernel(value: float, scalar: wp.array(dtype=wp.float64), x_out: wp.array(dtype=float)):
+    x_out[wp.tid()] = value_of(value, scalar)
+
+
+@wp.kernel
+def _choose_kernel(
+    condition: wp.array(dtype=float),
+    x: wp.array(dtype=float),
+    y: wp.array(dtype=float),
+    chosen_out: wp.array(dtype=float),
+):
+    i = wp.tid()
+    chosen_out[i] = wp.where(condition[i] > 0.0, x[i], y[i])
+
+
+@wp.kernel
+def _at_least_kernel(x: wp.array(dtype=float), threshold: float, x_out: wp.array(dtype=float)):
+    i = wp.tid()
+    x_out[i] = wp.where(x[i] >= threshold, x[i], 0.0)
+
+
+@wp.kernel
 def _clamp_kernel(x: wp.array(dtype=float), low: float, high: float, x_out: wp.array(dtype=float)):
     i = wp.tid()
     x_out[i] = wp.clamp(x[i], low, high)
 
 
 @wp.kernel
-def _dot_kernel(x: wp.array(dtype=float), y: wp.array(dtype=float), threads: int, sum_out: wp.array(dtype=wp.float64)):
+def _ratio_kernel(
+    numerator: wp.array(dtype=wp.float64),
+    denominator: wp.array(dtype=wp.float64),
+    factor: wp.float64,
+    ratio_out: wp.array(dtype=wp.float64),
+):
+    ratio = wp.float64(0.0)
+    if denominator[0] != wp.float64(0.0):
+        ratio = factor * numerator[0] / denominator[0]
+    ratio_out[0] = ratio
+
+
+@wp.kernel
+def _partial_dot_kernel(
+    x: wp.array(dtype=float), y: wp.array(dtype=float), threads: int, partial_out: wp.array(dtype=wp.float64)
+):
+    block, thread = wp.tid()
     total = wp.float64(0.0)
-    first = wp.tid()
-    for i in range(first, x.shape[0], threads):
+    for i in range(block * wp.block_dim() + thread, x.shape[0], threads):
         total = total + wp.float64(x[i]) * wp.float64(y[i])
-    wp.atomic_add(sum_out, 0, total)
+    wp.tile_store(partial_out, wp.tile_sum(wp.tile(total)), offset=block)
 
 
-def dot(a: Any, b: Any) -> float:
-    if a.device.is_cpu:
-        return float(np.einsum("i,i->", a.numpy().ravel(), b.numpy().ravel(), dtype=np.float64))
-    total = wp.zeros(1, dtype=wp.float64, device=a.device)
-    wp.launch(_dot_kernel, _DOT_THREADS, [a.flatten(), b.flatten(), _DOT_THREADS], [total], device=a.device)
-    return float(total.numpy()[0])
+@wp.kernel
+def sum_kernel(parts: wp.array(dtype=wp.float64), total_out: wp.array(dtype=wp.float64)):
+    """The sum of all parts, by one block."""
+    _, thread = wp.tid()
+    total = wp.float64(0.0)
+    for i in range(thread, parts.shape[0], wp.block_dim()):
+        total = total + parts[i]
+    wp.tile_store(total_out, wp.tile_sum(wp.tile(total)))
+
+
+@once
+def _parts(device: str) -> Any:
+    return wp.empty(_BLOCKS, dtype=wp.float64, device=device)
+
+
+def dot(a: Any, b: Any, product_out: Any) -> None:
+    device = a.device
+    if device.is_cpu:
+        product_out.numpy()[0] = np.einsum("i,i->", a.numpy().ravel(), b.numpy().ravel(), dtype=np.float64)
+        return
+    parts = _parts(device.alias)
+    inputs = [a.flatten(), b.flatten(), _BLOCKS * BLOCK]
+    wp.launch_tiled(_partial_dot_kernel, dim=[_BLOCKS], inputs=inputs, outputs=[parts], block_dim=BLOCK, device=device)
+    wp.launch_tiled(sum_kernel, dim=[1], inputs=[parts], outputs=[product_out], block_dim=BLOCK, device=device)
+
+
+def ratio(numerator: Any, denominator: Any, ratio_out: Any, *, factor: float = 1.0) -> None:
+    wp.launch(_ratio_kernel, 1, [numerator, denominator, factor], [ratio_out], device=ratio_out.device)
 
 
 def copy(source: Any, target_out: Any) -> None:
     wp.copy(target_out, source)
 
 
-def axpby(alpha: float, x: Any, beta: float, y: Any, y_out: Any) -> None:
-    _launch(_axpby_kernel, [alpha, x.flatten(), beta, y.flatten()], y_out)
+def axpby(alpha: Any, x: Any, beta: Any, y: Any, y_out: Any) -> None:
+    if y_out.dtype is wp.float64:
+        _launch(_axpby_scalar_kernel, [alpha, x, beta, y], y_out)
+        return
+    _launch(_axpby_kernel, [*_number_or_scalar(alpha), x.flatten(), *_number_or_scalar(beta), y.flatten()], y_out)
 
 
 def multiply(x: Any, y: Any, product_out: Any) -> None:
     _launch(_multiply_kernel, [x.flatten(), y.flatten()], product_out)
 
 
+def divide(x: Any, y: Any, quotient_out: Any) -> None:
+    _launch(_divide_kernel, [x.flatten(), y.flatten()], quotient_out)
+
+
+def fill(value: Any, x_out: Any) -> None:
+    _launch(_fill_kernel, [*_number_or_scalar(value)], x_out)
+
+
+def choose(condition: Any, x: Any, y: Any, chosen_out: Any) -> None:
+    _launch(_choose_kernel, [condition.flatten(), x.flatten(), y.flatten()], chosen_out)
+
+
+def at_least(x: Any, threshold: float, x_out: Any) -> None:
+    _launch(_at_least_kernel, [x.flatten(), threshold], x_out)
+
+
 def clamp(x: Any, low: float, high: float, x_out: Any) -> None:
     _launch(_clamp_kernel, [x.flatten(), low, high], x_out)
+
+
+def _number_or_scalar(value: Any) -> tuple[float, Any]:
+    return (0.0, value) if isinstance(value, wp.array) else (float(value), None)
 
 
 def _launch(kernel: Any, inputs: list[Any], result_out: Any) -> None:

@@ -2,75 +2,88 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
-import numpy as np
+from collections.abc import Callable, Sequence
 
 from lfgpu.solvers.solution import Solution
-from lfgpu.types import Array, Float32Array, Float64Array, KernelSet
+from lfgpu.types import Array, KernelSet
 
 
-def conjugate_gradients(
-    apply: Callable[[Array, Array], None],
-    right_side: Array,
-    start: Float32Array | Float64Array,
-    preconditioner: Float32Array | Float64Array,
-    *,
-    kernels: KernelSet,
-    device: str,
-    tolerance: float,
-    max_iterations: int,
-    callback: Callable[[int, float], None] | None = None,
-) -> Solution:
-    """Solve A x = b for a symmetric positive definite A.
+class ConjugateGradients:
+    """Solves A x = b for symmetric positive definite A; all of it on the device, so that it can be captured.
 
     Parameters
     ----------
-    apply
-        apply(x, result_out) writes A x; both are fields [y, x].
-    right_side
-        b, a field.
-    start
-        First guess [y, x].
-    preconditioner
-        An approximate inverse of A's diagonal [y, x], > 0.
+    shape
+        (height, width) of the fields.
+    kernels, device
+        Where they live.
     tolerance
         Stop when the residual r = b - A x is as small: √(rᵀ M r) <= tolerance * √(bᵀ M b), M the preconditioner. In
         this norm a weakly tied unknown counts as much as a strongly tied one.
     max_iterations
         Stop after as many.
-    callback
-        Called as callback(iteration, √(rᵀ M r) / √(bᵀ M b)).
     """
-    shape = start.shape
-    x, inverse = kernels.field(start, device), kernels.field(preconditioner, device)
-    r, z, p, q = (kernels.zeros(shape, device) for _ in range(4))
-    apply(x, r)
-    kernels.axpby(1.0, right_side, -1.0, r, r)
-    kernels.multiply(inverse, r, z)
-    kernels.copy(z, p)
-    rz = kernels.dot(r, z)
-    kernels.multiply(inverse, right_side, q)
-    norm = np.sqrt(kernels.dot(right_side, q)) or 1.0
-    trace = [float(np.sqrt(rz) / norm)]
-    while trace[-1] > tolerance and len(trace) <= max_iterations:
-        apply(p, q)
-        alpha = rz / kernels.dot(p, q)
-        kernels.axpby(1.0, x, alpha, p, x)
-        kernels.axpby(1.0, r, -alpha, q, r)
-        kernels.multiply(inverse, r, z)
-        rz, previous = kernels.dot(r, z), rz
-        kernels.axpby(1.0, z, rz / previous, p, p)
-        trace.append(float(np.sqrt(rz) / norm))
-        if callback is not None:
-            callback(len(trace) - 1, trace[-1])
-    iterations, converged = len(trace) - 1, trace[-1] <= tolerance
-    reason = "the residual is small enough" if converged else "the limit of iterations is reached"
-    return Solution(
-        kernels.numpy(x).astype(np.float32),
-        converged,
-        f"conjugate gradients stopped after {iterations} iterations: {reason} ({trace[-1]:.1e}).",
-        iterations,
-        iterations + 1,
-        tuple(trace),
-    )
+
+    def __init__(
+        self, shape: Sequence[int], kernels: KernelSet, device: str, *, tolerance: float, max_iterations: int
+    ) -> None:
+        self._kernels, self._tolerance, self._most = kernels, tolerance, max_iterations
+        self._r, self._z, self._p, self._q = (kernels.zeros(shape, device) for _ in range(4))
+        self._rz, self._pq, self._norm, self._ratio, self._minus = (kernels.scalar(0.0, device) for _ in range(5))
+        self._residuals = kernels.residuals(device, tolerance=tolerance, most=max_iterations)
+
+    def solve(
+        self,
+        apply: Callable[[Array, Array], None],
+        right_side: Array,
+        preconditioner: Array,
+        x: Array,
+        callback: Callable[[int, float], None] | None = None,
+    ) -> None:
+        """Improve `x`, a field [y, x], until A x = b.
+
+        apply(x, result_out) writes A x; `right_side` is b, `preconditioner` an approximate inverse of A's diagonal, all
+        fields. `callback` is called as callback(iteration, √(rᵀ M r) / √(bᵀ M b)); it waits for the device.
+        """
+        k, r, z, p, q = self._kernels, self._r, self._z, self._p, self._q
+        k.multiply(preconditioner, right_side, q)
+        k.dot(right_side, q, self._norm)
+        self._residuals.begin(self._norm)
+        apply(x, r)
+        k.axpby(1.0, right_side, -1.0, r, r)
+        k.multiply(preconditioner, r, z)
+        k.copy(z, p)
+        k.dot(r, z, self._rz)
+        self._residuals.add(self._rz)
+
+        def iterate() -> None:
+            apply(p, q)
+            k.dot(p, q, self._pq)
+            k.ratio(self._rz, self._pq, self._ratio)
+            k.ratio(self._rz, self._pq, self._minus, factor=-1.0)
+            k.axpby(1.0, x, self._ratio, p, x)
+            k.axpby(1.0, r, self._minus, q, r)
+            k.multiply(preconditioner, r, z)
+            k.copy(self._rz, self._pq)
+            k.dot(r, z, self._rz)
+            k.ratio(self._rz, self._pq, self._ratio)
+            k.axpby(1.0, z, self._ratio, p, p)
+            self._residuals.add(self._rz)
+            if callback is not None:
+                trace = self._residuals.report()
+                callback(len(trace) - 1, trace[-1])
+
+        k.repeat(iterate, self._residuals.go_on, self._most)
+
+    def report(self) -> Solution:
+        """How the last solve went; waits for the device."""
+        trace = self._residuals.report()
+        iterations, converged = len(trace) - 1, trace[-1] <= self._tolerance
+        reason = "the residual is small enough" if converged else "the limit of iterations is reached"
+        return Solution(
+            converged,
+            f"conjugate gradients stopped after {iterations} iterations: {reason} ({trace[-1]:.1e}).",
+            iterations,
+            iterations + 1,
+            tuple(trace),
+        )

@@ -1,95 +1,108 @@
-"""Bounded L-BFGS by scipy (Byrd, Lu, Nocedal and Zhu 1995), the optimiser of the paper."""
+"""Bounded L-BFGS by scipy (Byrd, Lu, Nocedal and Zhu 1995), the optimiser of the paper; its vectors are on the host."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.optimize import Bounds, minimize
 from threadpoolctl import threadpool_limits
 
+from lfgpu.solvers.lbfgs import PATIENCE, Energy
 from lfgpu.solvers.solution import Solution
-from lfgpu.types import Float32Array, Float64Array
+from lfgpu.types import Array, Float64Array, KernelSet
 
-_PATIENCE = 5  # iterations over which a decrease is judged: a single short step says little
 _LIMIT = 1  # scipy's status
 
 
-def minimize_lbfgsb(
-    value_and_gradient: Callable[[Float64Array], tuple[float, Float64Array]],
-    start: Float32Array | Float64Array,
-    bounds: tuple[float, float],
-    *,
-    tolerance: float,
-    max_iterations: int,
-    callback: Callable[[int, float], None] | None = None,
-) -> Solution:
-    """Minimise a function of a map within bounds.
+class ScipyLbfgsb:
+    """Minimises a function of a map within bounds: what `BoundedLbfgs` is held against. Parameters are the same."""
 
-    Parameters
-    ----------
-    value_and_gradient
-        Value and gradient [y, x] at a map [y, x], float64.
-    start
-        First guess [y, x]; moved into the bounds.
-    bounds
-        (low, high) of every pixel.
-    tolerance
-        Stop when iterations lower the value by less than this share of the first value, five of them on average.
-    max_iterations
-        Stop after as many.
-    callback
-        Called as callback(iteration, value).
-    """
-    shape = start.shape
-    first = np.clip(start, *bounds).astype(np.float64)
-    first_value, first_gradient = value_and_gradient(first)
-    trace = [first_value]
-    if max_iterations == 0:  # scipy would make one all the same
-        return Solution(first.astype(np.float32), False, "no iteration was allowed.", 0, 1, tuple(trace))
-    scale = 1.0 / (abs(first_value) or 1.0)  # some of scipy's thresholds are absolute
-    known = [(scale * first_value, scale * first_gradient.ravel())]  # scipy begins where we have been
+    def __init__(
+        self,
+        shape: Sequence[int],
+        bounds: tuple[float, float],
+        kernels: KernelSet,
+        device: str,
+        *,
+        tolerance: float,
+        max_iterations: int,
+    ) -> None:
+        self._shape, self._bounds, self._kernels = tuple(shape), bounds, kernels
+        self._tolerance, self._most = tolerance, max_iterations
+        self._gradient, self._value = kernels.zeros(shape, device), kernels.scalar(0.0, device)
+        self._solution: Solution | None = None
 
-    def scaled(x: Float64Array) -> tuple[float, Float64Array]:
-        if known:
-            return known.pop()
-        value, gradient = value_and_gradient(x.reshape(shape))
-        return scale * value, scale * gradient.ravel()
+    def minimize(self, energy: Energy, x: Array, callback: Callable[[int, float], None] | None = None) -> None:
+        """Improve `x`, a field [y, x]; `callback` is called as callback(iteration, value)."""
+        kernels = self._kernels
 
-    def after_iteration(intermediate_result: object) -> None:
-        trace.append(float(intermediate_result.fun) / scale)  # type: ignore[attr-defined]
-        if callback is not None:
-            callback(len(trace) - 1, trace[-1])
-        if flat(trace):
-            raise StopIteration
+        def value_and_gradient(values: Float64Array) -> tuple[float, Float64Array]:
+            kernels.upload(values.reshape(self._shape), x)
+            energy(x, self._gradient, self._value)
+            return kernels.number(self._value), kernels.numpy(self._gradient).astype(np.float64).ravel()
 
-    def flat(values: list[float]) -> bool:
-        last = values[-_PATIENCE - 1 :]
-        return len(last) > _PATIENCE and scale * (last[0] - last[-1]) <= _PATIENCE * tolerance
+        start = np.clip(kernels.numpy(x).astype(np.float64), *self._bounds)
+        values, self._solution = self._minimum(value_and_gradient, start, callback)
+        kernels.upload(values, x)
 
-    # The products are of a few vectors: BLAS threads spend longer waiting for each other, and hold up the kernels.
-    with threadpool_limits(1, user_api="blas"):
-        result = minimize(
-            scaled,
-            first.ravel(),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=Bounds(np.full(first.size, bounds[0]), np.full(first.size, bounds[1])),
-            callback=after_iteration,
-            options={"maxiter": max_iterations, "maxfun": 10 * max_iterations + 10, "ftol": 0.0, "gtol": 0.0},
-        )
-    converged = flat(trace) or bool(result.success)
-    if converged:
-        reason = "the energy no longer falls"
-    elif result.status == _LIMIT:
-        reason = "the limit of iterations is reached"
-    else:
-        reason = "the line search finds nothing lower"
-    return Solution(
-        result.x.reshape(shape).astype(np.float32),
-        converged,
-        f"L-BFGS-B stopped after {len(trace) - 1} iterations: {reason} ({trace[-1]:.6g}).",
-        len(trace) - 1,
-        int(result.nfev),
-        tuple(trace),
-    )
+    def report(self) -> Solution:
+        """How the last minimisation went."""
+        assert self._solution is not None, "nothing was minimised yet"
+        return self._solution
+
+    def _minimum(
+        self,
+        value_and_gradient: Callable[[Float64Array], tuple[float, Float64Array]],
+        start: Float64Array,
+        callback: Callable[[int, float], None] | None,
+    ) -> tuple[Float64Array, Solution]:
+        first_value, first_gradient = value_and_gradient(start)
+        trace = [first_value]
+        if self._most == 0:  # scipy would make one all the same
+            return start, _solution(trace, 1, flat=False, reason="no iteration was allowed")
+        scale = 1.0 / (abs(first_value) or 1.0)  # some of scipy's thresholds are absolute
+        known = [(scale * first_value, scale * first_gradient)]  # scipy begins where we have been
+
+        def scaled(x: Float64Array) -> tuple[float, Float64Array]:
+            if known:
+                return known.pop()
+            value, gradient = value_and_gradient(x)
+            return scale * value, scale * gradient
+
+        def after_iteration(intermediate_result: object) -> None:
+            trace.append(float(intermediate_result.fun) / scale)  # type: ignore[attr-defined]
+            if callback is not None:
+                callback(len(trace) - 1, trace[-1])
+            if flat():
+                raise StopIteration
+
+        def flat() -> bool:
+            last = trace[-PATIENCE - 1 :]
+            return len(last) > PATIENCE and scale * (last[0] - last[-1]) <= PATIENCE * self._tolerance
+
+        # The products are of a few vectors: BLAS threads spend longer waiting for each other, and hold up the kernels.
+        with threadpool_limits(1, user_api="blas"):
+            result = minimize(
+                scaled,
+                start.ravel(),
+                jac=True,
+                method="L-BFGS-B",
+                bounds=Bounds(np.full(start.size, self._bounds[0]), np.full(start.size, self._bounds[1])),
+                callback=after_iteration,
+                options={"maxiter": self._most, "maxfun": 10 * self._most + 10, "ftol": 0.0, "gtol": 0.0},
+            )
+        converged = flat() or bool(result.success)
+        if converged:
+            reason = "the energy no longer falls"
+        elif result.status == _LIMIT:
+            reason = "the limit of iterations is reached"
+        else:
+            reason = "the line search finds nothing lower"
+        return result.x.reshape(self._shape), _solution(trace, int(result.nfev), flat=converged, reason=reason)
+
+
+def _solution(trace: list[float], evaluations: int, *, flat: bool, reason: str) -> Solution:
+    iterations = len(trace) - 1
+    status = f"L-BFGS-B stopped after {iterations} iterations: {reason} ({trace[-1]:.6g})."
+    return Solution(flat, status, iterations, evaluations, tuple(trace))

@@ -1,20 +1,16 @@
-"""What a solver returns."""
+"""What a solver says when it is done."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lfgpu.types import Float32Array
 
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Solution:
-    """A minimum, or how near a solver came.
+    """How a solver got to its minimum, or how near it came; the minimum itself stays on the device.
 
     Parameters
     ----------
-    values
-        The map, float32 [y, x].
     converged
         Whether the tolerance was met.
     status
@@ -22,10 +18,9 @@ class Solution:
     iterations, evaluations
         How many were needed.
     trace
-        What was reported after each iteration: the energy, or for linear systems the relative residual.
+        What was left at the start and after each iteration: the energy, or for linear systems the relative residual.
     """
 
-    values: Float32Array
     converged: bool
     status: str
     iterations: int

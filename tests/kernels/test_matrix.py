@@ -18,15 +18,25 @@ from lfgpu import _backends, types
 
 CASES: dict[str, tuple[Any, ...]] = {
     "splat": cases.SPLAT_CASES,
+    "seen": cases.SEEN_CASES,
+    "views": cases.VIEWS_CASES,
     "nlm": cases.NLM_CASES,
     "epi": cases.EPI_CASES,
+    "coherence": cases.COHERENCE_CASES,
     "vector": cases.VECTOR_CASES,
+    "residuals": cases.RESIDUALS_CASES,
+    "lbfgs": cases.LBFGS_CASES,
 }
 MAKERS: dict[str, Any] = {
     "splat": cases.splat_inputs,
+    "seen": cases.seen_inputs,
+    "views": cases.views_inputs,
     "nlm": cases.nlm_inputs,
     "epi": cases.epi_inputs,
+    "coherence": cases.coherence_inputs,
     "vector": cases.vector_inputs,
+    "residuals": cases.residuals_inputs,
+    "lbfgs": cases.lbfgs_inputs,
 }
 CELLS = [
     pytest.param(operation, case, id=f"{operation}-{case}")
@@ -39,8 +49,18 @@ MASKED = [case for case in cases.SPLAT_CASES if case.masked]
 def test_matrix_has_every_operation_of_the_contract() -> None:
     contract = {name for name in vars(types.KernelSet) if not name.startswith("_")} - {"name", "dtype", "devices"}
     covered = {str(operation) for operation in checks.OPERATIONS} - {"memory", "image_memory"}
-    memory = {"field", "image", "zeros", "zeros_image", "numpy"}  # in every check, and in the two about memory
-    assert contract == covered | memory
+    memory = {
+        "field",
+        "image",
+        "zeros",
+        "zeros_image",
+        "scalar",
+        "upload",
+        "numpy",
+        "number",
+    }  # in the two about memory
+    control = {"repeat", "capture"}  # in checks of their own
+    assert contract == covered | memory | control
 
 
 PAGE = (Path(__file__).parents[2] / "kernels" / "README.md").read_text(encoding="utf-8")
@@ -125,11 +145,6 @@ def test_nothing_valid_is_nothing_at_all(target: Any, case: cases.SplatCase, rng
     checks.check_nothing_valid_is_nothing_at_all(target.kernels, target.device, cases.splat_inputs(case, rng))
 
 
-@pytest.mark.parametrize("case", cases.ENERGY_CASES, ids=str)
-def test_energy_and_its_gradient(target: Any, case: cases.EnergyCase, rng: np.random.Generator) -> None:
-    checks.check_energy(target.kernels, target.device, cases.energy_inputs(case, rng), case.tolerance)
-
-
 def test_all_out_of_the_frame_is_nothing_at_all(target: Any, rng: np.random.Generator) -> None:
     (case,) = (case for case in cases.SPLAT_CASES if case.name == "all out of the frame")
     inputs: SimpleNamespace = cases.splat_inputs(case, rng)
@@ -141,6 +156,36 @@ def test_all_out_of_the_frame_is_nothing_at_all(target: Any, rng: np.random.Gene
 
 def test_dot_accumulates_in_float64(target: Any) -> None:
     checks.check_dot_in_double(target.kernels, target.device)
+
+
+def test_numbers_are_float64(target: Any) -> None:
+    checks.check_numbers_in_double(target.kernels, target.device)
+
+
+def test_repeat_runs_its_body_as_often_as_it_should(target: Any) -> None:
+    checks.check_repeat(target.kernels, target.device)
+
+
+@pytest.mark.parametrize("make", checks.PROGRAMS)
+def test_program_on_the_device(target: Any, make: checks.MakeProgram, rng: np.random.Generator) -> None:
+    checks.check_program(target.kernels, target.device, make, checks.program_inputs(make, rng))
+
+
+@pytest.mark.parametrize("make", checks.PROGRAMS)
+def test_captured_program_does_the_same_with_new_inputs(
+    target: Any, make: checks.MakeProgram, rng: np.random.Generator
+) -> None:
+    first, second = (checks.program_inputs(make, rng) for _ in range(2))
+    second |= {name: first[name] for name in ("offsets",) if name in first}
+    if not checks.check_capture(target.kernels, target.device, make, first, second):
+        pytest.skip("this device cannot be given work as a whole")
+
+
+@pytest.mark.parametrize("size", [(6, 7), (1, 12)], ids=["map", "line"])
+def test_lbfgs_finds_the_minimum_within_bounds(target: Any, size: tuple[int, int], rng: np.random.Generator) -> None:
+    quadratic = cases.quadratic(size[0] * size[1], rng)
+    tolerance = 1e-5 if target.kernels.dtype is np.float64 else 1e-3
+    checks.check_lbfgs_converges(target.kernels, target.device, quadratic, rng.normal(size=size), tolerance)
 
 
 def test_devices_are_names_with_the_default_first(target: Any) -> None:

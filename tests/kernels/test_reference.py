@@ -6,20 +6,20 @@ import itertools
 import math
 from collections.abc import Callable
 from types import SimpleNamespace
+from typing import Any
 
 import cases
 import checks
 import numpy as np
 import pytest
+from lfgpu.kernels.reference.lbfgs import projected_gradient
 from lfgpu.kernels.reference.tent import tent, tent_slope
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import lsq_linear, minimize
 
 from lfgpu._backends import load
-from lfgpu.config import LocalConfig, PriorConfig, RefinementConfig
-from lfgpu.energy import Energy
+from lfgpu.config import LocalConfig
 from lfgpu.initial import structure_filters
-from lfgpu.lightfield import LightField
-from lfgpu.model import ForwardModel
-from lfgpu.prior import NonLocalMeans
 from lfgpu.types import half_window
 
 REFERENCE = load("reference")
@@ -301,44 +301,6 @@ def test_nlm_laplacian_is_symmetric_and_positive_semidefinite(case: cases.NlmCas
     assert values[1] > 1e-6  # connected: only constants are free
 
 
-def small_light_field(rng: np.random.Generator) -> LightField:
-    views = rng.integers(0, 256, (3, 3, 9, 10, 3), dtype=np.uint8)
-    return LightField.from_grid(views, valid=rng.random((9, 9, 10)) < 0.8)
-
-
-def test_prior_has_its_gradient(rng: np.random.Generator) -> None:
-    prior = NonLocalMeans(rng.random((9, 10, 3), np.float32), PriorConfig(window=5), REFERENCE, "cpu")
-    values, gradient = rng.normal(size=(9, 10)), np.full((9, 10), np.nan)
-    prior.value_and_gradient(values, gradient)
-    scratch = np.empty_like(values)
-    want = central_differences(lambda v: prior.value_and_gradient(v, scratch), values, rng)
-    assert_gradient(gradient, want)
-
-
-def test_prior_is_the_sum_over_pairs(rng: np.random.Generator) -> None:
-    case = cases.NlmCase("colour", size=(5, 6), window=5)
-    i = cases.nlm_inputs(case, rng)
-    prior = NonLocalMeans(i.image, PriorConfig(**i.options), REFERENCE, "cpu")
-    w, v = brute_weights(i), i.values.astype(float).ravel()
-    want = (w * (v[:, None] - v[None]) ** 2).sum()
-    assert prior.value_and_gradient(i.values.astype(float), np.empty(case.size)) == pytest.approx(want, rel=1e-12)
-
-
-@pytest.mark.parametrize("smoothness", [0.0, 0.1, 10.0])
-def test_energy_has_its_gradient(smoothness: float, rng: np.random.Generator) -> None:
-    lf = small_light_field(rng)
-    config = RefinementConfig()
-    energy = Energy(
-        ForwardModel(lf, config, REFERENCE, "cpu"),
-        NonLocalMeans(lf.image(lf.reference_index), PriorConfig(window=5), REFERENCE, "cpu"),
-        smoothness,
-    )
-    case = cases.SplatCase("grid", size=lf.size, softness=config.softness, disparities=(-1.5, 1.5))
-    disparity = away_from_joints(case, rng).disparity
-    _, gradient = energy(disparity)
-    assert_gradient(gradient, central_differences(lambda d: energy(d)[0], disparity, rng))
-
-
 # --- the local estimate ---
 
 
@@ -353,9 +315,10 @@ def moving_pattern(disparity: float, offsets: np.ndarray, *, width: int = 48, he
 def found_disparity(disparity: float, offsets: np.ndarray, shear: float) -> tuple[np.ndarray, np.ndarray]:
     """Disparity and coherence of a moving pattern, without what the filters and the shear bring in from the border."""
     filters = structure_filters(offsets, LocalConfig())
-    plan = REFERENCE.structure_tensor(moving_pattern(disparity, offsets), offsets, filters, scale=1.0, floor=1e-4)
+    epis = moving_pattern(disparity, offsets)
+    plan = REFERENCE.structure_tensor(epis.shape, offsets, filters, scale=1.0, floor=1e-4)
     found, coherence = np.empty((2, 4, 48))
-    plan(shear, found, coherence)
+    plan(epis, shear, found, coherence)
     reach = 7 + 4 * math.ceil(abs(shear))
     return found[:, reach:-reach], coherence[:, reach:-reach]
 
@@ -382,12 +345,11 @@ def test_structure_tensor_finds_the_disparity_from_the_end_of_a_row(disparity: f
 
 def test_coherence_lies_between_0_and_1(rng: np.random.Generator) -> None:
     offsets = np.arange(-3.0, 4.0)
-    plan = REFERENCE.structure_tensor(
-        rng.random((7, 9, 30, 3)), offsets, structure_filters(offsets, LocalConfig()), scale=1.0, floor=1e-3
-    )
+    epis, filters = rng.random((7, 9, 30, 3)), structure_filters(offsets, LocalConfig())
+    plan = REFERENCE.structure_tensor(epis.shape, offsets, filters, scale=1.0, floor=1e-3)
     found, coherence = np.empty((2, 9, 30))
     for shear in (-1.0, 0.0, 0.5):
-        plan(shear, found, coherence)
+        plan(epis, shear, found, coherence)
         assert coherence.min() >= 0
         assert coherence.max() <= 1
     assert coherence.min() < 0.5  # noise is not coherent everywhere
@@ -396,7 +358,239 @@ def test_coherence_lies_between_0_and_1(rng: np.random.Generator) -> None:
 def test_flat_views_have_no_coherence() -> None:
     offsets = np.arange(-3.0, 4.0)
     filters = structure_filters(offsets, LocalConfig())
-    plan = REFERENCE.structure_tensor(np.full((7, 5, 20, 1), 0.4), offsets, filters, scale=1.0, floor=1e-3)
+    plan = REFERENCE.structure_tensor((7, 5, 20, 1), offsets, filters, scale=1.0, floor=1e-3)
     found, coherence = np.empty((2, 5, 20))
-    plan(0.0, found, coherence)
+    plan(np.full((7, 5, 20, 1), 0.4), 0.0, found, coherence)
     assert coherence.max() < 1e-12
+
+
+def test_best_estimate_is_found_pixel_by_pixel(rng: np.random.Generator) -> None:
+    for vertical in (False, True):
+        case = cases.CoherenceCase("any", size=(6, 8), vertical=vertical, unit=2.0, bounds=(-0.25, 0.5))
+        i = cases.coherence_inputs(case, rng)
+        best, coherence = i.best_disparity.astype(float), i.best_coherence.astype(float)
+        for estimate, (y, x) in itertools.product(i.estimates, np.ndindex(6, 8)):
+            place = (x, y) if vertical else (y, x)
+            found = float(estimate.disparity[place])
+            near = abs(found - case.shear) <= case.reach and -0.25 <= found / 2 <= 0.5
+            if near and estimate.trusted[place] and estimate.coherence[place] > coherence[y, x]:
+                best[y, x], coherence[y, x] = found / 2, estimate.coherence[place]
+        got = run(checks.keep_more_coherent, i)
+        np.testing.assert_array_equal(got["disparity"], best)
+        np.testing.assert_array_equal(got["coherence"], coherence)
+
+
+# --- views ---
+
+
+def gaussian_weights(size: int, sigma: float) -> np.ndarray:
+    """The matrix [to, from] of the Gaussian mean along a line that is mirrored, its ends repeated."""
+    reach = int(2.5 * sigma + 0.5)
+    steps = np.arange(-reach, reach + 1)
+    kernel = np.exp(-0.5 * (steps / sigma) ** 2)
+    matrix = np.zeros((size, size))
+    for to, (step, weight) in itertools.product(range(size), zip(steps, kernel / kernel.sum(), strict=True)):
+        place = (to + step) % (2 * size)
+        matrix[to, min(place, 2 * size - 1 - place)] += weight
+    return matrix
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("size", [(9, 12), (1, 7), (3, 4), (1, 1)], ids=str)
+@pytest.mark.parametrize("sigma", [0.4, 1.5, 3.1])
+def test_normalization_is_the_formula(
+    sigma: float, size: tuple[int, int], masked: bool, rng: np.random.Generator
+) -> None:
+    case = cases.ViewsCase("any", size=size, sigma=sigma, masked=masked, dtype="uint8", floor=0.1)
+    i = cases.views_inputs(case, rng)
+    got = run(checks.normalization, i)["detail"]
+    for n, view in enumerate(i.views / 255.0):
+        counts = np.ones(size) if i.valid is None else (i.valid[n] != 0).astype(float)
+
+        def mean(values: np.ndarray, scale: float, counts: np.ndarray = counts) -> np.ndarray:
+            """Σ w v / Σ w over the valid pixels, 0 where there is none."""
+            rows, columns = (gaussian_weights(side, scale) for side in size)
+            share = rows @ counts @ columns.T
+            return np.divide(rows @ (counts * values) @ columns.T, share, out=np.zeros(size), where=share > 1e-6)
+
+        detail = np.stack([view[..., c] - mean(view[..., c], sigma) for c in range(3)], axis=2)
+        contrast = np.sqrt(mean((detail**2).mean(2), 2 * sigma) + 0.1**2)
+        np.testing.assert_allclose(got[n], detail / contrast[..., None], rtol=0, atol=1e-11)
+
+
+def test_normalization_without_a_mask_is_that_of_scipy(rng: np.random.Generator) -> None:
+    image = rng.random((17, 21))
+    detail = image - gaussian_filter(image, 2.0, truncate=2.5)
+    want = detail / np.sqrt(gaussian_filter(detail**2, 4.0, truncate=2.5) + 0.01)
+    out = np.empty((1, 17, 21, 1))
+    REFERENCE.normalization(out.shape, "cpu", scale=0.5, sigma=2.0, floor=0.1)(2 * image[None, ..., None], None, out)
+    np.testing.assert_allclose(out[0, ..., 0], want, rtol=0, atol=1e-13)
+
+
+def test_what_is_not_valid_has_no_part_in_the_detail_of_what_is(rng: np.random.Generator) -> None:
+    i = cases.views_inputs(cases.ViewsCase("masked", masked=True), rng)
+    views = i.views.astype(float)
+    views[i.valid == 0] = np.nan
+    out = np.empty(views.shape)
+    REFERENCE.normalization(views.shape, "cpu", scale=1.0, sigma=i.sigma, floor=i.floor)(views, i.valid, out)
+    want = run(checks.normalization, i)["detail"]
+    np.testing.assert_allclose(out[i.valid != 0], want[i.valid != 0], rtol=0, atol=1e-12)
+
+
+def test_detail_does_not_follow_brightness_and_contrast(rng: np.random.Generator) -> None:
+    i = cases.views_inputs(cases.ViewsCase("any", floor=1e-9), rng)
+    dimmed = run(checks.normalization, changed(i, views=0.25 * i.views.astype(float) + 0.125))["detail"]
+    np.testing.assert_allclose(dimmed, run(checks.normalization, i)["detail"], rtol=0, atol=1e-6)
+
+
+def test_lines_of_views_are_the_views(rng: np.random.Generator) -> None:
+    i = cases.views_inputs(cases.ViewsCase("any", line=(2, 0)), rng)
+    row = run(checks.line_of_views, i)["epis"]
+    column = run(checks.line_of_views, changed(i, vertical=True))["epis"]
+    np.testing.assert_array_equal(row, i.views[[2, 0]])
+    np.testing.assert_array_equal(column, row.swapaxes(1, 2))
+
+
+def test_seen_by_reference_pixel_by_pixel(rng: np.random.Generator) -> None:
+    i = cases.seen_inputs(cases.SplatCase("any", size=(5, 6), offsets=cases.IRREGULAR), rng)
+    got = run(checks.seen_by_reference, i)
+    for n, y, x in np.ndindex(got["both"].shape):
+        at_x, at_y = (p + float(i.disparity[y, x]) * float(o) for p, o in zip((x, y), i.offsets[n], strict=True))
+        inside = 0 <= at_x <= 5 and 0 <= at_y <= 4
+        known = inside and bool(i.known[round(at_y), round(at_x)])  # Python, too, rounds halves to even
+        assert got["anything"][n, y, x] == inside
+        assert got["known"][n, y, x] == known
+        assert got["valid"][n, y, x] == (inside and i.valid[n, y, x] != 0)
+        assert got["both"][n, y, x] == (known and i.valid[n, y, x] != 0)
+
+
+def test_all_is_seen_of_what_splats_on_whole_pixels(rng: np.random.Generator) -> None:
+    """With the same disparity everywhere, a pixel that is seen is one that something lands on."""
+    i = cases.seen_inputs(cases.SplatCase("whole", disparities=(2.0, 2.0)), rng)
+    coverage = run(checks.splat, i)["coverage"]
+    np.testing.assert_array_equal(run(checks.seen_by_reference, i)["anything"], coverage)
+
+
+# --- the solvers ---
+
+
+def minimized(
+    function: cases.Function, start: np.ndarray, bounds: tuple[float, float], **options: Any
+) -> tuple[np.ndarray, list[float]]:
+    """The minimum that L-BFGS finds within `bounds`, and its trace."""
+    low, high = bounds
+    given = {"memory": 8, "first_step": 0.05, "tolerance": 1e-15, "patience": 10, "most": 500, **options}
+    solver = REFERENCE.lbfgs(start.shape, "cpu", low=low, high=high, **given)
+    x, trial = start.clip(low, high), np.empty_like(start)
+    first, gradient = function(x)
+    value = np.array([first])
+    solver.begin(x, gradient, value)
+    while solver.go_on[0]:
+        solver.propose(x, trial)
+        trial_value, trial_gradient = function(trial)
+        solver.judge(value, np.array([trial_value]))
+        solver.learn(x, gradient, trial, trial_gradient)
+    return x, solver.report()[0]
+
+
+def quadratic_of(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, cases.Function]:
+    """A, b, and xᵀ A x / 2 - bᵀ x with its gradient."""
+    matrix, aim = cases.quadratic(count, rng)
+
+    def function(x: np.ndarray) -> tuple[float, np.ndarray]:
+        gradient = matrix @ x.ravel() - aim
+        return float(x.ravel() @ (gradient - aim)) / 2, gradient.reshape(x.shape)
+
+    return matrix, aim, function
+
+
+def test_lbfgs_finds_the_minimum_of_a_quadratic_within_bounds(rng: np.random.Generator) -> None:
+    matrix, aim, function = quadratic_of(30, rng)
+    start = rng.normal(size=(5, 6))
+    root = np.linalg.cholesky(matrix)  # ‖Rᵀ x - R⁻¹ b‖² = xᵀ A x - 2 bᵀ x + a constant
+    want = lsq_linear(root.T, np.linalg.solve(root, aim), bounds=(-0.25, 0.5), method="bvls").x
+    found, trace = minimized(function, start, (-0.25, 0.5))
+    assert ((want == -0.25) | (want == 0.5)).mean() > 0.1
+    np.testing.assert_allclose(found.ravel(), want, rtol=0, atol=1e-6)
+    assert (np.diff(trace) <= 0).all()
+
+
+def test_lbfgs_finds_the_minimum_of_a_quadratic_without_bounds(rng: np.random.Generator) -> None:
+    matrix, aim, function = quadratic_of(30, rng)
+    found, trace = minimized(function, rng.normal(size=(5, 6)), (-100.0, 100.0))
+    np.testing.assert_allclose(found.ravel(), np.linalg.solve(matrix, aim), rtol=0, atol=1e-6)
+    assert len(trace) < 100
+
+
+def test_lbfgs_is_about_as_fast_as_scipy_in_a_curved_valley() -> None:
+    case = cases.LbfgsCase("valley", function="rosenbrock", size=(2, 3), bounds=(-2.0, 2.0))
+    function = cases.bounded_function(case, np.random.default_rng(0))
+    start = np.full(case.size, -1.25)
+    found, trace = minimized(function, start, case.bounds)
+    want = minimize(
+        lambda x: (function(x.reshape(case.size))[0], function(x.reshape(case.size))[1].ravel()),
+        start.ravel(),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[case.bounds] * 6,
+        options={"ftol": 1e-14, "gtol": 1e-9},
+    )
+    value, gradient = function(found)
+    assert np.abs(projected_gradient(found, gradient, *case.bounds)).max() < 1e-4
+    assert value <= want.fun + 1e-6
+    assert len(trace) < 3 * want.nit + 20
+
+
+def test_lbfgs_direction_is_that_of_the_dense_update(rng: np.random.Generator) -> None:
+    """BFGS written out: H ← (1 - s yᵀ / yᵀ s) H (1 - y sᵀ / yᵀ s) + s sᵀ / yᵀ s, from H = (sᵀ y / yᵀ y) 1."""
+    *_, function = quadratic_of(12, rng)
+    options = {"low": -100.0, "high": 100.0, "first_step": 0.05, "tolerance": 0.0, "patience": 100, "most": 100}
+    solver = REFERENCE.lbfgs((3, 4), "cpu", memory=5, **options)
+    x, trial = rng.normal(size=(3, 4)), np.empty((3, 4))
+    value, gradient = function(x)
+    held = np.array([value])
+    solver.begin(x, gradient, held)
+    pairs: list[tuple[np.ndarray, np.ndarray]] = []
+    for _ in range(4):
+        before, slope = x.copy().ravel(), gradient.copy().ravel()
+        solver.propose(x, trial)
+        trial_value, trial_gradient = function(trial)
+        solver.judge(held, np.array([trial_value]))
+        solver.learn(x, gradient, trial, trial_gradient)
+        if (x.ravel() != before).any():
+            pairs.append((x.ravel() - before, gradient.ravel() - slope))
+    s, y = pairs[-1]
+    inverse = np.eye(12) * (s @ y) / (y @ y)
+    for s, y in pairs:
+        left = np.eye(12) - np.outer(s, y) / (s @ y)
+        inverse = left @ inverse @ left.T + np.outer(s, s) / (s @ y)
+    solver.propose(x, trial)
+    np.testing.assert_allclose((trial - x).ravel(), -inverse @ gradient.ravel(), rtol=1e-9, atol=1e-12)
+
+
+def test_lbfgs_shortens_to_the_minimum_of_the_parabola() -> None:
+    """From 1 along -2, by a step of 0.8 with the slope -4; what the solver is told about the trials is not accepted."""
+    options = {"low": -9.0, "high": 9.0, "tolerance": 0.0, "patience": 3, "most": 9}
+    solver = REFERENCE.lbfgs((1, 1), "cpu", memory=3, first_step=1.6, **options)
+    x, gradient, trial, value = np.ones((1, 1)), np.full((1, 1), 2.0), np.empty((1, 1)), np.array([1.0])
+    solver.begin(x, gradient, value)
+    solver.propose(x, trial)
+    assert trial[0, 0] == pytest.approx(1 - 1.6)
+    solver.judge(value, np.array([2.0]))  # 1 - 4 t + a t² is 2 at t = 0.8: a = 6.5625, least at 4 / (2 a)
+    solver.propose(x, trial)
+    assert trial[0, 0] == pytest.approx(1 - 2 * 4 / (2 * 6.5625))
+    solver.judge(value, np.array([np.inf]))
+    solver.propose(x, trial)
+    assert trial[0, 0] == pytest.approx(1 - 0.1 * 2 * 4 / (2 * 6.5625))
+    assert solver.report() == ([1.0], 3, False)
+
+
+def test_residuals_are_relative_roots() -> None:
+    trace = REFERENCE.residuals("cpu", tolerance=0.25, most=3)
+    trace.begin(np.array([4.0]))
+    going = []
+    for residual in (4.0, 1.0, 0.25):
+        trace.add(np.array([residual]))
+        going.append(float(trace.go_on[0]))
+    assert trace.report() == [1.0, 0.5, 0.25]
+    assert going == [1.0, 1.0, 0.0]

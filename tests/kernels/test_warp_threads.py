@@ -20,6 +20,9 @@ INPUTS = {
     "splat": lambda rng: cases.splat_inputs(
         cases.SplatCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
     ),
+    "views": lambda rng: cases.views_inputs(
+        cases.ViewsCase("many", size=(41, 38), count=25, dtype="uint8", masked=True, line=(3, 0, 1, 7)), rng
+    ),
     "nlm": lambda rng: cases.nlm_inputs(cases.NlmCase("large", size=(61, 53), window=7), rng),
     "epi": lambda rng: cases.epi_inputs(cases.EpiCase("many rows", size=(61, 53)), rng),
 }

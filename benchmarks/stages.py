@@ -1,0 +1,55 @@
+"""How long each part of a run of a resident pipeline takes by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from statistics import median
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import clock
+from lfgpu import DepthPipeline
+
+UPLOAD, DOWNLOAD = "upload", "download"
+_MOST, _BUDGET = 10, 1.0  # repeats of each part, and seconds for them
+
+
+def measure(pipeline: DepthPipeline, views: NDArray[np.generic]) -> tuple[dict[str, float], bool]:
+    """Medians in seconds, the device waited for after each part, and whether the stages were captured as in a run.
+
+    The pipeline must have run before. Where a solver of the host takes part, nothing can be captured: its stages are
+    those that one more estimate tells.
+    """
+    kernels, device = pipeline.kernels, pipeline.device
+    stop = clock.stopper(kernels, device)
+    parts: dict[str, Callable[[], None]] = {UPLOAD: lambda: pipeline.upload(views)}
+    captured = False
+    if pipeline.config.is_on_device:
+        works = _works(pipeline)
+        graphs = {stage: kernels.capture(work, device) for stage, work in works.items()}
+        captured = None not in graphs.values()
+        parts |= {stage: graphs[stage] or work for stage, work in works.items()}
+    seconds = {name: _median(part, stop) for name, part in parts.items()}
+    if not pipeline.config.is_on_device:
+        seconds |= {stage: s for stage, s in pipeline.estimate().timings.items() if stage != "total"}
+    seconds[DOWNLOAD] = _median(pipeline.disparity, lambda: None)
+    return seconds, captured
+
+
+def _works(pipeline: DepthPipeline) -> dict[str, Callable[[], None]]:
+    """The stages as `DepthPipeline.run` asks for them, by their names in `DepthResult.timings`."""
+    return {
+        "local": lambda: pipeline._estimate(None),
+        "propagate": lambda: pipeline._fill(None),
+        "refine": lambda: pipeline._refine(None),
+    }
+
+
+def _median(part: Callable[[], object], stop: Callable[[], object]) -> float:
+    def call() -> None:
+        part()
+        stop()
+
+    stop()
+    return median(clock.singly(call, least=1, most=_MOST, budget=_BUDGET))

@@ -1,0 +1,33 @@
+"""The trace of an iterative linear solver, and when it ends: NumPy, float64."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Residuals:
+    """The relative residuals so far."""
+
+    def __init__(self, tolerance: float, most: int) -> None:
+        self.go_on: Array = np.zeros(1)
+        self._tolerance, self._most = tolerance, most
+        self._norm = 1.0
+        self._trace: list[float] = []
+
+    def begin(self, norm: Array) -> None:
+        self._norm = float(norm[0]) or 1.0
+        self._trace = []
+
+    def add(self, residual: Array) -> None:
+        self._trace.append(math.sqrt(max(float(residual[0]), 0.0) / self._norm))
+        self.go_on[0] = self._trace[-1] > self._tolerance and len(self._trace) < self._most + 1
+
+    def report(self) -> list[float]:
+        return list(self._trace)
+
+
+def residuals(device: str, *, tolerance: float, most: int) -> Residuals:
+    return Residuals(tolerance, most)

@@ -1,0 +1,16 @@
+"""Loops that a scalar on the device decides about; Taichi cannot be given work as a whole."""
+
+from collections.abc import Callable
+
+from .memory import DeviceArray, number
+
+
+def repeat(body: Callable[[], None], go_on: DeviceArray, most: int) -> None:
+    for _ in range(most):
+        if number(go_on) == 0:
+            return
+        body()
+
+
+def capture(work: Callable[[], None], device: str) -> None:
+    return None

@@ -1,0 +1,382 @@
+"""The memory of a limited-memory BFGS solver (Nocedal 1980); `kernels/reference/lbfgs.py` says what it is.
+
+Steps, gradient differences and the projected gradient are the rows of one stack. A direction is a linear combination of
+them, so that the two-loop recursion needs no more than their inner products: it runs on coefficients, in one thread (as
+in the vector-free L-BFGS of Chen et al. 2014). The stack has a slot more than pairs are kept, into which a pair goes
+before it is known whether it is kept.
+"""
+
+from collections.abc import Sequence
+from math import prod
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from lfgpu.types import Lbfgs
+
+from .memory import DeviceArray, clear, doubles, empty, flat, numpy, scalar
+from .runtime import TASK, on_cpu, once, run, start
+from .sums import Total, share
+
+_DECREASE = 1e-4  # of what the slope promises: a trial that gives less is not accepted (Armijo)
+_CURVATURE = 1e-10  # least s . y over |s| |y| of a pair that is kept
+_SHORTEST, _LONGEST = 0.1, 0.5  # how far a step shrinks at once
+_REJECTIONS = 20  # in a row that end the search
+_LARGEST = float(np.finfo(np.float64).max)
+_CPU_PARTS, _GPU_PARTS = 64, 1024  # of each inner product
+
+# Places in the state: the numbers of a solver
+_STEP, _SLOPE, _ACCEPTED, _REJECTED, _JUDGED, _LENGTH, _FLAT, _PAIRS, _NEWEST = range(9)
+
+
+@ti.func
+def projected(vector: float, x: float, low: float, high: float):
+    """What may be subtracted from x, 0 where that would lead out of the bounds."""
+    result = vector
+    if (x <= low and vector > 0.0) or (x >= high and vector < 0.0):
+        result = 0.0
+    return result
+
+
+@ti.func
+def in_use(row: int, slots: int, newest: int, pairs: int):
+    """Whether a row of the stack holds something: the projected gradient, the new pair, or one that is kept."""
+    age = (newest - row % slots + slots) % slots
+    return row == 2 * slots or age < pairs or age == slots - 1
+
+
+@once
+def _search_kernels() -> SimpleNamespace:
+    field, numbers = flat(), flat(ti.f64)
+
+    @ti.kernel
+    def begin_kernel(value: numbers, state_out: numbers, trace_out: numbers, go_on_out: numbers):
+        for place in range(state_out.shape[0]):
+            state_out[place] = 0.0
+        state_out[_ACCEPTED] = 1.0
+        state_out[_JUDGED] = 1.0
+        state_out[_LENGTH] = 1.0
+        trace_out[0] = value[0]
+        go_on_out[0] = 0.0
+        if trace_out.shape[0] > 1:
+            go_on_out[0] = 1.0
+
+    @ti.kernel
+    def propose_kernel(state: numbers, x: field, direction: field, low: float, high: float, trial_out: field):
+        for i in range(x.shape[0]):
+            trial_out[i] = ti.math.clamp(x[i] + ti.cast(state[_STEP], ti.f32) * direction[i], low, high)
+
+    @ti.kernel
+    def judge_kernel(
+        trial_value: numbers,
+        patience: int,
+        tolerance: ti.f64,
+        state: numbers,
+        value: numbers,
+        trace_out: numbers,
+        go_on_out: numbers,
+    ):
+        step = state[_STEP]
+        promised = step * state[_SLOPE]
+        trial = trial_value[0]
+        finite = ti.abs(trial) <= ti.f64(_LARGEST)
+        state[_JUDGED] = state[_JUDGED] + 1.0
+        state[_ACCEPTED] = 0.0
+        if finite and trial <= value[0] + ti.f64(_DECREASE) * promised:
+            last = ti.min(ti.cast(state[_LENGTH], ti.i32), trace_out.shape[0] - 1)
+            value[0] = trial
+            trace_out[last] = trial
+            state[_LENGTH] = ti.cast(last + 1, ti.f64)
+            state[_ACCEPTED] = 1.0
+            state[_REJECTED] = 0.0
+            if last >= patience:
+                most = ti.cast(patience, ti.f64) * tolerance * ti.abs(trace_out[0])
+                if trace_out[last - patience] - trial <= most:
+                    state[_FLAT] = 1.0
+                    go_on_out[0] = 0.0
+            if last + 1 == trace_out.shape[0]:
+                go_on_out[0] = 0.0
+        else:
+            shorter = ti.f64(_SHORTEST) * step
+            if finite:
+                lowest = -promised * step / (2.0 * (trial - value[0] - promised))
+                shorter = ti.min(ti.max(lowest, shorter), ti.f64(_LONGEST) * step)
+            state[_STEP] = shorter
+            state[_REJECTED] = state[_REJECTED] + 1.0
+            if state[_REJECTED] == _REJECTIONS:
+                go_on_out[0] = 0.0
+
+    return SimpleNamespace(begin=begin_kernel, propose=propose_kernel, judge=judge_kernel)
+
+
+@once
+def _stack_kernels(cpu: bool) -> SimpleNamespace:
+    """What reads and writes the stack [2 slots + 1, pixel]: steps, differences, the projected gradient."""
+    field, numbers = flat(), flat(ti.f64)
+
+    @ti.kernel
+    def project_kernel(x: field, gradient: field, low: float, high: float, slots: int, stack: field):
+        size = x.shape[0]
+        for i in range(size):
+            stack[2 * slots * size + i] = projected(gradient[i], x[i], low, high)
+
+    @ti.kernel
+    def advance_kernel(
+        state: numbers,
+        trial: field,
+        trial_gradient: field,
+        low: float,
+        high: float,
+        slots: int,
+        stack: field,
+        x: field,
+        gradient: field,
+    ):
+        """If the trial was accepted: x and its gradient become the trial's; step and difference go into the slot."""
+        size = x.shape[0]
+        for i in range(size):
+            if state[_ACCEPTED] == 1.0:
+                slot = (ti.cast(state[_NEWEST], ti.i32) + 1) % slots
+                stack[slot * size + i] = trial[i] - x[i]
+                stack[(slots + slot) * size + i] = trial_gradient[i] - gradient[i]
+                stack[2 * slots * size + i] = projected(trial_gradient[i], trial[i], low, high)
+                x[i] = trial[i]
+                gradient[i] = trial_gradient[i]
+
+    @ti.func
+    def add_products(
+        stack: ti.template(), size: int, slots: int, slot: int, row: int, part: int, parts_out: ti.template()
+    ):
+        """Inner products of one row with the new step, the new difference and the projected gradient, over a part."""
+        parts = parts_out.shape[0] // (3 * (2 * slots + 1))
+        with_step = ti.f64(0.0)
+        with_difference = ti.f64(0.0)
+        with_gradient = ti.f64(0.0)
+        i, by, end = share(part, parts, size, cpu)
+        while i < end:
+            value = ti.cast(stack[row * size + i], ti.f64)
+            with_step += value * ti.cast(stack[slot * size + i], ti.f64)
+            with_difference += value * ti.cast(stack[(slots + slot) * size + i], ti.f64)
+            with_gradient += value * ti.cast(stack[2 * slots * size + i], ti.f64)
+            i += by
+        parts_out[3 * row * parts + part] = with_step
+        parts_out[(3 * row + 1) * parts + part] = with_difference
+        parts_out[(3 * row + 2) * parts + part] = with_gradient
+
+    @ti.kernel
+    def products_kernel(state: numbers, stack: field, slots: int, parts_out: numbers):
+        rows = 2 * slots + 1
+        parts = parts_out.shape[0] // (3 * rows)
+        if ti.static(cpu):
+            for task in range(parts * TASK):
+                if task % TASK == 0 and state[_ACCEPTED] == 1.0:
+                    newest = ti.cast(state[_NEWEST], ti.i32)
+                    for row in range(rows):
+                        if in_use(row, slots, newest, ti.cast(state[_PAIRS], ti.i32)):
+                            slot = (newest + 1) % slots
+                            add_products(stack, stack.shape[0] // rows, slots, slot, row, task // TASK, parts_out)
+        else:
+            for i in range(rows * parts):
+                newest = ti.cast(state[_NEWEST], ti.i32)
+                row = i // parts
+                if state[_ACCEPTED] == 1.0 and in_use(row, slots, newest, ti.cast(state[_PAIRS], ti.i32)):
+                    slot = (newest + 1) % slots
+                    add_products(stack, stack.shape[0] // rows, slots, slot, row, i - row * parts, parts_out)
+
+    @ti.kernel
+    def combine_kernel(
+        state: numbers, stack: field, coefficients: numbers, x: field, low: float, high: float, direction_out: field
+    ):
+        """The sum of coefficients[r] * stack[r], 0 where the bounds stop it or have stopped the gradient."""
+        size = x.shape[0]
+        last = coefficients.shape[0] - 1
+        for i in range(size):
+            if state[_ACCEPTED] == 1.0:
+                total = 0.0
+                if (x[i] > low and x[i] < high) or stack[last * size + i] != 0.0:
+                    for row in range(last + 1):
+                        if coefficients[row] != 0.0:
+                            total += ti.cast(coefficients[row], ti.f32) * stack[row * size + i]
+                direction_out[i] = -projected(-total, x[i], low, high)
+
+    return SimpleNamespace(
+        project=project_kernel, advance=advance_kernel, products=products_kernel, combine=combine_kernel
+    )
+
+
+@once
+def _recursion_kernel() -> Any:
+    numbers = flat(ti.f64)
+
+    @ti.func
+    def along(row: int, coefficients: ti.template(), products: ti.template()):
+        """The inner product of a row with the combination that the coefficients make."""
+        rows = coefficients.shape[0]
+        total = ti.f64(0.0)
+        for r in range(rows):
+            if coefficients[r] != 0.0:
+                total += coefficients[r] * products[row * rows + r]
+        return total
+
+    @ti.func
+    def against_gradient(coefficients_out: ti.template()):
+        for r in range(coefficients_out.shape[0]):
+            coefficients_out[r] = 0.0
+        coefficients_out[coefficients_out.shape[0] - 1] = -1.0
+
+    @ti.func
+    def keep(totals: ti.template(), slots: int, slot: int, beginning: int, products: ti.template()):
+        """The new inner products into the matrix of all; when a solver begins, all pairs are forgotten."""
+        rows = 2 * slots + 1
+        for r in range(rows):
+            if beginning == 0:
+                for k in range(2):
+                    new = k * slots + slot
+                    products[r * rows + new] = totals[3 * r + k]
+                    products[new * rows + r] = totals[3 * r + k]
+            products[r * rows + rows - 1] = totals[3 * r + 2]
+            products[(rows - 1) * rows + r] = totals[3 * r + 2]
+
+    @ti.func
+    def two_loops(
+        slots: int,
+        newest: int,
+        pairs: int,
+        products: ti.template(),
+        alpha: ti.template(),
+        coefficients: ti.template(),
+    ):
+        rows = 2 * slots + 1
+        for k in range(pairs):
+            s = (newest - k + slots) % slots
+            alpha[s] = along(s, coefficients, products) / products[s * rows + slots + s]
+            coefficients[slots + s] = coefficients[slots + s] - alpha[s]
+        last = slots + newest
+        gamma = products[newest * rows + last] / products[last * rows + last]
+        for r in range(rows):
+            coefficients[r] = gamma * coefficients[r]
+        for k in range(pairs):
+            s = (newest - pairs + 1 + k + slots) % slots
+            beta = along(slots + s, coefficients, products) / products[s * rows + slots + s]
+            coefficients[s] = coefficients[s] + alpha[s] - beta
+
+    @ti.kernel
+    def recursion_kernel(
+        totals: numbers,
+        first_step: ti.f64,
+        pixels: ti.f64,
+        slots: int,
+        beginning: int,
+        state: numbers,
+        products: numbers,
+        alpha: numbers,
+        coefficients: numbers,
+        go_on_out: numbers,
+    ):
+        """The next direction as coefficients of the rows, its slope and step, if the trial was accepted."""
+        if state[_ACCEPTED] == 1.0:
+            rows = 2 * slots + 1
+            slot = (ti.cast(state[_NEWEST], ti.i32) + 1) % slots
+            keep(totals, slots, slot, beginning, products)
+            if beginning == 0:
+                s_s = products[slot * rows + slot]
+                s_y = products[slot * rows + slots + slot]
+                y_y = products[(slots + slot) * rows + slots + slot]
+                if s_y > ti.f64(_CURVATURE) * ti.sqrt(s_s) * ti.sqrt(y_y):
+                    state[_NEWEST] = ti.cast(slot, ti.f64)
+                    state[_PAIRS] = ti.min(state[_PAIRS] + 1.0, ti.cast(slots - 1, ti.f64))
+            against_gradient(coefficients)
+            slope = ti.f64(0.0)
+            if state[_PAIRS] > 0.0:
+                newest = ti.cast(state[_NEWEST], ti.i32)
+                two_loops(slots, newest, ti.cast(state[_PAIRS], ti.i32), products, alpha, coefficients)
+                slope = along(rows - 1, coefficients, products)
+                if not slope < 0.0:
+                    state[_PAIRS] = 0.0
+                    against_gradient(coefficients)
+            step = ti.f64(1.0)
+            if state[_PAIRS] == 0.0:
+                slope = -products[rows * rows - 1]
+                step = 0.0
+                if slope < 0.0:
+                    step = first_step / ti.sqrt(-slope / pixels)
+                else:
+                    go_on_out[0] = 0.0
+            state[_SLOPE] = slope
+            state[_STEP] = step
+
+    return recursion_kernel
+
+
+class _Lbfgs:
+    def __init__(
+        self,
+        shape: Sequence[int],
+        device: str,
+        memory: int,
+        bounds: tuple[float, float],
+        first_step: float,
+        flatness: tuple[int, float],
+        most: int,
+    ) -> None:
+        start(device)
+        self._slots, size = memory + 1, prod(shape)
+        rows = 2 * self._slots + 1
+        self._bounds, self._flatness, self._scale = bounds, flatness, (first_step, float(size))
+        self._stack, self._direction = clear(empty((rows, size))), clear(empty(shape))
+        self._parts = doubles(np.zeros((3 * rows, _CPU_PARTS if on_cpu() else _GPU_PARTS)))
+        self._totals, self._add_up = doubles(np.zeros(3 * rows)), Total(3 * rows)
+        self._products, self._alpha = doubles(np.zeros((rows, rows))), doubles(np.zeros(self._slots))
+        self._coefficients, self._trace = doubles(np.zeros(rows)), doubles(np.zeros(most + 1))
+        self._state, self.go_on = doubles(np.zeros(9)), scalar(1.0, device)
+        self._search, self._rows = _search_kernels(), _stack_kernels(on_cpu())
+
+    def begin(self, x: DeviceArray, gradient: DeviceArray, value: DeviceArray) -> None:
+        run(self._search.begin, value.values, self._state.values, self._trace.values, self.go_on.values)
+        run(self._rows.project, x.values, gradient.values, *self._bounds, self._slots, self._stack.values)
+        self._turn(x, beginning=True)
+
+    def propose(self, x: DeviceArray, trial_out: DeviceArray) -> None:
+        line = x.values, self._direction.values, *self._bounds
+        run(self._search.propose, self._state.values, *line, trial_out.values)
+
+    def judge(self, value: DeviceArray, trial_value: DeviceArray) -> None:
+        kept = self._state.values, value.values, self._trace.values, self.go_on.values
+        run(self._search.judge, trial_value.values, *self._flatness, *kept)
+
+    def learn(self, x: DeviceArray, gradient: DeviceArray, trial: DeviceArray, trial_gradient: DeviceArray) -> None:
+        new = trial.values, trial_gradient.values, *self._bounds, self._slots
+        run(self._rows.advance, self._state.values, *new, self._stack.values, x.values, gradient.values)
+        self._turn(x, beginning=False)
+
+    def report(self) -> tuple[list[float], int, bool]:
+        state = numpy(self._state)
+        trace = numpy(self._trace)[: int(state[_LENGTH])]
+        return [float(value) for value in trace], int(state[_JUDGED]), bool(state[_FLAT])
+
+    def _turn(self, x: DeviceArray, *, beginning: bool) -> None:
+        """The next direction at x."""
+        state, stack = self._state.values, self._stack.values
+        run(self._rows.products, state, stack, self._slots, self._parts.values)
+        self._add_up(self._parts, self._totals)
+        kept = self._products.values, self._alpha.values, self._coefficients.values, self.go_on.values
+        run(_recursion_kernel(), self._totals.values, *self._scale, self._slots, int(beginning), state, *kept)
+        at = x.values, *self._bounds
+        run(self._rows.combine, state, stack, self._coefficients.values, *at, self._direction.values)
+
+
+def lbfgs(
+    shape: Sequence[int],
+    device: str,
+    *,
+    memory: int,
+    low: float,
+    high: float,
+    first_step: float,
+    tolerance: float,
+    patience: int,
+    most: int,
+) -> Lbfgs:
+    return _Lbfgs(shape, device, memory, (low, high), first_step, (patience, tolerance), most)

@@ -1,0 +1,59 @@
+"""What is left after each iteration of a linear solver, kept on the device."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import taichi as ti
+
+from lfgpu.types import Residuals
+
+from .memory import DeviceArray, doubles, flat, numpy, scalar
+from .runtime import once, run
+
+_NORM, _LENGTH = range(2)  # places in the state; the length is that of the trace
+
+
+@once
+def _kernels() -> SimpleNamespace:
+    numbers = flat(ti.f64)
+
+    @ti.kernel
+    def begin_kernel(norm: numbers, state_out: numbers, go_on_out: numbers):
+        state_out[_NORM] = norm[0]
+        if norm[0] == 0.0:
+            state_out[_NORM] = 1.0
+        state_out[_LENGTH] = 0.0
+        go_on_out[0] = 1.0
+
+    @ti.kernel
+    def add_kernel(residual: numbers, tolerance: ti.f64, state: numbers, trace_out: numbers, go_on_out: numbers):
+        last = ti.cast(state[_LENGTH], ti.i32)
+        go_on_out[0] = 0.0
+        if last < trace_out.shape[0]:
+            relative = ti.sqrt(ti.max(residual[0], ti.f64(0.0)) / state[_NORM])
+            trace_out[last] = relative
+            state[_LENGTH] = ti.cast(last + 1, ti.f64)
+            if relative > tolerance and last + 1 < trace_out.shape[0]:
+                go_on_out[0] = 1.0
+
+    return SimpleNamespace(begin=begin_kernel, add=add_kernel)
+
+
+class _Residuals:
+    def __init__(self, device: str, tolerance: float, most: int) -> None:
+        self.go_on, self._tolerance = scalar(1.0, device), tolerance
+        self._state, self._trace = doubles(np.array([1.0, 0.0])), doubles(np.zeros(most + 1))
+
+    def begin(self, norm: DeviceArray) -> None:
+        run(_kernels().begin, norm.values, self._state.values, self.go_on.values)
+
+    def add(self, residual: DeviceArray) -> None:
+        state, trace = self._state.values, self._trace.values
+        run(_kernels().add, residual.values, self._tolerance, state, trace, self.go_on.values)
+
+    def report(self) -> list[float]:
+        return [float(value) for value in numpy(self._trace)[: int(numpy(self._state)[_LENGTH])]]
+
+
+def residuals(device: str, *, tolerance: float, most: int) -> Residuals:
+    return _Residuals(device, tolerance, most)

@@ -1,0 +1,397 @@
+"""What becomes of views before they are compared: intensities, lines of views, and local contrast normalisation."""
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from lfgpu.types import Normalization
+
+from .memory import pixel_type
+from .threads import in_slices, lanes, launch_rows, load, once, slices
+
+wp.set_module_options({"enable_backward": False})
+
+_TRUNCATE = 2.5  # Gaussians end after as many standard deviations
+_LEAST_SHARE = 1e-6  # of a Gaussian that must lie on valid pixels
+_BATCH = 16  # views at a time on a GPU: what lies between two passes stays in its cache
+
+
+@once
+def _copy_kernels(channels: int, stored: Any) -> SimpleNamespace:
+    pixel, stored_pixel = pixel_type(channels), pixel_type(channels, stored)
+    module = f"lfgpu_views_{channels}_{stored.__name__}"
+
+    @wp.kernel(module=module, enable_backward=False)
+    def intensities_kernel(
+        views: wp.array3d(dtype=stored_pixel),
+        index: int,
+        valid: wp.array3d(dtype=float),
+        scale: float,
+        fill: float,
+        row: int,
+        lanes: int,
+        image_out: wp.array2d(dtype=pixel),
+    ):
+        i = wp.tid()
+        y = row + i / lanes
+        lane = i % lanes
+        for x in range(lane, image_out.shape[1], lanes):
+            value = pixel()
+            stored_value = views[index, y, x]
+            for c in range(wp.static(channels)):
+                value[c] = scale * float(stored_value[c])
+            if valid and valid[index, y, x] == 0.0:
+                for c in range(wp.static(channels)):
+                    value[c] = fill
+            image_out[y, x] = value
+
+    @wp.kernel(module=module, enable_backward=False)
+    def line_kernel(
+        views: wp.array3d(dtype=stored_pixel),
+        line: wp.array(dtype=int),
+        vertical: int,
+        row: int,
+        lanes: int,
+        epis_out: wp.array3d(dtype=stored_pixel),
+    ):
+        i = wp.tid()
+        y = row + i / lanes
+        lane = i % lanes
+        for u in range(line.shape[0]):
+            for x in range(lane, epis_out.shape[2], lanes):
+                if vertical == 1:
+                    epis_out[u, y, x] = views[line[u], x, y]
+                else:
+                    epis_out[u, y, x] = views[line[u], y, x]
+
+    return SimpleNamespace(intensities=intensities_kernel, line=line_kernel)
+
+
+@once
+def _line(line: tuple[int, ...], device: str) -> Any:
+    return wp.array(np.array(line, np.int32), dtype=int, device=device)
+
+
+def intensities(views: Any, index: int, valid: Any, *, scale: float, fill: float, image_out: Any) -> None:
+    kernels = _copy_kernels(views.dtype._length_, views.dtype._wp_scalar_type_)
+    launch_rows(kernels.intensities, [views, index, valid, scale, fill], image_out)
+
+
+def line_of_views(views: Any, line: Sequence[int], *, vertical: bool, epis_out: Any) -> None:
+    kernels = _copy_kernels(views.dtype._length_, views.dtype._wp_scalar_type_)
+    chosen = _line(tuple(int(index) for index in line), views.device.alias)
+    launch_rows(kernels.line, [views, chosen, int(vertical)], epis_out)
+
+
+# The four passes of the normalisation are native code: Warp's own loops over neighbours take several times as long.
+# Each thread has every lanes-th pixel of a row, from `lane` on.
+
+_MIRROR = """
+    auto mirrored = [](int i, int size) {
+        if ((unsigned)i < (unsigned)size) return i;
+        i %= 2 * size;
+        if (i < 0) i += 2 * size;
+        return i < size ? i : 2 * size - 1 - i;
+    };
+    const int radius = weights.shape[0] / 2, taps = 2 * radius + 1;
+    const float* __restrict__ const w = weights.data;
+"""
+
+_ROWS = (
+    _MIRROR
+    + """
+    const int height = views.shape[1], width = views.shape[2];
+    const size_t row = ((size_t)n * height + y) * width;
+    const auto* __restrict__ const in = views.data + row;
+    const float* __restrict__ const mask = valid.data ? valid.data + row : nullptr;
+    for (int x = lane; x < width; x += lanes) {
+        const bool inner = x >= radius && x < width - radius;
+        float total[CHANNELS] = {}, share = 0.f;
+        for (int k = 0; k < taps; ++k) {
+            const int i = inner ? x + k - radius : mirrored(x + k - radius, width);
+            if (mask && mask[i] == 0.f) continue;
+            for (int c = 0; c < CHANNELS; ++c) total[c] += w[k] * (float)in[i].c[c];
+            share += w[k];
+        }
+        for (int c = 0; c < CHANNELS; ++c) sums.data[row + x].c[c] = scale * total[c];
+        shares.data[row + x] = share;
+    }
+"""
+)
+
+_DETAIL = (
+    _MIRROR
+    + """
+    const int height = views.shape[1], width = views.shape[2];
+    const size_t first = (size_t)n * height * width, row = first + (size_t)y * width;
+    const bool inner = y >= radius && y < height - radius;
+    for (int x = lane; x < width; x += lanes) {
+        float total[CHANNELS] = {}, share = 0.f, energy = 0.f;
+        for (int k = 0; k < taps; ++k) {
+            const int i = inner ? y + k - radius : mirrored(y + k - radius, height);
+            const size_t q = first + (size_t)i * width + x;
+            for (int c = 0; c < CHANNELS; ++c) total[c] += w[k] * sums.data[q].c[c];
+            share += w[k] * shares.data[q];
+        }
+        for (int c = 0; c < CHANNELS; ++c) {
+            float value = scale * (float)views.data[row + x].c[c];
+            if (share > LEAST) value -= total[c] / share;
+            details.data[row + x].c[c] = value;
+            energy += value * value;
+        }
+        energies.data[row + x] = energy / CHANNELS;
+    }
+"""
+)
+
+_ENERGY_ROWS = (
+    _MIRROR
+    + """
+    const int height = energies.shape[1], width = energies.shape[2];
+    const size_t row = ((size_t)n * height + y) * width;
+    const float* __restrict__ const in = energies.data + row;
+    const float* __restrict__ const mask = valid.data ? valid.data + row : nullptr;
+    for (int x = lane; x < width; x += lanes) {
+        const bool inner = x >= radius && x < width - radius;
+        float total = 0.f, share = 0.f;
+        for (int k = 0; k < taps; ++k) {
+            const int i = inner ? x + k - radius : mirrored(x + k - radius, width);
+            if (mask && mask[i] == 0.f) continue;
+            total += w[k] * in[i];
+            share += w[k];
+        }
+        sums.data[row + x] = total;
+        shares.data[row + x] = share;
+    }
+"""
+)
+
+_CONTRAST = (
+    _MIRROR
+    + """
+    const int height = details.shape[1], width = details.shape[2];
+    const size_t first = (size_t)n * height * width, row = first + (size_t)y * width;
+    const bool inner = y >= radius && y < height - radius;
+    for (int x = lane; x < width; x += lanes) {
+        float total = 0.f, share = 0.f;
+        for (int k = 0; k < taps; ++k) {
+            const int i = inner ? y + k - radius : mirrored(y + k - radius, height);
+            const size_t q = first + (size_t)i * width + x;
+            total += w[k] * sums.data[q];
+            share += w[k] * shares.data[q];
+        }
+        const float energy = share > LEAST ? total / share : 0.f;
+        const float contrast = sqrtf(energy + floor * floor);
+        for (int c = 0; c < CHANNELS; ++c) out.data[row + x].c[c] = (DETAIL)(details.data[row + x].c[c] / contrast);
+    }
+"""
+)
+
+
+@once
+def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNamespace:
+    pixel, stored_pixel, detail_pixel = pixel_type(channels), pixel_type(channels, stored), pixel_type(channels, detail)
+    module = f"lfgpu_normalization_{channels}_{stored.__name__}_{detail.__name__}"
+
+    def code(text: str) -> str:
+        detail_name = "wp::half" if detail is wp.float16 else "float"
+        for name, value in (("CHANNELS", channels), ("LEAST", f"{_LEAST_SHARE}f"), ("DETAIL", detail_name)):
+            text = text.replace(name, str(value))
+        return text
+
+    @wp.kernel(module=module, enable_backward=False)
+    def scale_kernel(
+        views: wp.array3d(dtype=stored_pixel), scale: float, lanes: int, detail_out: wp.array3d(dtype=detail_pixel)
+    ):
+        i = wp.tid()
+        lane = i % lanes
+        n = i / lanes / views.shape[1]
+        y = i / lanes - n * views.shape[1]
+        for x in range(lane, views.shape[2], lanes):
+            stored_value = views[n, y, x]
+            out = detail_pixel()
+            for c in range(wp.static(channels)):
+                out[c] = detail(scale * float(stored_value[c]))
+            detail_out[n, y, x] = out
+
+    @wp.func_native(code(_ROWS))
+    def add_row(
+        views: wp.array3d(dtype=stored_pixel),
+        valid: wp.array3d(dtype=float),
+        weights: wp.array(dtype=float),
+        scale: float,
+        n: int,
+        y: int,
+        lane: int,
+        lanes: int,
+        sums: wp.array3d(dtype=pixel),
+        shares: wp.array3d(dtype=float),
+    ): ...
+
+    @wp.kernel(module=module, enable_backward=False)
+    def rows_kernel(
+        views: wp.array3d(dtype=stored_pixel),
+        valid: wp.array3d(dtype=float),
+        weights: wp.array(dtype=float),
+        scale: float,
+        lanes: int,
+        sums_out: wp.array3d(dtype=pixel),
+        shares_out: wp.array3d(dtype=float),
+    ):
+        """Gaussian sums along the rows, and how much of the Gaussian lay on valid pixels."""
+        i = wp.tid()
+        lane = i % lanes
+        n = i / lanes / views.shape[1]
+        y = i / lanes - n * views.shape[1]
+        add_row(views, valid, weights, scale, n, y, lane, lanes, sums_out, shares_out)
+
+    @wp.func_native(code(_DETAIL))
+    def subtract_mean(
+        views: wp.array3d(dtype=stored_pixel),
+        sums: wp.array3d(dtype=pixel),
+        shares: wp.array3d(dtype=float),
+        weights: wp.array(dtype=float),
+        scale: float,
+        n: int,
+        y: int,
+        lane: int,
+        lanes: int,
+        details: wp.array3d(dtype=pixel),
+        energies: wp.array3d(dtype=float),
+    ): ...
+
+    @wp.kernel(module=module, enable_backward=False)
+    def detail_kernel(
+        views: wp.array3d(dtype=stored_pixel),
+        sums: wp.array3d(dtype=pixel),
+        shares: wp.array3d(dtype=float),
+        weights: wp.array(dtype=float),
+        scale: float,
+        lanes: int,
+        details_out: wp.array3d(dtype=pixel),
+        energies_out: wp.array3d(dtype=float),
+    ):
+        """Gaussian sums down the columns; what the mean leaves, and its mean square over the channels."""
+        i = wp.tid()
+        lane = i % lanes
+        n = i / lanes / views.shape[1]
+        y = i / lanes - n * views.shape[1]
+        subtract_mean(views, sums, shares, weights, scale, n, y, lane, lanes, details_out, energies_out)
+
+    @wp.func_native(code(_ENERGY_ROWS))
+    def add_energy_row(
+        energies: wp.array3d(dtype=float),
+        valid: wp.array3d(dtype=float),
+        weights: wp.array(dtype=float),
+        n: int,
+        y: int,
+        lane: int,
+        lanes: int,
+        sums: wp.array3d(dtype=float),
+        shares: wp.array3d(dtype=float),
+    ): ...
+
+    @wp.kernel(module=module, enable_backward=False)
+    def energy_rows_kernel(
+        energies: wp.array3d(dtype=float),
+        valid: wp.array3d(dtype=float),
+        weights: wp.array(dtype=float),
+        lanes: int,
+        sums_out: wp.array3d(dtype=float),
+        shares_out: wp.array3d(dtype=float),
+    ):
+        i = wp.tid()
+        lane = i % lanes
+        n = i / lanes / energies.shape[1]
+        y = i / lanes - n * energies.shape[1]
+        add_energy_row(energies, valid, weights, n, y, lane, lanes, sums_out, shares_out)
+
+    @wp.func_native(code(_CONTRAST))
+    def divide_by_contrast(
+        details: wp.array3d(dtype=pixel),
+        sums: wp.array3d(dtype=float),
+        shares: wp.array3d(dtype=float),
+        weights: wp.array(dtype=float),
+        floor: float,
+        n: int,
+        y: int,
+        lane: int,
+        lanes: int,
+        out: wp.array3d(dtype=detail_pixel),
+    ): ...
+
+    @wp.kernel(module=module, enable_backward=False)
+    def contrast_kernel(
+        details: wp.array3d(dtype=pixel),
+        sums: wp.array3d(dtype=float),
+        shares: wp.array3d(dtype=float),
+        weights: wp.array(dtype=float),
+        floor: float,
+        lanes: int,
+        detail_out: wp.array3d(dtype=detail_pixel),
+    ):
+        """Detail in units of its contrast."""
+        i = wp.tid()
+        lane = i % lanes
+        n = i / lanes / details.shape[1]
+        y = i / lanes - n * details.shape[1]
+        divide_by_contrast(details, sums, shares, weights, floor, n, y, lane, lanes, detail_out)
+
+    return SimpleNamespace(
+        scale=scale_kernel,
+        rows=rows_kernel,
+        detail=detail_kernel,
+        energy_rows=energy_rows_kernel,
+        contrast=contrast_kernel,
+    )
+
+
+def _gaussian(sigma: float, device: Any) -> Any:
+    radius = int(_TRUNCATE * sigma + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    return wp.array((weights / weights.sum()).astype(np.float32), dtype=float, device=device)
+
+
+def normalization(shape: Sequence[int], device: str, *, scale: float, sigma: float, floor: float) -> Normalization:
+    (n, height, width, channels), place = shape, wp.get_device(device)
+    batch = 1 if place.is_cpu else _BATCH
+    size = (batch, height, width)
+    if sigma > 0:
+        narrow, wide = _gaussian(sigma, place), _gaussian(2 * sigma, place)
+        pixel = pixel_type(channels)
+        room = [
+            (
+                *(wp.empty(size, dtype=pixel, device=place) for _ in range(2)),
+                *(wp.empty(size, dtype=float, device=place) for _ in range(3)),
+            )
+            for _ in slices(place, n)
+        ]
+
+    def normalize(views: Any, valid: Any, detail_out: Any) -> None:
+        kernels = _normalization_kernels(channels, views.dtype._wp_scalar_type_, detail_out.dtype._wp_scalar_type_)
+        threads = lanes(views)
+        load(place, kernels.scale)
+
+        def launch(kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
+            wp.launch(kernel, count * height * threads, [*inputs, threads], outputs, device=place)
+
+        def some_views(k: int, first: int, last: int) -> None:
+            if sigma == 0:
+                launch(kernels.scale, last - first, [views[first:last], scale], [detail_out[first:last]])
+                return
+            sums, details, shares, energy, energy_sums = room[k]
+            for start in range(first, last, batch):
+                end = min(start + batch, last)
+                some, mask = views[start:end], None if valid is None else valid[start:end]
+                launch(kernels.rows, end - start, [some, mask, narrow, scale], [sums, shares])
+                launch(kernels.detail, end - start, [some, sums, shares, narrow, scale], [details, energy])
+                launch(kernels.energy_rows, end - start, [energy, mask, wide], [energy_sums, shares])
+                inputs = [details, energy_sums, shares, wide, floor]
+                launch(kernels.contrast, end - start, inputs, [detail_out[start:end]])
+
+        in_slices(place, n, some_views)
+
+    return normalize

@@ -1,0 +1,102 @@
+"""Bounded L-BFGS on a backend's vectors (Nocedal 1980), without a decision of the host."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from lfgpu.solvers.solution import Solution
+from lfgpu.types import Array, KernelSet, Scalar
+
+_MEMORY = 10  # pairs, as in scipy's L-BFGS-B
+_FIRST_STEP = 0.02  # root mean square of the first step, pixels per view step
+PATIENCE = 5  # iterations over which a decrease is judged: a single short step says little
+
+Energy = Callable[[Array, Array, Scalar], None]
+"""energy(x, gradient_out, value_out) at a field x [y, x]."""
+
+
+class BoundedLbfgs:
+    """Minimises a function of a map within bounds; all of it on the device, so that it can be captured.
+
+    Each iteration tries a step along the direction of the two-loop recursion, moved into the bounds. A trial that
+    lowers the value enough (Armijo) is accepted, and its step and change of gradient are remembered; after one that
+    does not the step is shortened. Pixels that a bound stops are left out of the direction.
+
+    Parameters
+    ----------
+    shape
+        (height, width) of the map.
+    bounds
+        (low, high) of every pixel.
+    kernels, device
+        Where the map lives.
+    tolerance
+        Stop when iterations lower the value by less than this share of the first value, five of them on average.
+    max_iterations
+        Stop after as many.
+    """
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        bounds: tuple[float, float],
+        kernels: KernelSet,
+        device: str,
+        *,
+        tolerance: float,
+        max_iterations: int,
+    ) -> None:
+        self._kernels, self._bounds, self._most = kernels, bounds, max_iterations
+        self._gradient, self._trial, self._trial_gradient = (kernels.zeros(shape, device) for _ in range(3))
+        self._value, self._trial_value = kernels.scalar(0.0, device), kernels.scalar(0.0, device)
+        self._memory = kernels.lbfgs(
+            shape,
+            device,
+            memory=_MEMORY,
+            low=bounds[0],
+            high=bounds[1],
+            first_step=_FIRST_STEP,
+            tolerance=tolerance,
+            patience=PATIENCE,
+            most=max_iterations,
+        )
+
+    def minimize(self, energy: Energy, x: Array, callback: Callable[[int, float], None] | None = None) -> None:
+        """Improve `x`, a field [y, x], which is moved into the bounds first.
+
+        `callback` is called as callback(iteration, value); it waits for the device.
+        """
+        memory, value, trial_value = self._memory, self._value, self._trial_value
+        gradient, trial, trial_gradient = self._gradient, self._trial, self._trial_gradient
+        self._kernels.clamp(x, *self._bounds, x)
+        energy(x, gradient, value)
+        memory.begin(x, gradient, value)
+
+        def iterate() -> None:
+            memory.propose(x, trial)
+            energy(trial, trial_gradient, trial_value)
+            memory.judge(value, trial_value)
+            memory.learn(x, gradient, trial, trial_gradient)
+            if callback is not None:
+                trace, _, _ = memory.report()
+                callback(len(trace) - 1, trace[-1])
+
+        self._kernels.repeat(iterate, memory.go_on, 2 * self._most + 20)
+
+    def report(self) -> Solution:
+        """How the last minimisation went; waits for the device."""
+        trace, evaluations, flat = self._memory.report()
+        iterations = len(trace) - 1
+        if flat:
+            reason = "the energy no longer falls"
+        elif iterations >= self._most:
+            reason = "the limit of iterations is reached" if iterations else "no iteration was allowed"
+        else:
+            reason = "the line search finds nothing lower"
+        return Solution(
+            flat,
+            f"L-BFGS stopped after {iterations} iterations: {reason} ({trace[-1]:.6g}).",
+            iterations,
+            evaluations,
+            tuple(trace),
+        )

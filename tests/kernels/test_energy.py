@@ -1,0 +1,235 @@
+"""The whole energy, data term and prior as the refinement puts them together: its value, and its exact gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import cases
+import checks
+import numpy as np
+import pytest
+import test_checks_can_fail
+import test_reference
+
+from lfgpu._backends import load
+from lfgpu.config import PriorConfig, RefinementConfig
+from lfgpu.energy import Energy
+from lfgpu.lightfield import LightField
+from lfgpu.model import ForwardModel
+from lfgpu.prior import UNLIKE_ANY, NonLocalMeans
+from lfgpu.types import KernelSet
+
+REFERENCE = load("reference")
+
+
+@dataclass(frozen=True)
+class EnergyCase:
+    """A light field of random views at `offsets` from its reference, and a map in `disparities`."""
+
+    name: str
+    size: tuple[int, int] = (6, 7)
+    channels: int = 3
+    dtype: str = "float32"
+    offsets: tuple[tuple[float, float], ...] = cases.grid(3, 3)
+    disparities: tuple[float, float] = (-1.5, 1.5)
+    masked: bool = False
+    detail_scale: float = 1.5
+    rim: bool = False  # is compared too, although no pixel of the reference tells what it shows
+
+    def __str__(self) -> str:
+        return self.name.replace(" ", "-")
+
+
+ENERGY_CASES = (
+    EnergyCase("colour grid"),
+    EnergyCase("grey uint8", channels=1, dtype="uint8"),
+    EnergyCase("raw intensities uint16", dtype="uint16", detail_scale=0.0),
+    EnergyCase("one row of views", offsets=cases.grid(1, 5)),
+    EnergyCase("one column of views", offsets=cases.grid(5, 1), channels=1),
+    EnergyCase("two views", offsets=((0.0, 0.0), (1.0, 0.0))),
+    EnergyCase("grid with holes", offsets=tuple(cases.grid(3, 3)[k] for k in (0, 1, 3, 4, 8)), dtype="uint8"),
+    EnergyCase("irregular offsets", offsets=((0.0, 0.0), *cases.IRREGULAR)),
+    EnergyCase("masked", masked=True),
+    EnergyCase("masked with its rim", masked=True, rim=True),
+    EnergyCase("colour grid with its rim", rim=True),
+    EnergyCase("mostly out of the frame", disparities=(-8.0, 8.0), rim=True),
+    EnergyCase("one pixel high", size=(1, 13), channels=1),
+)
+
+
+def energy_inputs(case: EnergyCase, rng: np.random.Generator) -> SimpleNamespace:
+    """A light field of random views, a random map, and the parameters of the two terms."""
+    shape = len(case.offsets), *case.size
+    return SimpleNamespace(
+        lf=LightField(
+            cases.stored(rng.random((*shape, case.channels)), case.dtype),
+            np.array(case.offsets),
+            reference=case.offsets.index((0.0, 0.0)),
+            valid=rng.random(shape) < 0.8 if case.masked else None,
+        ),
+        disparity=np.round(rng.uniform(*case.disparities, case.size) * 2**10) / 2**10,
+        start=None if case.rim else np.round(rng.uniform(*case.disparities, case.size) * 2**10) / 2**10,
+        refinement=RefinementConfig(softness=0.125, detail_scale=case.detail_scale),
+        prior=PriorConfig(window=5, sigma_color=0.25, sigma_gradient=0.15),
+    )
+
+
+_DIFFERENCE_STEP = 1e-6  # pixels per view step
+
+Evaluate = Callable[[np.ndarray], tuple[float, np.ndarray]]
+
+
+def tolerance_on(device: str) -> float:
+    """Of float32; where the views that are compared are stored as float16, each of them is off by 2^-11 already."""
+    return 1e-5 if device == "cpu" else 1e-3
+
+
+def check_energy(kernels: KernelSet, device: str, i: SimpleNamespace, tolerance: float) -> None:
+    """Value and gradient are the reference's; the gradient is that of central differences in float64."""
+    value, gradient = energy_of(kernels, device, i)(i.disparity)
+    true_energy = energy_of(REFERENCE, "cpu", i)
+    true_value, true_gradient = true_energy(i.disparity)
+    assert gradient.shape == i.disparity.shape
+    differences = np.empty_like(true_gradient)
+    for place in np.ndindex(i.disparity.shape):
+        step = np.zeros_like(i.disparity)
+        step[place] = _DIFFERENCE_STEP
+        above, below = true_energy(i.disparity + step)[0], true_energy(i.disparity - step)[0]
+        differences[place] = (above - below) / (2 * _DIFFERENCE_STEP)
+    errors = {
+        "value": checks.largest_error(np.float64(value), np.float64(true_value)),
+        "gradient": checks.largest_error(gradient, true_gradient),
+        "gradient against central differences": checks.largest_error(gradient, differences),
+    }
+    for name, error in errors.items():
+        assert error <= tolerance, f"energy: the {name} is off by {error:.2e}, more than {tolerance:.0e}"
+
+
+def energy_of(kernels: KernelSet, device: str, i: SimpleNamespace) -> Evaluate:
+    """The energy that the refinement minimises, at maps in NumPy."""
+    views = kernels.image(i.lf.views, device)
+    prior = NonLocalMeans((*i.lf.size, i.lf.channels), i.prior, kernels, device)
+    prior.load(reference_image(kernels, device, i.lf))
+    model = ForwardModel(i.lf, i.refinement, kernels, device)
+    model.load(views, None if i.start is None else kernels.field(i.start, device))
+    return at_maps(Energy(model, prior, i.refinement.smoothness), kernels, device)
+
+
+def reference_image(kernels: KernelSet, device: str, lf: LightField) -> Any:
+    """What the prior is loaded with, as `DepthPipeline` makes it."""
+    image = kernels.zeros_image((*lf.size, lf.channels), device)
+    kernels.intensities(
+        kernels.image(lf.views, device),
+        lf.reference_index,
+        None if lf.valid is None else kernels.field(lf.valid, device),
+        scale=lf.scale,
+        fill=UNLIKE_ANY,
+        image_out=image,
+    )
+    return image
+
+
+def at_maps(energy: Callable[[Any, Any, Any], None], kernels: KernelSet, device: str) -> Evaluate:
+    """`energy(disparity, gradient_out, value_out)` for maps in NumPy."""
+
+    def evaluate(disparity: np.ndarray) -> tuple[float, np.ndarray]:
+        gradient, value = kernels.field(np.full(disparity.shape, np.nan), device), kernels.scalar(np.nan, device)
+        energy(kernels.field(disparity, device), gradient, value)
+        return kernels.number(value), kernels.numpy(gradient)
+
+    return evaluate
+
+
+@pytest.mark.parametrize("case", ENERGY_CASES, ids=str)
+def test_energy_and_its_gradient(target: Any, case: EnergyCase, rng: np.random.Generator) -> None:
+    check_energy(target.kernels, target.device, energy_inputs(case, rng), tolerance_on(target.device))
+
+
+def test_energy_of_another_light_field_is_that_of_a_fresh_one(target: Any, rng: np.random.Generator) -> None:
+    """What was loaded before leaves no trace: neither its views nor its rim."""
+    kernels, device = target.kernels, target.device
+    first, second = (energy_inputs(EnergyCase("masked", masked=True, dtype="uint8"), rng) for _ in range(2))
+    second.lf = replace(second.lf, valid=first.lf.valid)  # a mask is part of what a model is made for
+    model = ForwardModel(first.lf, first.refinement, kernels, device)
+    prior = NonLocalMeans((*first.lf.size, first.lf.channels), first.prior, kernels, device)
+    for i in (first, second):
+        prior.load(reference_image(kernels, device, i.lf))
+        model.load(kernels.image(i.lf.views, device), kernels.field(i.start, device))
+    value, gradient = at_maps(Energy(model, prior, second.refinement.smoothness), kernels, device)(second.disparity)
+    want_value, want_gradient = energy_of(kernels, device, second)(second.disparity)
+    assert value == pytest.approx(want_value, rel=1e-6)
+    np.testing.assert_allclose(gradient, want_gradient, rtol=0, atol=1e-6 * np.abs(want_gradient).max())
+
+
+# --- the check can fail ---
+
+BROKEN = {
+    "data_term": test_checks_can_fail.planned(test_checks_can_fail.half_gradient),
+    "nlm_laplacian": test_checks_can_fail.after(test_checks_can_fail.scaled(2), "laplacian_out"),
+}
+"""A factor of the gradient is missing, and one of the prior is too much."""
+
+
+@pytest.mark.parametrize("operation", BROKEN)
+def test_single_fault_is_caught(operation: str) -> None:
+    broken: Callable[..., Any] = BROKEN[operation](getattr(REFERENCE, operation))
+    kernels = test_checks_can_fail.with_operation(operation, broken)
+    inputs = energy_inputs(EnergyCase("energy"), np.random.default_rng(0))
+    check_energy(REFERENCE, "cpu", inputs, 1e-5)
+    with pytest.raises(AssertionError):
+        check_energy(kernels, "cpu", inputs, 1e-5)
+
+
+# --- the reference's terms against central differences and brute force ---
+
+
+def small_light_field(rng: np.random.Generator) -> LightField:
+    views = rng.integers(0, 256, (3, 3, 9, 10, 3), dtype=np.uint8)
+    return LightField.from_grid(views, valid=rng.random((9, 9, 10)) < 0.8)
+
+
+def prior_of(image: np.ndarray, config: PriorConfig) -> tuple[NonLocalMeans, Evaluate]:
+    """The prior of an image in the reference, and R with its gradient 4 L v."""
+    prior = NonLocalMeans(image.shape, config, REFERENCE, "cpu")
+    prior.load(REFERENCE.image(image, "cpu"))
+
+    def value_and_gradient(values: np.ndarray) -> tuple[float, np.ndarray]:
+        laplacian, half = np.full(values.shape, np.nan), REFERENCE.scalar(np.nan, "cpu")
+        prior.half(values, laplacian, half)
+        return 2 * REFERENCE.number(half), 4 * laplacian
+
+    return prior, value_and_gradient
+
+
+def test_prior_has_its_gradient(rng: np.random.Generator) -> None:
+    _, value_and_gradient = prior_of(rng.random((9, 10, 3), np.float32), PriorConfig(window=5))
+    values = rng.normal(size=(9, 10))
+    want = test_reference.central_differences(lambda v: value_and_gradient(v)[0], values, rng)
+    test_reference.assert_gradient(value_and_gradient(values)[1], want)
+
+
+def test_prior_is_the_sum_over_pairs(rng: np.random.Generator) -> None:
+    case = cases.NlmCase("colour", size=(5, 6), window=5)
+    i = cases.nlm_inputs(case, rng)
+    prior, value_and_gradient = prior_of(i.image, PriorConfig(**i.options))
+    w, v = test_reference.brute_weights(i), i.values.astype(float).ravel()
+    want = (w * (v[:, None] - v[None]) ** 2).sum()
+    assert value_and_gradient(i.values.astype(float))[0] == pytest.approx(want, rel=1e-12)
+    means, w = np.empty(case.size), w + np.eye(len(w))  # in means a pixel counts itself
+    np.testing.assert_allclose(prior.degree.ravel(), w.sum(1), rtol=1e-12)
+    prior.mean(i.values.astype(float), means)
+    np.testing.assert_allclose(means.ravel(), w @ v / w.sum(1), rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("smoothness", [0.0, 0.1, 10.0])
+def test_energy_has_its_gradient(smoothness: float, rng: np.random.Generator) -> None:
+    lf, config = small_light_field(rng), RefinementConfig(smoothness=smoothness)
+    case = cases.SplatCase("grid", size=lf.size, softness=config.softness, disparities=(-1.5, 1.5))
+    disparity = test_reference.away_from_joints(case, rng).disparity
+    inputs = SimpleNamespace(lf=lf, start=None, prior=PriorConfig(window=5), refinement=config)
+    energy = energy_of(REFERENCE, "cpu", inputs)
+    want = test_reference.central_differences(lambda d: energy(d)[0], disparity, rng)
+    test_reference.assert_gradient(energy(disparity)[1], want)

@@ -1,0 +1,265 @@
+"""One pipeline for many light fields of one kind: each map is that of a pipeline made for those views alone."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.config import Config
+from lfgpu.depth import DepthPipeline, estimate_depth
+from lfgpu.errors import LightFieldError
+from lfgpu.lightfield import LightField
+from lfgpu.result import DepthResult
+
+RANGE = (-1.5, 1.5)
+CONFIG = Config().with_values({"prior.window": 5, "refinement.max_iterations": 8})
+SAME = 1e-3  # pixels per view step, median: sums are in an order that a GPU decides
+
+
+@cache
+def scene(seed: int = 0, *, damaged: bool = False) -> LightField:
+    lf = scenes.make("relief", grid=(3, 5), size=(32, 36), seed=seed)
+    if not damaged:
+        return lf
+    some = lf.subset([index for index in range(len(lf.views)) if index not in (0, 9)])
+    valid = np.ones(some.views.shape[:3], bool)
+    valid[2, 10:20, 5:20] = valid[some.reference_index, :3, :4] = False
+    return LightField(some.views, some.positions, reference=some.reference, valid=valid, name=lf.name)
+
+
+def made(lf: LightField, target: Any, config: Config = CONFIG) -> DepthPipeline:
+    return DepthPipeline(lf, config=config, disparity_range=RANGE, backend=target.backend, device=target.device)
+
+
+def ran(pipeline: DepthPipeline, views: np.ndarray | None = None) -> np.ndarray:
+    """The map of one more run."""
+    if views is not None:
+        pipeline.upload(views)
+    pipeline.run()
+    return pipeline.disparity()
+
+
+def assert_same(one: np.ndarray, other: np.ndarray, target: Any) -> None:
+    """Bit for bit on a CPU."""
+    assert one.dtype == other.dtype == np.float32
+    assert one.shape == other.shape
+    if target.device == "cpu":
+        np.testing.assert_array_equal(one, other)
+    else:
+        assert np.median(np.abs(one - other)) <= SAME
+
+
+@pytest.mark.parametrize("damaged", [False, True], ids=["whole", "damaged"])
+def test_runs_again_give_the_same_map(target: Any, damaged: bool) -> None:
+    """On a GPU the second and third are captured ones."""
+    pipeline = made(scene(damaged=damaged), target)
+    first, second, third = (ran(pipeline) for _ in range(3))
+    assert_same(second, first, target)
+    assert_same(third, first, target)
+
+
+@pytest.mark.parametrize("damaged", [False, True], ids=["whole", "damaged"])
+def test_other_views_give_what_a_fresh_pipeline_gives(target: Any, damaged: bool) -> None:
+    fields = [scene(seed, damaged=damaged) for seed in range(3)]
+    pipeline = made(fields[0], target)
+    pipeline.run()
+    for lf in fields[1:]:
+        assert_same(ran(pipeline, lf.views), ran(made(lf, target)), target)
+    assert np.median(np.abs(ran(pipeline, fields[1].views) - ran(pipeline, fields[2].views))) > 0.1  # they do differ
+
+
+def test_captured_run_is_the_uncaptured_one(target: Any) -> None:
+    """Also with other views than those that it was captured with."""
+    if target.device == "cpu":
+        pytest.skip("nothing is captured on a CPU")
+    pipeline = made(scene(), target)
+    uncaptured = ran(pipeline)
+    pipeline.run()
+    assert np.median(np.abs(ran(pipeline) - uncaptured)) <= SAME
+    other = ran(made(scene(1), target))
+    assert np.median(np.abs(ran(pipeline, scene(1).views) - other)) <= SAME
+
+
+@pytest.mark.parametrize("solver", ["propagation.solver", "refinement.solver"])
+def test_solvers_on_the_host_run_again_too(target: Any, solver: str) -> None:
+    """What needs the host is not captured, and gives the same again."""
+    pipeline = made(scene(), target, CONFIG.with_values({solver: "lbfgsb", "refinement.max_iterations": 5}))
+    first = ran(pipeline)
+    for _ in range(2):
+        assert_same(ran(pipeline), first, target)
+
+
+@pytest.mark.parametrize("damaged", [False, True], ids=["whole", "damaged"])
+def test_run_estimate_and_estimate_depth_are_one_method(target: Any, damaged: bool) -> None:
+    lf = scene(damaged=damaged)
+    pipeline = made(lf, target)
+    estimated = pipeline.estimate()
+    again = pipeline.result()
+    assert_same_result(again, estimated)
+    assert again.timings == estimated.timings
+    assert_same(ran(pipeline), estimated.disparity, target)
+    direct = estimate_depth(lf, config=CONFIG, disparity_range=RANGE, backend=target.backend, device=target.device)
+    assert_same(direct.disparity, estimated.disparity, target)
+    assert_same(direct.confidence, estimated.confidence, target)
+
+
+def assert_same_result(one: DepthResult, other: DepthResult) -> None:
+    """Bit for bit, since nothing is computed in between."""
+    np.testing.assert_array_equal(one.disparity, other.disparity)
+    np.testing.assert_array_equal(one.confidence, other.confidence)
+    assert one.stages.keys() == other.stages.keys()
+    for stage, values in one.stages.items():
+        np.testing.assert_array_equal(values, other.stages[stage])
+    assert (one.status, one.trace, one.converged) == (other.status, other.trace, other.converged)
+    assert (one.disparity_range, one.config, one.position) == (other.disparity_range, other.config, other.position)
+
+
+def test_result_is_that_of_the_last_run(target: Any) -> None:
+    pipeline = made(scene(), target)
+    pipeline.estimate()
+    disparity = ran(pipeline, scene(1).views)
+    result = pipeline.result()
+    np.testing.assert_array_equal(result.disparity, disparity)
+    np.testing.assert_array_equal(result.stages["refined"], disparity)
+    fresh = made(scene(1), target).estimate()
+    assert_same(result.confidence, fresh.confidence, target)
+    assert result.trace[0] == pytest.approx(fresh.trace[0], rel=1e-6 if target.device == "cpu" else 1e-3)
+
+
+def test_map_is_a_copy_that_later_runs_leave_alone(target: Any) -> None:
+    pipeline = made(scene(), target)
+    first = ran(pipeline)
+    kept = first.copy()
+    ran(pipeline, scene(1).views)
+    np.testing.assert_array_equal(first, kept)
+
+
+def test_views_go_in_as_they_are(target: Any) -> None:
+    """Neither their layout in memory nor what their owner does with them afterwards matters."""
+    lf, other = scene(), scene(1)
+    pipeline = made(lf, target)
+    want = ran(made(other, target))
+    turned = np.asfortranarray(other.views)
+    pipeline.upload(turned)
+    turned[:] = 0
+    pipeline.run()
+    assert_same(pipeline.disparity(), want, target)
+
+
+class Tensor:
+    """An array in the CPU's memory of a library that is not NumPy: what DLPack asks for, and a type with a prefix."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self._values = values
+        self.shape, self.dtype = values.shape, f"torch.{values.dtype}"
+
+    def __dlpack__(self, **options: Any) -> Any:
+        return self._values.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> Any:
+        return self._values.__dlpack_device__()
+
+
+def test_arrays_of_other_libraries_go_in(target: Any) -> None:
+    pipeline, want = made(scene(), target), ran(made(scene(1), target))
+    assert_same(ran(pipeline, Tensor(scene(1).views)), want, target)  # type: ignore[arg-type]
+    with pytest.raises(LightFieldError, match=r"found uint8 \[14, 32, 36, 3\]\.$"):
+        pipeline.upload(Tensor(scene().views[1:]))
+
+
+def test_an_array_that_does_not_come_to_the_host_is_refused() -> None:
+    class Elsewhere(Tensor):
+        def __dlpack__(self, **options: Any) -> Any:
+            raise BufferError("on a GPU")
+
+    pipeline = DepthPipeline(scene(), config=CONFIG, disparity_range=RANGE, device="cpu")
+    with pytest.raises(LightFieldError, match=r"another device than the pipeline \(on a GPU\); copy them .*\.$"):
+        pipeline.upload(Elsewhere(scene().views))
+
+
+def test_map_can_stay_on_the_device(target: Any) -> None:
+    pipeline = made(scene(), target)
+    there = pipeline.device_disparity
+    for seed in range(2):
+        disparity = ran(pipeline, scene(seed).views)
+        np.testing.assert_array_equal(disparity, pipeline.kernels.numpy(there).astype(np.float32))
+
+
+@pytest.mark.parametrize("dtype", ["uint16", "float32"])
+def test_views_of_any_stored_type_go_in(target: Any, dtype: str) -> None:
+    fields = [scenes.make("relief", grid=(3, 3), size=(40, 44), seed=seed, dtype=dtype) for seed in range(2)]
+    pipeline = made(fields[0], target)
+    assert_same(ran(pipeline, fields[1].views), ran(made(fields[1], target)), target)
+
+
+def test_range_is_found_once_from_the_first_views() -> None:
+    pipeline = DepthPipeline(scene(), config=CONFIG, device="cpu")
+    bounds = pipeline.bounds
+    assert bounds == estimate_depth(scene(), config=CONFIG, device="cpu").disparity_range
+    ran(pipeline, scene(1).views)
+    assert pipeline.result().disparity_range == bounds
+
+
+# --- what is refused ---
+
+
+@pytest.mark.parametrize(
+    ("wrong", "found"),
+    [
+        (lambda views: views[:-1], "uint8 [14, 32, 36, 3]"),
+        (lambda views: views[..., :1], "uint8 [15, 32, 36, 1]"),
+        (lambda views: views[:, :, :-1], "uint8 [15, 32, 35, 3]"),
+        (lambda views: views.swapaxes(1, 2), "uint8 [15, 36, 32, 3]"),
+        (lambda views: views[0], "uint8 [32, 36, 3]"),
+        (lambda views: views.astype(np.float32), "float32 [15, 32, 36, 3]"),
+        (lambda views: views.astype(np.uint16), "uint16 [15, 32, 36, 3]"),
+    ],
+    ids=["views", "channels", "width", "turned", "one", "float32", "uint16"],
+)
+def test_views_of_another_kind_are_refused_and_change_nothing(target: Any, wrong: Any, found: str) -> None:
+    pipeline = made(scene(), target)
+    want = ran(pipeline)
+    with pytest.raises(LightFieldError) as error:
+        pipeline.upload(wrong(scene(1).views))
+    assert str(error.value) == (
+        f"views must be uint8 [15, 32, 36, 3] as those that the pipeline was made for, found {found}."
+    )
+    assert_same(ran(pipeline), want, target)
+
+
+def test_views_without_texture_have_no_map_and_leave_no_trace(target: Any) -> None:
+    lf = scene()
+    pipeline = made(lf, target)
+    want = ran(pipeline)
+    for _ in range(2):  # the second is captured on a GPU
+        pipeline.upload(np.full_like(lf.views, 128))
+        pipeline.run()
+        with pytest.raises(LightFieldError, match=r"relief: no pixel has a coherent estimate .*\.$"):
+            pipeline.disparity()
+    assert_same(ran(pipeline, lf.views), want, target)
+
+
+def test_estimate_stops_where_nothing_is_coherent(target: Any) -> None:
+    lf, stages = scene(), []
+    pipeline = made(lf, target)
+    pipeline.upload(np.full_like(lf.views, 128))
+    with pytest.raises(LightFieldError, match="no pixel has a coherent estimate"):
+        pipeline.estimate(on_progress=lambda stage, *_: stages.append(stage))
+    assert "refine" not in stages
+    pipeline.upload(lf.views)
+    assert_same(pipeline.estimate().disparity, ran(made(lf, target)), target)
+
+
+def test_pipeline_refuses_what_estimate_depth_refuses() -> None:
+    lf = scene()
+    for options in ({"disparity_range": (1, 1)}, {"config": "best"}, {"backend": "fpga"}, {"device": "tpu"}):
+        with pytest.raises(lfgpu.LfgpuError) as one:
+            lfgpu.DepthPipeline(lf, **options)  # type: ignore[arg-type]
+        with pytest.raises(lfgpu.LfgpuError) as other:
+            lfgpu.estimate_depth(lf, **options)  # type: ignore[arg-type]
+        assert (type(one.value), str(one.value)) == (type(other.value), str(other.value))
