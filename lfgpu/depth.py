@@ -153,6 +153,8 @@ class DepthPipeline:
         NumPy, or any array that has `__dlpack__` (PyTorch, CuPy, JAX): on the pipeline's own GPU it is copied there, by
         the "warp" backend in the order of its stream.
         """
+        if not hasattr(views, "dtype"):
+            raise LightFieldError(f"views must be an array, not {type(views).__name__}.")
         expected, found = self._lf.views, str(views.dtype).removeprefix("torch.")
         if tuple(views.shape) != expected.shape or found != str(expected.dtype):
             raise LightFieldError(
@@ -161,11 +163,16 @@ class DepthPipeline:
             )
         if not isinstance(views, np.ndarray) and (self.device == "cpu" or self._backend != "warp"):
             views = _on_host(views)
-        self.kernels.upload(views, self._views)
+        try:
+            self.kernels.upload(views, self._views)
+        except RuntimeError as error:  # what Warp says of strides and devices
+            raise LightFieldError(
+                f"views cannot be taken ({error}); make them contiguous, on {self.device}."
+            ) from error
 
     def run(self) -> None:
         """Estimate from the views that are there."""
-        if self._graph is None and self._runs == 1 and self.config.is_on_device:
+        if self._graph is None and self._runs > 0 and self.config.is_on_device:
             self._graph = self.kernels.capture(self._work, self.device)
         (self._graph or self._work)()
         self._runs += 1
@@ -193,15 +200,16 @@ class DepthPipeline:
                     work(None if on_progress is None else _of_stage(on_progress, stage))
                     self.kernels.number(self._propagation.trusted)  # waits
                 if stage == "propagate":
+                    self._runs += 1
                     self._check()
-        self._runs += 1
         if self._runs == 1:
             for name in ("local", "total"):  # finding the range was a part of them
                 self._timings[name] += self._preparation
         return self.result()
 
     def result(self) -> DepthResult:
-        """Everything about the last run; waits for the device."""
+        """Everything about the last run; waits for the device. LightFieldError if nothing was coherent."""
+        self._check()
         lf, refined = self._lf, self._refinement.report()
         coherence, local = self._map(self._local.coherence), self._map(self._local.disparity)
         disparity, position = self._map(self._disparity), lf.positions[lf.reference_index]
@@ -260,6 +268,8 @@ class DepthPipeline:
         return self.kernels.numpy(field).astype(np.float32, copy=False)
 
     def _check(self) -> None:
+        if self._runs == 0:
+            raise LightFieldError(f"{self._lf.name}: nothing has been estimated yet; call run() or estimate() first.")
         if self.kernels.number(self._propagation.trusted) == 0:
             raise LightFieldError(
                 f"{self._lf.name}: no pixel has a coherent estimate within the disparity range: the views have no "

@@ -263,3 +263,12 @@ def test_pipeline_refuses_what_estimate_depth_refuses() -> None:
         with pytest.raises(lfgpu.LfgpuError) as other:
             lfgpu.estimate_depth(lf, **options)  # type: ignore[arg-type]
         assert (type(one.value), str(one.value)) == (type(other.value), str(other.value))
+
+
+def test_what_was_never_run_has_no_result() -> None:
+    pipeline = DepthPipeline(scenes.make("relief", grid=(3, 3), size=(24, 24)), disparity_range=(-1, 1), device="cpu")
+    for ask in (pipeline.disparity, pipeline.result):
+        with pytest.raises(lfgpu.LightFieldError, match=r"nothing has been estimated yet; call run\(\)"):
+            ask()
+    with pytest.raises(lfgpu.LightFieldError, match="views must be an array, not list"):
+        pipeline.upload([1, 2, 3])

@@ -72,14 +72,22 @@ class BoundedLbfgs:
         energy(x, gradient, value)
         memory.begin(x, gradient, value)
 
+        told = 0
+
+        def tell(listener: Callable[[int, float], None]) -> None:
+            nonlocal told
+            trace, _, _ = memory.report()
+            if len(trace) - 1 > told:  # a trial that is not accepted is no iteration
+                told = len(trace) - 1
+                listener(told, trace[-1])
+
         def iterate() -> None:
             memory.propose(x, trial)
             energy(trial, trial_gradient, trial_value)
             memory.judge(value, trial_value)
             memory.learn(x, gradient, trial, trial_gradient)
             if callback is not None:
-                trace, _, _ = memory.report()
-                callback(len(trace) - 1, trace[-1])
+                tell(callback)
 
         self._kernels.repeat(iterate, memory.go_on, 2 * self._most + 20)
 
@@ -87,6 +95,8 @@ class BoundedLbfgs:
         """How the last minimisation went; waits for the device."""
         trace, evaluations, flat = self._memory.report()
         iterations = len(trace) - 1
+        if iterations == 0 and evaluations == 1 and self._most > 0:  # there was no direction to try
+            flat = True
         if flat:
             reason = "the energy no longer falls"
         elif iterations >= self._most:
