@@ -214,7 +214,8 @@ def test_end_of_a_curved_valley_is_found(solver: Solver, target: Any, rng: np.ra
     start = rng.uniform(0.2, 0.9, SHAPE)
     values, solution = minimise(solver, target, valley, start, (-2, 2))
     assert solution.converged
-    assert solution.trace[-1] < 1e-6 * valley(start)[0]
+    left = 1e-6 if target.kernels.dtype is np.float64 else 1e-4  # float32 ends the line search of some starts earlier
+    assert solution.trace[-1] < left * valley(start)[0]
     if target.kernels.dtype is np.float64:  # float32 says too little about places along so flat a floor
         np.testing.assert_allclose(values, 1, rtol=0, atol=1e-3)
 

@@ -542,10 +542,14 @@ def bounded_function(case: LbfgsCase, rng: np.random.Generator) -> Function:
 
 
 def quadratic(count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """A random symmetric matrix with eigenvalues from 1 to 30, and a vector: A and b of xᵀ A x / 2 - bᵀ x."""
+    """A random symmetric matrix with eigenvalues from 1 to 30, and a vector: A and b of xᵀ A x / 2 - bᵀ x.
+
+    Without bounds all of the minimum lies more than 0.6 from 0.
+    """
     basis, _ = np.linalg.qr(rng.normal(size=(count, count)))
     values = np.geomspace(1, 30, count)
-    return basis * values @ basis.T, rng.normal(size=count) * np.sqrt(values)
+    matrix = basis * values @ basis.T
+    return matrix, matrix @ (rng.choice([-1, 1], count) * rng.uniform(0.6, 1.5, count))
 
 
 def _rosenbrock(x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
