@@ -6,9 +6,10 @@ import importlib.metadata
 import os
 import platform
 import subprocess
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
+
+from lfgpu.cli.machine import device_name
 
 ROOT = Path(__file__).parents[1]
 _PACKAGES = ("lfgpu", "warp-lang", "taichi", "numpy", "scipy")
@@ -19,7 +20,7 @@ def describe() -> dict[str, Any]:
     gpus = nvidia_smi("name") or []
     drivers = nvidia_smi("driver_version") or []
     return {
-        "cpu": _cpu(),
+        "cpu": device_name("cpu") or platform.machine(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "memory_bytes": _memory(),
         "gpus": gpus,
@@ -63,14 +64,6 @@ def _said(*command: str) -> str | None:
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout if done.returncode == 0 else None
-
-
-def _cpu() -> str:
-    with suppress(OSError):
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
 
 
 def _memory() -> int | None:

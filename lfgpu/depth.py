@@ -163,6 +163,8 @@ class DepthPipeline:
             )
         if not isinstance(views, np.ndarray) and (self.device == "cpu" or self._backend != "warp"):
             views = _on_host(views)
+        if isinstance(views, np.ndarray) and views.dtype.kind == "f" and not np.isfinite(views).all():
+            raise LightFieldError("views hold values that are not finite (NaN or infinity); mask or replace them.")
         try:
             self.kernels.upload(views, self._views)
         except RuntimeError as error:  # what Warp says of strides and devices

@@ -272,3 +272,13 @@ def test_what_was_never_run_has_no_result() -> None:
             ask()
     with pytest.raises(lfgpu.LightFieldError, match="views must be an array, not list"):
         pipeline.upload([1, 2, 3])
+
+
+def test_views_that_are_not_finite_are_refused() -> None:
+    lf = scenes.make("relief", grid=(3, 3), size=(24, 24))
+    views = (lf.views * lf.scale).astype(np.float32)
+    pipeline = DepthPipeline(LightField(views, lf.positions), disparity_range=(-1, 1), device="cpu")
+    views = views.copy()
+    views[4, 3, 2] = np.nan
+    with pytest.raises(LightFieldError, match="views hold values that are not finite"):
+        pipeline.upload(views)

@@ -181,7 +181,7 @@ def _three_products(
 ): ...
 
 
-@wp.kernel(module="lfgpu_lbfgs_cpu")
+@wp.kernel(module="lfgpu_lbfgs_cpu", enable_backward=False)
 def _products_on_cpu_kernel(
     state: State, stack: wp.array3d(dtype=float), row: int, sums_out: wp.array2d(dtype=wp.float64)
 ):
@@ -373,7 +373,7 @@ def _two_loops(
 ): ...
 
 
-@wp.kernel(module="lfgpu_lbfgs_gpu")
+@wp.kernel(module="lfgpu_lbfgs_gpu", enable_backward=False)
 def _direction_by_one_warp_kernel(
     state: State,
     sums: wp.array2d(dtype=wp.float64),
