@@ -9,12 +9,13 @@ import typer
 
 from benchmarks import cases, compare, merge, operations, pipelines, plot, results, show, suite
 from benchmarks.errors import BenchmarkError
-from benchmarks.failures import Group
 from lfgpu._backends import list_backends
+from lfgpu.cli.failures import Group
 from lfgpu.io.atomic import check_writable
 from lfgpu.threads import get_threads
 
 app = typer.Typer(
+    name="benchmarks",
     cls=Group,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from statistics import median
 
 import numpy as np
@@ -26,7 +27,7 @@ def measure(pipeline: DepthPipeline, views: NDArray[np.generic]) -> tuple[dict[s
     parts: dict[str, Callable[[], None]] = {UPLOAD: lambda: pipeline.upload(views)}
     captured = False
     if pipeline.config.is_on_device:
-        works = _works(pipeline)
+        works = {name: partial(stage, None) for name, stage in pipeline.stages().items()}
         graphs = {stage: kernels.capture(work, device) for stage, work in works.items()}
         captured = None not in graphs.values()
         parts |= {stage: graphs[stage] or work for stage, work in works.items()}
@@ -35,15 +36,6 @@ def measure(pipeline: DepthPipeline, views: NDArray[np.generic]) -> tuple[dict[s
         seconds |= {stage: s for stage, s in pipeline.estimate().timings.items() if stage != "total"}
     seconds[DOWNLOAD] = _median(pipeline.disparity, lambda: None)
     return seconds, captured
-
-
-def _works(pipeline: DepthPipeline) -> dict[str, Callable[[], None]]:
-    """The stages as `DepthPipeline.run` asks for them, by their names in `DepthResult.timings`."""
-    return {
-        "local": lambda: pipeline._estimate(None),
-        "propagate": lambda: pipeline._fill(None),
-        "refine": lambda: pipeline._refine(None),
-    }
 
 
 def _median(part: Callable[[], object], stop: Callable[[], object]) -> float:

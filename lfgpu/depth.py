@@ -9,8 +9,8 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lfgpu import interop
 from lfgpu._backends import DEFAULT, load, package_of, pick_device
 from lfgpu.config import Config, preset
 from lfgpu.energy import Energy
@@ -27,9 +27,15 @@ from lfgpu.types import Array, Float32Array
 
 STAGES = ("local", "propagate", "refine")
 
+Callback = Callable[[int, float], None]
+Stage = Callable[[Callback | None], None]
+
 _SOLVERS: dict[str, type[BoundedLbfgs] | type[ScipyLbfgsb]] = {"lbfgs": BoundedLbfgs, "lbfgsb": ScipyLbfgsb}
 
+_NOT_FINITE = "views hold values that are not finite (NaN or infinity); mask or replace them."
+
 Progress = Callable[[str, int, float], None]
+"""Called as progress(stage, iteration, value)."""
 
 
 def estimate_depth(
@@ -122,6 +128,7 @@ class DepthPipeline:
         self._timings: dict[str, float] = {}
         self._graph: Callable[[], None] | None = None
         self._runs = 0
+        self._unseen = False  # whether the views came from a GPU, where NaN is not looked for
         start = perf_counter()
         self.bounds = bounds or find_disparity_range(lf, parameters.local, self.kernels, self.device)
         self._allocate()
@@ -148,29 +155,45 @@ class DepthPipeline:
         )
 
     def upload(self, views: Any) -> None:
-        """Take other views [n, y, x, c], of the shape and type of the light field's; LightFieldError if they differ.
+        """Take other views [n, y, x, c], of the shape and type of the light field's, with any strides.
 
-        NumPy, or any array that has `__dlpack__` (PyTorch, CuPy, JAX): on the pipeline's own GPU it is copied there, by
-        the "warp" backend in the order of its stream.
+        NumPy, or an array of another library that has DLPack or `__cuda_array_interface__` (PyTorch, CuPy, JAX, Numba).
+        One of the pipeline's own GPU is copied there, without the host, by the "warp" backend. The copy takes its turn
+        on the stream on which PyTorch or CuPy work at this moment: it waits for what they were asked for, and what they
+        are asked for next waits for it, so that the array may be changed or dropped at once. For other libraries the
+        host waits for the copy, as it does for arrays in its own memory.
+
+        Values that are not finite are refused at once, but on a GPU, where nothing is looked at on the way:
+        `disparity` and `result` refuse to answer then, and `device_disparity` means nothing.
+
+        Raises
+        ------
+        LightFieldError
+            If shape, type or device are not the pipeline's, or values are not finite.
         """
-        if not hasattr(views, "dtype"):
-            raise LightFieldError(f"views must be an array, not {type(views).__name__}.")
-        expected, found = self._lf.views, str(views.dtype).removeprefix("torch.")
-        if tuple(views.shape) != expected.shape or found != str(expected.dtype):
+        place = interop.place_of("views", views)
+        (found, shape), expected = interop.kind_of("views", views), self._lf.views
+        if shape != expected.shape or found != str(expected.dtype):
             raise LightFieldError(
                 f"views must be {expected.dtype} {list(expected.shape)} as those that the pipeline was made for, found "
-                f"{found} {list(views.shape)}."
+                f"{found} {list(shape)}."
             )
-        if not isinstance(views, np.ndarray) and (self.device == "cpu" or self._backend != "warp"):
-            views = _on_host(views)
-        if isinstance(views, np.ndarray) and views.dtype.kind == "f" and not np.isfinite(views).all():
-            raise LightFieldError("views hold values that are not finite (NaN or infinity); mask or replace them.")
+        if place == "cpu":
+            views = interop.on_host("views", views)
+            if views.dtype.kind == "f" and not np.isfinite(views).all():
+                raise LightFieldError(_NOT_FINITE)
+        elif self._backend != "warp" or self.device == "cpu":
+            raise LightFieldError(
+                f"views are on {place} and the pipeline on {self.device} with backend {self._backend!r}; copy them to "
+                "the CPU first, or make the pipeline for that GPU with backend 'warp'."
+            )
+        elif place not in (self.device, interop.SOME_GPU):
+            raise LightFieldError(f"views are on {place} and the pipeline on {self.device}; copy them there first.")
         try:
             self.kernels.upload(views, self._views)
-        except RuntimeError as error:  # what Warp says of strides and devices
-            raise LightFieldError(
-                f"views cannot be taken ({error}); make them contiguous, on {self.device}."
-            ) from error
+        except (BufferError, RuntimeError) as error:  # of the array's library
+            raise LightFieldError(f"views cannot be taken: {' '.join(str(error).split())}") from error
+        self._unseen = place != "cpu" and expected.dtype.kind == "f"
 
     def run(self) -> None:
         """Estimate from the views that are there."""
@@ -180,22 +203,36 @@ class DepthPipeline:
         self._runs += 1
 
     @property
-    def device_disparity(self) -> Array:
-        """The map of the last run where it was computed, an array of the backend [y, x] that the next run writes over.
+    def device_disparity(self) -> Any:
+        """The map of the last run where it was computed, [y, x], float32 (float64 with backend "reference").
 
-        One of Warp has `__cuda_array_interface__` and `__dlpack__`: torch.from_dlpack(pipeline.device_disparity).
+            torch.from_dlpack(pipeline.device_disparity)
+            cupy.asarray(pipeline.device_disparity)
+
+        It has DLPack, and `__cuda_array_interface__` on a GPU or `__array_interface__` on a CPU, and is not copied.
+        Whoever takes it waits, on a stream of its own, for what was asked for by then: take it anew after each run. The
+        next run writes over it. If the views of that run are uploaded from the stream that reads this map, they come
+        after; otherwise be done with it before. BackendError from backend "taichi", which has nothing to share.
         """
-        return self._disparity
+        return self.kernels.shared(self._disparity)
+
+    @property
+    def device_confidence(self) -> Any:
+        """The confidence of the last run where it was computed, [y, x], 0 to 1; as `device_disparity`."""
+        return self.kernels.shared(self._confidence)
 
     def disparity(self) -> Float32Array:
-        """The map of the last run, float32 [y, x]; waits for the device. LightFieldError if nothing was coherent."""
+        """The map of the last run, float32 [y, x]; waits for the device.
+
+        LightFieldError if nothing was coherent, or views came from a GPU and are not finite.
+        """
         self._check()
         return self._map(self._disparity)
 
     def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
         """Run and return everything; waits for the device after each stage."""
         with self._timed("total"):
-            for stage, work in (("local", self._estimate), ("propagate", self._fill), ("refine", self._refine)):
+            for stage, work in self.stages().items():
                 with self._timed(stage):
                     if stage == "local" and on_progress is not None:
                         on_progress(stage, 0, 0.0)
@@ -203,14 +240,14 @@ class DepthPipeline:
                     self.kernels.number(self._propagation.trusted)  # waits
                 if stage == "propagate":
                     self._runs += 1
-                    self._check()
+                    self._check_coherence()
         if self._runs == 1:
             for name in ("local", "total"):  # finding the range was a part of them
                 self._timings[name] += self._preparation
         return self.result()
 
     def result(self) -> DepthResult:
-        """Everything about the last run; waits for the device. LightFieldError if nothing was coherent."""
+        """Everything about the last run; waits for the device. LightFieldError as from `disparity`."""
         self._check()
         lf, refined = self._lf, self._refinement.report()
         coherence, local = self._map(self._local.coherence), self._map(self._local.disparity)
@@ -240,15 +277,22 @@ class DepthPipeline:
             name=lf.name,
         )
 
-    def _work(self) -> None:
-        self._estimate(None)
-        self._fill(None)
-        self._refine(None)
+    def stages(self) -> dict[str, Stage]:
+        """What a run asks for, by the names of STAGES and in their order; each stage needs those before it.
 
-    def _estimate(self, _: Callable[[int, float], None] | None) -> None:
+        A stage is called with what to call as callback(iteration, value) after each iteration, or None; only with None
+        can it be captured. `run` and `estimate` do all of them.
+        """
+        return dict(zip(STAGES, (self._estimate, self._fill, self._refine), strict=True))
+
+    def _work(self) -> None:
+        for stage in self.stages().values():
+            stage(None)
+
+    def _estimate(self, _: Callback | None) -> None:
         self._local.run(self._views)
 
-    def _fill(self, callback: Callable[[int, float], None] | None) -> None:
+    def _fill(self, callback: Callback | None) -> None:
         self.kernels.intensities(
             self._views,
             self._lf.reference_index,
@@ -261,7 +305,7 @@ class DepthPipeline:
         self._propagation.run(self._local.disparity, self._local.coherence, callback)
         self._prior.mean(self._local.coherence, self._confidence)
 
-    def _refine(self, callback: Callable[[int, float], None] | None) -> None:
+    def _refine(self, callback: Callback | None) -> None:
         self._model.load(self._views, self._propagation.filled)
         self.kernels.copy(self._propagation.filled, self._disparity)
         self._refinement.minimize(self._energy, self._disparity, callback)
@@ -272,6 +316,11 @@ class DepthPipeline:
     def _check(self) -> None:
         if self._runs == 0:
             raise LightFieldError(f"{self._lf.name}: nothing has been estimated yet; call run() or estimate() first.")
+        if self._unseen and not np.isfinite(self._refinement.report().trace[0]):
+            raise LightFieldError(_NOT_FINITE)
+        self._check_coherence()
+
+    def _check_coherence(self) -> None:
         if self.kernels.number(self._propagation.trusted) == 0:
             raise LightFieldError(
                 f"{self._lf.name}: no pixel has a coherent estimate within the disparity range: the views have no "
@@ -285,17 +334,7 @@ class DepthPipeline:
         self._timings[stage] = perf_counter() - start
 
 
-def _on_host(views: Any) -> NDArray[Any]:
-    try:
-        return np.from_dlpack(views)
-    except (BufferError, RuntimeError, TypeError, ValueError) as error:
-        raise LightFieldError(
-            f"views are on another device than the pipeline ({error}); copy them to the CPU first, or make the "
-            "pipeline for that device with the warp backend."
-        ) from error
-
-
-def _of_stage(on_progress: Progress, stage: str) -> Callable[[int, float], None]:
+def _of_stage(on_progress: Progress, stage: str) -> Callback:
     return lambda iteration, value: on_progress(stage, iteration, value)
 
 

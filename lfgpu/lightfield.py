@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfgpu import interop
 from lfgpu.errors import LightFieldError
 from lfgpu.geometry import Geometry
 
@@ -50,7 +51,9 @@ class LightField:
     Parameters
     ----------
     views
-        [n, y, x, c] or [n, y, x], c = 1 or 3, uint8, uint16 or float32 in [0, 1]; kept as they came. n >= 2.
+        [n, y, x, c] or [n, y, x], c = 1 or 3, uint8, uint16 or float32 in [0, 1]; kept as they came. n >= 2. They may
+        be an array of another library (DLPack); one of a GPU is copied to the CPU, where a light field lives. Other
+        views of its kind need not be: see `DepthPipeline.upload`.
     positions
         [n, 2], where each camera stands as (u, v): u to the right, v down, in view steps (units of the nominal
         baseline). In a grid these are column and row. All different.
@@ -131,7 +134,7 @@ class LightField:
 
         The reference is the middle view, or for even counts the one right below and to the right of the middle.
         """
-        grid = np.asarray(views)
+        grid = _array("views", views)
         if grid.ndim not in (4, 5):
             raise LightFieldError(f"a grid of views must be [v, u, y, x] or [v, u, y, x, c], found shape {grid.shape}.")
         rows, columns = grid.shape[:2]
@@ -327,6 +330,8 @@ class LightField:
 
 
 def _array(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:
+    if hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__"):
+        values = interop.on_host(name, values)
     try:
         return np.asarray(values, dtype)
     except (TypeError, ValueError) as error:

@@ -184,7 +184,15 @@ class KernelSet(Protocol):
     def upload(self, values: NDArray[Any], array_out: Array) -> None:
         """New contents of a field or an image, of the same shape and, for an image, the type that it is stored in.
 
-        A backend may also take other arrays that have `__dlpack__`, on the device itself, and then copies there.
+        A backend may also take arrays of other libraries (`__dlpack__` or `__cuda_array_interface__`) on the device
+        itself, and then copies there: after what their library was asked for before, and before what it is asked for
+        later.
+        """
+
+    def shared(self, field: Array) -> Any:
+        """The field itself as an array that other libraries take without a copy: `__dlpack__`, and on the host
+        `__array_interface__`, on a GPU `__cuda_array_interface__`; who takes it reads it after what was asked for
+        before. BackendError where a backend has no such arrays.
         """
 
     def numpy(self, array: Array) -> NDArray[Any]:

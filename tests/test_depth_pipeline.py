@@ -151,45 +151,6 @@ def test_views_go_in_as_they_are(target: Any) -> None:
     assert_same(pipeline.disparity(), want, target)
 
 
-class Tensor:
-    """An array in the CPU's memory of a library that is not NumPy: what DLPack asks for, and a type with a prefix."""
-
-    def __init__(self, values: np.ndarray) -> None:
-        self._values = values
-        self.shape, self.dtype = values.shape, f"torch.{values.dtype}"
-
-    def __dlpack__(self, **options: Any) -> Any:
-        return self._values.__dlpack__(**options)
-
-    def __dlpack_device__(self) -> Any:
-        return self._values.__dlpack_device__()
-
-
-def test_arrays_of_other_libraries_go_in(target: Any) -> None:
-    pipeline, want = made(scene(), target), ran(made(scene(1), target))
-    assert_same(ran(pipeline, Tensor(scene(1).views)), want, target)  # type: ignore[arg-type]
-    with pytest.raises(LightFieldError, match=r"found uint8 \[14, 32, 36, 3\]\.$"):
-        pipeline.upload(Tensor(scene().views[1:]))
-
-
-def test_an_array_that_does_not_come_to_the_host_is_refused() -> None:
-    class Elsewhere(Tensor):
-        def __dlpack__(self, **options: Any) -> Any:
-            raise BufferError("on a GPU")
-
-    pipeline = DepthPipeline(scene(), config=CONFIG, disparity_range=RANGE, device="cpu")
-    with pytest.raises(LightFieldError, match=r"another device than the pipeline \(on a GPU\); copy them .*\.$"):
-        pipeline.upload(Elsewhere(scene().views))
-
-
-def test_map_can_stay_on_the_device(target: Any) -> None:
-    pipeline = made(scene(), target)
-    there = pipeline.device_disparity
-    for seed in range(2):
-        disparity = ran(pipeline, scene(seed).views)
-        np.testing.assert_array_equal(disparity, pipeline.kernels.numpy(there).astype(np.float32))
-
-
 @pytest.mark.parametrize("dtype", ["uint16", "float32"])
 def test_views_of_any_stored_type_go_in(target: Any, dtype: str) -> None:
     fields = [scenes.make("relief", grid=(3, 3), size=(40, 44), seed=seed, dtype=dtype) for seed in range(2)]
@@ -270,15 +231,3 @@ def test_what_was_never_run_has_no_result() -> None:
     for ask in (pipeline.disparity, pipeline.result):
         with pytest.raises(lfgpu.LightFieldError, match=r"nothing has been estimated yet; call run\(\)"):
             ask()
-    with pytest.raises(lfgpu.LightFieldError, match="views must be an array, not list"):
-        pipeline.upload([1, 2, 3])
-
-
-def test_views_that_are_not_finite_are_refused() -> None:
-    lf = scenes.make("relief", grid=(3, 3), size=(24, 24))
-    views = (lf.views * lf.scale).astype(np.float32)
-    pipeline = DepthPipeline(LightField(views, lf.positions), disparity_range=(-1, 1), device="cpu")
-    views = views.copy()
-    views[4, 3, 2] = np.nan
-    with pytest.raises(LightFieldError, match="views hold values that are not finite"):
-        pipeline.upload(views)

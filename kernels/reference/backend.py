@@ -4,7 +4,7 @@ import numpy as np
 
 from .control import capture, repeat
 from .lbfgs import lbfgs
-from .memory import devices, field, image, number, numpy, scalar, upload, zeros, zeros_image
+from .memory import devices, field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .residuals import residuals
 from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
@@ -47,6 +47,7 @@ __all__ = [
     "residuals",
     "scalar",
     "seen_by_reference",
+    "shared",
     "splat",
     "splat_jvp",
     "splat_transpose",

@@ -41,5 +41,9 @@ def numpy(array: Array) -> Array:
     return np.array(array)
 
 
+def shared(field: Array) -> Array:
+    return field
+
+
 def number(scalar: Array) -> float:
     return float(scalar[0])

@@ -4,7 +4,7 @@ import numpy as np
 
 from .control import capture, repeat
 from .lbfgs import lbfgs
-from .memory import field, image, number, numpy, scalar, upload, zeros, zeros_image
+from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .residuals import residuals
 from .runtime import devices
@@ -49,6 +49,7 @@ __all__ = [
     "residuals",
     "scalar",
     "seen_by_reference",
+    "shared",
     "splat",
     "splat_jvp",
     "splat_transpose",

@@ -103,6 +103,13 @@ def upload(values: NDArray[Any], array_out: DeviceArray) -> None:
     _filled(array_out, np.asarray(values, np.float32) if array_out.channels is None else np.asarray(values))
 
 
+def shared(field: DeviceArray) -> Any:
+    raise BackendError(
+        "backend 'taichi' has no arrays that other libraries could take: copy the map with disparity(), or use backend "
+        "'warp'."
+    )
+
+
 def clear(array: DeviceArray) -> DeviceArray:
     """The array, all 0."""
     with alone():

@@ -7,6 +7,7 @@ from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .residuals import residuals
+from .sharing import shared
 from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
 from .structure_tensor import keep_more_coherent, structure_tensor
 from .vector import at_least, axpby, choose, clamp, copy, divide, dot, fill, multiply, ratio
@@ -47,6 +48,7 @@ __all__ = [
     "residuals",
     "scalar",
     "seen_by_reference",
+    "shared",
     "splat",
     "splat_jvp",
     "splat_transpose",

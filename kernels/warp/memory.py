@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from .sharing import take
 from .threads import once
 
 _SCALARS: dict[type, Any] = {
@@ -54,13 +55,14 @@ def devices() -> tuple[str, ...]:
 
 def field(values: NDArray[Any], device: str) -> Any:
     start()
-    return wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.float32, device=device, copy=True)
+    return _read(wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.float32, device=device, copy=True))
 
 
 def image(values: NDArray[Any], device: str) -> Any:
     start()
     pixel = pixel_type(values.shape[-1], _SCALARS[values.dtype.type])
-    return wp.array(np.ascontiguousarray(values), dtype=pixel, shape=values.shape[:-1], device=device, copy=True)
+    contiguous = np.ascontiguousarray(values)
+    return _read(wp.array(contiguous, dtype=pixel, shape=values.shape[:-1], device=device, copy=True))
 
 
 def zeros(shape: Sequence[int], device: str) -> Any:
@@ -80,13 +82,15 @@ def scalar(value: float, device: str) -> Any:
 
 def upload(values: Any, array_out: Any) -> None:
     if not isinstance(values, np.ndarray):
-        source = wp.from_dlpack(values, dtype=array_out.dtype)
-    elif array_out.dtype is wp.float32:
+        take(values, array_out)
+        return
+    if array_out.dtype is wp.float32:
         source = wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.float32, device="cpu", copy=False)
     else:
         contiguous = np.ascontiguousarray(values)
         source = wp.array(contiguous, dtype=array_out.dtype, shape=array_out.shape, device="cpu", copy=False)
     wp.copy(array_out, source)
+    _read(array_out)
 
 
 def numpy(array: Any) -> NDArray[Any]:
@@ -96,3 +100,10 @@ def numpy(array: Any) -> NDArray[Any]:
 
 def number(scalar: Any) -> float:
     return float(scalar.numpy()[0])
+
+
+def _read(array: Any) -> Any:
+    """The array, when all that was read for it has been: a GPU still reads what its owner pinned."""
+    if array.device.is_cuda:
+        wp.synchronize_stream(array.device.stream)
+    return array

@@ -15,6 +15,7 @@ from lfgpu.cli import backends, demo, depth, evaluate, info, scene
 from lfgpu.cli.failures import Group
 
 app = typer.Typer(
+    name="lfgpu",
     cls=Group,
     help="Disparity, confidence and metric depth from 4D light fields.",
     no_args_is_help=True,

@@ -17,19 +17,26 @@ _DEVICE_MEMORY = "the memory of the device does not suffice; take fewer views (-
 
 
 class Group(TyperGroup):
-    """The commands, with everything that a person can cause turned into a sentence; bugs keep their traceback."""
+    """The commands, with everything that a person can cause turned into a sentence; bugs keep their traceback.
+
+    Sentences begin with the name that `typer.Typer` is given.
+    """
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command that the arguments name."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            raise _exit(_INTERRUPTION, _INTERRUPTED) from None
+            raise self._exit(_INTERRUPTION, _INTERRUPTED) from None
         except (LfgpuError, MemoryError, OSError, RuntimeError) as error:
             sentence = _sentence(error)
             if sentence is None:
                 raise
-            raise _exit(sentence, _FAILED) from error
+            raise self._exit(sentence, _FAILED) from error
+
+    def _exit(self, sentence: str, code: int) -> typer.Exit:
+        typer.echo(f"{self.name}: {sentence}", err=True)
+        return typer.Exit(code)
 
 
 def _sentence(error: Exception) -> str | None:
@@ -47,8 +54,3 @@ def _sentence(error: Exception) -> str | None:
 def _of_system(error: OSError) -> str:
     reason = error.strerror or str(error) or type(error).__name__
     return f"{error.filename}: {reason}." if error.filename else f"{reason}."
-
-
-def _exit(sentence: str, code: int) -> typer.Exit:
-    typer.echo(f"lfgpu: {sentence}", err=True)
-    return typer.Exit(code)

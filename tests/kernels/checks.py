@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import load
+from lfgpu.errors import BackendError
 from lfgpu.types import KernelSet, StructureFilters, half_window
 
 Values = NDArray[Any]
@@ -675,6 +676,20 @@ def check_numbers_in_double(kernels: KernelSet, device: str) -> None:
 
 
 # --- programs: work of many operations that nobody on the host looks at until it is done ---
+
+
+def check_shared(kernels: KernelSet, device: str) -> bool:
+    """Whether other libraries can look at a field of the CPU; they see what becomes of it."""
+    field = kernels.field(np.arange(6.0).reshape(2, 3), device)
+    try:
+        seen = np.from_dlpack(kernels.shared(field))
+    except BackendError:
+        return False
+    np.testing.assert_array_equal(seen, [[0, 1, 2], [3, 4, 5]])
+    kernels.fill(7.0, field)
+    np.testing.assert_array_equal(seen, np.full((2, 3), 7))
+    np.testing.assert_array_equal(np.asarray(kernels.shared(field)), np.full((2, 3), 7))
+    return True
 
 
 @dataclass(frozen=True)

@@ -104,6 +104,7 @@ MASKED_VIEW = of_splat(checks.check_masked_view_is_a_missing_view)
 NOTHING_VALID = of_splat(checks.check_nothing_valid_is_nothing_at_all)
 DOUBLE_DOT: Check = lambda kernels, rng: checks.check_dot_in_double(kernels, "cpu")  # noqa: E731
 DOUBLE_NUMBERS: Check = lambda kernels, rng: checks.check_numbers_in_double(kernels, "cpu")  # noqa: E731
+SHARED: Check = lambda kernels, rng: checks.check_shared(kernels, "cpu")  # noqa: E731
 REPEATS: Check = lambda kernels, rng: checks.check_repeat(kernels, "cpu")  # noqa: E731
 
 
@@ -817,6 +818,8 @@ FAULTS = (
     Fault("nothing done", "upload", lambda right: lambda values, out: None, value_of("memory")),
     Fault("strides ignored", "upload", argument(0, lambda values: values[..., ::-1]), value_of("memory")),
     Fault("nothing done, to an image", "upload", lambda right: lambda values, out: None, value_of("image_memory")),
+    Fault("a copy", "shared", lambda right: lambda field: right(field).copy(), SHARED),
+    Fault("turned", "shared", lambda right: lambda field: right(field)[::-1], SHARED),
     Fault("in float32", "scalar", argument(0, np.float32), DOUBLE_NUMBERS),
     Fault("in float32", "number", lambda right: lambda scalar: float(np.float32(right(scalar))), DOUBLE_NUMBERS),
     Fault("not a float", "number", lambda right: lambda scalar: np.float32(right(scalar)), value_of("dot")),

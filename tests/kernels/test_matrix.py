@@ -59,8 +59,8 @@ def test_matrix_has_every_operation_of_the_contract() -> None:
         "numpy",
         "number",
     }  # in the two about memory
-    control = {"repeat", "capture"}  # in checks of their own
-    assert contract == covered | memory | control
+    alone = {"repeat", "capture", "shared"}  # in checks of their own
+    assert contract == covered | memory | alone
 
 
 PAGE = (Path(__file__).parents[2] / "kernels" / "README.md").read_text(encoding="utf-8")
@@ -160,6 +160,13 @@ def test_dot_accumulates_in_float64(target: Any) -> None:
 
 def test_numbers_are_float64(target: Any) -> None:
     checks.check_numbers_in_double(target.kernels, target.device)
+
+
+def test_other_libraries_see_fields(target: Any) -> None:
+    if target.device != "cpu":
+        pytest.skip("tests/test_interop.py is about GPUs")
+    if not checks.check_shared(target.kernels, target.device):
+        pytest.skip("this backend has no arrays that other libraries could take")
 
 
 def test_repeat_runs_its_body_as_often_as_it_should(target: Any) -> None:
