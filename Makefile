@@ -8,7 +8,7 @@ demo: .venv/use
 	$(BIN)/lfgpu demo
 
 test: .venv/develop
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 lint: .venv/develop
 	$(BIN)/ruff check .

@@ -94,14 +94,15 @@ def _resident(job: Job, name: str, lf: LightField, *, look: bool) -> _Measured:
     def made() -> DepthPipeline:
         pipeline = DepthPipeline(lf, config=config, backend=job.backend, device=job.device)
         frame = partial(_frame, pipeline, lf)
-        clock.singly(frame, least=_WARM_UP if on_gpu else 1, most=_WARM_UP, budget=_WARM_UP_BUDGET)
+        least, most = (_WARM_UP, _WARM_UP) if on_gpu else (1, min(_WARM_UP, job.repeats))
+        clock.singly(frame, least=least, most=most, budget=_WARM_UP_BUDGET)
         return pipeline
 
     pipeline, peak = _with_peak(made, look)
     least = job.repeats if on_gpu and name == RESIDENT else min(2, job.repeats)
     seconds = clock.singly(partial(_frame, pipeline, lf), least=least, most=job.repeats, budget=_BUDGET)
     result = pipeline.result()
-    times, captured = stages.measure(pipeline, lf.views)
+    times, captured = stages.measure(pipeline, lf.views, repeats=job.repeats)
     return _Measured(clock.spread(seconds), result, times, peak, {"captured": captured})
 
 

@@ -16,9 +16,12 @@ UPLOAD, DOWNLOAD = "upload", "download"
 _MOST, _BUDGET = 10, 1.0  # repeats of each part, and seconds for them
 
 
-def measure(pipeline: DepthPipeline, views: NDArray[np.generic]) -> tuple[dict[str, float], bool]:
+def measure(
+    pipeline: DepthPipeline, views: NDArray[np.generic], *, repeats: int = _MOST
+) -> tuple[dict[str, float], bool]:
     """Medians in seconds, the device waited for after each part, and whether the stages were captured as in a run.
 
+    Each part is repeated as often as given, but no more than `_MOST` times and than fit into `_BUDGET`.
     The pipeline must have run before. Where a solver of the host takes part, nothing can be captured: its stages are
     those that one more estimate tells.
     """
@@ -31,17 +34,17 @@ def measure(pipeline: DepthPipeline, views: NDArray[np.generic]) -> tuple[dict[s
         graphs = {stage: kernels.capture(work, device) for stage, work in works.items()}
         captured = None not in graphs.values()
         parts |= {stage: graphs[stage] or work for stage, work in works.items()}
-    seconds = {name: _median(part, stop) for name, part in parts.items()}
+    seconds = {name: _median(part, stop, repeats) for name, part in parts.items()}
     if not pipeline.config.is_on_device:
         seconds |= {stage: s for stage, s in pipeline.estimate().timings.items() if stage != "total"}
-    seconds[DOWNLOAD] = _median(pipeline.disparity, lambda: None)
+    seconds[DOWNLOAD] = _median(pipeline.disparity, lambda: None, repeats)
     return seconds, captured
 
 
-def _median(part: Callable[[], object], stop: Callable[[], object]) -> float:
+def _median(part: Callable[[], object], stop: Callable[[], object], repeats: int) -> float:
     def call() -> None:
         part()
         stop()
 
     stop()
-    return median(clock.singly(call, least=1, most=_MOST, budget=_BUDGET))
+    return median(clock.singly(call, least=1, most=min(repeats, _MOST), budget=_BUDGET))

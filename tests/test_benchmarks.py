@@ -11,9 +11,11 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from benchmarks import (
     accuracy,
@@ -33,6 +35,7 @@ from benchmarks import (
     tables,
 )
 from benchmarks.cases import CASES, Case
+from benchmarks.cli import app
 from benchmarks.compare import compare
 from benchmarks.inputs import INPUTS, LARGEST_DISPARITY
 from benchmarks.jobs import Job
@@ -50,6 +53,11 @@ MEASURED = ("data_term", "nlm_laplacian", "dot")
 def benchmarks(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "benchmarks", *map(str, arguments)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+
+
+def told(*arguments: str | Path) -> Any:
+    """What the command line says, without a process of its own."""
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")
@@ -359,8 +367,8 @@ def test_broken_files_get_a_sentence(content: str | None, sentence: str, tmp_pat
     ],
 )
 def test_mistakes_get_one_sentence(arguments: tuple[str, ...], sentence: str) -> None:
-    done = benchmarks(*arguments)
-    assert done.returncode == 1
+    done = told(*arguments)
+    assert done.exit_code == 1
     assert sentence in done.stderr
     assert done.stderr.count("\n") == 1
 
@@ -381,8 +389,8 @@ def test_files_of_one_state_on_one_machine_are_one_run() -> None:
 
 
 def test_the_table_is_markdown(measured: Path) -> None:
-    done = benchmarks("table", measured)
-    assert done.returncode == 0, done.stderr
+    done = told("table", measured)
+    assert done.exit_code == 0, done.stderr
     assert f"**Operations, {TINY.name}**" in done.stdout
     assert re.search(r"^\| data_term \| warp \| cpu \| [\d.]+ [mµ]?s \|", done.stdout, re.MULTILINE)
     assert "- warp cuda:99: no such device here" in done.stdout
