@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from lfgpu._backends import list_backends, load
 from lfgpu.errors import BackendError
+from lfgpu.threads import get_threads
 from lfgpu.types import KernelSet
 
 SEED = "LFGPU_TEST_SEED"
@@ -43,10 +45,20 @@ def pytest_configure(config: pytest.Config) -> None:
     given = config.getoption("--seed")
     # By way of the environment, so that all workers of pytest-xdist have the same one.
     os.environ[SEED] = str(given) if given is not None else os.environ.get(SEED) or str(secrets.randbits(32))
+    _share_cores()
     config.stash[_TARGETS] = list(_find_targets(config.getoption("--backend"), config.getoption("--device")))
 
 
 _TARGETS = pytest.StashKey[list[Target]]()
+
+
+def _share_cores() -> None:
+    """Each worker of pytest-xdist has its share of the cores: with more threads than cores they wait for each other."""
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    if workers > 1:
+        share = max(1, get_threads() // workers)
+        os.environ.setdefault("LFGPU_THREADS", str(share))
+        threadpool_limits(share)
 
 
 def _find_targets(only_backend: str | None, only_device: str | None) -> Iterator[Target]:
