@@ -1,0 +1,84 @@
+"""Small light fields in files, and what refusals look like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from lfgpu.errors import LightFieldError
+
+HEIGHT, WIDTH = 4, 5
+
+CFG = """
+[intrinsics]
+focal_length_mm = 100.0
+image_resolution_x_px = 5
+image_resolution_y_px = 4
+sensor_size_mm = 35.0
+
+[extrinsics]
+num_cams_x = {columns}
+num_cams_y = {rows}
+baseline_mm = 25.0
+focus_distance_m = 4.25
+
+[meta]
+scene = 100 % cotton
+disp_min = -1.6
+disp_max = 1.5
+"""
+
+
+def picture(seed: int = 0, channels: int = 3, dtype: Any = np.uint8) -> NDArray[Any]:
+    """[y, x, c] of random values, another one for each seed."""
+    values = np.random.default_rng(seed).random((HEIGHT, WIDTH, channels))
+    return values.astype(dtype) if dtype == np.float32 else (values * np.iinfo(dtype).max).astype(dtype)
+
+
+def save(path: Path, image: NDArray[Any] | None = None) -> None:
+    """Write an image with Pillow, in the format that the suffix names."""
+    image = picture() if image is None else image
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(image[..., 0] if image.shape[2] == 1 else image).save(path)
+
+
+def save_named(folder: Path, places: Iterable[tuple[int, int]], pattern: str = "view_{0:02d}_{1:02d}.png") -> Path:
+    """Views at places of a grid, each with its own content (seed 100 * row + column)."""
+    for row, column in places:
+        save(folder / pattern.format(row, column), picture(100 * row + column))
+    return folder
+
+
+def save_hci(folder: Path, indices: Iterable[int], *, rows: int = 3, columns: int = 3, cfg: str | None = CFG) -> Path:
+    for index in indices:
+        save(folder / f"input_Cam{index:03d}.png", picture(index))
+    if cfg is not None:
+        (folder / "parameters.cfg").write_text(cfg.format(rows=rows, columns=columns))
+    return folder
+
+
+def box(rows: int, columns: int, first: int = 0) -> list[tuple[int, int]]:
+    return [(row + first, column + first) for row in range(rows) for column in range(columns)]
+
+
+def cross(n: int) -> set[tuple[int, int]]:
+    return {(row, column) for row, column in box(n, n) if row == n // 2 or column == n // 2}
+
+
+def star(n: int) -> set[tuple[int, int]]:
+    return {(row, column) for row, column in box(n, n) if abs(row - n // 2) == abs(column - n // 2)} | cross(n)
+
+
+def refusal(call: Callable[[], object]) -> str:
+    with pytest.raises(LightFieldError) as error:
+        call()
+    text = str(error.value)
+    assert text.endswith(".")
+    assert "\n" not in text
+    return text

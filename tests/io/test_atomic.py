@@ -1,0 +1,172 @@
+"""Files and folders are written whole or not at all."""
+
+from __future__ import annotations
+
+import threading
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from samples import refusal
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io import atomic_folder, atomic_write, check_writable, read_map, write_pfm
+
+
+def test_a_file_is_written_whole(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "a.txt"
+    with atomic_write(path) as temporary:
+        temporary.write_text("old")
+        assert temporary.suffix == ".txt"
+        assert not path.exists()
+    with atomic_write(path) as temporary:
+        temporary.write_text("new")
+        assert path.read_text() == "old"
+    assert path.read_text() == "new"
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt("mine"), ValueError("mine")])
+def test_a_file_is_not_written_at_all(tmp_path: Path, error: BaseException) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    for target in (path, tmp_path / "new" / "deep" / "b.txt"):
+        with pytest.raises(type(error), match="mine"):
+            interrupted(atomic_write(target), error)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def interrupted(context: AbstractContextManager[Path], error: BaseException) -> None:
+    """Write half of a file, or into a folder, and fail."""
+    with context as temporary:
+        (temporary / "a.txt" if temporary.is_dir() else temporary).write_text("half")
+        raise error
+
+
+def test_a_folder_is_written_whole(tmp_path: Path) -> None:
+    out = tmp_path / "new" / "out"
+    with atomic_folder(out) as temporary:
+        (temporary / "a.txt").write_text("1")
+        (temporary / "deep").mkdir()
+        (temporary / "deep" / "b.txt").write_text("1")
+        assert not out.exists()
+    (out / "mine.txt").write_text("mine")
+    with atomic_folder(out) as temporary:
+        (temporary / "a.txt").write_text("2")
+        assert (out / "a.txt").read_text() == "1"
+    contents = {str(p.relative_to(out)): p.read_text() for p in out.rglob("*") if p.is_file()}
+    assert contents == {"a.txt": "2", str(Path("deep", "b.txt")): "1", "mine.txt": "mine"}
+    assert list(tmp_path.iterdir()) == [tmp_path / "new"]
+    assert list((tmp_path / "new").iterdir()) == [out]
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_a_folder_is_not_written_at_all(tmp_path: Path, exists: bool) -> None:
+    out = tmp_path / "new" / "out"
+    if exists:
+        out.mkdir(parents=True)
+    with pytest.raises(RuntimeError, match="mine"):
+        interrupted(atomic_folder(out), RuntimeError("mine"))
+    assert sorted(tmp_path.rglob("*")) == ([out.parent, out] if exists else [])
+
+
+def test_new_files_have_the_usual_permissions(tmp_path: Path) -> None:
+    (tmp_path / "plain.txt").write_text("")
+    with atomic_write(tmp_path / "a.txt") as temporary:
+        temporary.write_text("")
+    assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "plain.txt").stat().st_mode
+
+
+def test_a_link_is_written_through(tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir()
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "real")
+    with atomic_folder(link) as temporary:
+        (temporary / "a.txt").write_text("")
+    file_link = tmp_path / "link.txt"
+    file_link.symlink_to(tmp_path / "real" / "a.txt")
+    with atomic_write(file_link) as temporary:
+        temporary.write_text("new")
+    assert link.is_symlink()
+    assert file_link.is_symlink()
+    assert (tmp_path / "real" / "a.txt").read_text() == "new"
+
+
+def test_writers_at_the_same_time_do_not_disturb_each_other(tmp_path: Path) -> None:
+    def write(index: int) -> None:
+        for _ in range(10):
+            write_pfm(tmp_path / "a.pfm", np.full((20, 20), index))
+
+    threads = [threading.Thread(target=write, args=(index,)) for index in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(np.unique(read_map(tmp_path / "a.pfm"))) == 1
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_places_that_cannot_be_written_are_found_early_and_late(tmp_path: Path) -> None:
+    file = tmp_path / "file.txt"
+    file.write_text("mine")
+    for out in (file, file / "out", file / "deep" / "out"):
+        assert f"{file} is a file" in refusal(lambda out=out: check_writable(out))
+        assert str(out) in refusal(lambda out=out: enter(atomic_folder(out)))
+    assert f"{tmp_path} cannot be written: it is a folder" in refusal(lambda: check_writable(tmp_path, folder=False))
+    assert f"{tmp_path} cannot be written: it is a folder" in refusal(lambda: enter(atomic_write(tmp_path)))
+    assert f"{file} is a file" in refusal(lambda: check_writable(file / "a.pfm", folder=False))
+    assert str(file / "a.pfm") in refusal(lambda: write_pfm(file / "a.pfm", np.zeros((3, 7), np.float32)))
+    assert file.read_text() == "mine"
+
+
+def enter(context: Any) -> None:
+    with context:
+        pass
+
+
+def test_places_that_can_be_written_pass_and_nothing_is_made(tmp_path: Path) -> None:
+    (tmp_path / "a.pfm").write_text("")
+    check_writable(tmp_path)
+    check_writable(tmp_path / "new" / "deep")
+    check_writable(tmp_path / "a.pfm", folder=False)
+    check_writable(tmp_path / "new" / "a.pfm", folder=False)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.pfm"]
+
+
+@pytest.mark.usefixtures("_permissions_count")
+def test_places_without_permission(tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    (closed / "open").mkdir(parents=True)
+    closed.chmod(0o500)
+    try:
+        for out in (closed, closed / "new", closed / "new" / "deep"):
+            assert f"no permission to write in {closed}" in refusal(lambda out=out: check_writable(out))
+            assert "Permission denied" in refusal(lambda out=out: enter(atomic_folder(out)))
+        assert f"no permission to write in {closed}" in refusal(lambda: check_writable(closed / "a", folder=False))
+        check_writable(closed / "open")  # as a mounted folder in a container is
+        with atomic_folder(closed / "open") as temporary:
+            (temporary / "a.txt").write_text("")
+        assert (closed / "open" / "a.txt").exists()
+        closed.chmod(0)
+        assert f"no permission to write in {closed}" in refusal(lambda: check_writable(closed / "open" / "new"))
+    finally:
+        closed.chmod(0o700)
+
+
+def test_a_folder_in_the_way_of_one_file_leaves_all_files_as_they_were(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (out / "b.txt").mkdir(parents=True)
+    (out / "a.txt").write_text("old")
+
+    def write() -> None:
+        with atomic_folder(out) as folder:
+            for name in ("a.txt", "b.txt", "c.txt"):
+                (folder / name).write_text("new")
+
+    with pytest.raises(LightFieldError, match=r"b\.txt is in the way"):
+        write()
+    assert (out / "a.txt").read_text() == "old"
+    assert sorted(path.name for path in out.iterdir()) == ["a.txt", "b.txt"]

@@ -1,0 +1,246 @@
+"""The images of views: what is kept of them, and which are refused."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from samples import HEIGHT, WIDTH, box, picture, refusal, save, save_named
+
+from lfgpu.io import read
+from lfgpu.io.images import read_image
+from lfgpu.io.png import write_png
+
+
+@pytest.mark.parametrize(
+    ("suffix", "channels", "dtype"),
+    [
+        ("png", 1, np.uint8),
+        ("png", 3, np.uint8),
+        ("png", 1, np.uint16),
+        ("bmp", 1, np.uint8),
+        ("bmp", 3, np.uint8),
+        ("tif", 1, np.uint8),
+        ("tif", 3, np.uint8),
+        ("tif", 1, np.uint16),
+        ("tif", 1, np.float32),
+    ],
+)
+def test_values_are_kept(tmp_path: Path, suffix: str, channels: int, dtype: Any) -> None:
+    for column in range(2):
+        save(tmp_path / f"0_{column}.{suffix}", picture(column, channels, dtype))
+    light_field = read(tmp_path)
+    assert light_field.views.dtype == dtype
+    np.testing.assert_array_equal(light_field.views[1], picture(1, channels, dtype))
+    np.testing.assert_array_equal(
+        light_field.views[0], iio.imread(tmp_path / f"0_0.{suffix}", plugin="pillow").reshape(HEIGHT, WIDTH, -1)
+    )
+
+
+def png_chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def png_bytes(width: int, height: int, depth: int, colour: int, rows: bytes) -> bytes:
+    """A PNG of unfiltered rows, made by hand: what is read is held against the format, not against our writer."""
+    header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0)
+    chunks = (b"IHDR", header), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_16_bit_colour_png_is_read_with_all_its_bits(tmp_path: Path, channels: int) -> None:
+    image = picture(1, channels, np.uint16)
+    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in image)
+    (tmp_path / "a.png").write_bytes(png_bytes(WIDTH, HEIGHT, 16, {3: 2, 4: 6}[channels], rows))
+    found, remarks = read_image(tmp_path / "a.png")
+    np.testing.assert_array_equal(found, image[..., :3])
+    assert (channels == 4) == bool(remarks)
+
+
+def test_16_bit_grey_with_alpha_is_refused(tmp_path: Path) -> None:
+    rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in picture(1, 2, np.uint16))
+    (tmp_path / "a.png").write_bytes(png_bytes(WIDTH, HEIGHT, 16, 4, rows))
+    assert "a.png is 16-bit grey with transparency" in refusal(lambda: read_image(tmp_path / "a.png"))
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_png_round_trip(tmp_path: Path, channels: int, dtype: Any) -> None:
+    image = picture(2, channels, dtype)
+    write_png(tmp_path / "a.png", image)
+    found, remarks = read_image(tmp_path / "a.png")
+    assert found.dtype == dtype
+    np.testing.assert_array_equal(found, image)
+    assert not remarks
+    if channels == 3:  # Pillow agrees as far as it goes: it reads the high bytes
+        np.testing.assert_array_equal(iio.imread(tmp_path / "a.png"), image >> (8 * (image.itemsize - 1)))
+
+
+def tiff_bytes(image: NDArray[Any], *, sample_format: int, planar: int = 1, order: str = "<") -> bytes:
+    """An uncompressed TIFF of one strip (or one for each plane), made by hand."""
+    height, width, channels = image.shape
+    stored = image if planar == 1 else np.moveaxis(image, 2, 0)
+    data = stored.astype(image.dtype.newbyteorder(order)).tobytes()
+    strips = 1 if planar == 1 else channels
+    tags: list[tuple[int, list[int]]] = [
+        (256, [width]),
+        (257, [height]),
+        (258, [8 * image.itemsize] * channels),
+        (259, [1]),
+        (262, [1 if channels == 1 else 2]),
+        (273, [8 + index * len(data) // strips for index in range(strips)]),
+        (277, [channels]),
+        (278, [height]),
+        (279, [len(data) // strips] * strips),
+        (284, [planar]),
+        (339, [sample_format] * channels),
+    ]
+    start = 8 + len(data)
+    values_at = start + 2 + 12 * len(tags) + 4
+    directory, values = struct.pack(order + "H", len(tags)), b""
+    for tag, numbers in tags:
+        packed = struct.pack(f"{order}{len(numbers)}I", *numbers)
+        where = packed if len(packed) <= 4 else struct.pack(order + "I", values_at + len(values))
+        values += packed if len(packed) > 4 else b""
+        directory += struct.pack(order + "HHI", tag, 4, len(numbers)) + where
+    magic = b"II*\0" if order == "<" else b"MM\0*"
+    return magic + struct.pack(order + "I", start) + data + directory + b"\0\0\0\0" + values
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_16_bit_tiff_in_either_byte_order(tmp_path: Path, order: str, channels: int) -> None:
+    image = picture(1, channels, np.uint16)
+    (tmp_path / "a.tif").write_bytes(tiff_bytes(image, sample_format=1, order=order))
+    found, _ = read_image(tmp_path / "a.tif")
+    assert found.dtype == np.uint16
+    np.testing.assert_array_equal(found, image)
+
+
+UNUSUAL = {
+    "float colour": (picture(1, 3, np.float32), 3, 1),
+    "float64": (picture(1, 1, np.float32).astype(np.float64) / 3, 3, 1),
+    "separate planes": (picture(1, 3, np.uint16), 1, 2),  # Pillow reads these without complaint, but wrongly
+}
+
+
+@pytest.mark.parametrize(("image", "sample_format", "planar"), UNUSUAL.values(), ids=UNUSUAL)
+def test_unusual_tiff_by_way_of_tifffile(
+    tmp_path: Path, image: NDArray[Any], sample_format: int, planar: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.tif"
+    path.write_bytes(tiff_bytes(image, sample_format=sample_format, planar=planar))
+    with monkeypatch.context() as context:
+        context.setattr("importlib.util.find_spec", lambda name: None)
+        assert "pip install tifffile" in refusal(lambda: read_image(path))
+    pytest.importorskip("tifffile", reason="tifffile is not installed")
+    found, remarks = read_image(path)
+    if image.dtype == np.float64:
+        assert remarks == {"float64 values rounded to float32"}
+        image = image.astype(np.float32)
+    assert found.dtype == image.dtype
+    np.testing.assert_array_equal(found, image)
+
+
+def test_alpha_is_dropped_with_a_note(tmp_path: Path) -> None:
+    save(tmp_path / "0_0.png", picture(0, 4))
+    save(tmp_path / "0_1.png", picture(1, 3))
+    light_field = read(tmp_path)
+    np.testing.assert_array_equal(light_field.views[0], picture(0, 4)[..., :3])
+    assert "Alpha channel dropped in 1 of 2 views." in light_field.notes
+
+
+def test_grey_with_alpha_stays_grey(tmp_path: Path) -> None:
+    save(tmp_path / "0_0.png", picture(0, 2))
+    save(tmp_path / "0_1.png", picture(1, 1))
+    assert read(tmp_path).channels == 1
+
+
+def test_palettes_become_colours(tmp_path: Path) -> None:
+    image = Image.fromarray(picture(0)).quantize(4)
+    image.save(tmp_path / "a.png")
+    found, remarks = read_image(tmp_path / "a.png")
+    np.testing.assert_array_equal(found, np.asarray(image.convert("RGB")))
+    assert not remarks
+
+
+def test_one_bit_images_are_grey(tmp_path: Path) -> None:
+    Image.fromarray(picture(0)).convert("1").save(tmp_path / "a.png")
+    found, _ = read_image(tmp_path / "a.png")
+    assert found.shape == (HEIGHT, WIDTH, 1)
+    assert set(np.unique(found)) <= {0, 255}
+
+
+@pytest.mark.parametrize(
+    ("other", "found"),
+    [
+        (picture(1, 1), "5 x 4 grey uint8"),
+        (picture(1, 1, np.uint16), "5 x 4 grey uint16"),
+        (picture(1)[:3], "5 x 3 RGB uint8"),
+    ],
+)
+def test_unlike_views_are_refused_by_name(tmp_path: Path, other: NDArray[Any], found: str) -> None:
+    save_named(tmp_path, box(1, 3))
+    save(tmp_path / "view_00_01.png", other)
+    text = refusal(lambda: read(tmp_path))
+    assert str(tmp_path) in text
+    assert "view_00_00.png is 5 x 4 RGB uint8" in text
+    assert f"view_00_01.png is {found}" in text
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "bmp", "tif"])
+@pytest.mark.parametrize("kept", [0, 10, 0.6])
+def test_damaged_images_are_named(tmp_path: Path, suffix: str, kept: float) -> None:
+    for column in range(2):
+        path = tmp_path / f"0_{column}.{suffix}"
+        Image.fromarray(np.random.default_rng(column).integers(0, 256, (60, 80, 3), dtype=np.uint8)).save(path)
+    content = path.read_bytes()
+    path.write_bytes(content[: kept if isinstance(kept, int) else int(kept * len(content))])
+    assert f"0_1.{suffix} cannot be read as an image" in refusal(lambda: read(tmp_path))
+
+
+def test_text_is_no_image(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_text("<html>404 Not Found</html>")
+    assert "a.png cannot be read as an image: it is none" in refusal(lambda: read_image(tmp_path / "a.png"))
+
+
+@pytest.mark.parametrize("side", [12_000, 60_000])
+def test_absurd_sizes_are_refused_before_memory_is_taken(tmp_path: Path, side: int) -> None:
+    (tmp_path / "a.png").write_bytes(png_bytes(side, side, 8, 2, b""))
+    text = refusal(lambda: read_image(tmp_path / "a.png"))
+    assert "a.png cannot be read as an image" in text
+    assert str(side * side) in text
+
+
+def test_lack_of_memory_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise MemoryError
+
+    save_named(tmp_path, box(1, 2))
+    monkeypatch.setattr("lfgpu.io.views.np.empty", full)
+    assert "2 views, each 5 x 4 RGB uint8, do not fit into memory" in refusal(lambda: read(tmp_path))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_undefined_values_are_refused_by_file_name(tmp_path: Path, bad: float) -> None:
+    for column in range(2):
+        save(tmp_path / f"0_{column}.tif", picture(column, 1, np.float32))
+    image = picture(1, 1, np.float32)
+    image[2, 3] = bad
+    save(tmp_path / "0_1.tif", image)
+    assert "0_1.tif has NaN or infinite values" in refusal(lambda: read(tmp_path))
+
+
+def test_other_kinds_of_values_are_refused(tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((3, 3), np.int32)).save(tmp_path / "a.tif")
+    assert "a.tif has 32-bit integers" in refusal(lambda: read_image(tmp_path / "a.tif"))
+    Image.fromarray(picture()).convert("CMYK").save(tmp_path / "a.jpg")
+    assert "a.jpg has colour mode CMYK" in refusal(lambda: read_image(tmp_path / "a.jpg"))

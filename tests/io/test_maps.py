@@ -1,0 +1,112 @@
+"""Maps and masks from and to files."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+from samples import refusal, save
+
+from lfgpu.io import read_map, read_mask, write_pfm
+
+MAP = np.random.default_rng(5).normal(size=(3, 7)).astype(np.float32)
+
+
+def test_pfm_round_trip_and_imageio_agrees(tmp_path: Path) -> None:
+    values = MAP.copy()
+    values[1, 2:4] = np.nan, np.inf
+    write_pfm(tmp_path / "a.PFM", values)
+    np.testing.assert_array_equal(read_map(tmp_path / "a.PFM"), values)
+    (tmp_path / "a.PFM").rename(tmp_path / "a.pfm")
+    np.testing.assert_array_equal(iio.imread(tmp_path / "a.pfm"), values)
+    iio.imwrite(tmp_path / "b.pfm", MAP)
+    np.testing.assert_array_equal(read_map(tmp_path / "b.pfm"), MAP)
+
+
+def test_pfm_is_stored_bottom_up_and_little_endian(tmp_path: Path) -> None:
+    write_pfm(tmp_path / "a.pfm", [[1, 2], [3, 4]])
+    assert (tmp_path / "a.pfm").read_bytes() == b"Pf\n2 2\n-1.0\n" + struct.pack("<4f", 3, 4, 1, 2)
+
+
+@pytest.mark.parametrize("header", [b"Pf\n2 1\n1.0\n", b"Pf 2 1 1\n", b"Pf\r\n2 1\r\n1.0\r\n", b"Pf\n2\n1\n+1e0\n"])
+def test_pfm_headers_of_other_writers(tmp_path: Path, header: bytes) -> None:
+    (tmp_path / "a.pfm").write_bytes(header + struct.pack(">2f", 1.5, -2.5))  # a positive scale is big endian
+    np.testing.assert_array_equal(read_map(tmp_path / "a.pfm"), [[1.5, -2.5]])
+
+
+def test_maps_from_numpy_and_tiff(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", MAP.astype(np.float64))
+    np.savez(tmp_path / "a.npz", disparity=MAP, other=np.zeros(3))
+    Image.fromarray(MAP).save(tmp_path / "a.tif")
+    for name in ("a.npy", "a.npz", "a.tif"):
+        found = read_map(tmp_path / name)
+        assert found.dtype == np.float32
+        np.testing.assert_array_equal(found, MAP)
+
+
+def bad_maps(folder: Path) -> dict[str, str]:
+    """Names of files that are no maps, and what is said about them."""
+    data = struct.pack("<6f", *range(6))
+    (folder / "colour.pfm").write_bytes(b"PF\n2 1\n-1.0\n" + data)
+    (folder / "short.pfm").write_bytes(b"Pf\n3 3\n-1.0\n" + data)
+    (folder / "long.pfm").write_bytes(b"Pf\n2 1\n-1.0\n" + data)
+    (folder / "empty.pfm").write_bytes(b"")
+    (folder / "text.pfm").write_bytes(b"hello")
+    np.save(folder / "line.npy", np.zeros(4))
+    np.save(folder / "pickle.npy", np.array([{}], object), allow_pickle=True)
+    np.save(folder / "complex.npy", np.zeros((2, 2), complex))
+    (folder / "short.npy").write_bytes((folder / "line.npy").read_bytes()[:-8])
+    np.savez(folder / "keys.npz", depth=MAP)
+    (folder / "broken.npz").write_bytes((folder / "keys.npz").read_bytes()[:100])
+    save(folder / "colour.tif")
+    (folder / "map.exr").write_bytes(b"")
+    (folder / "folder.npy").mkdir()
+    return {
+        "colour.pfm": "colour PFM",
+        "short.pfm": "damaged: 3 x 3 float32 values are 36 bytes, it has 24",
+        "long.pfm": "damaged",
+        "empty.pfm": "not a PFM",
+        "text.pfm": "not a PFM",
+        "line.npy": "shape (4,)",
+        "pickle.npy": "cannot be read as NumPy data",
+        "complex.npy": "complex128",
+        "short.npy": "cannot be read as NumPy data",
+        "keys.npz": "no array 'disparity'; it holds depth",
+        "broken.npz": "cannot be read as NumPy data",
+        "colour.tif": "colour image",
+        "map.exr": "known are .pfm, .npy, .npz and .tif",
+        "folder.npy": "cannot be opened",
+        "missing.pfm": "cannot be opened: No such file",
+        "missing.tif": "No such file",
+    }
+
+
+def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
+    for name, words in bad_maps(tmp_path).items():
+        text = refusal(lambda name=name: read_map(tmp_path / name))
+        assert str(tmp_path / name) in text
+        assert words in text, text
+
+
+def test_masks(tmp_path: Path) -> None:
+    mask = np.array([[0, 1, 255], [0, 0, 7]], np.uint8)
+    save(tmp_path / "grey.png", mask[..., None])
+    save(tmp_path / "colour.png", mask[..., None] * np.array([0, 1, 0], np.uint8))
+    for name in ("grey.png", "colour.png"):
+        found = read_mask(tmp_path / name)
+        assert found.dtype == np.bool_
+        np.testing.assert_array_equal(found, mask > 0)
+    assert "none.png" in refusal(lambda: read_mask(tmp_path / "none.png"))
+
+
+@pytest.mark.parametrize("values", [np.zeros(3), np.zeros((2, 2, 1)), np.zeros((0, 2))])
+def test_only_maps_become_pfm(tmp_path: Path, values: NDArray[Any]) -> None:
+    text = refusal(lambda: write_pfm(tmp_path / "a.pfm", values))
+    assert "a.pfm" in text
+    assert str(values.shape) in text
