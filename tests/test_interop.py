@@ -148,17 +148,16 @@ WRONG = [
     ),
     (lambda views: Elsewhere(views, (1, 0)), "views cannot be read (no way out); convert them to NumPy first."),
 ]
-WRONG_IDS = ["list", "None", "opaque", "shape", "dtype", "GPU", "device", "unwilling"]
 
 
-@pytest.mark.parametrize(("wrong", "sentence"), WRONG, ids=WRONG_IDS)
-def test_what_cannot_go_in_is_said_in_one_sentence(wrong: Any, sentence: str) -> None:
+def test_what_cannot_go_in_is_said_in_one_sentence_and_changes_nothing() -> None:
     pipeline = DepthPipeline(scene(), config=CONFIG, disparity_range=RANGE, device="cpu")
     pipeline.run()
     want = pipeline.disparity()
-    with pytest.raises(LightFieldError) as error:
-        pipeline.upload(wrong(scene(1).views))
-    assert str(error.value) == sentence
+    for wrong, sentence in WRONG:
+        with pytest.raises(LightFieldError) as error:
+            pipeline.upload(wrong(scene(1).views))
+        assert str(error.value) == sentence
     pipeline.run()
     np.testing.assert_array_equal(pipeline.disparity(), want)
 
