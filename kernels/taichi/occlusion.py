@@ -526,7 +526,7 @@ class _OccludingDataTerm:
         views = self._slices if self._cpu else self._batch
         self._nearest = empty((views, height, width))
         self._residuals = empty((views, height, width), channels=channels + 2)
-        self._gradients = empty((self._slices if self._cpu else 0, height, width))
+        self._gradients = empty((self._slices, height, width))
         self._values = empty((n * height if self._cpu else height * width,), scalar=ti.f64)
         self._total = Total()
         self._offsets, self._scale, self._softness, self._sharpness = offsets, scale, softness, sharpness
