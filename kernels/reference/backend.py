@@ -6,6 +6,7 @@ from .control import capture, repeat
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
+from .occlusion import occluding_data_term, splat_occluding, visible
 from .residuals import residuals
 from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
 from .structure_tensor import keep_more_coherent, structure_tensor
@@ -42,6 +43,7 @@ __all__ = [
     "normalization",
     "number",
     "numpy",
+    "occluding_data_term",
     "ratio",
     "repeat",
     "residuals",
@@ -50,10 +52,12 @@ __all__ = [
     "shared",
     "splat",
     "splat_jvp",
+    "splat_occluding",
     "splat_transpose",
     "splat_vjp",
     "structure_tensor",
     "upload",
+    "visible",
     "zeros",
     "zeros_image",
 ]

@@ -15,3 +15,11 @@ def tent(a, softness):
 def tent_slope(a, softness):
     """Λ'(a) for a in [0, 1]."""
     return -(1.0 / (1.0 - softness)) * ti.min(ti.min(a, 1.0 - a) * (1.0 / softness), 1.0)
+
+
+@ti.func
+def foot(b, softness):
+    """Λ(1 - b) for b in [0, 1], with all its digits where it is nearly 0."""
+    low = ti.min(b, softness)
+    top = ti.max(b - (1.0 - softness), 0.0)
+    return (b - low + (low * low - top * top) * (0.5 / softness)) * (1.0 / (1.0 - softness))

@@ -6,6 +6,7 @@ from .control import capture, repeat
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
+from .occlusion import occluding_data_term, splat_occluding, visible
 from .residuals import residuals
 from .sharing import shared
 from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
@@ -43,6 +44,7 @@ __all__ = [
     "normalization",
     "number",
     "numpy",
+    "occluding_data_term",
     "ratio",
     "repeat",
     "residuals",
@@ -51,10 +53,12 @@ __all__ = [
     "shared",
     "splat",
     "splat_jvp",
+    "splat_occluding",
     "splat_transpose",
     "splat_vjp",
     "structure_tensor",
     "upload",
+    "visible",
     "zeros",
     "zeros_image",
 ]

@@ -605,9 +605,14 @@ def check_nlm_symmetric(kernels: KernelSet, device: str, i: SimpleNamespace) -> 
     assert error <= 5 * adjoint_tolerance(kernels), f"L and diag(W 1) - W differ by {error:.2e}"
 
 
-def check_masked_pixels_do_not_count(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
+DATA_TERM = operation_of(data_term)
+
+
+def check_masked_pixels_do_not_count(
+    kernels: KernelSet, device: str, i: SimpleNamespace, operation: Operation = DATA_TERM
+) -> None:
     """What is recorded where `valid` is 0 changes neither value nor gradient; all valid is the same as no mask."""
-    operation, hidden = operation_of(data_term), i.valid == 0
+    hidden = i.valid == 0
     before = compute(kernels, device, operation, i)
     recorded = i.recorded.copy()
     recorded[hidden] = 1e4 if recorded.dtype.kind == "f" else np.iinfo(recorded.dtype).max - recorded[hidden]
@@ -622,21 +627,25 @@ def check_masked_pixels_do_not_count(kernels: KernelSet, device: str, i: SimpleN
         assert largest_error(all_valid[name], no_mask[name]) <= tolerance, f"a mask of ones changes the {name}"
 
 
-def check_masked_view_is_a_missing_view(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
+def check_masked_view_is_a_missing_view(
+    kernels: KernelSet, device: str, i: SimpleNamespace, operation: Operation = DATA_TERM
+) -> None:
     """A view without a valid pixel gives value and gradient of the light field without that view."""
     valid = np.ones(i.recorded.shape[:3], np.float32)
     valid[0] = 0
     masked = SimpleNamespace(**{**vars(i), "valid": valid})
     missing = SimpleNamespace(**{**vars(i), "recorded": i.recorded[1:], "offsets": i.offsets[1:], "valid": None})
-    got, want = (compute(kernels, device, operation_of(data_term), inputs) for inputs in (masked, missing))
+    got, want = (compute(kernels, device, operation, inputs) for inputs in (masked, missing))
     for name in want:
         assert largest_error(got[name], want[name]) <= adjoint_tolerance(kernels), f"a masked view changes the {name}"
 
 
-def check_nothing_valid_is_nothing_at_all(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
+def check_nothing_valid_is_nothing_at_all(
+    kernels: KernelSet, device: str, i: SimpleNamespace, operation: Operation = DATA_TERM
+) -> None:
     """Where no recorded pixel is valid, there is nothing to differ from: value and gradient are 0."""
     hidden = SimpleNamespace(**{**vars(i), "valid": np.zeros_like(i.valid)})
-    for name, output in compute(kernels, device, operation_of(data_term), hidden).items():
+    for name, output in compute(kernels, device, operation, hidden).items():
         assert not output.any(), f"without a valid pixel the {name} is not 0"
 
 

@@ -12,12 +12,15 @@ from typing import Any
 import cases
 import checks
 import numpy as np
+import occlusion_cases
+import occlusion_checks
 import pytest
 
 from lfgpu import _backends, types
 
 CASES: dict[str, tuple[Any, ...]] = {
     "splat": cases.SPLAT_CASES,
+    "occlusion": occlusion_cases.OCCLUSION_CASES,
     "seen": cases.SEEN_CASES,
     "views": cases.VIEWS_CASES,
     "nlm": cases.NLM_CASES,
@@ -29,6 +32,7 @@ CASES: dict[str, tuple[Any, ...]] = {
 }
 MAKERS: dict[str, Any] = {
     "splat": cases.splat_inputs,
+    "occlusion": occlusion_cases.occlusion_inputs,
     "seen": cases.seen_inputs,
     "views": cases.views_inputs,
     "nlm": cases.nlm_inputs,
@@ -38,17 +42,24 @@ MAKERS: dict[str, Any] = {
     "residuals": cases.residuals_inputs,
     "lbfgs": cases.lbfgs_inputs,
 }
+OPERATIONS = (*checks.OPERATIONS, *occlusion_checks.OPERATIONS)
+PROGRAMS = (*checks.PROGRAMS, occlusion_checks.comparing_what_is_nearest)
 CELLS = [
     pytest.param(operation, case, id=f"{operation}-{case}")
-    for operation in checks.OPERATIONS
+    for operation in OPERATIONS
     for case in CASES[operation.inputs]
 ]
-MASKED = [case for case in cases.SPLAT_CASES if case.masked]
+MASKED = [
+    pytest.param(operation, case, id=f"{operation}-{case}")
+    for operation in (checks.DATA_TERM, occlusion_checks.DATA_TERM)
+    for case in CASES[operation.inputs]
+    if case.masked
+]
 
 
 def test_matrix_has_every_operation_of_the_contract() -> None:
     contract = {name for name in vars(types.KernelSet) if not name.startswith("_")} - {"name", "dtype", "devices"}
-    covered = {str(operation) for operation in checks.OPERATIONS} - {"memory", "image_memory"}
+    covered = {str(operation) for operation in OPERATIONS} - {"memory", "image_memory"}
     memory = {
         "field",
         "image",
@@ -130,19 +141,28 @@ def test_nlm_operators_are_symmetric_and_belong_together(
     checks.check_nlm_symmetric(target.kernels, target.device, cases.nlm_inputs(case, rng))
 
 
-@pytest.mark.parametrize("case", MASKED, ids=str)
-def test_masked_pixels_do_not_count(target: Any, case: cases.SplatCase, rng: np.random.Generator) -> None:
-    checks.check_masked_pixels_do_not_count(target.kernels, target.device, cases.splat_inputs(case, rng))
+@pytest.mark.parametrize(("operation", "case"), MASKED)
+def test_masked_pixels_do_not_count(
+    target: Any, operation: checks.Operation, case: cases.SplatCase, rng: np.random.Generator
+) -> None:
+    inputs = MAKERS[operation.inputs](case, rng)
+    checks.check_masked_pixels_do_not_count(target.kernels, target.device, inputs, operation)
 
 
-@pytest.mark.parametrize("case", MASKED, ids=str)
-def test_masked_view_is_a_missing_view(target: Any, case: cases.SplatCase, rng: np.random.Generator) -> None:
-    checks.check_masked_view_is_a_missing_view(target.kernels, target.device, cases.splat_inputs(case, rng))
+@pytest.mark.parametrize(("operation", "case"), MASKED)
+def test_masked_view_is_a_missing_view(
+    target: Any, operation: checks.Operation, case: cases.SplatCase, rng: np.random.Generator
+) -> None:
+    inputs = MAKERS[operation.inputs](case, rng)
+    checks.check_masked_view_is_a_missing_view(target.kernels, target.device, inputs, operation)
 
 
-@pytest.mark.parametrize("case", MASKED, ids=str)
-def test_nothing_valid_is_nothing_at_all(target: Any, case: cases.SplatCase, rng: np.random.Generator) -> None:
-    checks.check_nothing_valid_is_nothing_at_all(target.kernels, target.device, cases.splat_inputs(case, rng))
+@pytest.mark.parametrize(("operation", "case"), MASKED)
+def test_nothing_valid_is_nothing_at_all(
+    target: Any, operation: checks.Operation, case: cases.SplatCase, rng: np.random.Generator
+) -> None:
+    inputs = MAKERS[operation.inputs](case, rng)
+    checks.check_nothing_valid_is_nothing_at_all(target.kernels, target.device, inputs, operation)
 
 
 def test_all_out_of_the_frame_is_nothing_at_all(target: Any, rng: np.random.Generator) -> None:
@@ -173,12 +193,12 @@ def test_repeat_runs_its_body_as_often_as_it_should(target: Any) -> None:
     checks.check_repeat(target.kernels, target.device)
 
 
-@pytest.mark.parametrize("make", checks.PROGRAMS)
+@pytest.mark.parametrize("make", PROGRAMS)
 def test_program_on_the_device(target: Any, make: checks.MakeProgram, rng: np.random.Generator) -> None:
     checks.check_program(target.kernels, target.device, make, checks.program_inputs(make, rng))
 
 
-@pytest.mark.parametrize("make", checks.PROGRAMS)
+@pytest.mark.parametrize("make", PROGRAMS)
 def test_captured_program_does_the_same_with_new_inputs(
     target: Any, make: checks.MakeProgram, rng: np.random.Generator
 ) -> None:
@@ -201,3 +221,14 @@ def test_devices_are_names_with_the_default_first(target: Any) -> None:
     assert "cpu" in devices
     assert len(set(devices)) == len(devices)
     assert target.kernels.name == target.backend
+
+
+def test_occlusions_are_safe_whatever_the_range(target: Any, rng: np.random.Generator) -> None:
+    case = occlusion_cases.OcclusionCase("far", size=(23, 26), disparities=(-50.0, 50.0), exact=False, sharpness=1000.0)
+    inputs = occlusion_cases.occlusion_inputs(case, rng)
+    occlusion_checks.check_safe_whatever_the_range(target.kernels, target.device, inputs)
+
+
+def test_front_hides_back(target: Any, rng: np.random.Generator) -> None:
+    inputs = occlusion_cases.occlusion_inputs(occlusion_cases.OcclusionCase("any"), rng)
+    occlusion_checks.check_front_hides_back(target.kernels, target.device, inputs)

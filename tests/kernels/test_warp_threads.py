@@ -10,6 +10,8 @@ from typing import Any
 import cases
 import checks
 import numpy as np
+import occlusion_cases
+import occlusion_checks
 import pytest
 
 import lfgpu
@@ -20,6 +22,9 @@ INPUTS = {
     "splat": lambda rng: cases.splat_inputs(
         cases.SplatCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
     ),
+    "occlusion": lambda rng: occlusion_cases.occlusion_inputs(
+        occlusion_cases.OcclusionCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
+    ),
     "views": lambda rng: cases.views_inputs(
         cases.ViewsCase("many", size=(41, 38), count=25, dtype="uint8", masked=True, line=(3, 0, 1, 7)), rng
     ),
@@ -27,7 +32,9 @@ INPUTS = {
     "epi": lambda rng: cases.epi_inputs(cases.EpiCase("many rows", size=(61, 53)), rng),
 }
 SPLIT = [
-    operation for operation in checks.OPERATIONS if operation.inputs in INPUTS and str(operation) != "image_memory"
+    operation
+    for operation in (*checks.OPERATIONS, *occlusion_checks.OPERATIONS)
+    if operation.inputs in INPUTS and str(operation) != "image_memory"
 ]
 
 
