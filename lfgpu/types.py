@@ -5,7 +5,7 @@ offsets are (du, dv) in view steps; intensities lie in [0, 1], stored ones after
 
 A backend is the operations of `KernelSet` on arrays of its own and nothing else. Operations write into arrays that the
 caller allocated (names end in `_out`) and run on the device that holds them. What is called again and again is a plan
-(`DataTerm`, `LocalEstimate`): it allocates what it needs once, when it is made.
+(`DataTerm`, `PlaneSweep`): it allocates what it needs once, when it is made.
 """
 
 from __future__ import annotations
@@ -80,6 +80,62 @@ class Normalization(Protocol):
         detail = D / sqrt(G_(2 sigma) mean_c D^2 + floor^2). Where `valid` [n, y, x] (a field) is 0 a pixel has no part
         in means, which are of the valid pixels around, 0 where their share of the Gaussian is below 1e-6.
         sigma = 0 gives detail = I.
+        """
+
+
+class PlaneSweep(Protocol):
+    """How well the views agree with the reference view if all of the scene lay at one disparity, for a row of them.
+
+    Planned for light fields of one kind: views [n, y, x, c], disparities d_l = first + l * step, l < count. With
+    W_n(p) = scale * recorded_n at p - d_l o_n (bilinear, the position moved into the frame), D = W_n - I and G its
+    central differences in x and y, (D(p + 1) - D(p - 1)) / 2 with the border pixels of D repeated,
+
+        c_n(p) = (min(mean_c |D|, truncation) + w min(mean_(c, x, y) |G|, gradient_truncation)) / (1 + w),
+        w = gradient_weight.
+
+    View n takes part at p if it is not the reference (|o_n| > 1e-3), p - d_l o_n lies in the frame (0 to width - 1, 0
+    to height - 1) and the recorded pixel nearest to it (x + 1/2 rounded down) is valid. What no view takes part in
+    costs the most there is, (truncation + w gradient_truncation) / (1 + w).
+    """
+
+    def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
+        """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None."""
+
+    def apertures(self, volume_out: Array) -> None:
+        """volume [l, y, x]: the least over the apertures of the mean of c_n over the views of the aperture that take
+        part; that of the first aperture as it is, of the others times (1 + preference), plus 1e-4.
+
+        Where something nearer hides p from some views, an aperture without these still sees it (half of the views on
+        one side of a line through the reference). The preference keeps noise from choosing.
+        """
+
+    def seen(self, nearest: Array, volume_out: Array) -> None:
+        """volume [l, y, x]: the mean of c_n over the views that take part and see p at d_l, if there are `least`.
+
+        View n sees it if d_l >= nearest [n, y, x] - tolerance at the pixel nearest to p - d_l o_n: see
+        `KernelSet.nearest_surface`.
+        """
+
+
+class Alignment(Protocol):
+    """Gauss-Newton on how well the views agree with each other at a disparity map, planned for light fields of a kind.
+
+    With the features f(V) = (V, w V_x, w V_y), V = scale * recorded, central differences with repeated border pixels
+    and w = gradient_weight; F_n(p) = f(V_n) at p - d(p) o_n, bilinear, and F_n' its derivative with respect to d,
+    -(o_n . grad f), grad by central differences of f (border repeated) interpolated bilinearly in the same place. View
+    n takes part where `PlaneSweep` says and where d(p) >= nearest_n - tolerance at the pixel nearest to p - d(p) o_n.
+    Its weight is k_n(r) = 1 / (1 + mean r^2 / robust^2)^2, mean over the features, 0 where it takes no part.
+    """
+
+    def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
+        """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None."""
+
+    def __call__(self, disparity: Array, nearest: Array, curvature_out: Array, slope_out: Array) -> None:
+        """Fields [y, x]: curvature = sum_n k_n mean F_n'^2 / N and slope = -sum_n k_n mean F_n' (F_n - F) / N.
+
+        What the views are compared with is their own robust mean F = (f(I) + sum_n k_n F_n) / (1 + sum_n k_n), these
+        k_n at F_n - f(I), those above at F_n - F: so the noise of the reference view is but one of many. N counts all
+        views but the reference. slope / curvature is the step that Gauss and Newton would take.
         """
 
 
@@ -377,6 +433,24 @@ class KernelSet(Protocol):
     def nlm_laplacian(self, weights: Array, values: Array, *, window: int, laplacian_out: Array) -> None:
         """L v with (L v)_p = sum_q w_pq (v_p - v_q): then sum_pq w_pq (v_p - v_q)^2 = 2 v^T L v."""
 
+    def nlm_ratio(
+        self,
+        weights: Array,
+        guide: Array,
+        numerator: Array,
+        denominator: Array,
+        *,
+        window: int,
+        support: float,
+        floor: float,
+        ratio_out: Array,
+    ) -> None:
+        """sum_q v_pq numerator_q / sum_q v_pq (denominator_q + floor) over each pixel's window, fields [y, x].
+
+        v_pq = w_pq / (1 + (guide_q - guide_p)^2 / support^2), and 1 for the pixel itself: only what lies on the same
+        surface of the `guide`, a disparity map, is taken together.
+        """
+
     # --- the local estimate ---
 
     def structure_tensor(
@@ -408,6 +482,68 @@ class KernelSet(Protocol):
         It is if |disparity - shear| <= reach, low <= disparity / unit <= high, `trusted` (a field of its shape) is not
         0 or None, and its coherence is larger; the best disparity becomes disparity / unit. If `vertical`, estimate and
         `trusted` are [x, y] where the best are [y, x].
+        """
+
+    # --- how well views agree ---
+
+    def plane_sweep(
+        self,
+        shape: Sequence[int],
+        offsets: Array,
+        apertures: Array,
+        *,
+        first: float,
+        step: float,
+        count: int,
+        scale: float,
+        truncation: float,
+        gradient_weight: float,
+        gradient_truncation: float,
+        preference: float,
+        tolerance: float,
+        least: int,
+    ) -> PlaneSweep:
+        """Plan a sweep over views of `shape` [n, y, x, c]; `apertures` [m, n] is a field of 1 and 0, row 0 all 1."""
+
+    def nearest_surface(self, disparity: Array, offsets: Array, *, reach: int, nearest_out: Array) -> None:
+        """The largest disparity that comes near each pixel of each view: a field [n, y, x].
+
+        It is the maximum of d_p over reference pixels p with (x, y) - d_p o_n, rounded (x + 1/2 down), at most `reach`
+        pixels away in x and in y; where there is none, at most `reach` + 1; where there is still none, -1e6.
+        """
+
+    def alignment(
+        self,
+        shape: Sequence[int],
+        offsets: Array,
+        *,
+        scale: float,
+        gradient_weight: float,
+        robust: float,
+        tolerance: float,
+    ) -> Alignment:
+        """Plan the alignment of views of `shape` [n, y, x, c]."""
+
+    # --- cost volumes [l, y, x] ---
+
+    def nlm_average(self, weights: Array, volume: Array, *, window: int, average_out: Array) -> None:
+        """Each slice averaged over each pixel's window with the non-local-means weights, itself with weight 1."""
+
+    def semi_global(
+        self, volume: Array, image: Array, *, small: float, large: float, contrast: float, sum_out: Array
+    ) -> None:
+        """The sum [l, y, x] over eight directions r of the costs of the best path to each pixel (Hirschmüller 2008).
+
+        L_r(p, l) = C(p, l) + min(L_r(p - r, l), L_r(p - r, l -+ 1) + s, min_k L_r(p - r, k) + t) - min_k L_r(p - r, k),
+        and C itself where p - r lies outside. With a = exp(-mean_c |I(p) - I(p - r)| / contrast) a step of one costs
+        s = small * max(a, 0.2) and one of more t = max(large * a, 1.2 * small).
+        """
+
+    def lowest(self, volume: Array, *, first: float, step: float, disparity_out: Array) -> None:
+        """The disparity [y, x] of least cost: first + step * (k + t), count >= 3.
+
+        k is the first of the least costs, but at least 1 and at most count - 2; t the minimum of the parabola through
+        the costs at k - 1, k and k + 1, in -1 to 1, 0 where they do not bend upwards by more than 1e-9.
         """
 
     # --- vectors: fields of one shape ---
