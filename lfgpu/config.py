@@ -127,11 +127,18 @@ class MethodConfig(_Checked):
 class SweepConfig(_Checked):
     """Matching: comparing views with the reference at a row of disparities."""
 
-    step: float = _number(0.2, 0.02, 2.0, "distance of the disparities, pixels in the farthest view")
+    views: str = _choice(
+        "full", ("full", "star", "cross"), "views that are used: all, or those in rows, columns and diagonals through "
+        "the reference, or without diagonals; all where that leaves fewer than four beside it"
+    )  # fmt: skip
+    occlusions: str = _choice(
+        "twice", ("once", "twice"), "by apertures only, or again by what the surface found first hides"
+    )  # fmt: skip
+    step: float = _number(0.4, 0.02, 2.0, "distance of the disparities, pixels in the farthest view")
     most_labels: int = _number(256, 3, 4096, "most disparities; a wider range makes the steps longer")
     truncation: float = _number(0.1, 1e-3, 10.0, "difference in intensity beyond which views just differ")
     gradient_weight: float = _number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
-    gradient_truncation: float = _number(0.01, 1e-4, 10.0, "the same for image gradients, intensity per pixel")
+    gradient_truncation: float = _number(0.02, 1e-4, 10.0, "the same for image gradients, intensity per pixel")
     preference: float = _number(
         0.2, 0.0, 10.0, "share by which half of the views must agree better than all of them to be believed"
     )  # fmt: skip
@@ -145,9 +152,9 @@ class SweepConfig(_Checked):
 class MatchingConfig(_Checked):
     """Matching: the best surface through the costs (semi-global matching, Hirschmüller 2008)."""
 
-    small_step: float = _number(0.001, 0.0, 10.0, "cost of a change by one of the disparities", symbol="P1")
-    large_step: float = _number(0.02, 0.0, 10.0, "cost of a larger change", symbol="P2")
-    contrast: float = _number(0.03, 1e-3, 10.0, "difference in intensity that lowers both to 1/e")
+    small_step: float = _number(0.0005, 0.0, 10.0, "cost of a change by one of the disparities", symbol="P1")
+    large_step: float = _number(0.01, 0.0, 10.0, "cost of a larger change", symbol="P2")
+    contrast: float = _number(0.05, 1e-3, 10.0, "difference in intensity that lowers both to 1/e")
 
 
 @dataclass(frozen=True)
@@ -209,14 +216,22 @@ def parameters(config: Config) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
             yield f"{stage.name}.{parameter.name}", parameter
 
 
-_MATCHING = Config(
-    method=MethodConfig(name="matching"), prior=PriorConfig(window=9, sigma_color=0.021, sigma_gradient=10.0)
-)
+_LIKE = PriorConfig(window=9, sigma_color=0.021, sigma_gradient=10.0)  # colour only: edges of shade are no edges
 
-PRESETS = {"paper": Config(), "accurate": _MATCHING}
+PRESETS = {
+    "accurate": Config(method=MethodConfig(name="matching"), prior=_LIKE),
+    "fast": Config(
+        method=MethodConfig(name="matching"),
+        prior=_LIKE,
+        sweep=SweepConfig(views="cross", occlusions="once"),
+        alignment=AlignmentConfig(iterations=1),
+    ),
+    "paper": Config(),
+}
 """Complete parameter sets by name.
 
-`accurate` finds the surface that all views agree on, each as far as it sees it, and is the best there is.
+`accurate` matches all views, each where it sees the surface; it is the best there is. `fast` matches those in the row
+and the column of the reference, and once.
 
 `paper` is the method of Sajjadi et al. 2016, but for the local contrast normalisation of the views before they are
 compared, the floor of the weights and the rim that is left out: README says why. With `refinement.detail_scale` 0 the

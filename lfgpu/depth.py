@@ -61,8 +61,9 @@ def estimate_depth(
         Whether the map must have the same bits each time on the same device, whatever the number of threads. So it has
         with "warp" and "reference" anyway, and with "taichi" on a CPU; elsewhere BackendError. Default False.
     on_progress
-        Called as on_progress(stage, iteration, value): stage is one of STAGES, value the energy (refine), the relative
-        residual (propagate) or 0 (local).
+        Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
+        iteration of those that have some: value is the relative residual (propagate), the energy (refine) or the root
+        mean square step in pixels per view step (align).
 
     Returns
     -------

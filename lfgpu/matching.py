@@ -23,6 +23,7 @@ from lfgpu.types import Array, Float32Array, Float64Array, KernelSet
 _DIRECTIONS = 8  # of the half planes of views
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
 
+_FEWEST = 4  # views beside the reference that a pattern must have
 _ON_LINE = 1e-3  # view steps
 _CONVERGED = 0.02  # pixels per view step, rms of the last step
 
@@ -47,14 +48,17 @@ class Matching:
         If there is no second view.
     """
 
-    STAGES = ("sweep", "match", "align")
-
     def __init__(
         self, lf: LightField, bounds: tuple[float, float], config: Config, kernels: KernelSet, device: str
     ) -> None:
         if len(lf.views) < 2:
             raise LightFieldError(f"{lf.name}: there is one view only; depth needs a second one.")
         self._kernels, self._bounds, self._config = kernels, bounds, config
+        self._twice = config.sweep.occlusions == "twice"
+        self._used, self._chosen = used_views(lf, config.sweep.views), None
+        if len(self._used) < len(lf.views):
+            lf = lf.subset(self._used)
+            self._chosen = kernels.zeros_image(lf.views.shape, device, lf.views.dtype)
         self._reference, self._scale = lf.reference_index, lf.scale
         shape, image = (len(lf.views), *lf.size, lf.channels), (*lf.size, lf.channels)
         self._offsets = kernels.field(lf.offsets, device)
@@ -94,12 +98,9 @@ class Matching:
         self._trust, self._size = kernels.scalar(0.0, device), lf.size
 
     def stages(self, views: Array) -> dict[str, Stage]:
-        """What there is to do for `views` [n, y, x, c], as stored, by the names of STAGES and in their order."""
-        return {
-            "sweep": lambda _: self._compare(views),
-            "match": lambda _: self._compare_seen(),
-            "align": self._improve,
-        }
+        """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
+        match: dict[str, Stage] = {"match": self._compare_seen} if self._twice else {}
+        return {"sweep": lambda _: self._compare(views), **match, "align": self._improve}
 
     def check(self, name: str) -> None:
         """LightFieldError, with the light field's name, if nothing came of the last run; waits for the device."""
@@ -115,7 +116,8 @@ class Matching:
 
     def maps(self) -> dict[str, Float32Array]:
         """The map after each stage, float32 [y, x]; waits for the device."""
-        kept = {"swept": self._swept, "matched": self._matched, "aligned": self.disparity}
+        matched = {"matched": self._matched} if self._twice else {}
+        kept = {"swept": self._swept, **matched, "aligned": self.disparity}
         return {name: self._kernels.numpy(field).astype(np.float32) for name, field in kept.items()}
 
     def solution(self) -> Solution:
@@ -132,6 +134,9 @@ class Matching:
 
     def _compare(self, views: Array) -> None:
         kernels = self._kernels
+        if self._chosen is not None:
+            kernels.line_of_views(views, self._used, vertical=False, epis_out=self._chosen)
+            views = self._chosen
         kernels.intensities(
             views, self._reference, self._valid, scale=self._scale, fill=UNLIKE_ANY, image_out=self._image
         )
@@ -141,7 +146,7 @@ class Matching:
         self._sweep.apertures(self._volume)
         self._find_surface(self._swept)
 
-    def _compare_seen(self) -> None:
+    def _compare_seen(self, _: Callback | None) -> None:
         self._kernels.nearest_surface(self._swept, self._offsets, reach=0, nearest_out=self._nearest)
         self._sweep.seen(self._nearest, self._volume)
         self._find_surface(self._matched)
@@ -164,7 +169,7 @@ class Matching:
         """Gauss-Newton steps on the sums over each pixel's surface around it, and then its mean."""
         kernels, config, map_, room = self._kernels, self._config.alignment, self.disparity, self._room
         noise = config.robust**2
-        kernels.copy(self._matched, map_)
+        kernels.copy(self._matched if self._twice else self._swept, map_)
         for iteration, moved in enumerate(self._moves, 1):
             # Beside an edge in another view, what is seen there is mixed with what is nearer: one pixel is left out.
             kernels.nearest_surface(map_, self._offsets, reach=1, nearest_out=self._nearest)
@@ -200,6 +205,12 @@ class Matching:
             floor=floor,
             ratio_out=ratio_out,
         )
+
+
+def used_views(lf: LightField, pattern: str) -> list[int]:
+    """Indices of the views of a pattern, in order, or of all if fewer than four beside the reference are in it."""
+    used = [int(index) for index in np.flatnonzero(lf.pattern(pattern))]
+    return used if len(used) > _FEWEST else list(range(len(lf.views)))
 
 
 def labels(bounds: tuple[float, float], offsets: Float64Array, config: SweepConfig) -> tuple[float, float, int]:

@@ -47,8 +47,6 @@ class Synthesis:
         If no second view is in line with the reference.
     """
 
-    STAGES = ("local", "propagate", "refine")
-
     def __init__(
         self, lf: LightField, bounds: tuple[float, float], config: Config, kernels: KernelSet, device: str
     ) -> None:
@@ -72,7 +70,7 @@ class Synthesis:
         )
 
     def stages(self, views: Array) -> dict[str, Stage]:
-        """What there is to do for `views` [n, y, x, c], as stored, by the names of STAGES and in their order."""
+        """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
         return {
             "local": lambda _: self._local.run(views),
             "propagate": lambda callback: self._fill(views, callback),
