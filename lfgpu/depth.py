@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from lfgpu._backends import DEFAULT, load, package_of, pick_device
 from lfgpu.config import Config, preset
 from lfgpu.energy import Energy
-from lfgpu.errors import LightFieldError
+from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.initial import LocalEstimator, find_disparity_range
 from lfgpu.lightfield import LightField
 from lfgpu.model import ForwardModel
@@ -39,6 +39,7 @@ def estimate_depth(
     disparity_range: tuple[float, float] | None = None,
     backend: str = DEFAULT,
     device: str | None = None,
+    deterministic: bool = False,
     on_progress: Progress | None = None,
 ) -> DepthResult:
     """Estimate the disparity of the reference view of a light field (Sajjadi et al. 2016).
@@ -58,6 +59,9 @@ def estimate_depth(
         "warp" (default), "taichi" or "reference".
     device
         "cpu", "cuda", "cuda:1"; default is the backend's best.
+    deterministic
+        Whether the map must have the same bits each time on the same device, whatever the number of threads. So it has
+        with "warp" and "reference" anyway, and with "taichi" on a CPU; elsewhere BackendError. Default False.
     on_progress
         Called as on_progress(stage, iteration, value): stage is one of STAGES, value the energy (refine), the relative
         residual (propagate) or 0 (local).
@@ -72,9 +76,16 @@ def estimate_depth(
     LightFieldError
         If the range or a parameter is wrong or the views allow no estimate.
     BackendError
-        If the backend or the device is not there.
+        If the backend or the device is not there, or is not deterministic when it must be.
     """
-    pipeline = DepthPipeline(lf, config=config, disparity_range=disparity_range, backend=backend, device=device)
+    pipeline = DepthPipeline(
+        lf,
+        config=config,
+        disparity_range=disparity_range,
+        backend=backend,
+        device=device,
+        deterministic=deterministic,
+    )
     return pipeline.estimate(on_progress=on_progress)
 
 
@@ -94,7 +105,7 @@ class DepthPipeline:
     lf
         A light field of that kind: its cameras, size, stored type, masks and reference view count. Its views are the
         first to be there.
-    config, disparity_range, backend, device
+    config, disparity_range, backend, device, deterministic
         As for `estimate_depth`.
 
     Raises
@@ -111,6 +122,7 @@ class DepthPipeline:
         disparity_range: tuple[float, float] | None = None,
         backend: str = DEFAULT,
         device: str | None = None,
+        deterministic: bool = False,
     ) -> None:
         parameters = preset(config) if isinstance(config, str) else config
         if not isinstance(parameters, Config):
@@ -118,6 +130,11 @@ class DepthPipeline:
         bounds = None if disparity_range is None else _checked_range(disparity_range, lf)
         self.kernels = load(backend)
         self.device = pick_device(self.kernels, device)
+        if deterministic and not self.kernels.is_deterministic(self.device):
+            raise BackendError(
+                f"backend {backend!r} on {self.device} adds up in an order that differs from run to run; use backend "
+                f"{DEFAULT!r}, or the CPU."
+            )
         self.config, self._lf, self._backend = parameters, lf, backend
         self._timings: dict[str, float] = {}
         self._graph: Callable[[], None] | None = None
@@ -263,8 +280,9 @@ class DepthPipeline:
 
     def _refine(self, callback: Callable[[int, float], None] | None) -> None:
         self._model.load(self._views, self._propagation.filled)
+        self._energy.load()
         self.kernels.copy(self._propagation.filled, self._disparity)
-        self._refinement.minimize(self._energy, self._disparity, callback)
+        self._refinement.minimize(self._energy, self._disparity, callback, curvature=self._energy.curvature)
 
     def _map(self, field: Array) -> Float32Array:
         return self.kernels.numpy(field).astype(np.float32, copy=False)
