@@ -43,6 +43,17 @@ class DataTerm(Protocol):
         """
 
 
+class SplatDataTerm(DataTerm, Protocol):
+    """The data term of the plain splat, which knows how it curves."""
+
+    def curvature(self, curvature_out: Array) -> None:
+        """2 Σ_n |offset_n|² Σ_c image² [y, x]: about the second derivative of the sum by each pixel's disparity.
+
+        It is that of the loaded image landing in the middle between pixels that show what is predicted, and does not
+        depend on the disparity.
+        """
+
+
 Loss: TypeAlias = Literal["squares", "charbonnier", "geman-mcclure"]
 """How much a residual counts, see `KernelSet.occluding_data_term`."""
 
@@ -161,16 +172,18 @@ class Lbfgs(Protocol):
     """The memory of a limited-memory BFGS solver for fields of one shape within bounds, on a device.
 
     It holds the last m steps s_j and gradient differences y_j, the direction, the step length and what it takes to
-    decide without the host. `solvers/lbfgs.py` is the algorithm.
+    decide without the host. `solvers/lbfgs.py` is the algorithm. Pixels have units of their own: with c the curvature
+    that `begin` is given, x is measured in 1 / √c and the gradient in √c, in inner products and in the recursion.
     """
 
     go_on: Scalar
     """1 while there is something to do, else 0."""
 
-    def begin(self, x: Array, gradient: Array, value: Scalar) -> None:
+    def begin(self, x: Array, gradient: Array, value: Scalar, curvature: Array | None = None) -> None:
         """Forget everything; the first direction is against the gradient where the bounds leave it free.
 
-        Its length is such that the root mean square of the first step is `first_step`.
+        Its length is such that the root mean square of the first step, in those units, is `first_step`. `curvature`
+        [y, x] > 0 is about the second derivative by each pixel, up to a factor; None is 1 everywhere.
         """
 
     def propose(self, x: Array, trial_out: Array) -> None:
@@ -223,6 +236,9 @@ class KernelSet(Protocol):
 
     def devices(self) -> tuple[str, ...]:
         """Names of the devices that can be used here, the default first."""
+
+    def is_deterministic(self, device: str) -> bool:
+        """Whether an estimate on this device has the same bits each time, whatever the number of threads."""
 
     # --- memory ---
 
@@ -334,7 +350,7 @@ class KernelSet(Protocol):
     ) -> None:
         """J^T r: the gradient [y, x] with respect to the disparity that residuals [n, y, x, c] give."""
 
-    def data_term(self, shape: Sequence[int], offsets: Array, *, scale: float, softness: float) -> DataTerm:
+    def data_term(self, shape: Sequence[int], offsets: Array, *, scale: float, softness: float) -> SplatDataTerm:
         """Plan ||A(d) I - scale * recorded||^2 and its gradient for recorded views of `shape` [n, y, x, c]."""
 
     def seen_by_reference(

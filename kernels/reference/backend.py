@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .control import capture, repeat
+from .control import capture, is_deterministic, repeat
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
@@ -32,6 +32,7 @@ __all__ = [
     "fill",
     "image",
     "intensities",
+    "is_deterministic",
     "keep_more_coherent",
     "lbfgs",
     "line_of_views",

@@ -10,7 +10,7 @@ import warp as wp
 from lfgpu.types import NlmWeights, half_window
 
 from .memory import pixel_type
-from .threads import in_slices, lanes, launch_rows, load, once
+from .threads import check_size, in_slices, lanes, launch_rows, load, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -284,4 +284,5 @@ def _by_pixels(kernel: Any, weights: Any, values: Any, window: int, result_out: 
     (height, width), rows = values.shape, window // 2 + 1
     block = rows * _WARP
     dim = height * -(-width // _WARP) * block
+    check_size(dim)
     wp.launch(kernel, dim, [weights, values], [result_out], device=values.device, block_dim=block)
