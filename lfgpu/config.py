@@ -161,7 +161,7 @@ class MatchingConfig(_Checked):
 class AlignmentConfig(_Checked):
     """Matching: Gauss-Newton steps on what all views that see a pixel have in common."""
 
-    iterations: int = _number(2, 1, 100, "steps")
+    iterations: int = _number(2, 1, 100, "number of steps, each over all pixels")
     gradient_weight: float = _number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
     robust: float = _number(0.005, 1e-4, 10.0, "difference from the common mean that is taken for noise, intensity")
     support: float = _number(

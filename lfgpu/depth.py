@@ -230,7 +230,9 @@ class DepthPipeline:
                         on_progress(stage, 0, 0.0)
                     work(None if on_progress is None else _of_stage(on_progress, stage))
                     self.kernels.numpy(self._method.confidence)  # waits
-        self._runs += 1
+                if stage == self._method.decided:
+                    self._runs += 1
+                    self._method.check(self._lf.name)
         if self._runs == 1:
             for name in (next(iter(stages)), "total"):  # finding the range was a part of them
                 self._timings[name] += self._preparation

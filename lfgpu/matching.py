@@ -48,6 +48,8 @@ class Matching:
         If there is no second view.
     """
 
+    decided = "align"
+
     def __init__(
         self, lf: LightField, bounds: tuple[float, float], config: Config, kernels: KernelSet, device: str
     ) -> None:

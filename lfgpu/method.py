@@ -22,6 +22,9 @@ class Method(Protocol):
     confidence: Array
     """The results, fields [y, x]."""
 
+    decided: str
+    """The stage after which `check` knows whether anything will come of the run."""
+
     def stages(self, views: Array) -> dict[str, Stage]:
         """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
 

@@ -24,6 +24,8 @@ from lfgpu.solvers.lbfgsb import ScipyLbfgsb
 from lfgpu.solvers.solution import Solution
 from lfgpu.types import Array, Float32Array, KernelSet
 
+STAGES = ("local", "propagate", "refine")
+
 _SOLVERS: dict[str, type[BoundedLbfgs] | type[ScipyLbfgsb]] = {"lbfgs": BoundedLbfgs, "lbfgsb": ScipyLbfgsb}
 
 
@@ -46,6 +48,8 @@ class Synthesis:
     LightFieldError
         If no second view is in line with the reference.
     """
+
+    decided = "propagate"
 
     def __init__(
         self, lf: LightField, bounds: tuple[float, float], config: Config, kernels: KernelSet, device: str
@@ -71,11 +75,12 @@ class Synthesis:
 
     def stages(self, views: Array) -> dict[str, Stage]:
         """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
-        return {
-            "local": lambda _: self._local.run(views),
-            "propagate": lambda callback: self._fill(views, callback),
-            "refine": lambda callback: self._refine(views, callback),
-        }
+        works: tuple[Stage, ...] = (
+            lambda _: self._local.run(views),
+            lambda callback: self._fill(views, callback),
+            lambda callback: self._refine(views, callback),
+        )
+        return dict(zip(STAGES, works, strict=True))
 
     def check(self, name: str) -> None:
         """LightFieldError, with the light field's name, if nothing came of the last run; waits for the device."""
