@@ -26,21 +26,26 @@ _NAMES = {
 }
 
 _SWEEP_STRIP = """
-    struct alignas(PAD * sizeof(KEPT)) Kept { KEPT c[PAD]; };  // aligned, and so one load
+    #if BYTES
+        struct Kept { WORD bytes; };
+        auto value_of = [](Kept pixel, int c) {
+            // A byte in the lowest place of the float 2^23 adds its value to it: cheaper for a GPU than a conversion.
+            return __uint_as_float(__byte_perm(pixel.bytes, 0x4b000000u, 0x7440u | c));
+        };
+        auto is_counted = [](Kept pixel) { return pixel.bytes >> 8 * (PAD - 1) != 0; };
+        const float zero = 8388608.f;
+    #else
+        struct alignas(PAD * sizeof(KEPT)) Kept { KEPT c[PAD]; };  // aligned, and so one load
+        auto value_of = [](const Kept& pixel, int c) { return (float)pixel.c[c]; };
+        auto is_counted = [](const Kept& pixel) { return (float)pixel.c[PAD - 1] != 0.f; };
+        const float zero = 0.f;
+    #endif
     const int height = image.shape[0], width = image.shape[1], count = order.shape[0];
-    const int labels = volume.shape[0], columns = (width + COLUMNS - 1) / COLUMNS;
-    const int lane = thread & 31, warp = thread >> 5, strips = (height + STRIP - 1) / STRIP;
+    const int columns = (width + COLUMNS - 1) / COLUMNS, strips = (height + STRIP - 1) / STRIP;
+    const int lane = thread & 31, warp = thread >> 5;
     const int l = warp / (strips * columns), place = warp - l * (strips * columns), strip = place / columns;
     const int x = (place - strip * columns) * COLUMNS + lane - 1, y = strip * STRIP;
     auto within = [](int i, int size) { return min(max(i, 0), size - 1); };
-    auto value_of = [](const Kept& pixel, int c) {
-    #if BYTES
-        // A byte in the lowest place of the float 2^23 adds its value to it: cheaper for a GPU than a conversion.
-        return __uint_as_float(__byte_perm(*(const WORD*)&pixel, 0x4b000000u, 0x7440u | c)) - 8388608.f;
-    #else
-        return (float)pixel.c[c];
-    #endif
-    };
     const int column = within(x, width);
     const size_t plane = (size_t)height * width;
 
@@ -57,47 +62,53 @@ _SWEEP_STRIP = """
         const int dx = (int)shift.x, dy = (int)shift.y, n = order.data[k];
         const bool right = shift.z >= 0.5f, down = shift.w >= 0.5f;
         const int x0 = within(column + dx, width), x1 = within(column + dx + 1, width);
-        const bool inside = x + dx >= 0 && x + dx + (shift.z > 0.f) < width;
+        // Of what lies between two pixels, both are in the frame.
+        const bool inside = (unsigned)(x + dx) < (unsigned)(width - (shift.z > 0.f));
+        const unsigned rows_inside = height - (shift.w > 0.f);
         const Kept* const view = (const Kept*)views.data + n * plane;
 
-        float upper[CHANNELS], lower[CHANNELS], before[CHANNELS], here[CHANNELS], after[CHANNELS];
-        bool upper_valid, lower_valid;
+        float upper[CHANNELS], before[CHANNELS] = {}, here[CHANNELS] = {};
+        bool upper_valid, part = false;
         auto interpolate = [&](int row, float* level, bool& is_valid) {
-            const Kept* const line = view + within(row, height) * width;
-            const Kept a = line[x0], b = line[x1];
-            is_valid = (right ? b.c[PAD - 1] : a.c[PAD - 1]) != (KEPT)0;
+            const int line = within(row, height) * width;
+            const Kept a = view[line + x0], b = view[line + x1];
+            is_valid = right ? is_counted(b) : is_counted(a);
             for (int c = 0; c < CHANNELS; ++c) {
                 const float value = value_of(a, c);
-                level[c] = value + shift.z * (value_of(b, c) - value);
+                level[c] = value - zero + shift.z * (value_of(b, c) - value);
             }
         };
         interpolate(y - 1 + dy, upper, upper_valid);
-        bool part = false, next_part = false;
         #pragma unroll
         for (int r = 0; r < STRIP + 2; ++r) {  // row y + r - 1 becomes the one after; the one before it is summed up
+            float lower[CHANNELS], after[CHANNELS];
+            bool lower_valid;
             interpolate(y + r + dy, lower, lower_valid);
-            next_part = down ? lower_valid : upper_valid;
+            const bool next_part = down ? lower_valid : upper_valid;
             for (int c = 0; c < CHANNELS; ++c) {
                 after[c] = scale * (upper[c] + shift.w * (lower[c] - upper[c])) - color[r][c];
                 upper[c] = lower[c];
             }
             upper_valid = lower_valid;
             if (r >= 2) {
-                const int row = y + r - 2, near_x = x + dx + right, near_y = row + dy + down;
-                const bool first = row == 0, last = row == height - 1;
-                float size = 0.f, slope = 0.f;
+                const int row = y + r - 2;
+                const bool first = r == 2 && row == 0, last = row == height - 1;
+                float size = 0.f, slope = 0.f, along = 0.f;
                 for (int c = 0; c < CHANNELS; ++c) {
-                    const float to_left = __shfl_up_sync(~0u, here[c], 1), to_right = __shfl_down_sync(~0u, here[c], 1);
-                    const float above = first ? here[c] : before[c], below = last ? here[c] : after[c];
+                    along += fabsf(__shfl_down_sync(~0u, here[c], 2) - here[c]);  // of the column to the right
                     size += fabsf(here[c]);
-                    slope += fabsf(to_right - to_left) + fabsf(below - above);
+                    slope += fabsf((last ? here[c] : after[c]) - (first ? here[c] : before[c]));
                 }
-                bool takes = part && inside && row + dy >= 0 && row + dy + (shift.w > 0.f) < height && row < height;
-                if (SEEN && takes) takes = nearest.data[n * plane + near_y * width + near_x] <= deepest;
+                slope += __shfl_up_sync(~0u, along, 1);
                 const float robust = fminf(size * (1.f / CHANNELS), truncation)
                     + gradient_weight * fminf(slope * (0.25f / CHANNELS), gradient_truncation);
-                cost[r - 2] += takes ? robust : 0.f;
-                number[r - 2] += takes ? 1.f : 0.f;
+                bool takes = part && inside && (unsigned)(row + dy) < rows_inside;
+                if (SEEN && takes)
+                    takes = nearest.data[n * plane + (row + dy + down) * width + x + dx + right] <= deepest;
+                if (takes) {
+                    cost[r - 2] += robust;
+                    number[r - 2] += 1.f;
+                }
             }
             for (int c = 0; c < CHANNELS; ++c) {
                 before[c] = here[c];
