@@ -106,7 +106,8 @@ class PlaneSweep(Protocol):
 
     View n takes part at p if it is not the reference (|o_n| > 1e-3), p - d_l o_n lies in the frame (0 to width - 1, 0
     to height - 1) and the recorded pixel nearest to it (x + 1/2 rounded down) is valid. What no view takes part in
-    costs the most there is, (truncation + w gradient_truncation) / (1 + w).
+    costs the most there is, (truncation + w gradient_truncation) / (1 + w). The shifts -d_l o_n are `sweep_shifts`, so
+    that no rounding in float32 decides what lies in the frame and which pixel is nearest.
     """
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
@@ -519,7 +520,11 @@ class KernelSet(Protocol):
         tolerance: float,
         least: int,
     ) -> PlaneSweep:
-        """Plan a sweep over views of `shape` [n, y, x, c]; `apertures` [m, n] is a field of 1 and 0, row 0 all 1."""
+        """Plan a sweep over views of `shape` [n, y, x, c]; `apertures` [m, n] is a field of 1 and 0, row 0 all 1.
+
+        There are at most 32 apertures; truncations, weight, preference and tolerance are >= 0, `count` and `least` > 0.
+        What `offsets` and `apertures` hold is read once, when the sweep is planned.
+        """
 
     def nearest_surface(self, disparity: Array, offsets: Array, *, reach: int, nearest_out: Array) -> None:
         """The largest disparity that comes near each pixel of each view: a field [n, y, x].
@@ -628,3 +633,12 @@ def half_window(window: int) -> NDArray[np.int64]:
     dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1].reshape(2, -1)
     after = (dy > 0) | ((dy == 0) & (dx > 0))
     return np.stack([dy[after], dx[after]], axis=1)
+
+
+def sweep_shifts(offsets: NDArray[Any], *, first: float, step: float, count: int) -> Float64Array:
+    """What a plane sweep adds to positions, [l, n, 2] in x and y: -d_l o_n, d_l = first + l * step, l < count.
+
+    Rounded to whole multiples of 2^-16: position and shift then add up exactly, and a shift that should be whole is.
+    """
+    disparities = first + step * np.arange(count)
+    return -np.rint(2.0**16 * disparities[:, None, None] * np.asarray(offsets, np.float64)) / 2.0**16
