@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from .alignment import alignment, nearest_surface
 from .control import capture, repeat
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
-from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
+from .nlm import nlm_laplacian, nlm_neighbors, nlm_ratio, nlm_weights
 from .occlusion import occluding_data_term, splat_occluding, visible
 from .residuals import residuals
 from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
@@ -17,6 +18,7 @@ name = "reference"
 dtype = np.float64
 
 __all__ = [
+    "alignment",
     "at_least",
     "axpby",
     "capture",
@@ -37,8 +39,10 @@ __all__ = [
     "line_of_views",
     "multiply",
     "name",
+    "nearest_surface",
     "nlm_laplacian",
     "nlm_neighbors",
+    "nlm_ratio",
     "nlm_weights",
     "normalization",
     "number",

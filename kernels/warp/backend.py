@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from .alignment import alignment, nearest_surface
 from .control import capture, repeat
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, upload, zeros, zeros_image
-from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
+from .nlm import nlm_laplacian, nlm_neighbors, nlm_ratio, nlm_weights
 from .occlusion import occluding_data_term, splat_occluding, visible
 from .residuals import residuals
 from .sharing import shared
@@ -18,6 +19,7 @@ name = "warp"
 dtype = np.float32
 
 __all__ = [
+    "alignment",
     "at_least",
     "axpby",
     "capture",
@@ -38,8 +40,10 @@ __all__ = [
     "line_of_views",
     "multiply",
     "name",
+    "nearest_surface",
     "nlm_laplacian",
     "nlm_neighbors",
+    "nlm_ratio",
     "nlm_weights",
     "normalization",
     "number",
