@@ -30,43 +30,71 @@ _BEFORE, _BORDER = 2, 5  # pixels that copies of views are longer at their left 
 _BLOCK = 128
 
 _LAND = """
-    // The shift is split before the column is added: a small number keeps its digits.
+#ifdef __CUDA_ARCH__
+    constexpr int CHUNK = 1;
+#else
+    constexpr int CHUNK = 128;
+#endif
     const float du = offsets.data[first + n].c[0], dv = offsets.data[first + n].c[1];
     const int height = disparity.shape[0], width = disparity.shape[1];
     const int wide = width + 2 * border, high = height + 2 * border;
-    float* const view = fronts.data + (size_t)n * high * wide;
-    for (int x = lane; x < width; x += lanes) {
-        const float d = disparity.data[(size_t)y * width + x];
-        const float shift_x = -d * du, shift_y = -d * dv, whole_x = floorf(shift_x), whole_y = floorf(shift_y);
-        const float to_x = whole_x + (shift_x - whole_x >= 0.5f ? 1.f : 0.f) + (float)(x + border);
-        const float to_y = whole_y + (shift_y - whole_y >= 0.5f ? 1.f : 0.f) + (float)(y + border);
-        if (!(to_x >= 0.f && to_x < (float)wide && to_y >= 0.f && to_y < (float)high)) continue;
-        float* const place = view + (int)to_y * wide + (int)to_x;
-    #ifdef __CUDA_ARCH__
-        // Floats of one sign are ordered as their bits are, those below 0 the other way round.
-        const int bits = __float_as_int(d);
-        if (bits < 0) atomicMin((unsigned*)place, (unsigned)bits);
-        else atomicMax((int*)place, bits);
-    #else
-        if (*place < d) *place = d;
-    #endif
+    float* const front = fronts.data + (size_t)n * high * wide;
+    for (int begin = lane * CHUNK; begin < width; begin += lanes * CHUNK) {
+        const float* const ds = disparity.data + (size_t)y * width + begin;
+        const int count = wp::min(CHUNK, width - begin);
+        int places[CHUNK];
+        for (int i = 0; i < count; ++i) {
+            // The shift is split before the column is added: a small number keeps its digits.
+            const float shift_x = -ds[i] * du, shift_y = -ds[i] * dv;
+            const float whole_x = floorf(shift_x), whole_y = floorf(shift_y);
+            const float x = whole_x + (shift_x - whole_x >= 0.5f ? 1.f : 0.f) + (float)(begin + i + border);
+            const float to_y = whole_y + (shift_y - whole_y >= 0.5f ? 1.f : 0.f) + (float)(y + border);
+            const bool inside = (x >= 0.f) & (x < (float)wide) & (to_y >= 0.f) & (to_y < (float)high);
+            places[i] = inside ? (int)to_y * wide + (int)x : -1;
+        }
+        for (int i = 0; i < count; ++i) {
+            if (places[i] < 0) continue;
+            float* const place = front + places[i];
+        #ifdef __CUDA_ARCH__
+            // Floats of one sign are ordered as their bits are, those below 0 the other way round.
+            const int bits = __float_as_int(ds[i]);
+            if (bits < 0) atomicMin((unsigned*)place, (unsigned)bits);
+            else atomicMax((int*)place, bits);
+        #else
+            if (*place < ds[i]) *place = ds[i];
+        #endif
+        }
     }
 """
 
+# A CPU takes the window outside and the row inside, which it runs many pixels at a time.
 _LOOK_AROUND = """
-    const int height = nearest.shape[1], width = nearest.shape[2], wide = width + 2 * reach + 2;
-    const float* const front = fronts.data + (size_t)n * (height + 2 * reach + 2) * wide + (size_t)y * wide;
-    float* const out = nearest.data + ((size_t)n * height + y) * width;
-    const int side = 2 * reach + 3;
+    const int height = nearest.shape[1], width = nearest.shape[2], side = 2 * reach + 3, wide = width + side - 1;
+    const float* __restrict__ const front = fronts.data + (size_t)n * (height + side - 1) * wide + (size_t)y * wide;
+    float* __restrict__ const out = nearest.data + ((size_t)n * height + y) * width;
+    auto far_around = [&](int x) {
+        float found = NOWHERE;
+        for (int j = 0; j < side; ++j)
+            for (int i = 0; i < side; ++i) found = wp::max(found, front[j * wide + x + i]);
+        return found;
+    };
+#ifdef __CUDA_ARCH__
     for (int x = lane; x < width; x += lanes) {
         float found = NOWHERE;
         for (int j = 1; j < side - 1; ++j)
             for (int i = 1; i < side - 1; ++i) found = wp::max(found, front[j * wide + x + i]);
-        if (found <= NOWHERE)
-            for (int j = 0; j < side; ++j)
-                for (int i = 0; i < side; ++i) found = wp::max(found, front[j * wide + x + i]);
-        out[x] = found;
+        out[x] = found > NOWHERE ? found : far_around(x);
     }
+#else
+    for (int x = 0; x < width; ++x) out[x] = NOWHERE;
+    for (int j = 1; j < side - 1; ++j)
+        for (int i = 1; i < side - 1; ++i) {
+            const float* __restrict__ const row = front + j * wide + i;
+            for (int x = 0; x < width; ++x) out[x] = out[x] < row[x] ? row[x] : out[x];
+        }
+    for (int x = 0; x < width; ++x)
+        if (out[x] <= NOWHERE) out[x] = far_around(x);
+#endif
 """
 
 
@@ -178,13 +206,14 @@ _ALIGN = """
     const float weaken = 1.f / (3 * CHANNELS * robust * robust);
 
     auto value_of = [](const Kept& kept) {
-        Value value;
     #ifdef __CUDA_ARCH__
+        Value value;
         for (int i = 0; i < CHANNELS; ++i) value[i] = (float)kept.c[i];
-    #else
-        for (int i = 0; i < PAD; ++i) value[i] = (float)kept.c[i];
-    #endif
         return value;
+    #else
+        typedef KEPT Stored __attribute__((vector_size(PAD * sizeof(KEPT))));
+        return __builtin_convertvector(*(const Stored*)&kept, Value);
+    #endif
     };
     auto sum_of = [](Value value) {
         float sum = 0.f;
@@ -198,20 +227,33 @@ _ALIGN = """
         return value;
     };
 
-    // The taps around the place where pixel x lands in a view; false if the view takes no part there.
-    struct Place { const Kept* corner; float ax, ay; };
-    auto land = [&](int n, int x, float d, Place& to) {
-        const float shift_x = -d * offsets.data[n].c[0], shift_y = -d * offsets.data[n].c[1];
-        const float whole_x = floorf(shift_x), whole_y = floorf(shift_y);
-        const float column = (float)x + whole_x, row = (float)y + whole_y;
-        to.ax = shift_x - whole_x;
-        to.ay = shift_y - whole_y;
-        if (!(column >= 0.f && column + (to.ax > 0.f ? 1.f : 0.f) <= (float)(width - 1))) return false;
-        if (!(row >= 0.f && row + (to.ay > 0.f ? 1.f : 0.f) <= (float)(height - 1))) return false;
-        const int left = (int)column, top = (int)row, next_x = to.ax >= 0.5f, next_y = to.ay >= 0.5f;
-        to.corner = recorded + n * size + (size_t)(top + BEFORE) * wide + left + BEFORE;
-        if ((float)to.corner[next_y * wide + next_x].c[PAD - 1] == 0.f) return false;
-        return d >= nearest.data[((size_t)n * height + top + next_y) * width + left + next_x] - tolerance;
+    // Where a chunk of pixels lands in a view, as the first of four taps, or -1 where the view takes no part there.
+    struct Places { int pixel[CHUNK], corner[CHUNK]; float ax[CHUNK], ay[CHUNK]; };
+    auto land = [&](int n, int begin, int end, Places& to) {
+        const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
+        const float* const ds = disparity.data + (size_t)y * width + begin;
+        for (int i = 0; i < end - begin; ++i) {
+            // The shift is split before the column is added: a small number keeps its digits.
+            const float shift_x = -ds[i] * du, shift_y = -ds[i] * dv;
+            const float whole_x = floorf(shift_x), whole_y = floorf(shift_y);
+            const float column = (float)(begin + i) + whole_x, row = (float)y + whole_y;
+            const float ax = shift_x - whole_x, ay = shift_y - whole_y;
+            const bool inside = (column >= 0.f) & (column + (ax > 0.f ? 1.f : 0.f) <= (float)(width - 1))
+                & (row >= 0.f) & (row + (ay > 0.f ? 1.f : 0.f) <= (float)(height - 1));
+            to.ax[i] = ax;
+            to.ay[i] = ay;
+            to.pixel[i] = inside ? (int)row * width + (int)column : 0;
+            to.corner[i] = inside ? ((int)row + BEFORE) * wide + (int)column + BEFORE : -1;
+        }
+        const float* const front = nearest.data + (size_t)n * height * width;
+        const Kept* const view = recorded + n * size;
+        for (int i = 0; i < end - begin; ++i) {
+            if (to.corner[i] < 0) continue;
+            const int next_x = to.ax[i] >= 0.5f, next_y = to.ay[i] >= 0.5f;
+            const bool seen = ds[i] >= front[to.pixel[i] + next_y * width + next_x] - tolerance;
+            const bool valid = (float)view[to.corner[i] + next_y * wide + next_x].c[PAD - 1] != 0.f;
+            if (!(seen & valid)) to.corner[i] = -1;
+        }
     };
     auto is_reference = [&](int n) {
         const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
@@ -221,6 +263,7 @@ _ALIGN = """
     for (int begin = lane * CHUNK; begin < width; begin += lanes * CHUNK) {
         const int end = wp::min(begin + CHUNK, width);
         Value mean[CHUNK], mean_x[CHUNK], mean_y[CHUNK], sum[CHUNK], sum_x[CHUNK], sum_y[CHUNK];
+        Places to;
         float sum_k[CHUNK], curvatures[CHUNK], slopes[CHUNK];
         for (int x = begin; x < end; ++x) {
             const int i = x - begin;
@@ -232,12 +275,11 @@ _ALIGN = """
         }
         for (int n = 0; n < count; ++n) {
             if (is_reference(n)) continue;
-            for (int x = begin; x < end; ++x) {
-                const int i = x - begin;
-                Place to;
-                if (!land(n, x, disparity.data[(size_t)y * width + x], to)) continue;
-                const float ax = to.ax, ay = to.ay, bx = 1.f - ax, by = 1.f - ay;
-                const Kept* p = to.corner - wide;
+            land(n, begin, end, to);
+            for (int i = 0; i < end - begin; ++i) {
+                if (to.corner[i] < 0) continue;
+                const float ax = to.ax[i], ay = to.ay[i], bx = 1.f - ax, by = 1.f - ay;
+                const Kept* p = recorded + n * size + to.corner[i] - wide;
                 auto mean_of = [&]() { return value_of(p[0]) * bx + value_of(p[1]) * ax; };
                 auto slope_of = [&](Value m, Value r) {
                     return (value_of(p[1]) - m) * bx + (r - value_of(p[0])) * ax;
@@ -269,13 +311,12 @@ _ALIGN = """
         for (int n = 0; n < count; ++n) {
             if (is_reference(n)) continue;
             const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
-            for (int x = begin; x < end; ++x) {
-                const int i = x - begin;
-                Place to;
-                if (!land(n, x, disparity.data[(size_t)y * width + x], to)) continue;
-                const float ax = to.ax, ay = to.ay, bx = 1.f - ax, by = 1.f - ay;
+            land(n, begin, end, to);
+            for (int i = 0; i < end - begin; ++i) {
+                if (to.corner[i] < 0) continue;
+                const float ax = to.ax[i], ay = to.ay[i], bx = 1.f - ax, by = 1.f - ay;
                 // Along a row the mean m, twice its difference s, and four times the second one t; rows 0 to 5.
-                const Kept* p = to.corner - 2 * wide;
+                const Kept* p = recorded + n * size + to.corner[i] - 2 * wide;
                 auto m_of = [&]() { return value_of(p[0]) * bx + value_of(p[1]) * ax; };
                 const Value m0 = m_of();
                 p += wide;
