@@ -207,8 +207,10 @@ _ALIGN = """
 
     auto value_of = [](const Kept& kept) {
     #ifdef __CUDA_ARCH__
+        const WORDS words = *(const WORDS*)&kept;  // one load
+        const Kept loaded = *(const Kept*)&words;
         Value value;
-        for (int i = 0; i < CHANNELS; ++i) value[i] = (float)kept.c[i];
+        for (int i = 0; i < CHANNELS; ++i) value[i] = (float)loaded.c[i];
         return value;
     #else
         typedef KEPT Stored __attribute__((vector_size(PAD * sizeof(KEPT))));
@@ -369,18 +371,20 @@ def _kernels(channels: int, stored: Any, compact: Any) -> SimpleNamespace:
         pixel_type(pad, compact),
     )
     module = f"lfgpu_alignment_{channels}_{stored.__name__}_{compact.__name__}"
-    kept_name = {
-        wp.uint8: "unsigned char",
-        wp.uint16: "unsigned short",
-        wp.float16: "wp::half",
-        wp.float32: "float",
+    kept_name, bytes_ = {
+        wp.uint8: ("unsigned char", 1),
+        wp.uint16: ("unsigned short", 2),
+        wp.float16: ("wp::half", 2),
+        wp.float32: ("float", 4),
     }[compact]
+    words = {2: "unsigned short", 4: "unsigned", 8: "uint2", 16: "uint4"}[pad * bytes_]
 
     code = _ALIGN
     for name, value in (
         ("CHANNELS", channels),
         ("PAD", pad),
         ("KEPT", kept_name),
+        ("WORDS", words),
         ("BORDER", _BORDER),
         ("BEFORE", _BEFORE),
         ("NEAR", f"{_AT_REFERENCE}f"),
