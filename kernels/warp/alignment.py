@@ -27,7 +27,6 @@ _NOWHERE = -1e6  # the disparity of what nothing comes near
 _AT_REFERENCE = 1e-3  # view steps: what is no farther from the reference is the reference
 _BUFFER = 20 * 2**20  # bytes
 _BEFORE, _BORDER = 2, 5  # pixels that copies of views are longer at their left and top, and in all
-_BLOCK = 128
 
 _LAND = """
 #ifdef __CUDA_ARCH__
@@ -41,7 +40,7 @@ _LAND = """
     float* const front = fronts.data + (size_t)n * high * wide;
     for (int begin = lane * CHUNK; begin < width; begin += lanes * CHUNK) {
         const float* const ds = disparity.data + (size_t)y * width + begin;
-        const int count = wp::min(CHUNK, width - begin);
+        const int count = CHUNK == 1 ? 1 : wp::min(CHUNK, width - begin);
         int places[CHUNK];
         for (int i = 0; i < count; ++i) {
             // The shift is split before the column is added: a small number keeps its digits.
@@ -231,10 +230,10 @@ _ALIGN = """
 
     // Where a chunk of pixels lands in a view, as the first of four taps, or -1 where the view takes no part there.
     struct Places { int pixel[CHUNK], corner[CHUNK]; float ax[CHUNK], ay[CHUNK]; };
-    auto land = [&](int n, int begin, int end, Places& to) {
+    auto land = [&](int n, int begin, int many, Places& to) {
         const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
         const float* const ds = disparity.data + (size_t)y * width + begin;
-        for (int i = 0; i < end - begin; ++i) {
+        for (int i = 0; i < many; ++i) {
             // The shift is split before the column is added: a small number keeps its digits.
             const float shift_x = -ds[i] * du, shift_y = -ds[i] * dv;
             const float whole_x = floorf(shift_x), whole_y = floorf(shift_y);
@@ -249,7 +248,7 @@ _ALIGN = """
         }
         const float* const front = nearest.data + (size_t)n * height * width;
         const Kept* const view = recorded + n * size;
-        for (int i = 0; i < end - begin; ++i) {
+        for (int i = 0; i < many; ++i) {
             if (to.corner[i] < 0) continue;
             const int next_x = to.ax[i] >= 0.5f, next_y = to.ay[i] >= 0.5f;
             const bool seen = ds[i] >= front[to.pixel[i] + next_y * width + next_x] - tolerance;
@@ -263,12 +262,12 @@ _ALIGN = """
     };
 
     for (int begin = lane * CHUNK; begin < width; begin += lanes * CHUNK) {
-        const int end = wp::min(begin + CHUNK, width);
+        const int many = CHUNK == 1 ? 1 : wp::min(CHUNK, width - begin);
         Value mean[CHUNK], mean_x[CHUNK], mean_y[CHUNK], sum[CHUNK], sum_x[CHUNK], sum_y[CHUNK];
         Places to;
         float sum_k[CHUNK], curvatures[CHUNK], slopes[CHUNK];
-        for (int x = begin; x < end; ++x) {
-            const int i = x - begin;
+        for (int i = 0; i < many; ++i) {
+            const int x = begin + i;
             sum[i] = mean[i] = color_at(y, x);
             sum_x[i] = mean_x[i] = (color_at(y, x + 1) - color_at(y, x - 1)) * (0.5f * weight);
             sum_y[i] = mean_y[i] = (color_at(y + 1, x) - color_at(y - 1, x)) * (0.5f * weight);
@@ -277,8 +276,8 @@ _ALIGN = """
         }
         for (int n = 0; n < count; ++n) {
             if (is_reference(n)) continue;
-            land(n, begin, end, to);
-            for (int i = 0; i < end - begin; ++i) {
+            land(n, begin, many, to);
+            for (int i = 0; i < many; ++i) {
                 if (to.corner[i] < 0) continue;
                 const float ax = to.ax[i], ay = to.ay[i], bx = 1.f - ax, by = 1.f - ay;
                 const Kept* p = recorded + n * size + to.corner[i] - wide;
@@ -304,7 +303,7 @@ _ALIGN = """
                 sum_k[i] += k;
             }
         }
-        for (int i = 0; i < end - begin; ++i) {
+        for (int i = 0; i < many; ++i) {
             const float share = 1.f / sum_k[i];
             mean[i] = sum[i] * share;
             mean_x[i] = sum_x[i] * share;
@@ -313,8 +312,8 @@ _ALIGN = """
         for (int n = 0; n < count; ++n) {
             if (is_reference(n)) continue;
             const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
-            land(n, begin, end, to);
-            for (int i = 0; i < end - begin; ++i) {
+            land(n, begin, many, to);
+            for (int i = 0; i < many; ++i) {
                 if (to.corner[i] < 0) continue;
                 const float ax = to.ax[i], ay = to.ay[i], bx = 1.f - ax, by = 1.f - ay;
                 // Along a row the mean m, twice its difference s, and four times the second one t; rows 0 to 5.
@@ -353,9 +352,9 @@ _ALIGN = """
                 slopes[i] += k * sum_of(g * r + gx * rx + gy * ry);
             }
         }
-        for (int x = begin; x < end; ++x) {
-            curvature.data[(size_t)y * width + x] = curvatures[x - begin] * share_of_all;
-            slope.data[(size_t)y * width + x] = slopes[x - begin] * share_of_all;
+        for (int i = 0; i < many; ++i) {
+            curvature.data[(size_t)y * width + begin + i] = curvatures[i] * share_of_all;
+            slope.data[(size_t)y * width + begin + i] = slopes[i] * share_of_all;
         }
     }
 """
