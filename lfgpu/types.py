@@ -129,13 +129,25 @@ class PlaneSweep(Protocol):
         """
 
 
+class NearestSurface(Protocol):
+    """The nearest surface that comes near each pixel of each view, planned for light fields of one kind."""
+
+    def __call__(self, disparity: Array, nearest_out: Array) -> None:
+        """nearest [n, y, x]: the largest of the disparities [y, x] that come near a pixel of a view.
+
+        It is the maximum of d_p over the reference pixels p for which p - d_p o_n, rounded (x + 1/2 down), is at most
+        `reach` pixels away in x and in y, within the frame or beyond it; where there is none, at most `reach` + 1; where
+        there is still none, -1e6.
+        """
+
+
 class Alignment(Protocol):
     """Gauss-Newton on how well the views agree with each other at a disparity map, planned for light fields of a kind.
 
-    With the features f(V) = (V, w V_x, w V_y), V = scale * recorded, central differences with repeated border pixels
-    and w = gradient_weight; F_n(p) = f(V_n) at p - d(p) o_n, bilinear, and F_n' its derivative with respect to d,
-    -(o_n . grad f), grad by central differences of f (border repeated) interpolated bilinearly in the same place. View
-    n takes part where `PlaneSweep` says and where d(p) >= nearest_n - tolerance at the pixel nearest to p - d(p) o_n.
+    With the features f(V) = (V, w V_x, w V_y), V = scale * recorded continued beyond its border by its border pixels,
+    central differences and w = gradient_weight; F_n(p) = f(V_n) at p - d(p) o_n, bilinear, and F_n' its derivative with
+    respect to d, -(o_n . grad f), grad by central differences of f interpolated bilinearly in the same place. View n
+    takes part where `PlaneSweep` says and where d(p) >= nearest_n - tolerance at the pixel nearest to p - d(p) o_n.
     Its weight is k_n(r) = 1 / (1 + mean r^2 / robust^2)^2, mean over the features, 0 where it takes no part.
     """
 
@@ -147,7 +159,8 @@ class Alignment(Protocol):
 
         What the views are compared with is their own robust mean F = (f(I) + sum_n k_n F_n) / (1 + sum_n k_n), these
         k_n at F_n - f(I), those above at F_n - F: so the noise of the reference view is but one of many. N counts all
-        views but the reference. slope / curvature is the step that Gauss and Newton would take.
+        views but the reference, whose |o_n| is at most 1e-3; without any other, both are 0. slope / curvature is the
+        step that Gauss and Newton would take.
         """
 
 
@@ -465,7 +478,8 @@ class KernelSet(Protocol):
         """sum_q v_pq numerator_q / sum_q v_pq (denominator_q + floor) over each pixel's window, fields [y, x].
 
         v_pq = w_pq / (1 + (guide_q - guide_p)^2 / support^2), and 1 for the pixel itself: only what lies on the same
-        surface of the `guide`, a disparity map, is taken together.
+        surface of the `guide`, a disparity map, is taken together. `support` (in the guide's unit) and `floor` are > 0,
+        no denominator is negative.
         """
 
     # --- the local estimate ---
@@ -526,12 +540,8 @@ class KernelSet(Protocol):
         What `offsets` and `apertures` hold is read once, when the sweep is planned.
         """
 
-    def nearest_surface(self, disparity: Array, offsets: Array, *, reach: int, nearest_out: Array) -> None:
-        """The largest disparity that comes near each pixel of each view: a field [n, y, x].
-
-        It is the maximum of d_p over reference pixels p with (x, y) - d_p o_n, rounded (x + 1/2 down), at most `reach`
-        pixels away in x and in y; where there is none, at most `reach` + 1; where there is still none, -1e6.
-        """
+    def nearest_surface(self, shape: Sequence[int], offsets: Array, *, reach: int) -> NearestSurface:
+        """Plan the nearest surfaces of views of `shape` [n, y, x, c]; `reach` is in pixels, >= 0."""
 
     def alignment(
         self,

@@ -85,3 +85,25 @@ def nlm_laplacian(weights: Array, values: Array, *, window: int, laplacian_out: 
         flow = w[here] * (values[here] - values[there])
         laplacian_out[here] += flow
         laplacian_out[there] -= flow
+
+
+def nlm_ratio(
+    weights: Array,
+    guide: Array,
+    numerator: Array,
+    denominator: Array,
+    *,
+    window: int,
+    support: float,
+    floor: float,
+    ratio_out: Array,
+) -> None:
+    height, width = guide.shape
+    above, below = numerator.copy(), denominator + floor
+    for w, (dy, dx) in zip(weights, half_window(window), strict=True):
+        here, there = overlap((height, width), dy, dx)
+        shared = w[here] / (1 + ((guide[there] - guide[here]) / support) ** 2)
+        for p, q in ((here, there), (there, here)):
+            above[p] += shared * numerator[q]
+            below[p] += shared * (denominator[q] + floor)
+    ratio_out[:] = above / below

@@ -264,7 +264,7 @@ def nlm_neighbors(weights: Any, values: Any, *, window: int, sums_out: Any) -> N
         _by_rows(_operator("neighbors", "s[x] += w[x + back] * o[x + dx]", 1.0), weights, values, window, sums_out)
     else:
         kernel = _gpu_operator("neighbors", "other", 1.0, window // 2)
-        _by_pixels(kernel, weights, values, window, sums_out)
+        _launch_pixels(kernel, [weights, values], window, sums_out)
 
 
 def nlm_laplacian(weights: Any, values: Any, *, window: int, laplacian_out: Any) -> None:
@@ -273,16 +273,182 @@ def nlm_laplacian(weights: Any, values: Any, *, window: int, laplacian_out: Any)
         _by_rows(_operator("laplacian", flow, 0.0), weights, values, window, laplacian_out)
     else:
         kernel = _gpu_operator("laplacian", "(here - other)", 0.0, window // 2)
-        _by_pixels(kernel, weights, values, window, laplacian_out)
+        _launch_pixels(kernel, [weights, values], window, laplacian_out)
 
 
 def _by_rows(kernel: Any, weights: Any, values: Any, window: int, result_out: Any) -> None:
     launch_rows(kernel, [weights, values, _half_window(window, values.device.alias)], result_out)
 
 
-def _by_pixels(kernel: Any, weights: Any, values: Any, window: int, result_out: Any) -> None:
-    (height, width), rows = values.shape, window // 2 + 1
+def _launch_pixels(kernel: Any, inputs: list[Any], window: int, result_out: Any) -> None:
+    """Launch a kernel whose blocks have a warp for each row of the half window."""
+    (height, width), rows = result_out.shape, window // 2 + 1
     block = rows * _WARP
     dim = height * -(-width // _WARP) * block
     check_size(dim)
-    wp.launch(kernel, dim, [weights, values], [result_out], device=values.device, block_dim=block)
+    wp.launch(kernel, dim, inputs, [result_out], device=result_out.device, block_dim=block)
+
+
+# The sums of the ratio are native code like those of the operators. On a CPU a row goes in chunks, whose two sums lie on
+# the stack.
+
+_RATIO_ROW = """
+    constexpr int CHUNK = 128;
+    const int height = guide.shape[0], width = guide.shape[1], size = height * width, row = y * width;
+    const float* __restrict__ const g = guide.data;
+    const float* __restrict__ const a = numerator.data;
+    const float* __restrict__ const b = denominator.data;
+    const float weaken = 1.f / (support * support);
+    for (int begin = 0; begin < width; begin += CHUNK) {
+        const int end = wp::min(begin + CHUNK, width);
+        float above[CHUNK], below[CHUNK];
+        for (int x = begin; x < end; ++x) {
+            above[x - begin] = a[row + x];
+            below[x - begin] = b[row + x] + floor;
+        }
+        for (int k = 0; k < steps.shape[0]; ++k)
+            for (int sign = 1; sign >= -1; sign -= 2) {
+                const int dy = sign * steps.data[k].c[0], dx = sign * steps.data[k].c[1];
+                if ((unsigned)(y + dy) >= (unsigned)height) continue;
+                const int first = wp::max(begin, -dx), last = wp::min(end, width - dx), other = row + dy * width + dx;
+                // Of a pair the second pixel finds the weight at the first.
+                const float* __restrict__ const w = weights.data + (size_t)k * size + (sign > 0 ? row : other);
+                for (int x = first; x < last; ++x) {
+                    const float apart = g[other + x] - g[row + x], v = w[x] / (1.f + apart * apart * weaken);
+                    above[x - begin] += v * a[other + x];
+                    below[x - begin] += v * (b[other + x] + floor);
+                }
+            }
+        for (int x = begin; x < end; ++x) ratio.data[row + x] = above[x - begin] / below[x - begin];
+    }
+"""
+
+
+@wp.func_native(_RATIO_ROW)
+def _divide_row(
+    weights: wp.array3d(dtype=float),
+    guide: wp.array2d(dtype=float),
+    numerator: wp.array2d(dtype=float),
+    denominator: wp.array2d(dtype=float),
+    steps: wp.array(dtype=wp.vec2i),
+    support: float,
+    floor: float,
+    y: int,
+    ratio: wp.array2d(dtype=float),
+): ...
+
+
+@wp.kernel
+def _ratio_kernel(
+    weights: wp.array3d(dtype=float),
+    guide: wp.array2d(dtype=float),
+    numerator: wp.array2d(dtype=float),
+    denominator: wp.array2d(dtype=float),
+    half_window: wp.array(dtype=wp.vec2i),
+    support: float,
+    floor: float,
+    row: int,
+    lanes: int,
+    ratio_out: wp.array2d(dtype=float),
+):
+    y = row + wp.tid()
+    _divide_row(weights, guide, numerator, denominator, half_window, support, floor, y, ratio_out)
+
+
+_PIXEL_RATIO = """
+    // As in the sums of the operators, each warp of a block has one row of the half window.
+    __shared__ float above[RADIUS + 1][32], below[RADIUS + 1][32];
+    const int height = guide.shape[0], width = guide.shape[1], p = y * width + x;
+    const size_t size = (size_t)height * width;
+    const float* const g = guide.data;
+    const float* const a = numerator.data;
+    const float* const b = denominator.data;
+    const float weaken = 1.f / (support * support);
+    float upper = 0.f, lower = 0.f;
+    if (x < width) {
+        const float here = g[p];
+        auto add = [&](float weight, int q) {
+            const float apart = g[q] - here, v = weight / (1.f + apart * apart * weaken);
+            upper += v * a[q];
+            lower += v * (b[q] + floor);
+        };
+        const float* w = weights.data + ((long long)dy * (2 * RADIUS + 1) - RADIUS - 1) * (long long)size + p;
+    #pragma unroll
+        for (int dx = -RADIUS; dx <= RADIUS; ++dx, w += size) {
+            if (dy == 0 && dx <= 0) continue;
+            const int step = dy * width + dx;
+            if (y + dy < height && (unsigned)(x + dx) < (unsigned)width) add(w[0], p + step);
+            if (y >= dy && (unsigned)(x - dx) < (unsigned)width) add(w[-step], p - step);
+        }
+    }
+    above[dy][lane] = upper;
+    below[dy][lane] = lower;
+    __syncthreads();
+    if (dy == 0 && x < width) {
+        upper = a[p];
+        lower = b[p] + floor;
+        for (int row = 0; row <= RADIUS; ++row) {
+            upper += above[row][lane];
+            lower += below[row][lane];
+        }
+        ratio.data[p] = upper / lower;
+    }
+"""
+
+
+@once
+def _gpu_ratio(radius: int) -> Any:
+    @wp.func_native(_PIXEL_RATIO.replace("RADIUS", str(radius)))
+    def divide_pixel(
+        weights: wp.array3d(dtype=float),
+        guide: wp.array2d(dtype=float),
+        numerator: wp.array2d(dtype=float),
+        denominator: wp.array2d(dtype=float),
+        support: float,
+        floor: float,
+        y: int,
+        x: int,
+        dy: int,
+        lane: int,
+        ratio: wp.array2d(dtype=float),
+    ): ...
+
+    @wp.kernel(module=f"lfgpu_nlm_gpu_ratio_{radius}", enable_backward=False)
+    def ratio_kernel(
+        weights: wp.array3d(dtype=float),
+        guide: wp.array2d(dtype=float),
+        numerator: wp.array2d(dtype=float),
+        denominator: wp.array2d(dtype=float),
+        support: float,
+        floor: float,
+        ratio_out: wp.array2d(dtype=float),
+    ):
+        i = wp.tid()
+        block = i / wp.static(_WARP * (radius + 1))
+        thread = i - block * wp.static(_WARP * (radius + 1))
+        dy = thread / wp.static(_WARP)
+        lane = thread - dy * wp.static(_WARP)
+        columns = (guide.shape[1] + wp.static(_WARP - 1)) / wp.static(_WARP)
+        y = block / columns
+        x = (block - y * columns) * wp.static(_WARP) + lane
+        divide_pixel(weights, guide, numerator, denominator, support, floor, y, x, dy, lane, ratio_out)
+
+    return ratio_kernel
+
+
+def nlm_ratio(
+    weights: Any,
+    guide: Any,
+    numerator: Any,
+    denominator: Any,
+    *,
+    window: int,
+    support: float,
+    floor: float,
+    ratio_out: Any,
+) -> None:
+    device, fields = guide.device, [weights, guide, numerator, denominator]
+    if device.is_cpu:
+        launch_rows(_ratio_kernel, [*fields, _half_window(window, device.alias), support, floor], ratio_out)
+    else:
+        _launch_pixels(_gpu_ratio(window // 2), [*fields, support, floor], window, ratio_out)

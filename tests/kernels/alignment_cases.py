@@ -1,0 +1,95 @@
+"""The cases of what comes near in each view, of the alignment and of ratios by weights, as data, and their inputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import cases
+import numpy as np
+
+TOLERANCE = 0.25 + 2.0**-13
+"""Of what is seen; between the numbers that disparities are, which are whole multiples of 2⁻¹⁰."""
+
+
+@dataclass(frozen=True)
+class AlignmentCase(cases.SplatCase):
+    """A splat case, and by how much views may differ to agree; `wavy` views differ little, others by anything."""
+
+    gradient_weight: float = 2.0
+    robust: float = 0.25
+    reach: int = 1
+
+
+ALIGNMENT_CASES = (
+    AlignmentCase("colour float32"),
+    AlignmentCase("grey float32", channels=1, reach=0),
+    AlignmentCase("colour uint8 masked", dtype="uint8", size=(12, 9), masked=True),
+    AlignmentCase("grey uint8", channels=1, dtype="uint8", reach=2),
+    AlignmentCase("grey uint16 masked", channels=1, dtype="uint16", masked=True),
+    AlignmentCase("colour uint16", dtype="uint16", robust=1.0),
+    AlignmentCase("colour float16 masked", dtype="float16", masked=True, reach=0),
+    AlignmentCase("grey float16", channels=1, dtype="float16"),
+    AlignmentCase("one pixel wide", size=(13, 1)),
+    AlignmentCase("one pixel high", size=(1, 13), channels=1, reach=3),
+    AlignmentCase("one pixel", size=(1, 1), disparities=(-0.25, 0.25)),
+    AlignmentCase("two by two", size=(2, 2), channels=1, masked=True),
+    AlignmentCase("one row of views", offsets=cases.grid(1, 5)),
+    AlignmentCase("one column of views", offsets=cases.grid(5, 1), dtype="uint8"),
+    AlignmentCase("no other view", offsets=((0.0, 0.0),)),
+    AlignmentCase("irregular offsets", offsets=cases.IRREGULAR, masked=True),
+    AlignmentCase("next to the reference", offsets=((2.0**-11, 0.0), (2.0**-9, 0.0), (1.0, 0.5))),
+    AlignmentCase("partly out of the frame", disparities=(-9.0, 9.0), reach=0),
+    AlignmentCase("all out of the frame", disparities=(20.0, 40.0), offsets=((1.0, 0.0), (-1.0, 1.0), (0.0, -2.0))),
+    AlignmentCase("whole disparities", disparities=(2.0, 2.0)),
+    AlignmentCase("half disparities", disparities=(0.5, 0.5), channels=1),
+    AlignmentCase("colours only", gradient_weight=0.0, dtype="uint8"),
+    AlignmentCase("arbitrary numbers", exact=False, offsets=((0.31, -1.2), (1.7, 0.9))),
+    AlignmentCase("work for several threads", size=(47, 138), offsets=cases.grid(3, 6), masked=True, dtype="uint8"),
+)
+
+
+def alignment_inputs(case: AlignmentCase, rng: np.random.Generator) -> SimpleNamespace:
+    """Random views, some of whose pixels are as in the reference, and surfaces in front of some of what is seen."""
+    i = cases.splat_inputs(case, rng)
+    alike = rng.random(i.recorded.shape[:3]) < 0.3
+    exact = np.broadcast_to(cases.stored(i.image.astype(np.float64), case.dtype), i.recorded.shape)
+    i.recorded = np.where(alike[..., None], exact, i.recorded)
+    places = rng.uniform(*case.disparities, i.recorded.shape[:3])
+    behind = rng.random(places.shape) < 0.3
+    i.nearest = np.where(behind, -1e6, np.round(places * 2**10) / 2**10).astype(np.float32)
+    i.gradient_weight, i.robust, i.tolerance = case.gradient_weight, case.robust, TOLERANCE
+    i.reach, i.exact = case.reach, case.exact
+    return i
+
+
+@dataclass(frozen=True)
+class RatioCase(cases.NlmCase):
+    """The window of weights, and how near the guide must be and what is added to denominators."""
+
+    support: float = 0.25
+    least: float = 0.125
+
+
+RATIO_CASES = (
+    RatioCase("default"),
+    RatioCase("window of the method", window=9, size=(17, 19)),
+    RatioCase("wide support", support=20.0),
+    RatioCase("narrow support", support=2.0**-6, least=1e-3),
+    RatioCase("one pixel wide", size=(13, 1)),
+    RatioCase("one pixel high", size=(1, 13)),
+    RatioCase("one pixel", size=(1, 1)),
+    RatioCase("window wider than image", size=(4, 3), window=11),
+    RatioCase("work for several threads", size=(61, 153), window=7),
+)
+
+
+def ratio_inputs(case: RatioCase, rng: np.random.Generator) -> SimpleNamespace:
+    """Random weights, two surfaces as a guide, numerators of both signs, and denominators, some of which are 0."""
+    i = cases.nlm_inputs(case, rng)
+    surfaces = rng.uniform(-0.1, 0.1, case.size) + (rng.random(case.size) < 0.5)
+    i.guide = surfaces.astype(np.float32)
+    denominator = rng.random(case.size) * (rng.random(case.size) < 0.7)
+    i.denominator = denominator.astype(np.float32)
+    i.options = {"window": case.window, "support": case.support, "floor": case.least}
+    return i

@@ -1,0 +1,135 @@
+"""The checks of what comes near in each view, of the alignment and of ratios by weights."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from checks import Desk, Operation, Outputs, Program, Values, largest_error, relative_to_terms, size
+
+from lfgpu.types import KernelSet
+
+CLEAR = 1e-4
+"""Pixels: what is decided by less is left out of comparisons."""
+
+
+def nearest_surface(desk: Desk, i: SimpleNamespace) -> Outputs:
+    """After that of another map, which leaves no trace."""
+    plan = desk.kernels.nearest_surface(i.recorded.shape, desk.field(i.offsets), reach=i.reach)
+    out = desk.out(i.recorded.shape[:3])
+    plan(desk.field(i.disparity[::-1, ::-1] + 1), out)
+    plan(desk.field(i.disparity), out)
+    return {"nearest": out}
+
+
+def alignment(desk: Desk, i: SimpleNamespace) -> Outputs:
+    """After that of another light field, and with another map, which leave no trace."""
+    plan = desk.kernels.alignment(
+        i.recorded.shape,
+        desk.field(i.offsets),
+        scale=i.scale,
+        gradient_weight=i.gradient_weight,
+        robust=i.robust,
+        tolerance=i.tolerance,
+    )
+    disparity, nearest = desk.field(i.disparity), desk.field(i.nearest)
+    out = {name: desk.out(i.disparity.shape) for name in ("curvature", "slope")}
+    other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
+    plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
+    plan(disparity, nearest, *out.values())
+    plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
+    plan(desk.field(i.disparity[::-1, ::-1]), nearest, *out.values())
+    plan(disparity, nearest, *out.values())
+    return out
+
+
+def nlm_ratio(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = desk.out(i.guide.shape)
+    fields = (desk.field(values) for values in (i.weights, i.guide, i.values, i.denominator))
+    desk.kernels.nlm_ratio(*fields, **i.options, ratio_out=out)
+    return {"ratio": out}
+
+
+# --- which decisions are near: places as the contract says, in float64 ---
+
+
+def places(i: SimpleNamespace) -> tuple[Values, Values]:
+    """Columns and rows [n, y, x] where reference pixels land."""
+    height, width = i.disparity.shape
+    rows, columns = np.mgrid[:height, :width]
+    d, (du, dv) = i.disparity.astype(np.float64), i.offsets.astype(np.float64).T[..., None, None]
+    return columns - d * du, rows - d * dv
+
+
+def near_a_rounding(i: SimpleNamespace) -> Values:
+    """Where [n, y, x] a place is on the edge between two pixels, which the border of the frame is, too."""
+    return np.any([np.abs(place + 0.5 - np.round(place + 0.5)) < CLEAR for place in places(i)], axis=0)
+
+
+def near_a_decision(i: SimpleNamespace) -> Values:
+    """Pixels [y, x] for which it is in doubt whether a view takes part."""
+    height, width = i.disparity.shape
+    x, y = places(i)
+    border = np.any([np.abs(x - edge) < CLEAR for edge in (0, width - 1)], axis=0)
+    border |= np.any([np.abs(y - edge) < CLEAR for edge in (0, height - 1)], axis=0)
+    column, row = (np.floor(a + 0.5).astype(int).clip(0, side - 1) for a, side in ((x, width), (y, height)))
+    front = i.nearest[np.arange(len(i.offsets))[:, None, None], row, column]
+    hidden = np.abs(i.disparity - front + i.tolerance) < CLEAR
+    return (near_a_rounding(i) | border | hidden).any(0)
+
+
+def nearest_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
+    """Disparities are copied: all must be the same bits, but for those to which a doubtful one may come near."""
+    differs = got["nearest"] != want["nearest"]
+    if not i.exact:
+        doubtful = near_a_rounding(i)
+        assert doubtful.mean() < 0.05, "too much is undecided: the check says little"
+        decided = ~np.isin(want["nearest"], i.disparity[doubtful.any(0)])
+        decided &= ~np.isin(got["nearest"], i.disparity[doubtful.any(0)])
+        differs &= decided
+    return {"nearest": float(differs.mean())}
+
+
+def alignment_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
+    """Relative to the largest; of the slope, whose terms may cancel, to a tenth of the largest curvature at least."""
+    clear = np.ones(i.disparity.shape, np.bool_)
+    if not i.exact:
+        clear = ~near_a_decision(i)
+        assert clear.mean() > 0.95, "too much is undecided: the check says little"
+    largest = float(np.abs(want["curvature"]).max())
+    least = {"curvature": largest, "slope": max(float(np.abs(want["slope"]).max()), 0.1 * largest)}
+    return {name: largest_error(got[name][clear], want[name][clear], least[name]) for name in want}
+
+
+OPERATIONS = (
+    Operation(nearest_surface, "alignment", nearest_errors),
+    Operation(alignment, "alignment", alignment_errors),
+    Operation(nlm_ratio, "ratio", relative_to_terms(ratio=lambda i: size(i.values) / i.options["floor"])),
+)
+NEAREST, ALIGNMENT, RATIO = OPERATIONS
+
+
+# --- a program of them, for devices that can do work as a whole ---
+
+
+def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
+    """A step of Gauss and Newton, smoothed, on a light field that is loaded each time."""
+    views = values["recorded"]
+    inputs: dict[str, Any] = {name: kernels.image(values[name], device) for name in ("image", "recorded")}
+    inputs |= {name: kernels.field(values[name], device) for name in ("valid", "disparity")}
+    offsets = kernels.field(values["offsets"], device)
+    weights = kernels.field(np.full((12, *views.shape[1:3]), 0.5), device)
+    surface = kernels.nearest_surface(views.shape, offsets, reach=1)
+    plan = kernels.alignment(views.shape, offsets, scale=1.0, gradient_weight=2.0, robust=0.25, tolerance=0.30078125)
+    nearest = kernels.zeros(views.shape[:3], device)
+    curvature, slope, step = (kernels.zeros(views.shape[1:3], device) for _ in range(3))
+
+    def work() -> None:
+        plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
+        surface(inputs["disparity"], nearest)
+        plan(inputs["disparity"], nearest, curvature, slope)
+        fields = weights, inputs["disparity"], slope, curvature
+        kernels.nlm_ratio(*fields, window=5, support=0.5, floor=1e-3, ratio_out=step)
+
+    return Program(inputs, work, {"curvature": curvature, "slope": slope, "step": step})
