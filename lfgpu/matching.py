@@ -85,6 +85,8 @@ class Matching:
             tolerance=config.sweep.tolerance,
             least=config.sweep.least_views,
         )
+        self._hiding = kernels.nearest_surface(shape, self._offsets, reach=0)
+        self._hiding_beside = kernels.nearest_surface(shape, self._offsets, reach=1)
         self._align = kernels.alignment(
             shape,
             self._offsets,
@@ -149,7 +151,7 @@ class Matching:
         self._find_surface(self._swept)
 
     def _compare_seen(self, _: Callback | None) -> None:
-        self._kernels.nearest_surface(self._swept, self._offsets, reach=0, nearest_out=self._nearest)
+        self._hiding(self._swept, self._nearest)
         self._sweep.seen(self._nearest, self._volume)
         self._find_surface(self._matched)
 
@@ -174,7 +176,7 @@ class Matching:
         kernels.copy(self._matched if self._twice else self._swept, map_)
         for iteration, moved in enumerate(self._moves, 1):
             # Beside an edge in another view, what is seen there is mixed with what is nearer: one pixel is left out.
-            kernels.nearest_surface(map_, self._offsets, reach=1, nearest_out=self._nearest)
+            self._hiding_beside(map_, self._nearest)
             self._align(map_, self._nearest, self._curvature, self._slope)
             self._on_surface(self._slope, self._curvature, config.damping * noise, room)
             kernels.clamp(room, -config.longest_step, config.longest_step, room)
