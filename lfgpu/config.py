@@ -136,6 +136,10 @@ class SweepConfig(_Checked):
     )  # fmt: skip
     step: float = _number(0.4, 0.02, 2.0, "distance of the disparities, pixels in the farthest view")
     most_labels: int = _number(256, 3, 4096, "most disparities; a wider range makes the steps longer")
+    noise: float = _number(
+        0.0, 0.0, 1.0, "how much views differ where they agree, intensity; 0 measures it on the first views and makes "
+        "all differences of intensity in matching as many times larger as it is larger than 0.004"
+    )  # fmt: skip
     truncation: float = _number(0.1, 1e-3, 10.0, "difference in intensity beyond which views just differ")
     gradient_weight: float = _number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
     gradient_truncation: float = _number(0.02, 1e-4, 10.0, "the same for image gradients, intensity per pixel")

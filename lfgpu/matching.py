@@ -9,6 +9,7 @@ that see a pixel have in common, taken together over pixels that look alike and 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,13 +19,16 @@ from lfgpu.lightfield import LightField
 from lfgpu.method import Callback, Stage
 from lfgpu.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.solvers.solution import Solution
-from lfgpu.types import Array, Float32Array, Float64Array, KernelSet
+from lfgpu.types import Array, Float32Array, Float64Array, KernelSet, PlaneSweep
 
 _DIRECTIONS = 8  # of the half planes of views
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
 
 _FEWEST = 4  # views beside the reference that a pattern must have
 _ON_LINE = 1e-3  # view steps
+_SAMPLE = 256  # pixels, side of what the noise is measured in
+_USUAL_NOISE = 0.004  # intensity: what the defaults are meant for
+_LEAST_NOISE, _MOST_NOISE = 0.7, 5.0  # in units of that
 _CONVERGED = 0.02  # pixels per view step, rms of the last step
 
 
@@ -55,6 +59,8 @@ class Matching:
     ) -> None:
         if len(lf.views) < 2:
             raise LightFieldError(f"{lf.name}: there is one view only; depth needs a second one.")
+        if config.sweep.noise == 0:
+            config = in_units_of(measured_noise(lf, bounds, config.sweep, kernels, device), config)
         self._kernels, self._bounds, self._config = kernels, bounds, config
         self._twice = config.sweep.occlusions == "twice"
         self._used, self._chosen = used_views(lf, config.sweep.views), None
@@ -70,21 +76,7 @@ class Matching:
         self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
         self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
         self._nearest = kernels.zeros(shape[:3], device)
-        self._sweep = kernels.plane_sweep(
-            shape,
-            self._offsets,
-            kernels.field(apertures(lf.offsets), device),
-            first=self._first,
-            step=self._step,
-            count=count,
-            scale=lf.scale,
-            truncation=config.sweep.truncation,
-            gradient_weight=config.sweep.gradient_weight,
-            gradient_truncation=config.sweep.gradient_truncation,
-            preference=config.sweep.preference,
-            tolerance=config.sweep.tolerance,
-            least=config.sweep.least_views,
-        )
+        self._sweep = _planned_sweep(lf, (self._first, self._step, count), config.sweep, kernels, device)
         self._hiding = kernels.nearest_surface(shape, self._offsets, reach=0)
         self._hiding_beside = kernels.nearest_surface(shape, self._offsets, reach=1)
         self._align = kernels.alignment(
@@ -185,7 +177,8 @@ class Matching:
             kernels.clamp(map_, *self._bounds, map_)
             self._weigh_texture(config.stiffness * noise)
             kernels.multiply(map_, self._certainty, room)
-            self._on_surface(room, self._certainty, 0.0, map_)
+            self._on_surface(room, self._certainty, 0.0, self._slope)
+            kernels.copy(self._slope, map_)
             if callback is not None:
                 callback(iteration, math.sqrt(kernels.number(moved) / (self._size[0] * self._size[1])))
         kernels.axpby(1.0, self._certainty, -_STILL, self._prior.ones, room)
@@ -209,6 +202,73 @@ class Matching:
             floor=floor,
             ratio_out=ratio_out,
         )
+
+
+def measured_noise(
+    lf: LightField, bounds: tuple[float, float], config: SweepConfig, kernels: KernelSet, device: str
+) -> float:
+    """How much views differ where they agree, intensity.
+
+    It is the median of the least costs in the middle of the image, of the half of its pixels where they vary most: what
+    has no texture agrees at all disparities.
+    """
+    lf = lf.subset(used_views(lf, "cross"))
+    height, width = lf.size
+    lf = lf.crop(*(slice(max(0, (n - _SAMPLE) // 2), (n + _SAMPLE) // 2) for n in (height, width)))
+    place = labels(bounds, lf.offsets, config)
+    sweep, volume = _planned_sweep(lf, place, config, kernels, device), kernels.zeros((place[2], *lf.size), device)
+    views, image = kernels.image(lf.views, device), kernels.zeros_image((*lf.size, lf.channels), device)
+    valid = None if lf.valid is None else kernels.field(lf.valid, device)
+    kernels.intensities(views, lf.reference_index, valid, scale=lf.scale, fill=UNLIKE_ANY, image_out=image)
+    sweep.load(image, views, valid)
+    sweep.apertures(volume)
+    costs = kernels.numpy(volume)
+    least, spread = costs.min(0), np.ptp(costs, axis=0)
+    return float(np.median(least[spread >= np.median(spread)]))
+
+
+def in_units_of(noise: float, config: Config) -> Config:
+    """The parameters with all differences of intensity in proportion to the noise; as they are at a noise of 0.004."""
+    times = min(max(noise / _USUAL_NOISE, _LEAST_NOISE), _MOST_NOISE)
+    sweep, matching, alignment, prior = config.sweep, config.matching, config.alignment, config.prior
+    return replace(
+        config,
+        sweep=replace(
+            sweep,
+            noise=times * _USUAL_NOISE,
+            truncation=times * sweep.truncation,
+            gradient_truncation=times * sweep.gradient_truncation,
+        ),
+        matching=replace(
+            matching,
+            small_step=times * matching.small_step,
+            large_step=times * matching.large_step,
+            contrast=times * matching.contrast,
+        ),
+        alignment=replace(alignment, robust=times * alignment.robust),
+        prior=replace(prior, sigma_color=times * prior.sigma_color),
+    )
+
+
+def _planned_sweep(
+    lf: LightField, place: tuple[float, float, int], config: SweepConfig, kernels: KernelSet, device: str
+) -> PlaneSweep:
+    first, step, count = place
+    return kernels.plane_sweep(
+        (len(lf.views), *lf.size, lf.channels),
+        kernels.field(lf.offsets, device),
+        kernels.field(apertures(lf.offsets), device),
+        first=first,
+        step=step,
+        count=count,
+        scale=lf.scale,
+        truncation=config.truncation,
+        gradient_weight=config.gradient_weight,
+        gradient_truncation=config.gradient_truncation,
+        preference=config.preference,
+        tolerance=config.tolerance,
+        least=config.least_views,
+    )
 
 
 def used_views(lf: LightField, pattern: str) -> list[int]:
