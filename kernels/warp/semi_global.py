@@ -8,6 +8,7 @@ from typing import Any
 
 import warp as wp
 
+from .cost_volume import code
 from .memory import pixel_type
 from .threads import in_slices, load, once, slices
 
@@ -17,7 +18,7 @@ _DIRECTIONS = ((1, -1), (1, 0), (1, 1), (0, 1), (-1, -1), (-1, 0), (-1, 1), (0, 
 _BLOCK = 32  # paths that a CPU follows together
 _CHUNK = 16  # columns of a row that it turns at a time, so that paths along rows lie side by side
 _WARP = 32
-_GROUPS = 64  # threads that share a path on a GPU, at most
+_GROUPS = 32  # threads that share a path on a GPU, at most
 
 _FOLLOW_BLOCKS = """
     // What a change by one, and by more, costs between two pixels.
@@ -207,18 +208,12 @@ _FOLLOW_PATHS = """
 """
 
 
-def _code(text: str, **numbers: int) -> str:
-    for name, value in numbers.items():
-        text = text.replace(name, str(value))
-    return text
-
-
 @once
 def _blocks_kernel(channels: int) -> Any:
     """For a CPU: some blocks of paths."""
     pixel = pixel_type(channels)
 
-    @wp.func_native(_code(_FOLLOW_BLOCKS, CHANNELS=channels, BLOCK=_BLOCK, CHUNK=_CHUNK))
+    @wp.func_native(code(_FOLLOW_BLOCKS, CHANNELS=channels, BLOCK=_BLOCK, CHUNK=_CHUNK))
     def follow(
         volume: wp.array3d(dtype=float),
         image: wp.array2d(dtype=pixel),
@@ -259,7 +254,7 @@ def _paths_kernel(channels: int, each: int, paths: int) -> Any:
     """For a GPU: `paths` paths on each block, `each` disparities on each thread."""
     pixel, ahead = pixel_type(channels), max(1, 16 // each)
 
-    @wp.func_native(_code(_FOLLOW_PATHS, CHANNELS=channels, EACH=each, PATHS=paths, GROUPS=_GROUPS, AHEAD=ahead))
+    @wp.func_native(code(_FOLLOW_PATHS, CHANNELS=channels, EACH=each, PATHS=paths, GROUPS=_GROUPS, AHEAD=ahead))
     def follow(
         volume: wp.array3d(dtype=float),
         image: wp.array2d(dtype=pixel),
