@@ -133,7 +133,7 @@ _FOLLOW_PATHS = """
     const long long size = (long long)height * width;
     const int lane = thread % PATHS, group = thread / PATHS, groups = threads / PATHS, warps = threads / 32;
     const int path = min(block * PATHS + lane, paths - 1), label = group * EACH;
-    const bool counts = block * PATHS + lane < paths;  // else it follows another path's neighbour, and writes nothing
+    const bool counts = block * PATHS + lane < paths;  // else it follows the last one too, and writes nothing
     const float* const costs = volume.data + label * size;
     float* const to = sums.data + label * size;
 
@@ -293,12 +293,13 @@ def _paths_kernel(channels: int, each: int, paths: int) -> Any:
 def semi_global(volume: Any, image: Any, *, small: float, large: float, contrast: float, sum_out: Any) -> None:
     follow = _on_cpu if volume.device.is_cpu else _on_gpu
     for k, (dy, dx) in enumerate(_DIRECTIONS):
-        follow([volume, image, small, large, contrast, dy, dx, k > 0], sum_out)
+        inputs = [volume, image, small, large, contrast, dy, dx, k > 0]
+        follow(inputs, image.dtype._length_, dy, dx, sum_out)
 
 
-def _on_cpu(inputs: list[Any], sum_out: Any) -> None:
-    (count, height, width), device, dy, dx = sum_out.shape, sum_out.device, inputs[5], inputs[6]
-    kernel = _blocks_kernel(inputs[1].dtype._length_)
+def _on_cpu(inputs: list[Any], channels: int, dy: int, dx: int, sum_out: Any) -> None:
+    (count, height, width), device = sum_out.shape, sum_out.device
+    kernel = _blocks_kernel(channels)
     load(device, kernel)
     paths = width + abs(dx) * (height - 1) if dy else height
     blocks = -(-paths // _BLOCK)
@@ -310,14 +311,14 @@ def _on_cpu(inputs: list[Any], sum_out: Any) -> None:
     in_slices(device, blocks, some_blocks)
 
 
-def _on_gpu(inputs: list[Any], sum_out: Any) -> None:
-    (count, height, width), dy = sum_out.shape, inputs[5]
-    # Few paths along rows: what their threads read lies far apart, and all processors have to help with it.
+def _on_gpu(inputs: list[Any], channels: int, dy: int, dx: int, sum_out: Any) -> None:
+    count, height, width = sum_out.shape
+    # Fewer paths on a block along rows: what these read lies far apart, and all processors have to help with it.
     paths, each = 8 if dy else 4, 4
     while each * _GROUPS < count:
         each *= 2
     groups = -(-count // each)
     threads = -(-groups * paths // _WARP) * _WARP
-    dim = -(-(width if dy else height) // paths) * threads
-    kernel = _paths_kernel(inputs[1].dtype._length_, each, paths)
-    wp.launch(kernel, dim, [*inputs, threads], [sum_out], device=sum_out.device, block_dim=threads)
+    blocks = -(-(width if dy else height) // paths)
+    kernel = _paths_kernel(channels, each, paths)
+    wp.launch(kernel, blocks * threads, [*inputs, threads], [sum_out], device=sum_out.device, block_dim=threads)
