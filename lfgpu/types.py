@@ -558,7 +558,10 @@ class KernelSet(Protocol):
     # --- cost volumes [l, y, x] ---
 
     def nlm_average(self, weights: Array, volume: Array, *, window: int, average_out: Array) -> None:
-        """Each slice averaged over each pixel's window with the non-local-means weights, itself with weight 1."""
+        """Each slice averaged over each pixel's window with the non-local-means weights, itself with weight 1.
+
+        average_p = (volume_p + sum_q w_pq volume_q) / (1 + sum_q w_pq) over all q of the window that lie in the image.
+        """
 
     def semi_global(
         self, volume: Array, image: Array, *, small: float, large: float, contrast: float, sum_out: Array
@@ -567,7 +570,7 @@ class KernelSet(Protocol):
 
         L_r(p, l) = C(p, l) + min(L_r(p - r, l), L_r(p - r, l -+ 1) + s, min_k L_r(p - r, k) + t) - min_k L_r(p - r, k),
         and C itself where p - r lies outside. With a = exp(-mean_c |I(p) - I(p - r)| / contrast) a step of one costs
-        s = small * max(a, 0.2) and one of more t = max(large * a, 1.2 * small).
+        s = small * max(a, 0.2) and one of more t = max(large * a, 1.2 * small). `image` is float32 [y, x, c].
         """
 
     def lowest(self, volume: Array, *, first: float, step: float, disparity_out: Array) -> None:

@@ -6,9 +6,7 @@ Only what is alike is averaged: the weights are those of the non-local-means pri
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.types import half_window
-
-from .nlm import nlm_neighbors, overlap
+from .nlm import nlm_neighbors
 
 Array = NDArray[np.float64]
 
@@ -16,11 +14,8 @@ LEAST_BEND = 1e-9  # of a parabola that has a minimum
 
 
 def nlm_average(weights: Array, volume: Array, *, window: int, average_out: Array) -> None:
-    total = np.ones(volume.shape[1:])
-    for w, (dy, dx) in zip(weights, half_window(window), strict=True):
-        here, there = overlap(total.shape, dy, dx)
-        total[here] += w[here]
-        total[there] += w[here]
+    total = np.empty(volume.shape[1:])
+    nlm_neighbors(weights, np.ones(total.shape), window=window, sums_out=total)
     for costs, average in zip(volume, average_out, strict=True):
         nlm_neighbors(weights, costs, window=window, sums_out=average)
         average /= total

@@ -3,12 +3,14 @@
 import numpy as np
 
 from .control import capture, is_deterministic, repeat
+from .cost_volume import lowest, nlm_average
 from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .occlusion import occluding_data_term, splat_occluding, visible
 from .residuals import residuals
 from .runtime import devices
+from .semi_global import semi_global
 from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
 from .structure_tensor import keep_more_coherent, structure_tensor
 from .sums import dot
@@ -38,8 +40,10 @@ __all__ = [
     "keep_more_coherent",
     "lbfgs",
     "line_of_views",
+    "lowest",
     "multiply",
     "name",
+    "nlm_average",
     "nlm_laplacian",
     "nlm_neighbors",
     "nlm_weights",
@@ -52,6 +56,7 @@ __all__ = [
     "residuals",
     "scalar",
     "seen_by_reference",
+    "semi_global",
     "shared",
     "splat",
     "splat_jvp",

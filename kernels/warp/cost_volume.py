@@ -97,7 +97,8 @@ _AVERAGE_PIXEL = """
 """
 
 
-def _code(text: str, **numbers: int) -> str:
+def code(text: str, **numbers: int) -> str:
+    """Native code with numbers in the place of their names."""
     for name, value in numbers.items():
         text = text.replace(name, str(value))
     return text
@@ -107,7 +108,7 @@ def _code(text: str, **numbers: int) -> str:
 def _rows_kernel(radius: int) -> Any:
     """The average on a CPU, of some rows."""
 
-    @wp.func_native(_code(_AVERAGE_ROWS, RADIUS=radius, SIDE=2 * radius + 1, BLOCK=_BLOCK))
+    @wp.func_native(code(_AVERAGE_ROWS, RADIUS=radius, SIDE=2 * radius + 1, BLOCK=_BLOCK))
     def average_rows(
         weights: wp.array3d(dtype=float),
         volume: wp.array3d(dtype=float),
@@ -135,7 +136,7 @@ def _rows_kernel(radius: int) -> Any:
 def _pixels_kernel(radius: int) -> Any:
     """The average on a GPU."""
 
-    @wp.func_native(_code(_AVERAGE_PIXEL, RADIUS=radius, SIDE=2 * radius + 1, SLICES=_SLICES))
+    @wp.func_native(code(_AVERAGE_PIXEL, RADIUS=radius, SIDE=2 * radius + 1, SLICES=_SLICES))
     def average_pixel(
         weights: wp.array3d(dtype=float),
         volume: wp.array3d(dtype=float),
@@ -219,7 +220,7 @@ _LOWEST = """
 def _lowest_kernel(block: int) -> Any:
     """The least cost of `block` columns at a time."""
 
-    @wp.func_native(_code(_LOWEST, BLOCK=block))
+    @wp.func_native(code(_LOWEST, BLOCK=block))
     def lowest_of(
         volume: wp.array3d(dtype=float), y: int, x: int, first: float, step: float, disparity: wp.array2d(dtype=float)
     ): ...

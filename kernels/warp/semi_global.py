@@ -8,6 +8,7 @@ from typing import Any
 
 import warp as wp
 
+from .cost_volume import code
 from .memory import pixel_type
 from .threads import in_slices, load, once, slices
 
@@ -17,7 +18,7 @@ _DIRECTIONS = ((1, -1), (1, 0), (1, 1), (0, 1), (-1, -1), (-1, 0), (-1, 1), (0, 
 _BLOCK = 32  # paths that a CPU follows together
 _CHUNK = 16  # columns of a row that it turns at a time, so that paths along rows lie side by side
 _WARP = 32
-_GROUPS = 64  # threads that share a path on a GPU, at most
+_GROUPS = 32  # threads that share a path on a GPU, at most
 
 _FOLLOW_BLOCKS = """
     // What a change by one, and by more, costs between two pixels.
@@ -132,7 +133,7 @@ _FOLLOW_PATHS = """
     const long long size = (long long)height * width;
     const int lane = thread % PATHS, group = thread / PATHS, groups = threads / PATHS, warps = threads / 32;
     const int path = min(block * PATHS + lane, paths - 1), label = group * EACH;
-    const bool counts = block * PATHS + lane < paths;  // else it follows another path's neighbour, and writes nothing
+    const bool counts = block * PATHS + lane < paths;  // else it follows the last one too, and writes nothing
     const float* const costs = volume.data + label * size;
     float* const to = sums.data + label * size;
 
@@ -207,18 +208,12 @@ _FOLLOW_PATHS = """
 """
 
 
-def _code(text: str, **numbers: int) -> str:
-    for name, value in numbers.items():
-        text = text.replace(name, str(value))
-    return text
-
-
 @once
 def _blocks_kernel(channels: int) -> Any:
     """For a CPU: some blocks of paths."""
     pixel = pixel_type(channels)
 
-    @wp.func_native(_code(_FOLLOW_BLOCKS, CHANNELS=channels, BLOCK=_BLOCK, CHUNK=_CHUNK))
+    @wp.func_native(code(_FOLLOW_BLOCKS, CHANNELS=channels, BLOCK=_BLOCK, CHUNK=_CHUNK))
     def follow(
         volume: wp.array3d(dtype=float),
         image: wp.array2d(dtype=pixel),
@@ -259,7 +254,7 @@ def _paths_kernel(channels: int, each: int, paths: int) -> Any:
     """For a GPU: `paths` paths on each block, `each` disparities on each thread."""
     pixel, ahead = pixel_type(channels), max(1, 16 // each)
 
-    @wp.func_native(_code(_FOLLOW_PATHS, CHANNELS=channels, EACH=each, PATHS=paths, GROUPS=_GROUPS, AHEAD=ahead))
+    @wp.func_native(code(_FOLLOW_PATHS, CHANNELS=channels, EACH=each, PATHS=paths, GROUPS=_GROUPS, AHEAD=ahead))
     def follow(
         volume: wp.array3d(dtype=float),
         image: wp.array2d(dtype=pixel),
@@ -298,12 +293,13 @@ def _paths_kernel(channels: int, each: int, paths: int) -> Any:
 def semi_global(volume: Any, image: Any, *, small: float, large: float, contrast: float, sum_out: Any) -> None:
     follow = _on_cpu if volume.device.is_cpu else _on_gpu
     for k, (dy, dx) in enumerate(_DIRECTIONS):
-        follow([volume, image, small, large, contrast, dy, dx, k > 0], sum_out)
+        inputs = [volume, image, small, large, contrast, dy, dx, k > 0]
+        follow(inputs, image.dtype._length_, dy, dx, sum_out)
 
 
-def _on_cpu(inputs: list[Any], sum_out: Any) -> None:
-    (count, height, width), device, dy, dx = sum_out.shape, sum_out.device, inputs[5], inputs[6]
-    kernel = _blocks_kernel(inputs[1].dtype._length_)
+def _on_cpu(inputs: list[Any], channels: int, dy: int, dx: int, sum_out: Any) -> None:
+    (count, height, width), device = sum_out.shape, sum_out.device
+    kernel = _blocks_kernel(channels)
     load(device, kernel)
     paths = width + abs(dx) * (height - 1) if dy else height
     blocks = -(-paths // _BLOCK)
@@ -315,14 +311,14 @@ def _on_cpu(inputs: list[Any], sum_out: Any) -> None:
     in_slices(device, blocks, some_blocks)
 
 
-def _on_gpu(inputs: list[Any], sum_out: Any) -> None:
-    (count, height, width), dy = sum_out.shape, inputs[5]
-    # Few paths along rows: what their threads read lies far apart, and all processors have to help with it.
+def _on_gpu(inputs: list[Any], channels: int, dy: int, dx: int, sum_out: Any) -> None:
+    count, height, width = sum_out.shape
+    # Fewer paths on a block along rows: what these read lies far apart, and all processors have to help with it.
     paths, each = 8 if dy else 4, 4
     while each * _GROUPS < count:
         each *= 2
     groups = -(-count // each)
     threads = -(-groups * paths // _WARP) * _WARP
-    dim = -(-(width if dy else height) // paths) * threads
-    kernel = _paths_kernel(inputs[1].dtype._length_, each, paths)
-    wp.launch(kernel, dim, [*inputs, threads], [sum_out], device=sum_out.device, block_dim=threads)
+    blocks = -(-(width if dy else height) // paths)
+    kernel = _paths_kernel(channels, each, paths)
+    wp.launch(kernel, blocks * threads, [*inputs, threads], [sum_out], device=sum_out.device, block_dim=threads)

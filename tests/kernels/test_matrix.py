@@ -15,6 +15,8 @@ import numpy as np
 import occlusion_cases
 import occlusion_checks
 import pytest
+import volume_cases
+import volume_checks
 
 from lfgpu import _backends, types
 
@@ -24,6 +26,7 @@ CASES: dict[str, tuple[Any, ...]] = {
     "seen": cases.SEEN_CASES,
     "views": cases.VIEWS_CASES,
     "nlm": cases.NLM_CASES,
+    "volume": volume_cases.VOLUME_CASES,
     "epi": cases.EPI_CASES,
     "coherence": cases.COHERENCE_CASES,
     "vector": cases.VECTOR_CASES,
@@ -36,14 +39,15 @@ MAKERS: dict[str, Any] = {
     "seen": cases.seen_inputs,
     "views": cases.views_inputs,
     "nlm": cases.nlm_inputs,
+    "volume": volume_cases.volume_inputs,
     "epi": cases.epi_inputs,
     "coherence": cases.coherence_inputs,
     "vector": cases.vector_inputs,
     "residuals": cases.residuals_inputs,
     "lbfgs": cases.lbfgs_inputs,
 }
-OPERATIONS = (*checks.OPERATIONS, *occlusion_checks.OPERATIONS)
-PROGRAMS = (*checks.PROGRAMS, occlusion_checks.comparing_what_is_nearest)
+OPERATIONS = (*checks.OPERATIONS, *occlusion_checks.OPERATIONS, *volume_checks.OPERATIONS)
+PROGRAMS = (*checks.PROGRAMS, occlusion_checks.comparing_what_is_nearest, volume_checks.finding_the_lowest)
 UNORDERED = ("splat", "splat_jvp", "splat_occluding", "occluding_data_term")
 """Operations that no estimate needs, so that they may add atomically on a GPU."""
 

@@ -13,6 +13,8 @@ import numpy as np
 import occlusion_cases
 import occlusion_checks
 import pytest
+import volume_cases
+import volume_checks
 
 import lfgpu
 from lfgpu.errors import BackendError
@@ -30,11 +32,12 @@ INPUTS = {
         cases.ViewsCase("many", size=(41, 38), count=25, dtype="uint8", masked=True, line=(3, 0, 1, 7)), rng
     ),
     "nlm": lambda rng: cases.nlm_inputs(cases.NlmCase("large", size=(61, 53), window=7), rng),
+    "volume": lambda rng: volume_cases.volume_inputs(volume_cases.VolumeCase("many", size=(61, 75), window=7), rng),
     "epi": lambda rng: cases.epi_inputs(cases.EpiCase("many rows", size=(61, 53)), rng),
 }
 SPLIT = [
     operation
-    for operation in (*checks.OPERATIONS, *occlusion_checks.OPERATIONS)
+    for operation in (*checks.OPERATIONS, *occlusion_checks.OPERATIONS, *volume_checks.OPERATIONS)
     if operation.inputs in INPUTS and str(operation) != "image_memory"
 ]
 

@@ -1,0 +1,135 @@
+"""Cost volumes: averages of like pixels, and the least; `kernels/reference/cost_volume.py` says which."""
+
+import taichi as ti
+
+from .memory import DeviceArray, empty, flat
+from .nlm import inside, step_of
+from .runtime import TASK, on_cpu, run
+
+_SLICES = 8  # of the volume, for which a thread of a GPU reads weights once
+
+
+@ti.kernel
+def _total_kernel(weights: flat(), height: int, width: int, radius: int, totals_out: flat()):
+    """The weights of each pixel's window, itself included."""
+    size = height * width
+    for p in range(size):
+        x = p % width
+        y = p // width
+        total = 1.0
+        for k in range(weights.shape[0] // size):
+            step = step_of(k, radius)
+            total += weights[k * size + p]  # 0 where the neighbour is outside
+            if inside(x - step[0], y - step[1], height, width):
+                total += weights[k * size + p - step[1] * width - step[0]]
+        totals_out[p] = total
+
+
+@ti.kernel
+def _rows_kernel(
+    weights: flat(), volume: flat(), totals: flat(), height: int, width: int, radius: int, average_out: flat()
+):
+    """A row of all slices on each thread of a CPU; the window is the outer loop, so that weights lie in a row."""
+    size = height * width
+    for task in range(height * TASK):
+        if task % TASK == 0:
+            y = task // TASK
+            row = y * width
+            for s in range(volume.shape[0] // size):
+                here = s * size + row
+                for x in range(width):
+                    average_out[here + x] = volume[here + x]
+                for k in range(weights.shape[0] // size):
+                    step = step_of(k, radius)
+                    dx = step[0]
+                    away = step[1] * width + dx
+                    if y + step[1] < height:
+                        for x in range(ti.max(0, -dx), ti.min(width, width - dx)):
+                            added = weights[k * size + row + x] * volume[here + away + x]
+                            average_out[here + x] = average_out[here + x] + added
+                    if y - step[1] >= 0:
+                        for x in range(ti.max(0, dx), ti.min(width, width + dx)):
+                            added = weights[k * size + row - away + x] * volume[here - away + x]
+                            average_out[here + x] = average_out[here + x] + added
+                for x in range(width):
+                    average_out[here + x] = average_out[here + x] / totals[row + x]
+
+
+@ti.kernel
+def _pixels_kernel(
+    weights: flat(), volume: flat(), totals: flat(), height: int, width: int, radius: int, average_out: flat()
+):
+    """A pixel of some slices on each thread of a GPU."""
+    size = height * width
+    count = volume.shape[0] // size
+    parts = (count + _SLICES - 1) // _SLICES
+    for i in range(parts * size):
+        part = i // size
+        p = i - part * size
+        x = p % width
+        y = p // width
+        first = count * part // parts
+        last = count * (part + 1) // parts
+        slices = ti.Vector([0 for _ in range(_SLICES)])
+        sums = ti.Vector([0.0 for _ in range(_SLICES)])
+        for s in ti.static(range(_SLICES)):
+            slices[s] = ti.min(first + s, last - 1) * size + p  # the last one again where there are fewer
+            sums[s] = volume[slices[s]]
+        for k in range(weights.shape[0] // size):
+            step = step_of(k, radius)
+            away = step[1] * width + step[0]
+            if inside(x + step[0], y + step[1], height, width):
+                weight = weights[k * size + p]
+                for s in ti.static(range(_SLICES)):
+                    sums[s] += weight * volume[slices[s] + away]
+            if inside(x - step[0], y - step[1], height, width):
+                weight = weights[k * size + p - away]
+                for s in ti.static(range(_SLICES)):
+                    sums[s] += weight * volume[slices[s] - away]
+        for s in ti.static(range(_SLICES)):
+            if first + s < last:
+                average_out[slices[s]] = sums[s] / totals[p]
+
+
+@ti.kernel
+def _lowest_kernel(volume: flat(), first: float, step: float, disparity_out: flat()):
+    size = disparity_out.shape[0]
+    for p in range(size):
+        count = volume.shape[0] // size
+        k = 0
+        least = volume[p]
+        for s in range(1, count):
+            cost = volume[s * size + p]
+            if cost < least:
+                least = cost
+                k = s
+        k = ti.min(ti.max(k, 1), count - 2)
+        here = k * size + p
+        # Differences first: what the costs have in common has no part in their rounding.
+        down = volume[here] - volume[here - size]
+        up = volume[here + size] - volume[here]
+        t = 0.0
+        if up - down > 1e-9:
+            t = ti.min(ti.max(-(up + down) / (2.0 * (up - down)), -1.0), 1.0)
+        disparity_out[p] = first + step * (ti.cast(k, ti.f32) + t)
+
+
+def nlm_average(weights: DeviceArray, volume: DeviceArray, *, window: int, average_out: DeviceArray) -> None:
+    _, height, width = volume.shape
+    totals = empty((height, width))
+    run(_total_kernel, weights.values, height, width, window // 2, totals.values)
+    kernel = _rows_kernel if on_cpu() else _pixels_kernel
+    run(
+        kernel,
+        weights.values,
+        volume.values,
+        totals.values,
+        height,
+        width,
+        window // 2,
+        average_out.values,
+    )
+
+
+def lowest(volume: DeviceArray, *, first: float, step: float, disparity_out: DeviceArray) -> None:
+    run(_lowest_kernel, volume.values, first, step, disparity_out.values)

@@ -1,0 +1,160 @@
+"""The checks of the operations on cost volumes can fail: the reference with one single fault is caught by them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import checks
+import numpy as np
+import pytest
+import volume_checks
+from lfgpu.kernels.reference import cost_volume, semi_global
+from test_checks_can_fail import (
+    REFERENCE,
+    Check,
+    Fault,
+    accumulating,
+    after,
+    argument,
+    mirrored,
+    one_off,
+    option,
+    scaled,
+    skewed,
+    with_operation,
+    zeroed,
+)
+from volume_cases import VolumeCase, volume_inputs
+
+from lfgpu.types import KernelSet
+
+CASE = VolumeCase("any", size=(12, 13), count=6)
+
+
+def value_of(operation: checks.Operation, case: VolumeCase = CASE) -> Check:
+    return lambda kernels, rng: checks.check_value(kernels, "cpu", operation, volume_inputs(case, rng), 1e-5)
+
+
+def PROGRAM(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
+    make = volume_checks.finding_the_lowest
+    checks.check_program(kernels, "cpu", make, checks.program_inputs(make, rng))
+
+
+def with_another(module: Any, name: str, change: Callable[[Any], Any]) -> Callable[..., Any]:
+    """Something else under a name of the reference's module."""
+
+    def broken(right: Callable[..., Any]) -> Callable[..., Any]:
+        def wrong(*args: Any, **options: Any) -> None:
+            with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"):
+                patch.setattr(module, name, change(getattr(module, name)))
+                right(*args, **options)
+
+        return wrong
+
+    return broken
+
+
+def without_diagonals(right: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda volume, image, dx, *options: right(volume, image, dx, *options) * (dx == 0)
+
+
+def wrapping(right: Callable[..., Any]) -> Callable[..., Any]:
+    """A diagonal goes on at the other side of the frame, as the same path."""
+
+    def wrong(volume: np.ndarray, image: np.ndarray, dx: int, *options: float) -> np.ndarray:
+        height = len(image)
+        moved = [np.roll(a, -dx * y, -1) for y, a in enumerate(volume.transpose(1, 0, 2))]
+        colors = [np.roll(a, -dx * y, 0) for y, a in enumerate(image)]
+        costs = right(np.stack(moved, 1), np.stack(colors), 0, *options)
+        return np.stack([np.roll(costs[:, y], dx * y, -1) for y in range(height)], 1)
+
+    return wrong
+
+
+def the_last(right: Callable[..., Any]) -> Callable[..., Any]:
+    """Of several least costs the last one."""
+
+    def wrong(volume: np.ndarray, *, first: float, step: float, disparity_out: np.ndarray) -> None:
+        end = first + step * (len(volume) - 1)
+        right(volume[::-1], first=end, step=-step, disparity_out=disparity_out)
+
+    return wrong
+
+
+def whole(right: Callable[..., Any]) -> Callable[..., Any]:
+    """Without the parabola."""
+
+    def wrong(volume: np.ndarray, *, first: float, step: float, disparity_out: np.ndarray) -> None:
+        disparity_out[:] = first + step * volume.argmin(0).clip(1, len(volume) - 2)
+
+    return wrong
+
+
+def beyond(right: Callable[..., Any]) -> Callable[..., Any]:
+    """The first and the last disparity where they cost least."""
+
+    def wrong(volume: np.ndarray, *, first: float, step: float, disparity_out: np.ndarray) -> None:
+        right(volume, first=first, step=step, disparity_out=disparity_out)
+        k = volume.argmin(0)
+        ends = (k == 0) | (k == len(volume) - 1)
+        disparity_out[ends] = (first + step * k)[ends]
+
+    return wrong
+
+
+AVERAGE, SEMI_GLOBAL, LOWEST = map(value_of, volume_checks.OPERATIONS)
+
+FAULTS = (
+    Fault("weights beside their pixels", "nlm_average", argument(0, skewed), AVERAGE),
+    Fault("a little wider", "nlm_average", argument(0, lambda w: 1.01 * w), AVERAGE),
+    Fault("sums", "nlm_average", after(scaled(2.0), "average_out"), AVERAGE),
+    Fault("last slice skipped", "nlm_average", after(zeroed(-1), "average_out"), AVERAGE),
+    Fault("one pixel off", "nlm_average", after(one_off, "average_out"), AVERAGE),
+    Fault("mirrored", "nlm_average", after(mirrored, "average_out"), AVERAGE),
+    Fault("adds to its output", "nlm_average", accumulating("average_out"), AVERAGE),
+    Fault("weights ignored, seen in a program", "nlm_average", argument(0, np.zeros_like), PROGRAM),
+    Fault("without diagonals", "semi_global", with_another(semi_global, "path_costs", without_diagonals), SEMI_GLOBAL),
+    Fault("around the frame", "semi_global", with_another(semi_global, "path_costs", wrapping), SEMI_GLOBAL),
+    Fault("edges let all pass", "semi_global", with_another(semi_global, "LEAST_SMALL", lambda _: 0.0), SEMI_GLOBAL),
+    Fault("large is small", "semi_global", with_another(semi_global, "LEAST_LARGE", lambda _: 1.0), SEMI_GLOBAL),
+    Fault("image ignored", "semi_global", argument(1, np.zeros_like), SEMI_GLOBAL),
+    Fault("one channel only", "semi_global", argument(1, lambda image: image[..., :1]), SEMI_GLOBAL),
+    Fault("sum of channels", "semi_global", option("contrast", lambda c: c / 3), SEMI_GLOBAL),
+    Fault("small ignored", "semi_global", option("small", lambda _: 0.0), SEMI_GLOBAL),
+    Fault("large ignored", "semi_global", option("large", lambda _: 0.0), SEMI_GLOBAL),
+    Fault("last slice skipped", "semi_global", after(zeroed(-1), "sum_out"), SEMI_GLOBAL),
+    Fault("one pixel off", "semi_global", after(one_off, "sum_out"), SEMI_GLOBAL),
+    Fault("adds to its output", "semi_global", accumulating("sum_out"), SEMI_GLOBAL),
+    Fault("a mean, seen in a program", "semi_global", after(scaled(1 / 8), "sum_out"), PROGRAM),
+    Fault("the last of the least", "lowest", the_last, LOWEST),
+    Fault("without parabola", "lowest", whole, LOWEST),
+    Fault("to the ends", "lowest", beyond, LOWEST),
+    Fault("hills are valleys", "lowest", with_another(cost_volume, "LEAST_BEND", lambda _: -np.inf), LOWEST),
+    Fault("first ignored", "lowest", option("first", lambda _: 0.0), LOWEST),
+    Fault("step a little larger", "lowest", option("step", lambda step: 1.001 * step), LOWEST),
+    Fault("step ignored, seen in a program", "lowest", option("step", lambda _: 1.0), PROGRAM),
+    Fault("one pixel off", "lowest", after(one_off, "disparity_out"), LOWEST),
+    Fault("adds to its output", "lowest", accumulating("disparity_out"), LOWEST),
+)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """The same numbers each time: among new ones, a fault might now and then make no difference."""
+    return np.random.default_rng(0)
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=str)
+def test_single_fault_is_caught(fault: Fault, rng: np.random.Generator) -> None:
+    with pytest.raises(AssertionError):
+        fault.check(fault.kernels, rng)
+
+
+def test_reference_passes_every_check_that_catches_faults(rng: np.random.Generator) -> None:
+    for check in {fault.check for fault in FAULTS}:
+        check(with_operation("dot", REFERENCE.dot), rng)
+
+
+def test_every_operation_on_volumes_has_a_fault_that_its_check_catches() -> None:
+    assert {fault.operation for fault in FAULTS} == {str(operation) for operation in volume_checks.OPERATIONS}

@@ -1,0 +1,58 @@
+"""The cases of the operations on cost volumes, as data, and the random inputs that are made of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import cases
+import numpy as np
+
+
+@dataclass(frozen=True)
+class VolumeCase(cases.NlmCase):
+    """A volume of `count` slices with costs in `costs`, and what changes of the disparity cost on a path."""
+
+    count: int = 5
+    costs: tuple[float, float] = (0.0, 1.0)
+    small: float = 0.125
+    large: float = 0.5
+    contrast: float = 0.25
+    first: float = -1.0
+    step: float = 0.375
+
+
+VOLUME_CASES = (
+    VolumeCase("colour"),
+    VolumeCase("grey", channels=1),
+    VolumeCase("as few slices as there can be", count=3),
+    VolumeCase("slices for several threads of a path", size=(7, 9), count=35),
+    VolumeCase("many slices", size=(6, 7), count=131, channels=1),
+    VolumeCase("very many slices", size=(3, 5), count=300),
+    VolumeCase("window of the paper", window=11, size=(17, 19), count=9),
+    VolumeCase("one pixel wide", size=(13, 1)),
+    VolumeCase("one pixel high", size=(1, 13), channels=1),
+    VolumeCase("one pixel", size=(1, 1), channels=1),
+    VolumeCase("window wider than image", size=(4, 3), window=11),
+    VolumeCase("wide", size=(5, 83), window=7),
+    VolumeCase("high", size=(71, 6), window=3, channels=1),
+    VolumeCase("costs below 0", costs=(-3.0, -1.0)),
+    VolumeCase("costs that outweigh changes", costs=(0.0, 100.0)),
+    VolumeCase("changes that outweigh costs", costs=(0.0, 0.01)),
+    VolumeCase("image without contrast", contrast=100.0),
+    VolumeCase("edges everywhere", contrast=0.01),
+    VolumeCase("large changes cost little", large=0.01),
+    VolumeCase("changes cost nothing", small=0.0, large=0.0),
+    VolumeCase("work for several threads", size=(61, 53), window=7, count=17),
+)
+
+
+def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace:
+    """A random volume, another one of so few different costs that many are least, and the inputs of the weights."""
+    i = cases.nlm_inputs(case, rng)
+    shape = (case.count, *case.size)
+    i.volume = rng.uniform(*case.costs, shape).astype(np.float32)
+    i.alike = (rng.integers(0, 4, shape) / 4).astype(np.float32)
+    i.step_costs = {"small": case.small, "large": case.large, "contrast": case.contrast}
+    i.row = {"first": case.first, "step": case.step}
+    return i

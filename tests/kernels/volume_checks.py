@@ -1,0 +1,85 @@
+"""The checks of the operations on cost volumes: how to run them, and how near their outputs must be."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+from checks import WINDOW, Desk, Operation, Outputs, Program, Values, largest_error, relative_to_terms, size
+
+from lfgpu.types import KernelSet
+
+ROUNDING = 2.0**-22
+"""Of the bend of a parabola, relative to the differences that it is made of."""
+
+
+def nlm_average(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = desk.out(i.volume.shape)
+    desk.kernels.nlm_average(desk.field(i.weights), desk.field(i.volume), window=i.window, average_out=out)
+    return {"average": out}
+
+
+def semi_global(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = desk.out(i.volume.shape)
+    desk.kernels.semi_global(desk.field(i.volume), desk.image(i.image), **i.step_costs, sum_out=out)
+    return {"sum": out}
+
+
+def lowest(desk: Desk, i: SimpleNamespace) -> Outputs:
+    """Of a random volume, and of one in which many costs are the least."""
+    out = {name: desk.out(i.volume.shape[1:]) for name in ("random", "alike")}
+    desk.kernels.lowest(desk.field(i.volume), **i.row, disparity_out=out["random"])
+    desk.kernels.lowest(desk.field(i.alike), **i.row, disparity_out=out["alike"])
+    return out
+
+
+def bends(volume: Values) -> tuple[Values, Values]:
+    """Of each pixel's parabola, [y, x], and the size of what may be lost of it in float32."""
+    exact = volume.astype(np.float64)
+    k = exact.argmin(0).clip(1, len(exact) - 2)
+    before, here, after = (np.take_along_axis(exact, (k + near)[None], 0)[0] for near in (-1, 0, 1))
+    return before - 2 * here + after, ROUNDING * (np.abs(before - here) + np.abs(after - here))
+
+
+def lowest_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
+    """Relative to the whole row, but where rounding decides whether a parabola bends upwards; which is the least cost
+    is beyond doubt, as costs are exact in float32, and in the volume of few costs all is.
+    """
+    bend, rounding = bends(i.volume)
+    decided = np.abs(bend - 1e-9) > rounding
+    assert decided.mean() > 0.95, "too much is undecided: the check says little"
+    largest = max(abs(i.row["first"]), abs(i.row["first"] + i.row["step"] * len(i.volume)))
+    return {
+        "random": largest_error(got["random"][decided], want["random"][decided], largest),
+        "alike": largest_error(got["alike"], want["alike"], largest),
+    }
+
+
+OPERATIONS = (
+    Operation(nlm_average, "volume", relative_to_terms(average=lambda i: size(i.volume))),
+    Operation(semi_global, "volume", relative_to_terms(sum=lambda i: size(i.volume))),
+    Operation(lowest, "volume", lowest_errors),
+)
+AVERAGE, SEMI_GLOBAL, LOWEST = OPERATIONS
+
+
+# --- a program of them, for devices that can do work as a whole ---
+
+
+def finding_the_lowest(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
+    """What becomes of a volume with the weights of an image, and its lowest costs as they were."""
+    image, volume = kernels.image(values["image"], device), kernels.field(values["volume"], device)
+    shape = values["volume"].shape
+    options = {"window": WINDOW, "patch": 3, "sigma_color": 0.5, "sigma_gradient": 0.5, "floor": 1e-3}
+    plan = kernels.nlm_weights(values["image"].shape, device, **options)
+    weights = kernels.zeros((WINDOW * WINDOW // 2, *shape[1:]), device)
+    average, total = (kernels.zeros(shape, device) for _ in range(2))
+    disparity = kernels.zeros(shape[1:], device)
+
+    def work() -> None:
+        plan(image, weights)
+        kernels.nlm_average(weights, volume, window=WINDOW, average_out=average)
+        kernels.semi_global(average, image, small=0.01, large=0.05, contrast=0.25, sum_out=total)
+        kernels.lowest(volume, first=-1.0, step=0.5, disparity_out=disparity)
+
+    return Program({"image": image, "volume": volume}, work, {"sum": total, "disparity": disparity})
