@@ -124,8 +124,8 @@ class NearestSurface(Protocol):
         """nearest [n, y, x]: the largest of the disparities [y, x] that come near a pixel of a view.
 
         It is the maximum of d_p over the reference pixels p for which p - d_p o_n, rounded (x + 1/2 down), is at most
-        `reach` pixels away in x and in y, within the frame or beyond it; where there is none, at most `reach` + 1; where
-        there is still none, -1e6.
+        `reach` pixels away in x and in y, within the frame or beyond it; where there is none, at most `reach` + 1;
+        where there is still none, -1e6.
         """
 
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from .alignment import alignment, nearest_surface
 from .control import capture, repeat
 from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
-from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
+from .nlm import nlm_laplacian, nlm_neighbors, nlm_ratio, nlm_weights
 from .occlusion import occluding_data_term, splat_occluding, visible
 from .residuals import residuals
 from .runtime import devices
@@ -19,6 +20,7 @@ name = "taichi"
 dtype = np.float32
 
 __all__ = [
+    "alignment",
     "at_least",
     "axpby",
     "capture",
@@ -39,8 +41,10 @@ __all__ = [
     "line_of_views",
     "multiply",
     "name",
+    "nearest_surface",
     "nlm_laplacian",
     "nlm_neighbors",
+    "nlm_ratio",
     "nlm_weights",
     "normalization",
     "number",

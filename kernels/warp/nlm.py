@@ -288,8 +288,8 @@ def _launch_pixels(kernel: Any, inputs: list[Any], window: int, result_out: Any)
     wp.launch(kernel, dim, inputs, [result_out], device=result_out.device, block_dim=block)
 
 
-# The sums of the ratio are native code like those of the operators. On a CPU a row goes in chunks, whose two sums lie on
-# the stack.
+# The sums of the ratio are native code like those of the operators. On a CPU a row goes in chunks, whose two sums lie
+# on the stack.
 
 _RATIO_ROW = """
     constexpr int CHUNK = 128;
