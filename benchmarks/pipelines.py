@@ -18,7 +18,7 @@ from benchmarks import clock, memory, scene, stages
 from benchmarks.jobs import Job
 from benchmarks.results import Record, Spread
 from lfgpu import PRESETS, DepthPipeline, DepthResult, LightField, estimate_depth, evaluate
-from lfgpu.depth import STAGES
+from lfgpu.synthesis import STAGES
 from lfgpu.types import Float32Array
 
 NAMES = SCRATCH, RESIDENT, SCIPY = "paper", "resident", "scipy"

@@ -10,7 +10,7 @@ from benchmarks.cases import CASES
 from benchmarks.pipelines import RESIDENT, SCIPY, SCRATCH
 from benchmarks.results import Record, Run
 from benchmarks.stages import DOWNLOAD, UPLOAD
-from lfgpu.depth import STAGES
+from lfgpu.synthesis import STAGES
 
 NONE = "–"
 _MANY = 50  # repeats, with which a 99 % quantile says something

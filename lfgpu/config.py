@@ -105,7 +105,7 @@ class RefinementConfig(_Checked):
         "lbfgs", ("lbfgs", "lbfgsb"), "bounded L-BFGS on the device, or scipy's L-BFGS-B on the host"
     )  # fmt: skip
     tolerance: float = _number(
-        1e-4,
+        2e-4,
         0.0,
         1e-1,
         "stop when an iteration, five on average, lowers the energy by less than this share of the first",
@@ -114,18 +114,81 @@ class RefinementConfig(_Checked):
 
 
 @dataclass(frozen=True)
+class MethodConfig(_Checked):
+    """Which of the two methods is used; the other parameters that belong to it alone say so."""
+
+    name: str = _choice(
+        "synthesis", ("synthesis", "matching"), "synthesis as in the paper (local, propagation, refinement), or "
+        "matching with occlusions (sweep, matching, alignment)"
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SweepConfig(_Checked):
+    """Matching: comparing views with the reference at a row of disparities."""
+
+    views: str = _choice(
+        "full", ("full", "star", "cross"), "views that are used: all, or those in rows, columns and diagonals through "
+        "the reference, or without diagonals; all where that leaves fewer than four beside it"
+    )  # fmt: skip
+    occlusions: str = _choice(
+        "twice", ("once", "twice"), "by apertures only, or again by what the surface found first hides"
+    )  # fmt: skip
+    step: float = _number(0.4, 0.02, 2.0, "distance of the disparities, pixels in the farthest view")
+    most_labels: int = _number(256, 3, 4096, "most disparities; a wider range makes the steps longer")
+    truncation: float = _number(0.1, 1e-3, 10.0, "difference in intensity beyond which views just differ")
+    gradient_weight: float = _number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
+    gradient_truncation: float = _number(0.02, 1e-4, 10.0, "the same for image gradients, intensity per pixel")
+    preference: float = _number(
+        0.2, 0.0, 10.0, "share by which half of the views must agree better than all of them to be believed"
+    )  # fmt: skip
+    tolerance: float = _number(
+        0.3, 0.0, 10.0, "what is nearer by less than this hides nothing, pixels per view step"
+    )  # fmt: skip
+    least_views: int = _number(3, 1, 1000, "views that must see a pixel for it to be compared with occlusions")
+
+
+@dataclass(frozen=True)
+class MatchingConfig(_Checked):
+    """Matching: the best surface through the costs (semi-global matching, Hirschmüller 2008)."""
+
+    small_step: float = _number(0.0005, 0.0, 10.0, "cost of a change by one of the disparities", symbol="P1")
+    large_step: float = _number(0.01, 0.0, 10.0, "cost of a larger change", symbol="P2")
+    contrast: float = _number(0.05, 1e-3, 10.0, "difference in intensity that lowers both to 1/e")
+
+
+@dataclass(frozen=True)
+class AlignmentConfig(_Checked):
+    """Matching: Gauss-Newton steps on what all views that see a pixel have in common."""
+
+    iterations: int = _number(2, 1, 100, "number of steps, each over all pixels")
+    gradient_weight: float = _number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
+    robust: float = _number(0.005, 1e-4, 10.0, "difference from the common mean that is taken for noise, intensity")
+    support: float = _number(
+        0.1, 1e-3, 100.0, "difference in disparity that halves the weight of a neighbour, pixels per view step"
+    )  # fmt: skip
+    damping: float = _number(0.05, 0.0, 100.0, "curvature over robust², 1 / pixel², below which steps shrink")
+    stiffness: float = _number(0.1, 0.0, 100.0, "the same, below which a pixel follows those around it")
+    longest_step: float = _number(0.1, 1e-3, 10.0, "longest step, pixels per view step")
+
+
+@dataclass(frozen=True)
 class Config:
     """All parameters, by stage. Raises LightFieldError where a value is out of range."""
 
+    method: MethodConfig = MethodConfig()
     local: LocalConfig = LocalConfig()
     prior: PriorConfig = PriorConfig()
     propagation: PropagationConfig = PropagationConfig()
     refinement: RefinementConfig = RefinementConfig()
+    sweep: SweepConfig = SweepConfig()
+    matching: MatchingConfig = MatchingConfig()
+    alignment: AlignmentConfig = AlignmentConfig()
 
     @property
     def is_on_device(self) -> bool:
         """Whether all solvers run on the device, so that a whole run can be captured."""
-        return self.propagation.solver == "cg" and self.refinement.solver == "lbfgs"
+        return self.method.name == "matching" or (self.propagation.solver == "cg" and self.refinement.solver == "lbfgs")
 
     def with_values(self, values: Mapping[str, Any]) -> Config:
         """A copy with some parameters changed, named as `stage.parameter`; numbers may be given as text."""
@@ -153,8 +216,22 @@ def parameters(config: Config) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
             yield f"{stage.name}.{parameter.name}", parameter
 
 
-PRESETS = {"paper": Config()}
+_LIKE = PriorConfig(window=9, sigma_color=0.021, sigma_gradient=10.0)  # colour only: edges of shade are no edges
+
+PRESETS = {
+    "accurate": Config(method=MethodConfig(name="matching"), prior=_LIKE),
+    "fast": Config(
+        method=MethodConfig(name="matching"),
+        prior=_LIKE,
+        sweep=SweepConfig(views="cross", occlusions="once"),
+        alignment=AlignmentConfig(iterations=1),
+    ),
+    "paper": Config(),
+}
 """Complete parameter sets by name.
+
+`accurate` matches all views, each where it sees the surface; it is the best there is. `fast` matches those in the row
+and the column of the reference, and once.
 
 `paper` is the method of Sajjadi et al. 2016, but for the local contrast normalisation of the views before they are
 compared, the floor of the weights and the rim that is left out: README says why. With `refinement.detail_scale` 0 the

@@ -13,24 +13,16 @@ import numpy as np
 from lfgpu import interop
 from lfgpu._backends import DEFAULT, load, package_of, pick_device
 from lfgpu.config import Config, preset
-from lfgpu.energy import Energy
-from lfgpu.errors import LightFieldError
-from lfgpu.initial import LocalEstimator, find_disparity_range
+from lfgpu.errors import BackendError, LightFieldError
+from lfgpu.initial import find_disparity_range
 from lfgpu.lightfield import LightField
-from lfgpu.model import ForwardModel
-from lfgpu.prior import UNLIKE_ANY, NonLocalMeans
-from lfgpu.propagation import Propagation
+from lfgpu.matching import Matching
+from lfgpu.method import Callback, Method, Stage
 from lfgpu.result import DepthResult
-from lfgpu.solvers.lbfgs import BoundedLbfgs
-from lfgpu.solvers.lbfgsb import ScipyLbfgsb
+from lfgpu.synthesis import Synthesis
 from lfgpu.types import Array, Float32Array
 
-STAGES = ("local", "propagate", "refine")
-
-Callback = Callable[[int, float], None]
-Stage = Callable[[Callback | None], None]
-
-_SOLVERS: dict[str, type[BoundedLbfgs] | type[ScipyLbfgsb]] = {"lbfgs": BoundedLbfgs, "lbfgsb": ScipyLbfgsb}
+_METHODS: dict[str, type[Synthesis] | type[Matching]] = {"synthesis": Synthesis, "matching": Matching}
 
 _NOT_FINITE = "views hold values that are not finite (NaN or infinity); mask or replace them."
 
@@ -45,6 +37,7 @@ def estimate_depth(
     disparity_range: tuple[float, float] | None = None,
     backend: str = DEFAULT,
     device: str | None = None,
+    deterministic: bool = False,
     on_progress: Progress | None = None,
 ) -> DepthResult:
     """Estimate the disparity of the reference view of a light field (Sajjadi et al. 2016).
@@ -64,9 +57,13 @@ def estimate_depth(
         "warp" (default), "taichi" or "reference".
     device
         "cpu", "cuda", "cuda:1"; default is the backend's best.
+    deterministic
+        Whether the map must have the same bits each time on the same device, whatever the number of threads. So it has
+        with "warp" and "reference" anyway, and with "taichi" on a CPU; elsewhere BackendError. Default False.
     on_progress
-        Called as on_progress(stage, iteration, value): stage is one of STAGES, value the energy (refine), the relative
-        residual (propagate) or 0 (local).
+        Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
+        iteration of those that have some: value is the relative residual (propagate), the energy (refine) or the root
+        mean square step in pixels per view step (align).
 
     Returns
     -------
@@ -78,9 +75,16 @@ def estimate_depth(
     LightFieldError
         If the range or a parameter is wrong or the views allow no estimate.
     BackendError
-        If the backend or the device is not there.
+        If the backend or the device is not there, or is not deterministic when it must be.
     """
-    pipeline = DepthPipeline(lf, config=config, disparity_range=disparity_range, backend=backend, device=device)
+    pipeline = DepthPipeline(
+        lf,
+        config=config,
+        disparity_range=disparity_range,
+        backend=backend,
+        device=device,
+        deterministic=deterministic,
+    )
     return pipeline.estimate(on_progress=on_progress)
 
 
@@ -100,7 +104,7 @@ class DepthPipeline:
     lf
         A light field of that kind: its cameras, size, stored type, masks and reference view count. Its views are the
         first to be there.
-    config, disparity_range, backend, device
+    config, disparity_range, backend, device, deterministic
         As for `estimate_depth`.
 
     Raises
@@ -117,6 +121,7 @@ class DepthPipeline:
         disparity_range: tuple[float, float] | None = None,
         backend: str = DEFAULT,
         device: str | None = None,
+        deterministic: bool = False,
     ) -> None:
         parameters = preset(config) if isinstance(config, str) else config
         if not isinstance(parameters, Config):
@@ -124,6 +129,11 @@ class DepthPipeline:
         bounds = None if disparity_range is None else _checked_range(disparity_range, lf)
         self.kernels = load(backend)
         self.device = pick_device(self.kernels, device)
+        if deterministic and not self.kernels.is_deterministic(self.device):
+            raise BackendError(
+                f"backend {backend!r} on {self.device} adds up in an order that differs from run to run; use backend "
+                f"{DEFAULT!r}, or the CPU."
+            )
         self.config, self._lf, self._backend = parameters, lf, backend
         self._timings: dict[str, float] = {}
         self._graph: Callable[[], None] | None = None
@@ -131,28 +141,9 @@ class DepthPipeline:
         self._unseen = False  # whether the views came from a GPU, where NaN is not looked for
         start = perf_counter()
         self.bounds = bounds or find_disparity_range(lf, parameters.local, self.kernels, self.device)
-        self._allocate()
-        self._preparation = perf_counter() - start
-
-    def _allocate(self) -> None:
-        lf, config, where = self._lf, self.config, (self.kernels, self.device)
-        shape = (*lf.size, lf.channels)
         self._views = self.kernels.image(lf.views, self.device)
-        self._valid = None if lf.valid is None else self.kernels.field(lf.valid, self.device)
-        self._reference = self.kernels.zeros_image(shape, self.device)
-        self._local = LocalEstimator(lf, self.bounds, config.local, *where)
-        self._prior = NonLocalMeans(shape, config.prior, *where)
-        self._propagation = Propagation(lf.size, self.bounds, self._prior, config.propagation)
-        self._confidence, self._disparity = (self.kernels.zeros(lf.size, self.device) for _ in range(2))
-        self._model = ForwardModel(lf, config.refinement, *where)
-        self._energy = Energy(self._model, self._prior, config.refinement.smoothness)
-        self._refinement = _SOLVERS[config.refinement.solver](
-            lf.size,
-            self.bounds,
-            *where,
-            tolerance=config.refinement.tolerance,
-            max_iterations=config.refinement.max_iterations,
-        )
+        self._method: Method = _METHODS[parameters.method.name](lf, self.bounds, parameters, self.kernels, self.device)
+        self._preparation = perf_counter() - start
 
     def upload(self, views: Any) -> None:
         """Take other views [n, y, x, c], of the shape and type of the light field's, with any strides.
@@ -214,12 +205,12 @@ class DepthPipeline:
         next run writes over it. If the views of that run are uploaded from the stream that reads this map, they come
         after; otherwise be done with it before. BackendError from backend "taichi", which has nothing to share.
         """
-        return self.kernels.shared(self._disparity)
+        return self.kernels.shared(self._method.disparity)
 
     @property
     def device_confidence(self) -> Any:
         """The confidence of the last run where it was computed, [y, x], 0 to 1; as `device_disparity`."""
-        return self.kernels.shared(self._confidence)
+        return self.kernels.shared(self._method.confidence)
 
     def disparity(self) -> Float32Array:
         """The map of the last run, float32 [y, x]; waits for the device.
@@ -227,45 +218,41 @@ class DepthPipeline:
         LightFieldError if nothing was coherent, or views came from a GPU and are not finite.
         """
         self._check()
-        return self._map(self._disparity)
+        return self._map(self._method.disparity)
 
     def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
         """Run and return everything; waits for the device after each stage."""
+        stages = self.stages()
         with self._timed("total"):
-            for stage, work in self.stages().items():
+            for stage, work in stages.items():
                 with self._timed(stage):
-                    if stage == "local" and on_progress is not None:
+                    if on_progress is not None:
                         on_progress(stage, 0, 0.0)
                     work(None if on_progress is None else _of_stage(on_progress, stage))
-                    self.kernels.number(self._propagation.trusted)  # waits
-                if stage == "propagate":
+                    self.kernels.numpy(self._method.confidence)  # waits
+                if stage == self._method.decided:
                     self._runs += 1
-                    self._check_coherence()
+                    self._method.check(self._lf.name)
         if self._runs == 1:
-            for name in ("local", "total"):  # finding the range was a part of them
+            for name in (next(iter(stages)), "total"):  # finding the range was a part of them
                 self._timings[name] += self._preparation
         return self.result()
 
     def result(self) -> DepthResult:
         """Everything about the last run; waits for the device. LightFieldError as from `disparity`."""
         self._check()
-        lf, refined = self._lf, self._refinement.report()
-        coherence, local = self._map(self._local.coherence), self._map(self._local.disparity)
-        disparity, position = self._map(self._disparity), lf.positions[lf.reference_index]
+        lf, solution, maps = self._lf, self._method.solution(), self._method.maps()
+        position = lf.positions[lf.reference_index]
         return DepthResult(
-            disparity=disparity,
-            confidence=self._map(self._confidence),
-            stages={
-                "local": np.where(coherence > 0, local, np.float32(np.nan)),
-                "propagated": self._map(self._propagation.filled),
-                "refined": disparity,
-            },
+            disparity=self._map(self._method.disparity),
+            confidence=self._map(self._method.confidence),
+            stages=maps,
             position=(float(position[0]), float(position[1])),
             disparity_range=self.bounds,
             config=self.config,
-            status=f"Propagation: {self._propagation.report().status} Refinement: {refined.status}",
-            converged=refined.converged,
-            trace=refined.trace,
+            status=solution.status,
+            converged=solution.converged,
+            trace=solution.trace,
             timings=dict(self._timings),
             backend=self._backend,
             device=self.device,
@@ -278,37 +265,17 @@ class DepthPipeline:
         )
 
     def stages(self) -> dict[str, Stage]:
-        """What a run asks for, by the names of STAGES and in their order; each stage needs those before it.
+        """What a run asks for, by name and in order; each stage needs those before it.
 
-        A stage is called with what to call as callback(iteration, value) after each iteration, or None; only with None
+        They are `local`, `propagate` and `refine` for the paper's method, `sweep`, `match` and `align` for matching. A
+        stage is called with what to call as callback(iteration, value) after each iteration, or None; only with None
         can it be captured. `run` and `estimate` do all of them.
         """
-        return dict(zip(STAGES, (self._estimate, self._fill, self._refine), strict=True))
+        return self._method.stages(self._views)
 
     def _work(self) -> None:
         for stage in self.stages().values():
             stage(None)
-
-    def _estimate(self, _: Callback | None) -> None:
-        self._local.run(self._views)
-
-    def _fill(self, callback: Callback | None) -> None:
-        self.kernels.intensities(
-            self._views,
-            self._lf.reference_index,
-            self._valid,
-            scale=self._lf.scale,
-            fill=UNLIKE_ANY,
-            image_out=self._reference,
-        )
-        self._prior.load(self._reference)
-        self._propagation.run(self._local.disparity, self._local.coherence, callback)
-        self._prior.mean(self._local.coherence, self._confidence)
-
-    def _refine(self, callback: Callback | None) -> None:
-        self._model.load(self._views, self._propagation.filled)
-        self.kernels.copy(self._propagation.filled, self._disparity)
-        self._refinement.minimize(self._energy, self._disparity, callback)
 
     def _map(self, field: Array) -> Float32Array:
         return self.kernels.numpy(field).astype(np.float32, copy=False)
@@ -316,16 +283,9 @@ class DepthPipeline:
     def _check(self) -> None:
         if self._runs == 0:
             raise LightFieldError(f"{self._lf.name}: nothing has been estimated yet; call run() or estimate() first.")
-        if self._unseen and not np.isfinite(self._refinement.report().trace[0]):
+        if self._unseen and not self._method.is_finite():
             raise LightFieldError(_NOT_FINITE)
-        self._check_coherence()
-
-    def _check_coherence(self) -> None:
-        if self.kernels.number(self._propagation.trusted) == 0:
-            raise LightFieldError(
-                f"{self._lf.name}: no pixel has a coherent estimate within the disparity range: the views have no "
-                "texture, are masked, or the range is wrong; give another one, or lower local.coherence_threshold."
-            )
+        self._method.check(self._lf.name)
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

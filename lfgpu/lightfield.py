@@ -218,6 +218,23 @@ class LightField:
         """Indices of the views in the reference's column (same u within 0.1 view steps), from top to bottom."""
         return self._line(axis=1)
 
+    def pattern(self, name: str) -> NDArray[np.bool_]:
+        """Which views, [n], lie in a pattern through the reference: "full", "star", "cross", "row" or "column"."""
+        du, dv = np.abs(self.offsets).T
+        in_row, in_column = dv < _LINE_TOLERANCE, du < _LINE_TOLERANCE
+        match name:
+            case "full":
+                return np.ones(len(self.views), np.bool_)
+            case "star":
+                return in_row | in_column | (np.abs(du - dv) < _LINE_TOLERANCE)
+            case "cross":
+                return in_row | in_column
+            case "row":
+                return in_row
+            case "column":
+                return in_column
+        raise LightFieldError(f"unknown view pattern {name!r}; known are {', '.join(PATTERNS)}.")
+
     def epi_horizontal(self, y: int) -> NDArray[Any]:
         """The epipolar plane image of image row `y` over the reference's row of views: [u, x, c]."""
         return np.asarray(self.views[self.row(), y])
@@ -238,7 +255,7 @@ class LightField:
         The reference is always kept. LightFieldError if fewer than two views remain.
         """
         if isinstance(which, str):
-            keep = self._pattern(which)
+            keep = self.pattern(which)
         else:
             wanted = np.asarray(which, np.int64)
             if wanted.size and not (wanted.min() >= 0 and wanted.max() < len(self.views)):
@@ -311,22 +328,6 @@ class LightField:
     def _line(self, axis: int) -> NDArray[np.intp]:
         on_line = np.flatnonzero(np.abs(self.offsets[:, 1 - axis]) < _LINE_TOLERANCE)
         return on_line[np.argsort(self.positions[on_line, axis])]
-
-    def _pattern(self, name: str) -> NDArray[np.bool_]:
-        du, dv = np.abs(self.offsets).T
-        in_row, in_column = dv < _LINE_TOLERANCE, du < _LINE_TOLERANCE
-        match name:
-            case "full":
-                return np.ones(len(self.views), np.bool_)
-            case "star":
-                return in_row | in_column | (np.abs(du - dv) < _LINE_TOLERANCE)
-            case "cross":
-                return in_row | in_column
-            case "row":
-                return in_row
-            case "column":
-                return in_column
-        raise LightFieldError(f"unknown view pattern {name!r}; known are {', '.join(PATTERNS)}.")
 
 
 def _array(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:

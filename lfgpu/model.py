@@ -83,3 +83,7 @@ class ForwardModel:
     def squared_error(self, disparity: Array, gradient_out: Array, value_out: Scalar) -> None:
         """Squared error summed over pixels, views and channels, and its gradient; `mean` makes a mean of it."""
         self._data_term(disparity, gradient_out, value_out)
+
+    def curvature(self, curvature_out: Array) -> None:
+        """About the second derivative of the squared error by each pixel's disparity, a field [y, x]."""
+        self._data_term.curvature(curvature_out)

@@ -62,3 +62,22 @@ class NonLocalMeans:
         """L v, and R(v) / 2 = vᵀ L v."""
         self.laplacian(values, laplacian_out)
         self.kernels.dot(values, laplacian_out, half_out)
+
+    def average(self, volume: Array, average_out: Array) -> None:
+        """W v / W 1 of each slice of a volume [l, y, x]."""
+        self.kernels.nlm_average(self._weights, volume, window=self.window, average_out=average_out)
+
+    def ratio(
+        self, guide: Array, numerator: Array, denominator: Array, *, support: float, floor: float, ratio_out: Array
+    ) -> None:
+        """W' numerator / W' (denominator + floor), W' being the weights of pixels on the same surface of the guide."""
+        self.kernels.nlm_ratio(
+            self._weights,
+            guide,
+            numerator,
+            denominator,
+            window=self.window,
+            support=support,
+            floor=floor,
+            ratio_out=ratio_out,
+        )

@@ -43,6 +43,17 @@ class DataTerm(Protocol):
         """
 
 
+class SplatDataTerm(DataTerm, Protocol):
+    """The data term of the plain splat, which knows how it curves."""
+
+    def curvature(self, curvature_out: Array) -> None:
+        """2 Σ_n |offset_n|² Σ_c image² [y, x]: about the second derivative of the sum by each pixel's disparity.
+
+        It is that of the loaded image landing in the middle between pixels that show what is predicted, and does not
+        depend on the disparity.
+        """
+
+
 Loss: TypeAlias = Literal["squares", "charbonnier", "geman-mcclure"]
 """How much a residual counts, see `KernelSet.occluding_data_term`."""
 
@@ -95,7 +106,8 @@ class PlaneSweep(Protocol):
 
     View n takes part at p if it is not the reference (|o_n| > 1e-3), p - d_l o_n lies in the frame (0 to width - 1, 0
     to height - 1) and the recorded pixel nearest to it (x + 1/2 rounded down) is valid. What no view takes part in
-    costs the most there is, (truncation + w gradient_truncation) / (1 + w).
+    costs the most there is, (truncation + w gradient_truncation) / (1 + w). The shifts -d_l o_n are `sweep_shifts`, so
+    that no rounding in float32 decides what lies in the frame and which pixel is nearest.
     """
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
@@ -124,8 +136,8 @@ class NearestSurface(Protocol):
         """nearest [n, y, x]: the largest of the disparities [y, x] that come near a pixel of a view.
 
         It is the maximum of d_p over the reference pixels p for which p - d_p o_n, rounded (x + 1/2 down), is at most
-        `reach` pixels away in x and in y, within the frame or beyond it; where there is none, at most `reach` + 1;
-        where there is still none, -1e6.
+        `reach` pixels away in x and in y, also beyond the frame; where there is none, at most `reach` + 1; where
+        there is still none, -1e6.
         """
 
 
@@ -174,16 +186,18 @@ class Lbfgs(Protocol):
     """The memory of a limited-memory BFGS solver for fields of one shape within bounds, on a device.
 
     It holds the last m steps s_j and gradient differences y_j, the direction, the step length and what it takes to
-    decide without the host. `solvers/lbfgs.py` is the algorithm.
+    decide without the host. `solvers/lbfgs.py` is the algorithm. Pixels have units of their own: with c the curvature
+    that `begin` is given, x is measured in 1 / √c and the gradient in √c, in inner products and in the recursion.
     """
 
     go_on: Scalar
     """1 while there is something to do, else 0."""
 
-    def begin(self, x: Array, gradient: Array, value: Scalar) -> None:
+    def begin(self, x: Array, gradient: Array, value: Scalar, curvature: Array | None = None) -> None:
         """Forget everything; the first direction is against the gradient where the bounds leave it free.
 
-        Its length is such that the root mean square of the first step is `first_step`.
+        Its length is such that the root mean square of the first step, in those units, is `first_step`. `curvature`
+        [y, x] > 0 is about the second derivative by each pixel, up to a factor; None is 1 everywhere.
         """
 
     def propose(self, x: Array, trial_out: Array) -> None:
@@ -236,6 +250,9 @@ class KernelSet(Protocol):
 
     def devices(self) -> tuple[str, ...]:
         """Names of the devices that can be used here, the default first."""
+
+    def is_deterministic(self, device: str) -> bool:
+        """Whether an estimate on this device has the same bits each time, whatever the number of threads."""
 
     # --- memory ---
 
@@ -347,7 +364,7 @@ class KernelSet(Protocol):
     ) -> None:
         """J^T r: the gradient [y, x] with respect to the disparity that residuals [n, y, x, c] give."""
 
-    def data_term(self, shape: Sequence[int], offsets: Array, *, scale: float, softness: float) -> DataTerm:
+    def data_term(self, shape: Sequence[int], offsets: Array, *, scale: float, softness: float) -> SplatDataTerm:
         """Plan ||A(d) I - scale * recorded||^2 and its gradient for recorded views of `shape` [n, y, x, c]."""
 
     def seen_by_reference(
@@ -517,7 +534,11 @@ class KernelSet(Protocol):
         tolerance: float,
         least: int,
     ) -> PlaneSweep:
-        """Plan a sweep over views of `shape` [n, y, x, c]; `apertures` [m, n] is a field of 1 and 0, row 0 all 1."""
+        """Plan a sweep over views of `shape` [n, y, x, c]; `apertures` [m, n] is a field of 1 and 0, row 0 all 1.
+
+        There are at most 32 apertures; truncations, weight, preference and tolerance are >= 0, `count` and `least` > 0.
+        What `offsets` and `apertures` hold is read once, when the sweep is planned.
+        """
 
     def nearest_surface(self, shape: Sequence[int], offsets: Array, *, reach: int) -> NearestSurface:
         """Plan the nearest surfaces of views of `shape` [n, y, x, c]; `reach` is in pixels, >= 0."""
@@ -622,3 +643,12 @@ def half_window(window: int) -> NDArray[np.int64]:
     dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1].reshape(2, -1)
     after = (dy > 0) | ((dy == 0) & (dx > 0))
     return np.stack([dy[after], dx[after]], axis=1)
+
+
+def sweep_shifts(offsets: NDArray[Any], *, first: float, step: float, count: int) -> Float64Array:
+    """What a plane sweep adds to positions, [l, n, 2] in x and y: -d_l o_n, d_l = first + l * step, l < count.
+
+    Rounded to whole multiples of 2^-16: position and shift then add up exactly, and a shift that should be whole is.
+    """
+    disparities = first + step * np.arange(count)
+    return -np.rint(2.0**16 * disparities[:, None, None] * np.asarray(offsets, np.float64)) / 2.0**16

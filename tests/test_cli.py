@@ -206,7 +206,7 @@ def raising(error: BaseException) -> Callable[..., None]:
     return fail
 
 
-@pytest.mark.parametrize("where", ["lfgpu.depth.BoundedLbfgs.minimize", "lfgpu.io.write_result", "lfgpu.io.read"])
+@pytest.mark.parametrize("where", ["lfgpu.synthesis.BoundedLbfgs.minimize", "lfgpu.io.write_result", "lfgpu.io.read"])
 def test_interruption_leaves_nothing(
     where: str, recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

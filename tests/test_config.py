@@ -9,17 +9,30 @@ import pytest
 
 from lfgpu.config import (
     PRESETS,
+    AlignmentConfig,
     Config,
     LocalConfig,
+    MatchingConfig,
+    MethodConfig,
     PriorConfig,
     PropagationConfig,
     RefinementConfig,
+    SweepConfig,
     parameters,
     preset,
 )
 from lfgpu.errors import LightFieldError
 
-STAGES = (LocalConfig, PriorConfig, PropagationConfig, RefinementConfig)
+STAGES = (
+    MethodConfig,
+    LocalConfig,
+    PriorConfig,
+    PropagationConfig,
+    RefinementConfig,
+    SweepConfig,
+    MatchingConfig,
+    AlignmentConfig,
+)
 ALL = list(parameters(Config()))
 NUMBERS = [(name, f) for name, f in ALL if "choices" not in f.metadata]
 CHOICES = [(name, f) for name, f in ALL if "choices" in f.metadata]

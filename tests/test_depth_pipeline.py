@@ -10,9 +10,10 @@ import pytest
 
 import lfgpu
 from lfgpu import scenes
+from lfgpu._backends import load
 from lfgpu.config import Config
 from lfgpu.depth import DepthPipeline, estimate_depth
-from lfgpu.errors import LightFieldError
+from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.lightfield import LightField
 from lfgpu.result import DepthResult
 
@@ -45,10 +46,10 @@ def ran(pipeline: DepthPipeline, views: np.ndarray | None = None) -> np.ndarray:
 
 
 def assert_same(one: np.ndarray, other: np.ndarray, target: Any) -> None:
-    """Bit for bit on a CPU."""
+    """Bit for bit where the backend promises that."""
     assert one.dtype == other.dtype == np.float32
     assert one.shape == other.shape
-    if target.device == "cpu":
+    if target.kernels.is_deterministic(target.device):
         np.testing.assert_array_equal(one, other)
     else:
         assert np.median(np.abs(one - other)) <= SAME
@@ -230,3 +231,12 @@ def test_what_was_never_run_has_no_result() -> None:
     for ask in (pipeline.disparity, pipeline.result):
         with pytest.raises(lfgpu.LightFieldError, match=r"nothing has been estimated yet; call run\(\)"):
             ask()
+
+
+def test_what_is_not_deterministic_is_refused_when_it_must_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    kernels = load("reference")
+    assert DepthPipeline(scene(), disparity_range=RANGE, backend="reference", deterministic=True).device == "cpu"
+    monkeypatch.setattr(kernels, "is_deterministic", lambda device: False)
+    with pytest.raises(BackendError, match="differs from run to run"):
+        DepthPipeline(scene(), disparity_range=RANGE, backend="reference", deterministic=True)
+    DepthPipeline(scene(), disparity_range=RANGE, backend="reference")

@@ -350,7 +350,7 @@ class Problem(NamedTuple):
         limits = {"tolerance": config.tolerance, "max_iterations": config.max_iterations} | options
         minimizer = solver(self.lf.size, bounds, kernels, device, **limits)
         x = kernels.field(self.start, device)
-        minimizer.minimize(self.energy, x, callback)
+        minimizer.minimize(self.energy, x, callback, curvature=self.energy.curvature)
         return Found(kernels.numpy(x), minimizer.report())
 
     def value(self, x: np.ndarray) -> float:
@@ -374,6 +374,7 @@ def problem(scene: str, target: Any) -> Problem:
     model = ForwardModel(lf, PARAMETERS.refinement, *where)
     model.load(views, propagation.filled)
     energy = Energy(model, prior, PARAMETERS.refinement.smoothness)
+    energy.load()
     return Problem(lf, target, energy, kernels.numpy(propagation.filled))
 
 

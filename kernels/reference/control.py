@@ -15,3 +15,7 @@ def repeat(body: Callable[[], None], go_on: NDArray[np.float64], most: int) -> N
 
 def capture(work: Callable[[], None], device: str) -> Callable[[], None] | None:
     return None
+
+
+def is_deterministic(device: str) -> bool:
+    return True

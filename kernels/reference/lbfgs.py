@@ -4,6 +4,9 @@ The projected gradient is 0 where a bound stops x from going against it. The dir
 going along it, and where x is at a bound and the projected gradient is 0: pairs tie pixels to each other, and would
 move such a pixel inwards, uphill, so that no step along the direction needs to lower the value. The line search
 backtracks: to the minimum of the parabola through both values and the slope, but not too far and not too little.
+
+Pairs and the gradient are kept in units in which the curvature that the caller expects is 1 at each pixel: from that
+the recursion begins, instead of from the same curvature for all.
 """
 
 from collections import deque
@@ -67,12 +70,14 @@ class Lbfgs:
         self._low, self._high, self._first_step = low, high, first_step
         self._tolerance, self._patience, self._most = tolerance, patience, most
         self._pairs: Pairs = deque(maxlen=memory)
+        self._root = np.ones(shape)  # of the curvature
         self._direction, self._slope, self._step = np.zeros(shape), 0.0, 0.0
         self._trace: list[float] = []
         self._judged, self._rejected, self._accepted = 0, 0, False
 
-    def begin(self, x: Array, gradient: Array, value: Array) -> None:
+    def begin(self, x: Array, gradient: Array, value: Array, curvature: Array | None = None) -> None:
         self._pairs.clear()
+        self._root[:] = 1.0 if curvature is None else np.sqrt(curvature)
         self._trace = [float(value[0])]
         self._judged, self._rejected, self._accepted = 0, 0, False
         self.go_on[0] = self._most > 0
@@ -100,7 +105,7 @@ class Lbfgs:
     def learn(self, x: Array, gradient: Array, trial: Array, trial_gradient: Array) -> None:
         if not self._accepted:
             return
-        s, y = trial - x, trial_gradient - gradient
+        s, y = (trial - x) * self._root, (trial_gradient - gradient) / self._root
         if np.vdot(s, y) > LEAST_CURVATURE * np.linalg.norm(s) * np.linalg.norm(y):
             self._pairs.append((s, y))
         x[:], gradient[:] = trial, trial_gradient
@@ -111,7 +116,7 @@ class Lbfgs:
 
     def _turn(self, x: Array, gradient: Array) -> None:
         """The next direction, its slope and the step along it."""
-        projected = projected_gradient(x, gradient, self._low, self._high)
+        projected = projected_gradient(x, gradient, self._low, self._high) / self._root
         if self._pairs:
             direction, self._step = -two_loop(self._pairs, projected), 1.0
             self._slope = float(np.vdot(projected, direction))
@@ -122,7 +127,7 @@ class Lbfgs:
             self._step = self._first_step / np.sqrt((direction**2).mean()) if self._slope < 0 else 0.0
         if self._step == 0:
             self.go_on[0] = 0
-        self._direction = within_bounds(direction, x, projected, self._low, self._high)
+        self._direction = within_bounds(direction / self._root, x, projected, self._low, self._high)
 
     def _shorter(self, old: float, new: float) -> float:
         """A step to try after one that led from value `old` to `new` was not accepted."""

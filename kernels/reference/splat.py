@@ -100,6 +100,9 @@ class DataTerm:
         gradient_out *= 2
         value_out[0] = np.vdot(residual, residual)
 
+    def curvature(self, curvature_out: Array) -> None:
+        curvature_out[:] = 2 * (self._offsets**2).sum() * (self._image**2).sum(-1)
+
 
 def data_term(shape: Sequence[int], offsets: Array, *, scale: float, softness: float) -> DataTerm:
     return DataTerm(shape, offsets, scale, softness)

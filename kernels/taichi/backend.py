@@ -3,7 +3,7 @@
 import numpy as np
 
 from .alignment import alignment, nearest_surface
-from .control import capture, repeat
+from .control import capture, is_deterministic, repeat
 from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_ratio, nlm_weights
@@ -36,6 +36,7 @@ __all__ = [
     "fill",
     "image",
     "intensities",
+    "is_deterministic",
     "keep_more_coherent",
     "lbfgs",
     "line_of_views",

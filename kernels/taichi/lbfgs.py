@@ -117,16 +117,17 @@ def _stack_kernels(cpu: bool) -> SimpleNamespace:
     field, numbers = flat(), flat(ti.f64)
 
     @ti.kernel
-    def project_kernel(x: field, gradient: field, low: float, high: float, slots: int, stack: field):
+    def project_kernel(x: field, gradient: field, root: field, low: float, high: float, slots: int, stack: field):
         size = x.shape[0]
         for i in range(size):
-            stack[2 * slots * size + i] = projected(gradient[i], x[i], low, high)
+            stack[2 * slots * size + i] = projected(gradient[i], x[i], low, high) / root[i]
 
     @ti.kernel
     def advance_kernel(
         state: numbers,
         trial: field,
         trial_gradient: field,
+        root: field,
         low: float,
         high: float,
         slots: int,
@@ -139,9 +140,9 @@ def _stack_kernels(cpu: bool) -> SimpleNamespace:
         for i in range(size):
             if state[_ACCEPTED] == 1.0:
                 slot = (ti.cast(state[_NEWEST], ti.i32) + 1) % slots
-                stack[slot * size + i] = trial[i] - x[i]
-                stack[(slots + slot) * size + i] = trial_gradient[i] - gradient[i]
-                stack[2 * slots * size + i] = projected(trial_gradient[i], trial[i], low, high)
+                stack[slot * size + i] = (trial[i] - x[i]) * root[i]
+                stack[(slots + slot) * size + i] = (trial_gradient[i] - gradient[i]) / root[i]
+                stack[2 * slots * size + i] = projected(trial_gradient[i], trial[i], low, high) / root[i]
                 x[i] = trial[i]
                 gradient[i] = trial_gradient[i]
 
@@ -187,9 +188,16 @@ def _stack_kernels(cpu: bool) -> SimpleNamespace:
 
     @ti.kernel
     def combine_kernel(
-        state: numbers, stack: field, coefficients: numbers, x: field, low: float, high: float, direction_out: field
+        state: numbers,
+        stack: field,
+        coefficients: numbers,
+        x: field,
+        root: field,
+        low: float,
+        high: float,
+        direction_out: field,
     ):
-        """The sum of coefficients[r] * stack[r], 0 where the bounds stop it or have stopped the gradient."""
+        """The sum of coefficients[r] * stack[r] in the units of x, 0 where the bounds stop it or the gradient."""
         size = x.shape[0]
         last = coefficients.shape[0] - 1
         for i in range(size):
@@ -199,10 +207,25 @@ def _stack_kernels(cpu: bool) -> SimpleNamespace:
                     for row in range(last + 1):
                         if coefficients[row] != 0.0:
                             total += ti.cast(coefficients[row], ti.f32) * stack[row * size + i]
-                direction_out[i] = -projected(-total, x[i], low, high)
+                direction_out[i] = -projected(-total / root[i], x[i], low, high)
+
+    @ti.kernel
+    def root_kernel(curvature: field, root_out: field):
+        for i in range(root_out.shape[0]):
+            root_out[i] = ti.sqrt(curvature[i])
+
+    @ti.kernel
+    def ones_kernel(root_out: field):
+        for i in range(root_out.shape[0]):
+            root_out[i] = 1.0
 
     return SimpleNamespace(
-        project=project_kernel, advance=advance_kernel, products=products_kernel, combine=combine_kernel
+        root=root_kernel,
+        ones=ones_kernel,
+        project=project_kernel,
+        advance=advance_kernel,
+        products=products_kernel,
+        combine=combine_kernel,
     )
 
 
@@ -326,6 +349,7 @@ class _Lbfgs:
         rows = 2 * self._slots + 1
         self._bounds, self._flatness, self._scale = bounds, flatness, (first_step, float(size))
         self._stack, self._direction = clear(empty((rows, size))), clear(empty(shape))
+        self._root = clear(empty(shape))
         self._parts = doubles(np.zeros((3 * rows, _CPU_PARTS if on_cpu() else _GPU_PARTS)))
         self._totals, self._add_up = doubles(np.zeros(3 * rows)), Total(3 * rows)
         self._products, self._alpha = doubles(np.zeros((rows, rows))), doubles(np.zeros(self._slots))
@@ -333,9 +357,16 @@ class _Lbfgs:
         self._state, self.go_on = doubles(np.zeros(9)), scalar(1.0, device)
         self._search, self._rows = _search_kernels(), _stack_kernels(on_cpu())
 
-    def begin(self, x: DeviceArray, gradient: DeviceArray, value: DeviceArray) -> None:
+    def begin(
+        self, x: DeviceArray, gradient: DeviceArray, value: DeviceArray, curvature: DeviceArray | None = None
+    ) -> None:
         run(self._search.begin, value.values, self._state.values, self._trace.values, self.go_on.values)
-        run(self._rows.project, x.values, gradient.values, *self._bounds, self._slots, self._stack.values)
+        if curvature is None:
+            run(self._rows.ones, self._root.values)
+        else:
+            run(self._rows.root, curvature.values, self._root.values)
+        at = x.values, gradient.values, self._root.values, *self._bounds
+        run(self._rows.project, *at, self._slots, self._stack.values)
         self._turn(x, beginning=True)
 
     def propose(self, x: DeviceArray, trial_out: DeviceArray) -> None:
@@ -347,7 +378,7 @@ class _Lbfgs:
         run(self._search.judge, trial_value.values, *self._flatness, *kept)
 
     def learn(self, x: DeviceArray, gradient: DeviceArray, trial: DeviceArray, trial_gradient: DeviceArray) -> None:
-        new = trial.values, trial_gradient.values, *self._bounds, self._slots
+        new = trial.values, trial_gradient.values, self._root.values, *self._bounds, self._slots
         run(self._rows.advance, self._state.values, *new, self._stack.values, x.values, gradient.values)
         self._turn(x, beginning=False)
 
@@ -363,7 +394,7 @@ class _Lbfgs:
         self._add_up(self._parts, self._totals)
         kept = self._products.values, self._alpha.values, self._coefficients.values, self.go_on.values
         run(_recursion_kernel(), self._totals.values, *self._scale, self._slots, int(beginning), state, *kept)
-        at = x.values, *self._bounds
+        at = x.values, self._root.values, *self._bounds
         run(self._rows.combine, state, stack, self._coefficients.values, *at, self._direction.values)
 
 

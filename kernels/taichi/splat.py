@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import taichi as ti
 
-from lfgpu.types import DataTerm
+from lfgpu.types import SplatDataTerm
 
-from .memory import DeviceArray, clear, empty, flat, optional
+from .memory import DeviceArray, clear, empty, flat, numpy, optional
 from .runtime import TASK, on_cpu, once, run
 from .sums import GPU_PARTS, Total, share
 from .tent import tent, tent_slope
@@ -391,6 +392,11 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
                 total += gradients[k * gradient_out.shape[0] + p]
             gradient_out[p] = 2.0 * total
 
+    @ti.kernel
+    def curvature_kernel(image: image_type, factor: float, curvature_out: field):
+        for p in range(curvature_out.shape[0]):
+            curvature_out[p] = factor * image[p].norm_sqr()
+
     return SimpleNamespace(
         splat=splat_kernel,
         coverage=coverage_kernel,
@@ -400,6 +406,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         residual=residual_kernel,
         slice=slice_kernel,
         total=total_kernel,
+        curvature=curvature_kernel,
     )
 
 
@@ -490,6 +497,7 @@ class _DataTerm:
         self._gradients = empty((self._slices, height, width))
         self._squares, self._total = empty((n * height if self._cpu else GPU_PARTS,), scalar=ti.f64), Total()
         self._offsets, self._scale, self._softness = offsets, scale, softness
+        self._curvature = 2.0 * float((numpy(offsets).astype(np.float64) ** 2).sum())
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
         self._image, self._recorded, self._valid = image, recorded, optional(valid)
@@ -498,6 +506,9 @@ class _DataTerm:
     def __call__(self, disparity: DeviceArray, gradient_out: DeviceArray, value_out: DeviceArray) -> None:
         (self._in_slices if self._cpu else self._at_once)(disparity, gradient_out)
         self._total(self._squares, value_out)
+
+    def curvature(self, curvature_out: DeviceArray) -> None:
+        run(self._kernels.curvature, self._image.values, self._curvature, curvature_out.values)
 
     def _in_slices(self, disparity: DeviceArray, gradient_out: DeviceArray) -> None:
         run(
@@ -527,7 +538,7 @@ class _DataTerm:
         run(self._kernels.vjp, *seen, residuals, offsets, *gradient)
 
 
-def data_term(shape: Sequence[int], offsets: DeviceArray, *, scale: float, softness: float) -> DataTerm:
+def data_term(shape: Sequence[int], offsets: DeviceArray, *, scale: float, softness: float) -> SplatDataTerm:
     return _DataTerm(shape, offsets, scale, softness)
 
 

@@ -1,7 +1,7 @@
 """What comes near in each view, and how well the views agree; `kernels/reference/alignment.py` says what that is.
 
-The z-buffers of `nearest_surface` have a border, so that what lands beyond the frame comes near, too. The plan holds
-one for each slice of the views on a CPU, and as many as fit into the cache on a GPU.
+The z-buffers of `nearest_surface` have a border, so that what lands beyond the frame comes near, too. The plan has one
+for each slice of the views on a CPU, and as many as fit into the cache on a GPU.
 
 All that the alignment needs from a view at a place are six numbers for each channel, the mean and its first and second
 differences, which six by six stored pixels give: nothing else is precomputed. `load` copies the views with a border, a

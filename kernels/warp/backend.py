@@ -3,12 +3,15 @@
 import numpy as np
 
 from .alignment import alignment, nearest_surface
-from .control import capture, repeat
+from .control import capture, is_deterministic, repeat
+from .cost_volume import lowest, nlm_average
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_ratio, nlm_weights
 from .occlusion import occluding_data_term, splat_occluding, visible
+from .plane_sweep import plane_sweep
 from .residuals import residuals
+from .semi_global import semi_global
 from .sharing import shared
 from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
 from .structure_tensor import keep_more_coherent, structure_tensor
@@ -35,12 +38,15 @@ __all__ = [
     "fill",
     "image",
     "intensities",
+    "is_deterministic",
     "keep_more_coherent",
     "lbfgs",
     "line_of_views",
+    "lowest",
     "multiply",
     "name",
     "nearest_surface",
+    "nlm_average",
     "nlm_laplacian",
     "nlm_neighbors",
     "nlm_ratio",
@@ -49,11 +55,13 @@ __all__ = [
     "number",
     "numpy",
     "occluding_data_term",
+    "plane_sweep",
     "ratio",
     "repeat",
     "residuals",
     "scalar",
     "seen_by_reference",
+    "semi_global",
     "shared",
     "splat",
     "splat_jvp",

@@ -1,167 +1,343 @@
-"""The data term on a GPU: prediction, residual, value and gradient in two kernels for some views at a time.
+"""The data term on a GPU: a tile of one view is predicted, compared and followed back within one block of threads.
 
-A buffer begins as minus the recorded views, to which the splat adds: what is then in it is the residual. The gradient
-gathers from it, adds up its squares, and sets up the other buffer for the next views. Both buffers together fit into
-the cache of the GPU. A pixel in them is its channels and, last, whether it counts: one load, or one atomic addition.
-Views that come in half precision are kept so: the kernels wait for memory.
+A block splats what lands on its tile into shared memory, where it becomes the residual, and gathers from there the
+gradient of those pixels whose four taps its tile holds; the residuals never leave the chip. The prediction is added up
+in whole numbers, which shared memory adds fast, and in which the order does not matter: the result has the same bits
+each time. What each view says about the gradient is written where no other writes, and added up in order.
+
+The disparity and the image are kept in strips, one for each warp of threads. The smallest and largest disparity of a
+strip tell a block whether it has to look at it.
 """
 
+import re
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
+from .curvature import curvature, curvature_factor
 from .memory import pixel_type
-from .threads import once
-from .vector import sum_kernel
+from .threads import check_size, once
 
 wp.set_module_options({"enable_backward": False})
 
-_STRIP = 8  # rows that a thread splats one after the other, so that what it adds to a pixel twice it adds once
-_BUFFER = 20 * 2**20  # bytes
 _WARP = 32
-_BLOCK = 128
-_SUM_BLOCK = 1024
+_ROWS = 4  # of a strip; what they add to a pixel one after the other they add once
+_COLUMNS = _WARP - 1  # of a strip; lane 0 has the last column of the strip before, which it hands on
+_STRIP = _WARP * _ROWS
+_PITCH = 128  # of a tile in shared memory: its columns and taps beyond them on either side
+_TILE_ROWS = 28  # as many as fit, with three channels and what Warp takes, into 48 KiB
+_BLOCK = 256
+_BLOCKS_AT_ONCE = 4  # on a multiprocessor; more would leave a thread too few registers
+_LIST = 128  # strips that a block looks at in one go
+_PARTS = 128  # blocks that look for the range of the disparities
 
 _COMMON = """
-    struct alignas(PAD * sizeof(float)) Pixel { float c[PAD]; };  // aligned, and so one load or store
-    struct alignas(PAD * sizeof(KEPT)) Kept { KEPT c[PAD]; };
-    typedef WORDS Words;  // of the same size
-    const Pixel* const colors = (const Pixel*)image.data;
-    const int height = disparity.shape[0], width = disparity.shape[1];
-    const float k = 0.5f / softness, s = 1.f / (1.f - softness);
-    auto tent = [&](float a) {
-        const float top = fminf(a, softness), foot = fmaxf(a - (1.f - softness), 0.f);
-        return 1.f - (a - top + (top * top - foot * foot) * k) * s;
+    const float infinite = __int_as_float(0x7F800000);
+    constexpr int BIAS = 0x4B400000;  // the bits of 1.5 * 2^23: a number added to that is rounded, and is in the bits
+    auto place = [&](float d, float offset, float& rest) {
+        // Shifts of d * offset against the offset: the pixel before (and BIAS), and where between it and the next one,
+        // from the middle. Small numbers are split before the column is added, and so keep their digits.
+        const float from_middle = fmaf(-d, offset, -0.5f), rounded = from_middle + __int_as_float(BIAS);
+        rest = from_middle - (rounded - __int_as_float(BIAS));
+        return __float_as_int(rounded);
     };
 """
 
-_SPLAT_STRIP = (
+_RAISE = """
+    // Of numbers that are not negative the larger one has the larger bits.
+    for (int step = 16; step; step >>= 1) value = fmaxf(value, __shfl_xor_sync(~0u, value, step));
+    if (lane == 0) atomicMax((int*)most.data, __float_as_int(value));
+"""
+
+_RANGES = (
     _COMMON
     + """
-    // What goes to the right is handed to the next lane where that one adds to the same pixel, and what goes below is
-    // kept for the row below: most pixels get one addition for each pixel that lands on them instead of four.
-    const int lane = x & 31;
-    const bool inside = x < width;
-    float* const view = (float*)(residual.data + (size_t)n * height * width);
-    auto add = [&](int tx, int ty, const float* value) {
-        if ((unsigned)tx >= (unsigned)width || (unsigned)ty >= (unsigned)height) return;
-        float* const p = view + (ty * width + tx) * PAD;
-    #if __CUDA_ARCH__ >= 900 && CHANNELS == 3
-        asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};"
-                     :: "l"(p), "f"(value[0]), "f"(value[1]), "f"(value[2]), "f"(0.f) : "memory");
-    #elif __CUDA_ARCH__ >= 900
-        asm volatile("red.global.add.v2.f32 [%0], {%1, %2};" :: "l"(p), "f"(value[0]), "f"(0.f) : "memory");
-    #else
-        for (int c = 0; c < CHANNELS; ++c) atomicAdd(p + c, value[c]);
-    #endif
-    };
-    int kept_x = -(1 << 20), kept_y = 0;
-    float kept[CHANNELS] = {};
-    for (int y = first_row; y < first_row + STRIP && y < height; ++y) {
-        const float d = inside ? disparity.data[y * width + x] : 0.f;
-        const float shift_x = -d * du, shift_y = -d * dv, whole_x = floorf(shift_x), whole_y = floorf(shift_y);
-        const float wx = tent(shift_x - whole_x), wy = tent(shift_y - whole_y);
-        const int tx = inside ? x + (int)whole_x : -(1 << 20), ty = y + (int)whole_y;
-        const Pixel color = inside ? colors[y * width + x] : Pixel{};
-        float left[CHANNELS], right[CHANNELS];
-        for (int c = 0; c < CHANNELS; ++c) {
-            const float value = color.c[c];
-            left[c] = value * wx;
-            right[c] = value - left[c];
+    // Each warp takes strips; out of the frame the nearest pixel's disparity stands, which widens no range.
+    __shared__ float lows[BLOCK / 32], highs[BLOCK / 32];
+    const int height = disparity.shape[0], width = disparity.shape[1], lane = thread & 31;
+    const int columns = (width + COLUMNS) / COLUMNS, count = columns * ((height + ROWS - 1) / ROWS);
+    float lowest = infinite, highest = -infinite;
+    for (int strip = block * (BLOCK / 32) + (thread >> 5); strip < count; strip += PARTS * (BLOCK / 32)) {
+        const int row = strip / columns, x = min(max((strip - row * columns) * COLUMNS + lane - 1, 0), width - 1);
+        float low = infinite, high = -infinite;
+        for (int r = 0; r < ROWS; ++r) {
+            const float d = disparity.data[min(row * ROWS + r, height - 1) * width + x];
+            strips.data[strip * STRIP + r * 32 + lane] = d;
+            low = fminf(low, d);
+            high = fmaxf(high, d);
+            if (isnan(d)) lowest = -infinite;  // and so the value, in the end, is not a number
         }
-        const int before_x = __shfl_up_sync(~0u, tx, 1), before_y = __shfl_up_sync(~0u, ty, 1);
-        const float before_wy = __shfl_up_sync(~0u, wy, 1);
-        const bool takes = lane > 0 && inside && before_x + 1 == tx && before_y == ty;
-        const unsigned takers = __ballot_sync(~0u, takes);  // all lanes together, whatever becomes of the answer
-        const bool taken = (takers >> 1 >> lane) & 1;
-        float upper[CHANNELS], lower[CHANNELS], give[CHANNELS];
-        for (int c = 0; c < CHANNELS; ++c) {
-            const float handed = __shfl_up_sync(~0u, right[c], 1);
-            upper[c] = left[c] * wy;
-            lower[c] = left[c] - upper[c];
-            if (takes) {
-                const float part = handed * before_wy;
-                upper[c] += part;
-                lower[c] += handed - part;
-            }
+        for (int step = 16; step; step >>= 1) {
+            low = fminf(low, __shfl_xor_sync(~0u, low, step));
+            high = fmaxf(high, __shfl_xor_sync(~0u, high, step));
         }
-        if (!inside) continue;
-        if (!taken) {
-            for (int c = 0; c < CHANNELS; ++c) give[c] = right[c] * wy;
-            add(tx + 1, ty, give);
-            for (int c = 0; c < CHANNELS; ++c) give[c] = right[c] - give[c];
-            add(tx + 1, ty + 1, give);
-        }
-        if (kept_x == tx && kept_y == ty)
-            for (int c = 0; c < CHANNELS; ++c) upper[c] += kept[c];
-        else
-            add(kept_x, kept_y, kept);
-        add(tx, ty, upper);
-        kept_x = tx;
-        kept_y = ty + 1;
-        for (int c = 0; c < CHANNELS; ++c) kept[c] = lower[c];
+        if (lane == 0) ranges.data[strip].c[0] = low, ranges.data[strip].c[1] = high;
+        lowest = fminf(lowest, low);
+        highest = fmaxf(highest, high);
     }
-    if (inside) add(kept_x, kept_y, kept);
+    for (int step = 16; step; step >>= 1) lowest = fminf(lowest, __shfl_xor_sync(~0u, lowest, step));
+    if (lane == 0) lows[thread >> 5] = lowest, highs[thread >> 5] = highest;
+    __syncthreads();
+    if (thread == 0) {
+        for (int i = 1; i < BLOCK / 32; ++i) {
+            lowest = fminf(lowest, lows[i]);
+            highest = fmaxf(highest, highs[i]);
+        }
+        parts.data[block].c[0] = lowest, parts.data[block].c[1] = highest;
+    }
 """
 )
 
-_GATHER = (
+_TILE = (
     _COMMON
     + """
-    const int p = y * width + x, size = height * width;
-    float total = 0.f, square = 0.f;
-    if (x < width) {
-        const float d = disparity.data[p];
-        const Pixel value = colors[p];
-        for (int n = 0; n < count; ++n) {
-            const float du = offsets.data[first + n].c[0], dv = offsets.data[first + n].c[1];
-            const float shift_x = -d * du, shift_y = -d * dv, whole_x = floorf(shift_x), whole_y = floorf(shift_y);
-            const float ax = shift_x - whole_x, ay = shift_y - whole_y, wx = tent(ax), wy = tent(ay);
-            const float sx = du * s * fminf(fminf(ax, 1.f - ax) * (1.f / softness), 1.f);
-            const float sy = dv * s * fminf(fminf(ay, 1.f - ay) * (1.f / softness), 1.f);
-            const int tx = x + (int)whole_x, ty = y + (int)whole_y;
-            const Pixel* const view = (const Pixel*)residual.data + (size_t)n * size;
-            const Pixel* const corner = view + ty * width + tx;
-            const bool x0 = (unsigned)tx < (unsigned)width, x1 = (unsigned)(tx + 1) < (unsigned)width;
-            const bool y0 = (unsigned)ty < (unsigned)height, y1 = (unsigned)(ty + 1) < (unsigned)height;
-            const Pixel here = view[p];
-            const Pixel r00 = x0 && y0 ? corner[0] : Pixel{}, r01 = x1 && y0 ? corner[1] : Pixel{};
-            const Pixel r10 = x0 && y1 ? corner[width] : Pixel{}, r11 = x1 && y1 ? corner[width + 1] : Pixel{};
-            float a00 = 0.f, a01 = 0.f, a10 = 0.f, a11 = 0.f, sum = 0.f;
-            for (int c = 0; c < CHANNELS; ++c) {
-                a00 += value.c[c] * r00.c[c];
-                a01 += value.c[c] * r01.c[c];
-                a10 += value.c[c] * r10.c[c];
-                a11 += value.c[c] * r11.c[c];
-                sum += here.c[c] * here.c[c];
+    struct alignas(PAD * sizeof(float)) Pixel { float c[PAD]; };  // aligned, and so one load
+    struct alignas(PAD * sizeof(KEPT)) Kept { KEPT c[PAD]; };
+    typedef WORDS Words;  // of the same size
+    constexpr int WARPS = BLOCK / 32, AREA = (TILE_ROWS + 2) * PITCH, SIZE = CHANNELS * AREA + PITCH + 4;
+    // Around a tile lie a row and a column for taps that are another tile's. The rows below one channel are those above
+    // the next, the columns to the right those to the left of the next row.
+    __shared__ alignas(16) int sums[SIZE];
+    __shared__ int list[LIST];
+    __shared__ int listed;
+    __shared__ double squared[WARPS];
+    const int lane = thread & 31, warp = thread >> 5;
+    const int columns = (width + COLUMNS) / COLUMNS, rows = (height + ROWS - 1) / ROWS;
+    const int n = block / (tiles_x * tiles_y), tile = block - n * tiles_x * tiles_y, tile_y = tile / tiles_x;
+    // The first tile begins at -1, where the right or lower taps of a pixel may be the only ones in the frame.
+    const int x0 = (tile - tile_y * tiles_x) * tile_width - 1, y0 = tile_y * tile_height - 1;
+    const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
+    const Pixel* const colors = (const Pixel*)image.data;
+
+    for (int i = thread; i < SIZE / 4; i += BLOCK) ((int4*)sums)[i] = make_int4(0, 0, 0, 0);
+    if (thread == 0) listed = 0;
+    float lowest = infinite, highest = -infinite;
+    for (int i = lane; i < PARTS; i += 32) {
+        lowest = fminf(lowest, parts.data[i].c[0]);
+        highest = fmaxf(highest, parts.data[i].c[1]);
+    }
+    for (int step = 16; step; step >>= 1) {
+        lowest = fminf(lowest, __shfl_xor_sync(~0u, lowest, step));
+        highest = fmaxf(highest, __shfl_xor_sync(~0u, highest, step));
+    }
+    // What lands on a pixel lies along a line as long as the disparities differ, in a band up to four pixels wide, and
+    // has no part larger than 1: so much, times the largest value, is the most that a sum can be.
+    const float reach = (highest - lowest) * fmaxf(fabsf(du), fabsf(dv));
+    const float largest = fmaxf(most.data[0], 1e-20f) * 4.f * (reach + 3.f);
+    const float unit = exp2f(floorf(30.f - log2f(largest))), value_of_one = 1.f / unit;
+
+    auto before = [&](float low, float high, float offset) {
+        return floorf(fmaxf(fminf(-low * offset, -high * offset), -1e6f)) - 1.f;
+    };
+    auto after = [&](float low, float high, float offset) {
+        return floorf(fminf(fmaxf(-low * offset, -high * offset), 1e6f)) + 1.f;
+    };
+    const int first_x = max(0, x0 - 1 - (int)after(lowest, highest, du)) / COLUMNS;
+    const int last_x = min(min(width, x0 + tile_width + 1 - (int)before(lowest, highest, du)) / COLUMNS, columns - 1);
+    const int first_y = max(0, y0 - 1 - (int)after(lowest, highest, dv)) / ROWS;
+    const int last_y = min(min(height - 1, y0 + tile_height - (int)before(lowest, highest, dv)) / ROWS, rows - 1);
+    const int wide = max(0, last_x - first_x + 1), candidates = wide * max(0, last_y - first_y + 1);
+
+    auto look_at = [&](int first) {
+        // Lists those of the next LIST strips that may land on the tile or beside it; their order does not matter.
+        for (int i = first + thread; i < min(first + LIST, candidates); i += BLOCK) {
+            const int down = i / wide, sx = first_x + i - down * wide, sy = first_y + down;
+            const float low = ranges.data[sy * columns + sx].c[0], high = ranges.data[sy * columns + sx].c[1];
+            if (sx * COLUMNS - 1 + before(low, high, du) <= x0 + tile_width &&
+                sx * COLUMNS + COLUMNS - 1 + after(low, high, du) >= x0 - 1 &&
+                sy * ROWS + before(low, high, dv) <= y0 + tile_height &&
+                sy * ROWS + ROWS - 1 + after(low, high, dv) >= y0 - 1)
+                list[atomicAdd(&listed, 1)] = (sy << 16) + sx;
+        }
+        __syncthreads();
+    };
+    auto look_further = [&](int first) {
+        __syncthreads();
+        if (thread == 0) listed = 0;
+        __syncthreads();
+        look_at(first);
+    };
+
+    const float edge = 0.5f - softness, k = 0.5f / softness, s = 1.f / (1.f - softness);
+    auto bend = [&](float rest) { return rest - fmaxf(fminf(rest, edge), -edge); };  // how far into a rounded kink
+    auto tent = [&](float rest, float bent) { return 0.5f - s * (rest - k * bent * fabsf(bent)); };
+
+    __syncthreads();
+    for (int first = 0; first < candidates; first += LIST) {
+        if (first)
+            look_further(first);
+        else
+            look_at(0);
+        for (int i = warp; i < listed; i += WARPS) {
+            const int sy = list[i] >> 16, sx = list[i] & 0xffff, begin = (sy * columns + sx) * STRIP + lane;
+            // Places count from the surplus row and column.
+            const int column = sx * COLUMNS + lane - x0 - BIAS, row = sy * ROWS - y0 + 1 - BIAS;
+            constexpr int nowhere = -(1 << 30);
+            auto add = [&](int at, const float* value) {
+                for (int c = 0; c < CHANNELS; ++c) atomicAdd(sums + c * AREA + at, __float2int_rn(value[c]));
+            };
+            // What goes to the right is handed to the next lane where that one adds to the same pixel, and what goes
+            // below is kept for the row below: most pixels get one addition for each pixel that lands on them.
+            int kept_at = nowhere;
+            float d[ROWS], kept[CHANNELS] = {};
+            for (int r = 0; r < ROWS; ++r) d[r] = disparity.data[begin + r * 32];
+            Pixel color, next = colors[begin];  // asked for a row before it is needed
+    #pragma unroll
+            for (int r = 0; r < ROWS; ++r) {
+                color = next;
+                if (r + 1 < ROWS) next = colors[begin + (r + 1) * 32];
+                float rest_x, rest_y;
+                const int x = place(d[r], du, rest_x) + column, y = place(d[r], dv, rest_y) + row + r;
+                const bool here = (unsigned)x < (unsigned)(tile_width + 2) && (unsigned)y < (unsigned)(tile_height + 2);
+                const int at = here ? y * PITCH + x : nowhere;
+                if (!__any_sync(~0u, here)) continue;
+                const float wx = tent(rest_x, bend(rest_x)) * unit, wy = tent(rest_y, bend(rest_y));
+                float left[CHANNELS], right[CHANNELS], upper[CHANNELS], lower[CHANNELS];
+                for (int c = 0; c < CHANNELS; ++c) {
+                    left[c] = color.c[c] * wx;
+                    right[c] = color.c[c] * (unit - wx);
+                }
+                const int at_before = __shfl_up_sync(~0u, at, 1);
+                const float wy_before = __shfl_up_sync(~0u, wy, 1);
+                const bool takes = lane > 0 && at_before + 1 == at;
+                const unsigned takers = __ballot_sync(~0u, takes);  // all lanes together, whatever comes of the answer
+                const bool taken = (takers >> 1 >> lane) & 1;
+                const float share_above = takes ? wy_before : 0.f, share_below = takes ? 1.f - wy_before : 0.f;
+                for (int c = 0; c < CHANNELS; ++c) {
+                    const float handed = __shfl_up_sync(~0u, right[c], 1);
+                    upper[c] = left[c] * wy;
+                    lower[c] = left[c] - upper[c] + handed * share_below;
+                    upper[c] += handed * share_above;
+                }
+                if (!here) continue;
+                if (!taken && lane < 31) {
+                    for (int c = 0; c < CHANNELS; ++c) left[c] = right[c] * wy;
+                    add(at + 1, left);
+                    for (int c = 0; c < CHANNELS; ++c) left[c] = right[c] - left[c];
+                    add(at + 1 + PITCH, left);
+                }
+                if (lane == 0) continue;
+                if (kept_at == at)
+                    for (int c = 0; c < CHANNELS; ++c) upper[c] += kept[c];
+                else if (kept_at != nowhere)
+                    add(kept_at, kept);
+                add(at, upper);
+                kept_at = at + PITCH;
+                for (int c = 0; c < CHANNELS; ++c) kept[c] = lower[c];
             }
-            a00 *= r00.c[PAD - 1];
-            a01 *= r01.c[PAD - 1];
-            a10 *= r10.c[PAD - 1];
-            a11 *= r11.c[PAD - 1];
-            total += sx * (wy * (a00 - a01) + (1.f - wy) * (a10 - a11));
-            total += sy * (wx * (a00 - a10) + (1.f - wx) * (a01 - a11));
-            square += here.c[PAD - 1] * sum;
-        }
-        for (int n = 0; n < next_count; ++n) {
-            // Read once: it shall not drive what is read again out of the cache.
-            const Words words = __ldcs((const Words*)recorded.data + (size_t)(next_first + n) * size + p);
-            const Kept packed = *(const Kept*)&words;
-            Pixel begin;
-            for (int c = 0; c < CHANNELS; ++c) begin.c[c] = -scale * (float)packed.c[c];
-            begin.c[PAD - 1] = (float)packed.c[PAD - 1];
-            ((Pixel*)following.data)[(size_t)n * size + p] = begin;
+            if (kept_at != nowhere) add(kept_at, kept);
         }
     }
-    if (x < width) gradient.data[p] = first > 0 ? gradient.data[p] + 2.f * total : 2.f * total;
-    double sum = square;
-    for (int step = 16; step; step >>= 1) sum += __shfl_xor_sync(~0u, sum, step);
-    if ((x & 31) == 0) {
-        double* const place = squares.data + (size_t)y * squares.shape[1] + (x >> 5);
-        *place = first > 0 ? *place + sum : sum;
+    __syncthreads();
+
+    // The residual takes the place of the sums; the row and column that the next tiles have too are compared here for
+    // the gradient and there for the value.
+    float* const residual = (float*)sums;
+    float square = 0.f;
+    for (int y = warp; y <= tile_height; y += WARPS) {
+        const Words* const in = (const Words*)recorded.data + ((size_t)n * height + y0 + y) * width + x0;
+        Words words[PITCH / 32];
+    #pragma unroll
+        for (int j = 0; j < PITCH / 32; ++j) {
+            const int x = lane + 32 * j;
+            const bool there = (unsigned)(x0 + x) < (unsigned)width && (unsigned)(y0 + y) < (unsigned)height;
+            words[j] = there && x <= tile_width ? __ldcs(in + x) : Words{};  // read once: it shall not fill the cache
+        }
+    #pragma unroll
+        for (int j = 0; j < PITCH / 32; ++j) {
+            const int x = lane + 32 * j;
+            if (x > tile_width) continue;
+            const Kept packed = *(const Kept*)&words[j];
+            const float counts = (float)packed.c[PAD - 1];
+            float sum = 0.f;
+            for (int c = 0; c < CHANNELS; ++c) {
+                const int at = c * AREA + (y + 1) * PITCH + x + 1;
+                const float rest = counts * ((float)sums[at] * value_of_one - scale * (float)packed.c[c]);
+                residual[at] = rest;
+                sum += rest * rest;
+            }
+            if (y < tile_height && x < tile_width) square += sum;
+        }
     }
+    double total = square;
+    for (int step = 16; step; step >>= 1) total += __shfl_xor_sync(~0u, total, step);
+    if (lane == 0) squared[warp] = total;
+    __syncthreads();
+    if (thread == 0) {
+        for (int i = 1; i < WARPS; ++i) total += squared[i];
+        squares.data[block] = total;
+    }
+
+    const float slope_x = du * s, slope_y = dv * s;
+    for (int first = 0; first < candidates; first += LIST) {
+        if (candidates > LIST) look_further(first);
+        for (int i = warp; i < listed; i += WARPS) {
+            const int sy = list[i] >> 16, sx = list[i] & 0xffff, begin = (sy * columns + sx) * STRIP + lane;
+            const int column = sx * COLUMNS + lane - 1 - x0 - BIAS, row = sy * ROWS - y0 - BIAS;
+            float* const out = gradients.data + (size_t)n * columns * rows * STRIP + begin;
+            float d[ROWS];
+            for (int r = 0; r < ROWS; ++r) d[r] = disparity.data[begin + r * 32];
+            Pixel color, next = colors[begin];
+    #pragma unroll
+            for (int r = 0; r < ROWS; ++r) {
+                color = next;
+                if (r + 1 < ROWS) next = colors[begin + (r + 1) * 32];
+                float rest_x, rest_y;
+                const int x = place(d[r], du, rest_x) + column, y = place(d[r], dv, rest_y) + row + r;
+                if (lane == 0 || (unsigned)x >= (unsigned)tile_width || (unsigned)y >= (unsigned)tile_height) continue;
+                const float* tap = residual + (y + 1) * PITCH + x + 1;
+                float a00 = 0.f, a01 = 0.f, a10 = 0.f, a11 = 0.f;
+                for (int c = 0; c < CHANNELS; ++c, tap += AREA) {
+                    a00 += color.c[c] * tap[0];
+                    a01 += color.c[c] * tap[1];
+                    a10 += color.c[c] * tap[PITCH];
+                    a11 += color.c[c] * tap[PITCH + 1];
+                }
+                const float bend_x = bend(rest_x), bend_y = bend(rest_y);
+                const float wx = tent(rest_x, bend_x), wy = tent(rest_y, bend_y);
+                const float sx_ = slope_x - slope_x / softness * fabsf(bend_x);
+                const float sy_ = slope_y - slope_y / softness * fabsf(bend_y);
+                const float upper = a00 - a01, lower = a10 - a11, left = a00 - a10, right = a01 - a11;
+                out[r * 32] = sx_ * (lower + wy * (upper - lower)) + sy_ * (right + wx * (left - right));
+            }
+        }
+    }
+"""
+)
+
+_TOTAL = (
+    _COMMON
+    + """
+    // A pixel that lands out of the frame was no tile's, and what is there for it is old.
+    const int height = gradient.shape[0], width = gradient.shape[1], i = block * BLOCK + thread;
+    const int columns = (width + COLUMNS) / COLUMNS, rows = (height + ROWS - 1) / ROWS, size = columns * rows * STRIP;
+    if (i < size) {
+        const int strip = i / STRIP, row = strip / columns, lane = i & 31;
+        const int x = (strip - row * columns) * COLUMNS + lane - 1, y = row * ROWS + (i - strip * STRIP) / 32;
+        const float d = disparity.data[i], *said = gradients.data + i;
+        float total = 0.f, rest;
+    #pragma unroll 8
+        for (int n = 0; n < offsets.shape[0]; ++n, said += size) {
+            const float by_view = *said;  // read before it is known to count
+            const int tap_x = place(d, offsets.data[n].c[0], rest) + x + 1 - BIAS;
+            const int tap_y = place(d, offsets.data[n].c[1], rest) + y + 1 - BIAS;
+            total += (unsigned)tap_x <= (unsigned)width && (unsigned)tap_y <= (unsigned)height ? by_view : 0.f;
+        }
+        if (lane > 0 && x < width && y < height) gradient.data[y * width + x] = 2.f * total;
+    }
+    if (block > 0) return;
+    // The first block adds up the value as well.
+    __shared__ double squared[BLOCK / 32];
+    double all = 0.0;
+    for (int j = thread; j < squares.shape[0]; j += BLOCK) all += squares.data[j];
+    for (int step = 16; step; step >>= 1) all += __shfl_xor_sync(~0u, all, step);
+    if ((thread & 31) == 0) squared[thread >> 5] = all;
+    __syncthreads();
+    if (thread > 0) return;
+    for (int j = 1; j < BLOCK / 32; ++j) all += squared[j];
+    value.data[0] = all;
 """
 )
 
@@ -181,196 +357,237 @@ def _kernels(channels: int, stored: Any, compact: Any) -> SimpleNamespace:
         for name, value in (
             ("CHANNELS", channels),
             ("PAD", pad),
-            ("STRIP", _STRIP),
             ("KEPT", kept_name),
             ("WORDS", words),
+            ("TILE_ROWS", _TILE_ROWS),
+            ("ROWS", _ROWS),
+            ("COLUMNS", _COLUMNS),
+            ("STRIP", _STRIP),
+            ("PITCH", _PITCH),
+            ("BLOCK", _BLOCK),
+            ("LIST", _LIST),
+            ("PARTS", _PARTS),
         ):
-            text = text.replace(name, str(value))
+            text = re.sub(rf"\b{name}\b", str(value), text)
         return text
 
-    @wp.func_native(code(_SPLAT_STRIP))
-    def splat_strip(
-        image: wp.array2d(dtype=padded),
+    @wp.func_native(code(_RANGES))
+    def find_ranges(
         disparity: wp.array2d(dtype=float),
-        du: float,
-        dv: float,
-        softness: float,
-        n: int,
-        first_row: int,
-        x: int,
-        residual: wp.array3d(dtype=padded),
+        block: int,
+        thread: int,
+        strips: wp.array(dtype=float),
+        ranges: wp.array(dtype=wp.vec2f),
+        parts: wp.array(dtype=wp.vec2f),
     ): ...
 
-    @wp.func_native(code(_GATHER))
-    def gather(
-        image: wp.array2d(dtype=padded),
-        disparity: wp.array2d(dtype=float),
+    @wp.func_native(code(_TILE))
+    def evaluate_tile(
+        image: wp.array(dtype=padded),
+        most: wp.array(dtype=float),
+        disparity: wp.array(dtype=float),
+        ranges: wp.array(dtype=wp.vec2f),
+        parts: wp.array(dtype=wp.vec2f),
         offsets: wp.array(dtype=wp.vec2f),
-        softness: float,
-        first: int,
-        count: int,
-        residual: wp.array3d(dtype=padded),
         recorded: wp.array3d(dtype=kept_pixel),
-        next_first: int,
-        next_count: int,
+        softness: float,
         scale: float,
-        following: wp.array3d(dtype=padded),
-        y: int,
-        x: int,
-        gradient: wp.array2d(dtype=float),
-        squares: wp.array2d(dtype=wp.float64),
+        height: int,
+        width: int,
+        tiles_y: int,
+        tiles_x: int,
+        tile_height: int,
+        tile_width: int,
+        block: int,
+        thread: int,
+        gradients: wp.array2d(dtype=float),
+        squares: wp.array(dtype=wp.float64),
     ): ...
+
+    @wp.func_native(code(_TOTAL))
+    def add_up(
+        gradients: wp.array2d(dtype=float),
+        disparity: wp.array(dtype=float),
+        offsets: wp.array(dtype=wp.vec2f),
+        squares: wp.array(dtype=wp.float64),
+        block: int,
+        thread: int,
+        gradient: wp.array2d(dtype=float),
+        value: wp.array(dtype=wp.float64),
+    ): ...
+
+    @wp.func_native(_RAISE)
+    def raise_to(value: float, lane: int, most: wp.array(dtype=float)): ...
 
     @wp.kernel(module=module, enable_backward=False)
-    def pad_kernel(image: wp.array2d(dtype=pixel), padded_out: wp.array2d(dtype=padded)):
-        y, x = wp.tid()
+    def image_kernel(
+        image: wp.array2d(dtype=pixel),
+        columns: int,
+        strips_out: wp.array(dtype=padded),
+        most_out: wp.array(dtype=float),
+    ):
+        """The image in strips, 0 out of the frame, and its largest absolute value."""
+        i = wp.tid()
+        strip = i / wp.static(_STRIP)
+        row = strip / columns
+        r = (i - strip * wp.static(_STRIP)) / wp.static(_WARP)
+        y = row * wp.static(_ROWS) + r
+        x = (strip - row * columns) * wp.static(_COLUMNS) + i % wp.static(_WARP) - 1
         value = padded()
-        for c in range(wp.static(channels)):
-            value[c] = image[y, x][c]
-        padded_out[y, x] = value
+        most = float(0.0)
+        if x >= 0 and x < image.shape[1] and y < image.shape[0]:
+            for c in range(wp.static(channels)):
+                value[c] = image[y, x][c]
+                most = wp.max(most, wp.abs(value[c]))
+        strips_out[i] = value
+        raise_to(most, i % wp.static(_WARP), most_out)
 
     @wp.kernel(module=module, enable_backward=False)
     def pack_kernel(
-        recorded: wp.array3d(dtype=stored_pixel),
-        valid: wp.array3d(dtype=float),
-        packed_out: wp.array3d(dtype=kept_pixel),
+        recorded: wp.array(dtype=stored_pixel), valid: wp.array(dtype=float), packed_out: wp.array(dtype=kept_pixel)
     ):
         i = wp.tid()
-        size = recorded.shape[1] * recorded.shape[2]
-        n = i / size
-        y = (i - n * size) / recorded.shape[2]
-        x = i % recorded.shape[2]
         packed = kept_pixel()
-        if not valid or valid[n, y, x] != 0.0:
-            value = recorded[n, y, x]
+        if not valid or valid[i] != 0.0:
+            value = recorded[i]
             for c in range(wp.static(channels)):
                 packed[c] = compact(value[c])
             packed[wp.static(pad - 1)] = compact(1.0)
-        packed_out[n, y, x] = packed
+        packed_out[i] = packed
 
     @wp.kernel(module=module, enable_backward=False)
-    def set_up_kernel(
-        recorded: wp.array3d(dtype=kept_pixel), first: int, scale: float, residual_out: wp.array3d(dtype=padded)
-    ):
-        n, y, x = wp.tid()
-        packed = recorded[first + n, y, x]
-        value = padded()
-        for c in range(wp.static(channels)):
-            value[c] = -scale * float(packed[c])
-        value[wp.static(pad - 1)] = float(packed[wp.static(pad - 1)])
-        residual_out[n, y, x] = value
-
-    @wp.kernel(module=module, enable_backward=False)
-    def splat_kernel(
-        image: wp.array2d(dtype=padded),
+    def ranges_kernel(
         disparity: wp.array2d(dtype=float),
-        offsets: wp.array(dtype=wp.vec2f),
-        softness: float,
-        first: int,
-        lanes: int,
-        residual: wp.array3d(dtype=padded),
+        strips_out: wp.array(dtype=float),
+        ranges_out: wp.array(dtype=wp.vec2f),
+        parts_out: wp.array(dtype=wp.vec2f),
     ):
         i = wp.tid()
-        strip = i / lanes
-        x = i - strip * lanes
-        strips = (disparity.shape[0] + wp.static(_STRIP - 1)) / wp.static(_STRIP)
-        n = strip / strips
-        strip = strip - n * strips
-        offset = offsets[first + n]
-        splat_strip(image, disparity, offset[0], offset[1], softness, n, strip * wp.static(_STRIP), x, residual)
+        block = i / wp.static(_BLOCK)
+        find_ranges(disparity, block, i - block * wp.static(_BLOCK), strips_out, ranges_out, parts_out)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def gather_kernel(
-        image: wp.array2d(dtype=padded),
-        disparity: wp.array2d(dtype=float),
+    @wp.kernel(module=module, enable_backward=False, launch_bounds=(_BLOCK, _BLOCKS_AT_ONCE))
+    def tile_kernel(
+        image: wp.array(dtype=padded),
+        most: wp.array(dtype=float),
+        disparity: wp.array(dtype=float),
+        ranges: wp.array(dtype=wp.vec2f),
+        parts: wp.array(dtype=wp.vec2f),
         offsets: wp.array(dtype=wp.vec2f),
-        softness: float,
-        first: int,
-        count: int,
-        residual: wp.array3d(dtype=padded),
         recorded: wp.array3d(dtype=kept_pixel),
-        next_first: int,
-        next_count: int,
+        softness: float,
         scale: float,
-        lanes: int,
-        next_out: wp.array3d(dtype=padded),
-        gradient_out: wp.array2d(dtype=float),
-        squares_out: wp.array2d(dtype=wp.float64),
+        height: int,
+        width: int,
+        tiles_y: int,
+        tiles_x: int,
+        tile_height: int,
+        tile_width: int,
+        gradients_out: wp.array2d(dtype=float),
+        squares_out: wp.array(dtype=wp.float64),
     ):
         i = wp.tid()
-        y = i / lanes
-        gather(
+        block = i / wp.static(_BLOCK)
+        evaluate_tile(
             image,
+            most,
             disparity,
+            ranges,
+            parts,
             offsets,
-            softness,
-            first,
-            count,
-            residual,
             recorded,
-            next_first,
-            next_count,
+            softness,
             scale,
-            next_out,
-            y,
-            i - y * lanes,
-            gradient_out,
+            height,
+            width,
+            tiles_y,
+            tiles_x,
+            tile_height,
+            tile_width,
+            block,
+            i - block * wp.static(_BLOCK),
+            gradients_out,
             squares_out,
         )
 
+    @wp.kernel(module=module, enable_backward=False)
+    def total_kernel(
+        gradients: wp.array2d(dtype=float),
+        disparity: wp.array(dtype=float),
+        offsets: wp.array(dtype=wp.vec2f),
+        squares: wp.array(dtype=wp.float64),
+        gradient_out: wp.array2d(dtype=float),
+        value_out: wp.array(dtype=wp.float64),
+    ):
+        i = wp.tid()
+        block = i / wp.static(_BLOCK)
+        thread = i - block * wp.static(_BLOCK)
+        add_up(gradients, disparity, offsets, squares, block, thread, gradient_out, value_out)
+
     return SimpleNamespace(
-        pad=pad_kernel, pack=pack_kernel, set_up=set_up_kernel, splat=splat_kernel, gather=gather_kernel
+        image=image_kernel, pack=pack_kernel, ranges=ranges_kernel, tile=tile_kernel, total=total_kernel
     )
+
+
+def _tiling(size: int, most: int) -> tuple[int, int]:
+    """How many tiles of at most `most` pixels cover `size` pixels and the place before them, and their own size."""
+    count = -(-(size + 1) // most)
+    return count, -(-(size + 1) // count)
 
 
 class GpuDataTerm:
     """The plan of the data term on a GPU."""
 
     def __init__(self, shape: Sequence[int], offsets: Any, scale: float, softness: float) -> None:
-        _, height, width, channels = shape
+        n, height, width, channels = shape
+        device = offsets.device
         self._shape, self._offsets, self._scale, self._softness = tuple(shape), offsets.view(wp.vec2f), scale, softness
-        self._image = wp.empty((height, width), dtype=pixel_type(4 if channels == 3 else 2), device=offsets.device)
-        self._lanes = -(-width // _WARP) * _WARP
-        self._squares = wp.zeros((height, self._lanes // _WARP), dtype=wp.float64, device=offsets.device)
+        self._curvature = curvature_factor(offsets)
+        self._columns, rows = -(-(width + 1) // _COLUMNS), -(-height // _ROWS)
+        strips = self._columns * rows
+        (down, tile_height), (across, tile_width) = _tiling(height, _TILE_ROWS), _tiling(width, _PITCH - 2)
+        self._tiling = (height, width, down, across, tile_height, tile_width)
+        check_size(n * down * across * _BLOCK, n * height * width, strips * _STRIP)
+        self._image = wp.empty(strips * _STRIP, dtype=pixel_type(4 if channels == 3 else 2), device=device)
+        self._most = wp.zeros(1, dtype=float, device=device)
+        self._disparity = wp.zeros(strips * _STRIP, dtype=float, device=device)
+        self._ranges = wp.zeros(strips, dtype=wp.vec2f, device=device)
+        self._parts = wp.zeros(_PARTS, dtype=wp.vec2f, device=device)
+        self._gradients = wp.zeros((n, strips * _STRIP), dtype=float, device=device)
+        self._squares = wp.zeros(n * down * across, dtype=wp.float64, device=device)
         self._stored: Any = None
 
     def _prepare(self, stored: Any) -> None:
         """Allocate for views of scalar type `stored`."""
         n, height, width, channels = self._shape
-        device, pad = self._image.device, self._image.dtype._length_
+        # Views that come in half precision are kept so: it is half of what has to be read.
         compact = wp.float16 if stored is wp.float16 else wp.float32
         self._stored, self._kernels = stored, _kernels(channels, stored, compact)
-        self._packed = wp.empty((n, height, width), dtype=pixel_type(pad, compact), device=device)
-        # An even number of batches: the last one of an evaluation sets up the buffer of the next one's first.
-        most = max(1, _BUFFER // (height * width * pad * 4))
-        count = 2 * -(-n // (2 * most))
-        size = -(-n // count)
-        self._batches = [(first, max(0, min(size, n - first))) for first in range(0, count * size, size)]
-        self._buffers = [wp.empty((size, height, width), dtype=pixel_type(pad), device=device) for _ in range(2)]
+        kept = pixel_type(self._image.dtype._length_, compact)
+        self._packed = wp.empty((n, height, width), dtype=kept, device=self._image.device)
 
     def load(self, image: Any, recorded: Any, valid: Any) -> None:
-        n, height, width, _ = self._shape
         stored, device = recorded.dtype._wp_scalar_type_, image.device
         if stored is not self._stored:
             self._prepare(stored)
-        wp.launch(self._kernels.pad, (height, width), [image], [self._image], device=device)
-        wp.launch(self._kernels.pack, n * height * width, [recorded, valid], [self._packed], device=device)
-        first, count = self._batches[0]
-        inputs = [self._packed, first, self._scale]
-        wp.launch(self._kernels.set_up, (count, height, width), inputs, [self._buffers[0]], device=device)
+        self._given = image
+        self._most.zero_()
+        outputs = [self._image, self._most]
+        wp.launch(self._kernels.image, self._image.size, [image, self._columns], outputs, device=device)
+        inputs = [recorded.flatten(), None if valid is None else valid.flatten()]
+        wp.launch(self._kernels.pack, recorded.size, inputs, [self._packed.flatten()], device=device)
 
     def __call__(self, disparity: Any, gradient_out: Any, value_out: Any) -> None:
-        _, height, _, _ = self._shape
-        batches, device, seen = self._batches, disparity.device, [self._image, disparity, self._offsets, self._softness]
-        for k, (first, count) in enumerate(batches):
-            residual, following = self._buffers[k % 2], self._buffers[(k + 1) % 2]
-            if count:
-                dim, inputs = count * -(-height // _STRIP) * self._lanes, [*seen, first, self._lanes]
-                wp.launch(self._kernels.splat, dim, inputs, [residual], device=device, block_dim=_BLOCK)
-            inputs = [*seen, first, count, residual, self._packed, *batches[(k + 1) % len(batches)]]
-            inputs += [self._scale, self._lanes]
-            outputs = [following, gradient_out, self._squares]
-            dim = height * self._lanes
-            wp.launch(self._kernels.gather, dim, inputs, outputs, device=device, block_dim=_BLOCK)
-        parts = self._squares.flatten()
-        wp.launch_tiled(sum_kernel, dim=[1], inputs=[parts], outputs=[value_out], block_dim=_SUM_BLOCK, device=device)
+        kernels, device, offsets, ours = self._kernels, disparity.device, self._offsets, self._disparity
+        outputs = [ours, self._ranges, self._parts]
+        wp.launch(kernels.ranges, _PARTS * _BLOCK, [disparity], outputs, device=device, block_dim=_BLOCK)
+        inputs = [self._image, self._most, ours, self._ranges, self._parts, offsets, self._packed]
+        inputs += [self._softness, self._scale, *self._tiling]
+        outputs = [self._gradients, self._squares]
+        dim = self._squares.size * _BLOCK
+        wp.launch(kernels.tile, dim, inputs, outputs, device=device, block_dim=_BLOCK)
+        inputs, dim = [self._gradients, ours, offsets, self._squares], -(-ours.size // _BLOCK) * _BLOCK
+        wp.launch(kernels.total, dim, inputs, [gradient_out, value_out], device=device, block_dim=_BLOCK)
+
+    def curvature(self, curvature_out: Any) -> None:
+        curvature(self._given, self._curvature, curvature_out)

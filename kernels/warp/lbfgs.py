@@ -2,7 +2,8 @@
 
 The last steps, gradient differences and the projected gradient are the rows of one stack. A direction is a linear
 combination of the rows, so that the two-loop recursion needs no more than their inner products: it runs on
-coefficients, in one thread (as in the vector-free L-BFGS of Chen et al. 2014).
+coefficients, in one thread (as in the vector-free L-BFGS of Chen et al. 2014). Rows are in units in which the curvature
+is 1 everywhere; `root` is its square root.
 """
 
 from typing import Any
@@ -18,7 +19,7 @@ _DECREASE = 1e-4  # of what the slope promises: a trial that gives less is not a
 _CURVATURE = 1e-10  # least s . y over |s| |y| of a pair that is kept
 _SHORTEST, _LONGEST = 0.1, 0.5  # how far a step shrinks at once
 _REJECTIONS = 20  # in a row that end the search
-_PARTS = 24  # of each inner product on a GPU
+_PARTS = 32  # of each inner product on a GPU
 _BLOCK = 256
 _WARP = 32
 
@@ -110,9 +111,19 @@ def _propose_kernel(
 
 
 @wp.kernel
+def _root_kernel(curvature: wp.array(dtype=float), root_out: wp.array(dtype=float)):
+    i = wp.tid()
+    root = float(1.0)
+    if curvature:
+        root = wp.sqrt(curvature[i])
+    root_out[i] = root
+
+
+@wp.kernel
 def _project_kernel(
     x: wp.array2d(dtype=float),
     gradient: wp.array2d(dtype=float),
+    root: wp.array2d(dtype=float),
     low: float,
     high: float,
     row: int,
@@ -123,7 +134,7 @@ def _project_kernel(
     y = row + i / lanes
     lane = i % lanes
     for j in range(lane, x.shape[1], lanes):
-        projected_out[y, j] = projected(gradient[y, j], x[y, j], low, high)
+        projected_out[y, j] = projected(gradient[y, j], x[y, j], low, high) / root[y, j]
 
 
 @wp.kernel
@@ -131,6 +142,7 @@ def _advance_kernel(
     state: State,
     trial: wp.array2d(dtype=float),
     trial_gradient: wp.array2d(dtype=float),
+    root: wp.array2d(dtype=float),
     low: float,
     high: float,
     row: int,
@@ -149,9 +161,9 @@ def _advance_kernel(
         for j in range(lane, x.shape[1], lanes):
             moved = trial[y, j]
             turned = trial_gradient[y, j]
-            stack[slot, y, j] = moved - x[y, j]
-            stack[memory + slot, y, j] = turned - gradient[y, j]
-            stack[2 * memory, y, j] = projected(turned, moved, low, high)
+            stack[slot, y, j] = (moved - x[y, j]) * root[y, j]
+            stack[memory + slot, y, j] = (turned - gradient[y, j]) / root[y, j]
+            stack[2 * memory, y, j] = projected(turned, moved, low, high) / root[y, j]
             x[y, j] = moved
             gradient[y, j] = turned
 
@@ -193,22 +205,29 @@ def _products_on_cpu_kernel(
 
 @wp.kernel
 def _products_on_gpu_kernel(state: State, stack: wp.array2d(dtype=float), sums_out: wp.array(dtype=wp.float64)):
-    """The same, of a part of the pixels for each block; sums are [row, part, which]."""
-    r, part, thread = wp.tid()
+    """The same, of two rows and a part of the pixels for each block; sums are [row, part, which]."""
+    pair, part, thread = wp.tid()
     memory = stack.shape[0] / 2
     slot = (state.newest[0] + 1) % memory
-    s = wp.float64(0.0)
-    d = wp.float64(0.0)
-    g = wp.float64(0.0)
+    upper = 2 * pair
+    lower = wp.min(upper + 1, stack.shape[0] - 1)
+    a = wp.vec3d()
+    b = wp.vec3d()
     for i in range(part * wp.block_dim() + thread, stack.shape[1], wp.static(_PARTS) * wp.block_dim()):
-        value = wp.float64(stack[r, i])
-        s = s + value * wp.float64(stack[slot, i])
-        d = d + value * wp.float64(stack[memory + slot, i])
-        g = g + value * wp.float64(stack[2 * memory, i])
-    first = (r * wp.static(_PARTS) + part) * 3
-    wp.tile_store(sums_out, wp.tile_sum(wp.tile(s)), offset=first)
-    wp.tile_store(sums_out, wp.tile_sum(wp.tile(d)), offset=first + 1)
-    wp.tile_store(sums_out, wp.tile_sum(wp.tile(g)), offset=first + 2)
+        with_these = wp.vec3d(
+            wp.float64(stack[slot, i]), wp.float64(stack[memory + slot, i]), wp.float64(stack[2 * memory, i])
+        )
+        a = a + wp.float64(stack[upper, i]) * with_these
+        b = b + wp.float64(stack[lower, i]) * with_these
+    first = (upper * wp.static(_PARTS) + part) * 3
+    wp.tile_store(sums_out, wp.tile_sum(wp.tile(a[0])), offset=first)
+    wp.tile_store(sums_out, wp.tile_sum(wp.tile(a[1])), offset=first + 1)
+    wp.tile_store(sums_out, wp.tile_sum(wp.tile(a[2])), offset=first + 2)
+    if lower > upper:
+        first = first + 3 * wp.static(_PARTS)
+        wp.tile_store(sums_out, wp.tile_sum(wp.tile(b[0])), offset=first)
+        wp.tile_store(sums_out, wp.tile_sum(wp.tile(b[1])), offset=first + 1)
+        wp.tile_store(sums_out, wp.tile_sum(wp.tile(b[2])), offset=first + 2)
 
 
 @wp.kernel
@@ -295,7 +314,7 @@ def _direction_by_one_thread_kernel(
 
 _DIRECTION = """
     // Lane r has coefficient r; sums over rows are sums over lanes.
-    __shared__ double g[32 * 32];
+    __shared__ double g[32 * 32], inverse[32];
     const int rows = products.shape[0], memory = rows / 2, last = rows - 1, parts = sums.shape[1] / 3;
     const bool mine = lane < rows;
     int newest = state.newest.data[0], pairs = state.pairs.data[0];
@@ -326,18 +345,20 @@ _DIRECTION = """
             pairs = min(pairs + 1, memory - 1);
         }
     }
+    if (lane < memory) inverse[lane] = 1.0 / g[lane * 32 + memory + lane];
+    __syncwarp();
     double c = lane == last ? -1.0 : 0.0, alpha = 0.0, slope = -g[last * 32 + last], step = 1.0;
     if (pairs > 0) {
         for (int k = 0; k < pairs; ++k) {
             const int p = (newest - k + memory) % memory;
-            const double along = total(mine ? c * g[p * 32 + lane] : 0.0) / g[p * 32 + memory + p];
+            const double along = total(mine ? c * g[p * 32 + lane] : 0.0) * inverse[p];
             if (lane == p) alpha = along;
             if (lane == memory + p) c -= along;
         }
         c *= g[newest * 32 + memory + newest] / g[(memory + newest) * 32 + memory + newest];
         for (int k = 0; k < pairs; ++k) {
             const int p = (newest - pairs + 1 + k + memory) % memory;
-            const double beta = total(mine ? c * g[(memory + p) * 32 + lane] : 0.0) / g[p * 32 + memory + p];
+            const double beta = total(mine ? c * g[(memory + p) * 32 + lane] : 0.0) * inverse[p];
             if (lane == p) c += alpha - beta;
         }
         slope = total(mine ? c * g[last * 32 + lane] : 0.0);
@@ -404,13 +425,14 @@ def _combine_kernel(
     stack: wp.array3d(dtype=float),
     coefficients: wp.array(dtype=wp.float64),
     x: wp.array2d(dtype=float),
+    root: wp.array2d(dtype=float),
     low: float,
     high: float,
     row: int,
     lanes: int,
     direction_out: wp.array2d(dtype=float),
 ):
-    """Σ coefficients[r] stack[r], 0 where the bounds stop it or hold the pixel."""
+    """Σ coefficients[r] stack[r] in the units of x, 0 where the bounds stop it or hold the pixel."""
     i = wp.tid()
     y = row + i / lanes
     lane = i % lanes
@@ -422,7 +444,7 @@ def _combine_kernel(
                 total = total + c * stack[r, y, j]
         at = x[y, j]
         stopped = (at <= low or at >= high) and stack[stack.shape[0] - 1, y, j] == 0.0
-        direction_out[y, j] = wp.where(stopped, 0.0, -projected(-total, at, low, high))
+        direction_out[y, j] = wp.where(stopped, 0.0, -projected(-total / root[y, j], at, low, high))
 
 
 class _Lbfgs:
@@ -441,7 +463,7 @@ class _Lbfgs:
         self.go_on, self._device = scalar(1.0, device), wp.get_device(device)
         self._bounds, self._first_step, self._flatness = bounds, first_step, flatness
         self._stack = wp.zeros((rows, *shape), dtype=float, device=device)
-        self._direction = wp.zeros(tuple(shape), dtype=float, device=device)
+        self._direction, self._root = (wp.zeros(tuple(shape), dtype=float, device=device) for _ in range(2))
         self._products = wp.zeros((rows, rows), dtype=wp.float64, device=device)
         self._sums = wp.zeros((rows, 3 if self._device.is_cpu else 3 * _PARTS), dtype=wp.float64, device=device)
         self._alpha = wp.zeros(slots, dtype=wp.float64, device=device)
@@ -454,9 +476,11 @@ class _Lbfgs:
         for name in ("accepted", "rejections", "judged", "newest", "pairs", "length", "flat"):
             setattr(self._state, name, wp.zeros(1, dtype=int, device=device))
 
-    def begin(self, x: Any, gradient: Any, value: Any) -> None:
+    def begin(self, x: Any, gradient: Any, value: Any, curvature: Any = None) -> None:
         wp.launch(_begin_kernel, 1, [self._state, value], [self._trace], device=self._device)
-        launch_rows(_project_kernel, [x, gradient, *self._bounds], self._stack[-1], light=True)
+        line = None if curvature is None else curvature.flatten()
+        wp.launch(_root_kernel, x.size, [line], [self._root.flatten()], device=self._device)
+        launch_rows(_project_kernel, [x, gradient, self._root, *self._bounds], self._stack[-1], light=True)
         self._turn(x, beginning=True)
 
     def propose(self, x: Any, trial_out: Any) -> None:
@@ -468,7 +492,7 @@ class _Lbfgs:
         wp.launch(_judge_kernel, 1, inputs, [value, self._trace], device=self._device)
 
     def learn(self, x: Any, gradient: Any, trial: Any, trial_gradient: Any) -> None:
-        inputs = [self._state, trial, trial_gradient, *self._bounds]
+        inputs = [self._state, trial, trial_gradient, self._root, *self._bounds]
         launch_rows(_advance_kernel, inputs, self._stack, x, gradient, light=True)
         self._turn(x, beginning=False)
 
@@ -488,7 +512,7 @@ class _Lbfgs:
             in_slices(device, stack.shape[0], some)
         else:
             flat = stack.reshape((stack.shape[0], -1))
-            dim = [stack.shape[0], _PARTS]
+            dim = [-(-stack.shape[0] // 2), _PARTS]
             outputs = [self._sums.flatten()]
             wp.launch_tiled(
                 _products_on_gpu_kernel, dim=dim, inputs=[state, flat], outputs=outputs, block_dim=_BLOCK, device=device
@@ -500,7 +524,7 @@ class _Lbfgs:
         else:
             outputs = [self._products, self._coefficients]
             wp.launch(_direction_by_one_warp_kernel, _WARP, inputs, outputs, device=device, block_dim=_WARP)
-        launch_rows(_combine_kernel, [stack, self._coefficients, x, *self._bounds], self._direction)
+        launch_rows(_combine_kernel, [stack, self._coefficients, x, self._root, *self._bounds], self._direction)
 
 
 def lbfgs(

@@ -94,7 +94,7 @@ def upload(values: Any, array_out: Any) -> None:
 
 
 def numpy(array: Any) -> NDArray[Any]:
-    values = np.array(array.numpy())
+    values = array.numpy() if array.device.is_cuda else np.array(array.numpy())  # from a GPU it is a copy
     return values if array.dtype is wp.float32 else values.reshape(*array.shape, array.dtype._length_)
 
 

@@ -10,7 +10,7 @@ import warp as wp
 from lfgpu.types import NlmWeights, half_window
 
 from .memory import pixel_type
-from .threads import in_slices, lanes, launch_rows, load, once
+from .threads import check_size, in_slices, lanes, launch_rows, load, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -285,11 +285,12 @@ def _launch_pixels(kernel: Any, inputs: list[Any], window: int, result_out: Any)
     (height, width), rows = result_out.shape, window // 2 + 1
     block = rows * _WARP
     dim = height * -(-width // _WARP) * block
+    check_size(dim)
     wp.launch(kernel, dim, inputs, [result_out], device=result_out.device, block_dim=block)
 
 
-# The sums of the ratio are native code like those of the operators. On a CPU a row goes in chunks, whose two sums lie
-# on the stack.
+# The sums of the ratio are native code like those of the operators. On a CPU a row goes in chunks, whose sums lie on
+# the stack.
 
 _RATIO_ROW = """
     constexpr int CHUNK = 128;

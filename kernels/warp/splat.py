@@ -6,12 +6,13 @@ from typing import Any
 
 import warp as wp
 
-from lfgpu.types import DataTerm
+from lfgpu.types import SplatDataTerm
 
+from .curvature import curvature, curvature_factor
 from .gpu_data_term import GpuDataTerm
 from .memory import pixel_type
 from .tent import tent, tent_slope
-from .threads import in_slices, lanes, launch_rows, load, once, slices
+from .threads import check_size, in_slices, lanes, launch_rows, load, once, slices
 
 
 @wp.struct
@@ -340,6 +341,7 @@ def seen_by_reference(disparity: Any, offsets: Any, known: Any, valid: Any, *, s
         mask = None if valid is None else valid[first:last]
         inputs = [disparity, pairs[first:last], known, mask, threads]
         dim = (last - first) * disparity.shape[0] * threads
+        check_size(dim)
         wp.launch(_seen_kernel, dim, inputs, [seen_out[first:last]], device=device)
 
     in_slices(device, seen_out.shape[0], some_views)
@@ -356,6 +358,7 @@ class _CpuDataTerm:
         self._gradients = wp.zeros((parts, height, width), dtype=float, device=offsets.device)
         self._squares = wp.zeros((n, height), dtype=float, device=offsets.device)
         self._pairs, self._scale, self._softness, self._channels = as_offsets(offsets), scale, softness, channels
+        self._curvature = curvature_factor(offsets)
 
     def load(self, image: Any, recorded: Any, valid: Any) -> None:
         self._image, self._recorded, self._valid = image, recorded, valid
@@ -384,7 +387,10 @@ class _CpuDataTerm:
         launch_rows(self._kernels.total, [self._gradients], gradient_out)
         value_out.numpy()[0] = self._squares.numpy().sum(dtype="float64")
 
+    def curvature(self, curvature_out: Any) -> None:
+        curvature(self._image, self._curvature, curvature_out)
 
-def data_term(shape: Sequence[int], offsets: Any, *, scale: float, softness: float) -> DataTerm:
+
+def data_term(shape: Sequence[int], offsets: Any, *, scale: float, softness: float) -> SplatDataTerm:
     kind = _CpuDataTerm if offsets.device.is_cpu else GpuDataTerm
     return kind(shape, offsets, scale, softness)

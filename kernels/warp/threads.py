@@ -12,10 +12,12 @@ from typing import Any, TypeVar
 
 import warp as wp
 
+from lfgpu.errors import BackendError
 from lfgpu.threads import get_threads
 
 _SLICES = 16
 _MANY = 2**18  # pixels: to cut light work on fewer of them takes longer than the work
+_MOST_THREADS = 2**31 - 1  # of a launch that counts them in 32 bits
 _LOCK = threading.RLock()
 
 Result = TypeVar("Result")
@@ -58,6 +60,7 @@ def launch_rows(kernel: Any, inputs: list[Any], *outputs: Any, light: bool = Fal
     on one thread of a CPU unless there are many pixels.
     """
     device, height, threads = outputs[0].device, outputs[0].shape[-2], lanes(outputs[0])
+    check_size(height * threads)
     load(device, kernel)
 
     def some_rows(_: int, first: int, last: int) -> None:
@@ -67,6 +70,15 @@ def launch_rows(kernel: Any, inputs: list[Any], *outputs: Any, light: bool = Fal
         some_rows(0, 0, height)
     else:
         in_slices(device, height, some_rows)
+
+
+def check_size(*threads: int) -> None:
+    """Raise BackendError if a launch would have more threads than its kernel can count."""
+    if max(threads) > _MOST_THREADS:
+        raise BackendError(
+            f"a kernel would need {max(threads)} threads (views x pixels), more than the 2^31 - 1 that it can count: "
+            "use fewer or smaller views."
+        )
 
 
 def lanes(array: Any) -> int:

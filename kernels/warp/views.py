@@ -6,16 +6,18 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from lfgpu.types import Normalization
 
 from .memory import pixel_type
-from .threads import in_slices, lanes, launch_rows, load, once, slices
+from .threads import check_size, in_slices, lanes, launch_rows, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
 _TRUNCATE = 2.5  # Gaussians end after as many standard deviations
 _LEAST_SHARE = 1e-6  # of a Gaussian that must lie on valid pixels
+_AT_ONCE = 4  # pixels
 _BATCH = 16  # views at a time on a GPU: what lies between two passes stays in its cache
 
 
@@ -86,8 +88,9 @@ def line_of_views(views: Any, line: Sequence[int], *, vertical: bool, epis_out: 
     launch_rows(kernels.line, [views, chosen, int(vertical)], epis_out)
 
 
-# The four passes of the normalisation are native code: Warp's own loops over neighbours take several times as long.
-# Each thread has every lanes-th pixel of a row, from `lane` on.
+# The four passes of the normalisation are native code, and the Gaussian is a part of it: Warp's own loops over
+# neighbours take several times as long. A thread has some pixels in line with the Gaussian at once, so that it reads
+# what lies under it once for all of them; of a row it has every lanes-th, from `lane` on.
 
 _MIRROR = """
     auto mirrored = [](int i, int size) {
@@ -96,8 +99,8 @@ _MIRROR = """
         if (i < 0) i += 2 * size;
         return i < size ? i : 2 * size - 1 - i;
     };
-    const int radius = weights.shape[0] / 2, taps = 2 * radius + 1;
-    const float* __restrict__ const w = weights.data;
+    constexpr float w[] = {GAUSSIAN};
+    constexpr int taps = sizeof(w) / sizeof(float), radius = taps / 2;
 """
 
 _ROWS = (
@@ -107,17 +110,23 @@ _ROWS = (
     const size_t row = ((size_t)n * height + y) * width;
     const auto* __restrict__ const in = views.data + row;
     const float* __restrict__ const mask = valid.data ? valid.data + row : nullptr;
-    for (int x = lane; x < width; x += lanes) {
-        const bool inner = x >= radius && x < width - radius;
-        float total[CHANNELS] = {}, share = 0.f;
-        for (int k = 0; k < taps; ++k) {
+    for (int x = AT_ONCE * lane; x < width; x += AT_ONCE * lanes) {
+        const bool inner = x >= radius && x + AT_ONCE <= width - radius;
+        float total[AT_ONCE][CHANNELS] = {}, share[AT_ONCE] = {};
+    #pragma unroll
+        for (int k = 0; k < taps + AT_ONCE - 1; ++k) {
             const int i = inner ? x + k - radius : mirrored(x + k - radius, width);
             if (mask && mask[i] == 0.f) continue;
-            for (int c = 0; c < CHANNELS; ++c) total[c] += w[k] * (float)in[i].c[c];
-            share += w[k];
+            for (int j = 0; j < AT_ONCE; ++j) {
+                if (k < j || k - j >= taps) continue;
+                for (int c = 0; c < CHANNELS; ++c) total[j][c] += w[k - j] * (float)in[i].c[c];
+                share[j] += w[k - j];
+            }
         }
-        for (int c = 0; c < CHANNELS; ++c) sums.data[row + x].c[c] = scale * total[c];
-        shares.data[row + x] = share;
+        for (int j = 0; j < AT_ONCE && x + j < width; ++j) {
+            for (int c = 0; c < CHANNELS; ++c) sums.data[row + x + j].c[c] = scale * total[j][c];
+            if (mask) shares.data[row + x + j] = share[j];
+        }
     }
 """
 )
@@ -126,23 +135,32 @@ _DETAIL = (
     _MIRROR
     + """
     const int height = views.shape[1], width = views.shape[2];
-    const size_t first = (size_t)n * height * width, row = first + (size_t)y * width;
-    const bool inner = y >= radius && y < height - radius;
+    const size_t first = (size_t)n * height * width;
+    const bool inner = y >= radius && y + AT_ONCE <= height - radius;
     for (int x = lane; x < width; x += lanes) {
-        float total[CHANNELS] = {}, share = 0.f, energy = 0.f;
-        for (int k = 0; k < taps; ++k) {
+        float total[AT_ONCE][CHANNELS] = {}, share[AT_ONCE] = {};
+    #pragma unroll
+        for (int k = 0; k < taps + AT_ONCE - 1; ++k) {
             const int i = inner ? y + k - radius : mirrored(y + k - radius, height);
             const size_t q = first + (size_t)i * width + x;
-            for (int c = 0; c < CHANNELS; ++c) total[c] += w[k] * sums.data[q].c[c];
-            share += w[k] * shares.data[q];
+            const float counts = valid.data ? shares.data[q] : 1.f;
+            for (int j = 0; j < AT_ONCE; ++j) {
+                if (k < j || k - j >= taps) continue;
+                for (int c = 0; c < CHANNELS; ++c) total[j][c] += w[k - j] * sums.data[q].c[c];
+                share[j] += w[k - j] * counts;
+            }
         }
-        for (int c = 0; c < CHANNELS; ++c) {
-            float value = scale * (float)views.data[row + x].c[c];
-            if (share > LEAST) value -= total[c] / share;
-            details.data[row + x].c[c] = value;
-            energy += value * value;
+        for (int j = 0; j < AT_ONCE && y + j < height; ++j) {
+            const size_t q = first + (size_t)(y + j) * width + x;
+            float energy = 0.f;
+            for (int c = 0; c < CHANNELS; ++c) {
+                float value = scale * (float)views.data[q].c[c];
+                if (share[j] > LEAST) value -= total[j][c] / share[j];
+                details.data[q].c[c] = value;
+                energy += value * value;
+            }
+            energies.data[q] = energy / CHANNELS;
         }
-        energies.data[row + x] = energy / CHANNELS;
     }
 """
 )
@@ -154,17 +172,23 @@ _ENERGY_ROWS = (
     const size_t row = ((size_t)n * height + y) * width;
     const float* __restrict__ const in = energies.data + row;
     const float* __restrict__ const mask = valid.data ? valid.data + row : nullptr;
-    for (int x = lane; x < width; x += lanes) {
-        const bool inner = x >= radius && x < width - radius;
-        float total = 0.f, share = 0.f;
-        for (int k = 0; k < taps; ++k) {
+    for (int x = AT_ONCE * lane; x < width; x += AT_ONCE * lanes) {
+        const bool inner = x >= radius && x + AT_ONCE <= width - radius;
+        float total[AT_ONCE] = {}, share[AT_ONCE] = {};
+    #pragma unroll
+        for (int k = 0; k < taps + AT_ONCE - 1; ++k) {
             const int i = inner ? x + k - radius : mirrored(x + k - radius, width);
             if (mask && mask[i] == 0.f) continue;
-            total += w[k] * in[i];
-            share += w[k];
+            for (int j = 0; j < AT_ONCE; ++j) {
+                if (k < j || k - j >= taps) continue;
+                total[j] += w[k - j] * in[i];
+                share[j] += w[k - j];
+            }
         }
-        sums.data[row + x] = total;
-        shares.data[row + x] = share;
+        for (int j = 0; j < AT_ONCE && x + j < width; ++j) {
+            sums.data[row + x + j] = total[j];
+            if (mask) shares.data[row + x + j] = share[j];
+        }
     }
 """
 )
@@ -173,33 +197,46 @@ _CONTRAST = (
     _MIRROR
     + """
     const int height = details.shape[1], width = details.shape[2];
-    const size_t first = (size_t)n * height * width, row = first + (size_t)y * width;
-    const bool inner = y >= radius && y < height - radius;
+    const size_t first = (size_t)n * height * width;
+    const bool inner = y >= radius && y + AT_ONCE <= height - radius;
     for (int x = lane; x < width; x += lanes) {
-        float total = 0.f, share = 0.f;
-        for (int k = 0; k < taps; ++k) {
+        float total[AT_ONCE] = {}, share[AT_ONCE] = {};
+    #pragma unroll
+        for (int k = 0; k < taps + AT_ONCE - 1; ++k) {
             const int i = inner ? y + k - radius : mirrored(y + k - radius, height);
             const size_t q = first + (size_t)i * width + x;
-            total += w[k] * sums.data[q];
-            share += w[k] * shares.data[q];
+            const float counts = valid.data ? shares.data[q] : 1.f;
+            for (int j = 0; j < AT_ONCE; ++j) {
+                if (k < j || k - j >= taps) continue;
+                total[j] += w[k - j] * sums.data[q];
+                share[j] += w[k - j] * counts;
+            }
         }
-        const float energy = share > LEAST ? total / share : 0.f;
-        const float contrast = sqrtf(energy + floor * floor);
-        for (int c = 0; c < CHANNELS; ++c) out.data[row + x].c[c] = (DETAIL)(details.data[row + x].c[c] / contrast);
+        for (int j = 0; j < AT_ONCE && y + j < height; ++j) {
+            const size_t q = first + (size_t)(y + j) * width + x;
+            const float energy = share[j] > LEAST ? total[j] / share[j] : 0.f;
+            const float contrast = sqrtf(energy + floor * floor);
+            for (int c = 0; c < CHANNELS; ++c) out.data[q].c[c] = (DETAIL)(details.data[q].c[c] / contrast);
+        }
     }
 """
 )
 
 
 @once
-def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNamespace:
+def _normalization_kernels(channels: int, stored: Any, detail: Any, sigma: float) -> SimpleNamespace:
     pixel, stored_pixel, detail_pixel = pixel_type(channels), pixel_type(channels, stored), pixel_type(channels, detail)
-    module = f"lfgpu_normalization_{channels}_{stored.__name__}_{detail.__name__}"
+    module = f"lfgpu_normalization_{channels}_{stored.__name__}_{detail.__name__}_{sigma!r}".replace(".", "_")
 
-    def code(text: str) -> str:
-        detail_name = "wp::half" if detail is wp.float16 else "float"
-        for name, value in (("CHANNELS", channels), ("LEAST", f"{_LEAST_SHARE}f"), ("DETAIL", detail_name)):
-            text = text.replace(name, str(value))
+    def code(text: str, sigma: float) -> str:
+        for name, value in (
+            ("CHANNELS", str(channels)),
+            ("AT_ONCE", str(_AT_ONCE)),
+            ("LEAST", f"{_LEAST_SHARE}f"),
+            ("DETAIL", "wp::half" if detail is wp.float16 else "float"),
+            ("GAUSSIAN", ", ".join(f"{weight:.9e}f" for weight in _gaussian(sigma))),
+        ):
+            text = text.replace(name, value)
         return text
 
     @wp.kernel(module=module, enable_backward=False)
@@ -217,11 +254,10 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNam
                 out[c] = detail(scale * float(stored_value[c]))
             detail_out[n, y, x] = out
 
-    @wp.func_native(code(_ROWS))
+    @wp.func_native(code(_ROWS, sigma))
     def add_row(
         views: wp.array3d(dtype=stored_pixel),
         valid: wp.array3d(dtype=float),
-        weights: wp.array(dtype=float),
         scale: float,
         n: int,
         y: int,
@@ -235,7 +271,6 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNam
     def rows_kernel(
         views: wp.array3d(dtype=stored_pixel),
         valid: wp.array3d(dtype=float),
-        weights: wp.array(dtype=float),
         scale: float,
         lanes: int,
         sums_out: wp.array3d(dtype=pixel),
@@ -246,14 +281,14 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNam
         lane = i % lanes
         n = i / lanes / views.shape[1]
         y = i / lanes - n * views.shape[1]
-        add_row(views, valid, weights, scale, n, y, lane, lanes, sums_out, shares_out)
+        add_row(views, valid, scale, n, y, lane, lanes, sums_out, shares_out)
 
-    @wp.func_native(code(_DETAIL))
+    @wp.func_native(code(_DETAIL, sigma))
     def subtract_mean(
         views: wp.array3d(dtype=stored_pixel),
         sums: wp.array3d(dtype=pixel),
         shares: wp.array3d(dtype=float),
-        weights: wp.array(dtype=float),
+        valid: wp.array3d(dtype=float),
         scale: float,
         n: int,
         y: int,
@@ -268,7 +303,7 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNam
         views: wp.array3d(dtype=stored_pixel),
         sums: wp.array3d(dtype=pixel),
         shares: wp.array3d(dtype=float),
-        weights: wp.array(dtype=float),
+        valid: wp.array3d(dtype=float),
         scale: float,
         lanes: int,
         details_out: wp.array3d(dtype=pixel),
@@ -277,15 +312,15 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNam
         """Gaussian sums down the columns; what the mean leaves, and its mean square over the channels."""
         i = wp.tid()
         lane = i % lanes
-        n = i / lanes / views.shape[1]
-        y = i / lanes - n * views.shape[1]
-        subtract_mean(views, sums, shares, weights, scale, n, y, lane, lanes, details_out, energies_out)
+        down = (views.shape[1] + wp.static(_AT_ONCE - 1)) / wp.static(_AT_ONCE)
+        n = i / lanes / down
+        y = (i / lanes - n * down) * wp.static(_AT_ONCE)
+        subtract_mean(views, sums, shares, valid, scale, n, y, lane, lanes, details_out, energies_out)
 
-    @wp.func_native(code(_ENERGY_ROWS))
+    @wp.func_native(code(_ENERGY_ROWS, 2 * sigma))
     def add_energy_row(
         energies: wp.array3d(dtype=float),
         valid: wp.array3d(dtype=float),
-        weights: wp.array(dtype=float),
         n: int,
         y: int,
         lane: int,
@@ -298,7 +333,6 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNam
     def energy_rows_kernel(
         energies: wp.array3d(dtype=float),
         valid: wp.array3d(dtype=float),
-        weights: wp.array(dtype=float),
         lanes: int,
         sums_out: wp.array3d(dtype=float),
         shares_out: wp.array3d(dtype=float),
@@ -307,14 +341,14 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNam
         lane = i % lanes
         n = i / lanes / energies.shape[1]
         y = i / lanes - n * energies.shape[1]
-        add_energy_row(energies, valid, weights, n, y, lane, lanes, sums_out, shares_out)
+        add_energy_row(energies, valid, n, y, lane, lanes, sums_out, shares_out)
 
-    @wp.func_native(code(_CONTRAST))
+    @wp.func_native(code(_CONTRAST, 2 * sigma))
     def divide_by_contrast(
         details: wp.array3d(dtype=pixel),
         sums: wp.array3d(dtype=float),
         shares: wp.array3d(dtype=float),
-        weights: wp.array(dtype=float),
+        valid: wp.array3d(dtype=float),
         floor: float,
         n: int,
         y: int,
@@ -328,7 +362,7 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNam
         details: wp.array3d(dtype=pixel),
         sums: wp.array3d(dtype=float),
         shares: wp.array3d(dtype=float),
-        weights: wp.array(dtype=float),
+        valid: wp.array3d(dtype=float),
         floor: float,
         lanes: int,
         detail_out: wp.array3d(dtype=detail_pixel),
@@ -336,9 +370,10 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNam
         """Detail in units of its contrast."""
         i = wp.tid()
         lane = i % lanes
-        n = i / lanes / details.shape[1]
-        y = i / lanes - n * details.shape[1]
-        divide_by_contrast(details, sums, shares, weights, floor, n, y, lane, lanes, detail_out)
+        down = (details.shape[1] + wp.static(_AT_ONCE - 1)) / wp.static(_AT_ONCE)
+        n = i / lanes / down
+        y = (i / lanes - n * down) * wp.static(_AT_ONCE)
+        divide_by_contrast(details, sums, shares, valid, floor, n, y, lane, lanes, detail_out)
 
     return SimpleNamespace(
         scale=scale_kernel,
@@ -349,10 +384,10 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any) -> SimpleNam
     )
 
 
-def _gaussian(sigma: float, device: Any) -> Any:
+def _gaussian(sigma: float) -> NDArray[np.float64]:
     radius = int(_TRUNCATE * sigma + 0.5)
-    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
-    return wp.array((weights / weights.sum()).astype(np.float32), dtype=float, device=device)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / max(sigma, 1e-9)) ** 2)
+    return np.asarray(weights / weights.sum())
 
 
 def normalization(shape: Sequence[int], device: str, *, scale: float, sigma: float, floor: float) -> Normalization:
@@ -360,7 +395,6 @@ def normalization(shape: Sequence[int], device: str, *, scale: float, sigma: flo
     batch = 1 if place.is_cpu else _BATCH
     size = (batch, height, width)
     if sigma > 0:
-        narrow, wide = _gaussian(sigma, place), _gaussian(2 * sigma, place)
         pixel = pixel_type(channels)
         room = [
             (
@@ -371,26 +405,39 @@ def normalization(shape: Sequence[int], device: str, *, scale: float, sigma: flo
         ]
 
     def normalize(views: Any, valid: Any, detail_out: Any) -> None:
-        kernels = _normalization_kernels(channels, views.dtype._wp_scalar_type_, detail_out.dtype._wp_scalar_type_)
+        kernels = _normalization_kernels(
+            channels, views.dtype._wp_scalar_type_, detail_out.dtype._wp_scalar_type_, sigma
+        )
         threads = lanes(views)
         load(place, kernels.scale)
 
-        def launch(kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
-            wp.launch(kernel, count * height * threads, [*inputs, threads], outputs, device=place)
+        across, down = -(-threads // _AT_ONCE), -(-height // _AT_ONCE)
+
+        def launch(kernel: Any, rows: int, columns: int, inputs: list[Any], outputs: list[Any]) -> None:
+            check_size(rows * columns)
+            wp.launch(kernel, rows * columns, [*inputs, columns], outputs, device=place)
 
         def some_views(k: int, first: int, last: int) -> None:
             if sigma == 0:
-                launch(kernels.scale, last - first, [views[first:last], scale], [detail_out[first:last]])
+                launch(
+                    kernels.scale,
+                    (last - first) * height,
+                    threads,
+                    [views[first:last], scale],
+                    [detail_out[first:last]],
+                )
                 return
             sums, details, shares, energy, energy_sums = room[k]
             for start in range(first, last, batch):
                 end = min(start + batch, last)
                 some, mask = views[start:end], None if valid is None else valid[start:end]
-                launch(kernels.rows, end - start, [some, mask, narrow, scale], [sums, shares])
-                launch(kernels.detail, end - start, [some, sums, shares, narrow, scale], [details, energy])
-                launch(kernels.energy_rows, end - start, [energy, mask, wide], [energy_sums, shares])
-                inputs = [details, energy_sums, shares, wide, floor]
-                launch(kernels.contrast, end - start, inputs, [detail_out[start:end]])
+                launch(kernels.rows, (end - start) * height, across, [some, mask, scale], [sums, shares])
+                launch(
+                    kernels.detail, (end - start) * down, threads, [some, sums, shares, mask, scale], [details, energy]
+                )
+                launch(kernels.energy_rows, (end - start) * height, across, [energy, mask], [energy_sums, shares])
+                inputs = [details, energy_sums, shares, mask, floor]
+                launch(kernels.contrast, (end - start) * down, threads, inputs, [detail_out[start:end]])
 
         in_slices(place, n, some_views)
 

@@ -21,8 +21,15 @@ Progress = Callable[[str, int, float], None]
 
 _LABELS = 13  # characters, so that the lines of several calls stand in line
 _NARROWEST = 100  # columns where the output goes to a file: nobody wraps it there
-_WHAT = {"local": "local estimate", "propagate": "propagation", "refine": "refinement"}
-_VALUE = {"propagate": "residual", "refine": "energy"}
+_WHAT = {
+    "local": "local estimate",
+    "propagate": "propagation",
+    "refine": "refinement",
+    "sweep": "plane sweep",
+    "match": "matching",
+    "align": "alignment",
+}
+_VALUE = {"propagate": "residual", "refine": "energy", "align": "step"}
 
 
 def output() -> Console:
@@ -90,7 +97,11 @@ def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
     from rich.progress import Progress as Display
 
     console = Console(stderr=True, highlight=False, markup=False)
-    limits = {"propagate": config.propagation.max_iterations, "refine": config.refinement.max_iterations}
+    limits = {
+        "propagate": config.propagation.max_iterations,
+        "refine": config.refinement.max_iterations,
+        "align": config.alignment.iterations,
+    }
     columns = (
         SpinnerColumn("line"),
         TextColumn("{task.description:<16}", markup=False),
@@ -106,7 +117,7 @@ def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
                 for done in tasks.values():
                     display.update(done, total=1, completed=1)
                 tasks[stage] = display.add_task(_WHAT.get(stage, stage), total=limits.get(stage), state="")
-            state = f"iteration {iteration}, {_VALUE[stage]} {value:.6g}" if stage in _VALUE else ""
+            state = f"iteration {iteration}, {_VALUE[stage]} {value:.6g}" if iteration > 0 else ""
             display.update(tasks[stage], completed=iteration, state=state)
 
         yield show

@@ -26,6 +26,7 @@ class Estimation:
     disparity_range: tuple[float, float] | None = None
     backend: str = DEFAULT
     device: str | None = None
+    deterministic: bool = False
 
     def check_device(self) -> None:
         """BackendError if the backend or the device is not there."""
@@ -45,6 +46,7 @@ class Estimation:
                 disparity_range=self.disparity_range,
                 backend=self.backend,
                 device=self.device,
+                deterministic=self.deterministic,
                 on_progress=on_progress,
             )
 
@@ -71,6 +73,10 @@ def depth(
         str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the best there is")
     ] = None,
     threads: Threads = None,
+    deterministic: Annotated[
+        bool,
+        typer.Option("--deterministic", help="Refuse backends whose maps differ from run to run by their last bits."),
+    ] = False,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
@@ -96,6 +102,7 @@ def depth(
         None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
         backend,
         device,
+        deterministic,
     )
     place = None if reference_view is None else values.parse_place("--reference-view", reference_view)
     values.check_pattern("--views", pattern)

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from lfgpu.solvers.solution import Solution
 from lfgpu.types import Array, KernelSet, Scalar
 
-_MEMORY = 10  # pairs, as in scipy's L-BFGS-B
-_FIRST_STEP = 0.02  # root mean square of the first step, pixels per view step
+_MEMORY = 7  # pairs: ten, as in scipy's L-BFGS-B, save no iteration where the curvature is known
+_FIRST_STEP = 0.04  # root mean square of the first step, pixels per view step where the curvature is its mean
 PATIENCE = 5  # iterations over which a decrease is judged: a single short step says little
 
 Energy = Callable[[Array, Array, Scalar], None]
@@ -20,7 +20,8 @@ class BoundedLbfgs:
 
     Each iteration tries a step along the direction of the two-loop recursion, moved into the bounds. A trial that
     lowers the value enough (Armijo) is accepted, and its step and change of gradient are remembered; after one that
-    does not the step is shortened. Pixels that a bound stops are left out of the direction.
+    does not the step is shortened. Pixels that a bound stops are left out of the direction. The recursion begins from
+    the curvature that each pixel is known to have, if it is.
 
     Parameters
     ----------
@@ -61,16 +62,24 @@ class BoundedLbfgs:
             most=max_iterations,
         )
 
-    def minimize(self, energy: Energy, x: Array, callback: Callable[[int, float], None] | None = None) -> None:
+    def minimize(
+        self,
+        energy: Energy,
+        x: Array,
+        callback: Callable[[int, float], None] | None = None,
+        *,
+        curvature: Array | None = None,
+    ) -> None:
         """Improve `x`, a field [y, x], which is moved into the bounds first.
 
-        `callback` is called as callback(iteration, value); it waits for the device.
+        `callback` is called as callback(iteration, value); it waits for the device. `curvature` [y, x] > 0 is about the
+        second derivative by each pixel, up to a factor: the nearer, the fewer iterations. None: the same for all.
         """
         memory, value, trial_value = self._memory, self._value, self._trial_value
         gradient, trial, trial_gradient = self._gradient, self._trial, self._trial_gradient
         self._kernels.clamp(x, *self._bounds, x)
         energy(x, gradient, value)
-        memory.begin(x, gradient, value)
+        memory.begin(x, gradient, value, curvature)
 
         told = 0
 

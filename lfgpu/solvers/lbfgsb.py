@@ -33,8 +33,15 @@ class ScipyLbfgsb:
         self._gradient, self._value = kernels.zeros(shape, device), kernels.scalar(0.0, device)
         self._solution: Solution | None = None
 
-    def minimize(self, energy: Energy, x: Array, callback: Callable[[int, float], None] | None = None) -> None:
-        """Improve `x`, a field [y, x]; `callback` is called as callback(iteration, value)."""
+    def minimize(
+        self,
+        energy: Energy,
+        x: Array,
+        callback: Callable[[int, float], None] | None = None,
+        *,
+        curvature: Array | None = None,
+    ) -> None:
+        """Improve `x`, a field [y, x]; `callback` is called as callback(iteration, value). `curvature` has no use."""
         kernels = self._kernels
 
         def value_and_gradient(values: Float64Array) -> tuple[float, Float64Array]:

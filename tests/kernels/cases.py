@@ -448,6 +448,8 @@ class LbfgsCase:
     flat: float = 1e-9
     patience: int = 3
     most: int = 50
+    curvature: bool = False
+    """Whether the solver is told one for each pixel."""
     tolerance: float = 1e-4
 
     def __str__(self) -> str:
@@ -476,6 +478,8 @@ LBFGS_CASES = (
     LbfgsCase("one pixel", size=(1, 1), function="waves", values=4),
     LbfgsCase("waves", function="waves", bounds=(-3.0, 3.0), values=10),
     LbfgsCase("work for several threads", size=(61, 53), function="waves", bounds=(-3.0, 3.0)),
+    LbfgsCase("curvature", curvature=True),
+    LbfgsCase("curvature and bounds everywhere", bounds=(-0.0625, 0.0625), curvature=True),
 )
 
 
@@ -505,8 +509,11 @@ def lbfgs_inputs(case: LbfgsCase, rng: np.random.Generator) -> SimpleNamespace:
         "patience": case.patience,
         "most": case.most,
     }
-    first = _trial(function, start)
-    return SimpleNamespace(first=first, trials=_trials(case, function, first, options), options=options)
+    first, curvature = _trial(function, start), None
+    if case.curvature:
+        curvature = 4.0 ** rng.integers(-2, 3, case.size)
+    trials = _trials(case, function, first, options, curvature)
+    return SimpleNamespace(first=first, curvature=curvature, trials=trials, options=options)
 
 
 Function = Callable[[NDArray[np.float64]], tuple[float, NDArray[np.float64]]]
@@ -567,11 +574,17 @@ def _trial(function: Function, x: NDArray[np.float64]) -> Trial:
     return Trial(x, _float32(gradient), value)
 
 
-def _trials(case: LbfgsCase, function: Function, first: Trial, options: dict[str, Any]) -> list[Trial]:
+def _trials(
+    case: LbfgsCase,
+    function: Function,
+    first: Trial,
+    options: dict[str, Any],
+    curvature: NDArray[np.float64] | None,
+) -> list[Trial]:
     solver = load("reference").lbfgs(case.size, "cpu", **options)
     x, gradient = first.x.astype(np.float64), first.gradient.astype(np.float64)
     value, proposed = np.array([first.value]), np.empty(case.size)
-    solver.begin(x, gradient, value)
+    solver.begin(x, gradient, value, curvature)
     trials: list[Trial] = []
     while solver.go_on[0] and len(trials) < case.values:
         solver.propose(x, proposed)

@@ -136,7 +136,9 @@ def data_term(desk: Desk, i: SimpleNamespace) -> Outputs:
     plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
     plan(desk.field(i.disparity[::-1, ::-1]), gradient, value)
     plan(desk.field(i.disparity), gradient, value)
-    return {"value": desk.kernels.number(value), "gradient": gradient}
+    curvature = desk.out(i.disparity.shape)
+    plan.curvature(curvature)
+    return {"value": desk.kernels.number(value), "gradient": gradient, "curvature": curvature}
 
 
 def seen_by_reference(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -372,7 +374,7 @@ def lbfgs(desk: Desk, i: SimpleNamespace) -> Outputs:
     plan = kernels.lbfgs(shape, desk.device, **i.options)
     _one_step(desk, plan, i)
     x, gradient, value = desk.held(i.first.x), desk.held(i.first.gradient), desk.number_out(i.first.value)
-    plan.begin(x, gradient, value)
+    plan.begin(x, gradient, value, None if i.curvature is None else desk.field(i.curvature))
     out: Outputs = {"values": [], "go on": [kernels.number(plan.go_on)]}
     for k, told in enumerate(i.trials):
         out |= {
@@ -396,7 +398,7 @@ def _one_step(desk: Desk, plan: Any, i: SimpleNamespace) -> None:
     start = np.full(i.first.x.shape, (i.options["low"] + i.options["high"]) / 2 + 0.125)
     x, gradient, trial = desk.held(start), desk.held(2 * start), desk.out(start.shape)
     value, lower, higher = desk.number_out(9.0), desk.number(-1e6), desk.number(1e6)
-    plan.begin(x, gradient, value)
+    plan.begin(x, gradient, value, desk.field(np.full(start.shape, 3.0)))
     for told in (lower, higher):
         plan.propose(x, trial)
         plan.judge(value, told)
@@ -636,7 +638,7 @@ def check_masked_view_is_a_missing_view(
     masked = SimpleNamespace(**{**vars(i), "valid": valid})
     missing = SimpleNamespace(**{**vars(i), "recorded": i.recorded[1:], "offsets": i.offsets[1:], "valid": None})
     got, want = (compute(kernels, device, operation, inputs) for inputs in (masked, missing))
-    for name in want:
+    for name in ("value", "gradient"):
         assert largest_error(got[name], want[name]) <= adjoint_tolerance(kernels), f"a masked view changes the {name}"
 
 
@@ -645,8 +647,9 @@ def check_nothing_valid_is_nothing_at_all(
 ) -> None:
     """Where no recorded pixel is valid, there is nothing to differ from: value and gradient are 0."""
     hidden = SimpleNamespace(**{**vars(i), "valid": np.zeros_like(i.valid)})
-    for name, output in compute(kernels, device, operation, hidden).items():
-        assert not output.any(), f"without a valid pixel the {name} is not 0"
+    outputs = compute(kernels, device, operation, hidden)
+    for name in ("value", "gradient"):
+        assert not outputs[name].any(), f"without a valid pixel the {name} is not 0"
 
 
 def check_dot_in_double(kernels: KernelSet, device: str) -> None:

@@ -299,7 +299,20 @@ def method(name: str, broken: Callable[[Callable[..., Any]], Callable[..., Any]]
 
 def called(plan: Any, wrong: Callable[..., Any]) -> Any:
     """The plan with another call, and its other methods."""
-    return type("Wrong", (), {"__call__": staticmethod(wrong), "load": staticmethod(getattr(plan, "load", None))})()
+    others = {name: staticmethod(getattr(plan, name, None)) for name in ("load", "curvature")}
+    return type("Wrong", (), {"__call__": staticmethod(wrong), **others})()
+
+
+def half_curvature(right: Callable[..., Any]) -> Callable[..., Any]:
+    def wrong(curvature_out: Any) -> None:
+        right(curvature_out)
+        curvature_out *= 0.5
+
+    return wrong
+
+
+def without_curvature(right: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda *state: right(*state[:3])
 
 
 def half_gradient(plan: Any) -> Any:
@@ -624,6 +637,7 @@ FAULTS = (
     Fault("mirrored", "splat_vjp", after(mirrored, "gradient_out"), value_of("splat_vjp")),
     # the data term
     Fault("factor 2 of the gradient missing", "data_term", planned(half_gradient), value_of("data_term")),
+    Fault("factor 2 of the curvature missing", "data_term", method("curvature", half_curvature), value_of("data_term")),
     Fault("remembers", "data_term", planned(remembering), value_of("data_term")),
     Fault("scale ignored", "data_term", option("scale", lambda _: 1.0), value_of("data_term")),
     Fault("mask ignored", "data_term", NO_MASK, value_of("data_term")),
@@ -842,6 +856,7 @@ FAULTS = (
     Fault("larger", "residuals", adding(1e-3), value_of("residuals")),
     Fault("memory of one pair", "lbfgs", option("memory", lambda _: 1), value_of("lbfgs")),
     Fault("begins with old pairs", "lbfgs", method("begin", keeping_pairs), value_of("lbfgs")),
+    Fault("curvature ignored", "lbfgs", method("begin", without_curvature), way_of(curvature=True)),
     Fault("no bound", "lbfgs", option("low", lambda _: -99.0), value_of("lbfgs")),
     Fault("no bound of trials", "lbfgs", method("propose", outside), value_of("lbfgs")),
     Fault("held pixels move", "lbfgs", method("learn", moving_inwards), value_of("lbfgs")),
@@ -879,7 +894,7 @@ def test_reference_passes_every_check_that_catches_faults(rng: np.random.Generat
 
 def test_every_operation_has_a_fault_that_its_check_catches() -> None:
     broken = {fault.operation for fault in FAULTS}
-    elsewhere = {"name", "dtype", "devices"}
+    elsewhere = {"name", "dtype", "devices", "is_deterministic"}
     elsewhere |= {str(operation) for operation in (*occlusion_checks.OPERATIONS, *alignment_checks.OPERATIONS)}
     assert broken == {name for name in vars(KernelSet) if not name.startswith("_")} - elsewhere
 

@@ -17,6 +17,7 @@ import occlusion_checks
 import pytest
 
 import lfgpu
+from lfgpu.errors import BackendError
 
 wp = pytest.importorskip("warp")
 
@@ -124,3 +125,11 @@ def test_once_runs_a_function_once_however_many_threads_ask() -> None:
     for thread in asking:
         thread.join()
     assert calls == [3]
+
+
+def test_launches_that_cannot_be_counted_are_refused() -> None:
+    from lfgpu.kernels.warp.threads import check_size
+
+    check_size(2**31 - 1)
+    with pytest.raises(BackendError, match=r"2147483648 threads .* use fewer or smaller views"):
+        check_size(5, 2**31)

@@ -1,0 +1,35 @@
+"""Cost volumes [l, y, x], one slice for each disparity: averages of like pixels, and the least. NumPy, float64.
+
+Only what is alike is averaged: the weights are those of the non-local-means prior, with 1 for the pixel itself.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.types import half_window
+
+from .nlm import nlm_neighbors, overlap
+
+Array = NDArray[np.float64]
+
+LEAST_BEND = 1e-9  # of a parabola that has a minimum
+
+
+def nlm_average(weights: Array, volume: Array, *, window: int, average_out: Array) -> None:
+    total = np.ones(volume.shape[1:])
+    for w, (dy, dx) in zip(weights, half_window(window), strict=True):
+        here, there = overlap(total.shape, dy, dx)
+        total[here] += w[here]
+        total[there] += w[here]
+    for costs, average in zip(volume, average_out, strict=True):
+        nlm_neighbors(weights, costs, window=window, sums_out=average)
+        average /= total
+
+
+def lowest(volume: Array, *, first: float, step: float, disparity_out: Array) -> None:
+    k = volume.argmin(0).clip(1, len(volume) - 2)
+    before, here, after = (np.take_along_axis(volume, (k + near)[None], 0)[0] for near in (-1, 0, 1))
+    bend = before - 2 * here + after
+    bends = bend > LEAST_BEND
+    t = np.where(bends, (before - after) / (2 * np.where(bends, bend, 1.0)), 0.0).clip(-1, 1)
+    disparity_out[:] = first + step * (k + t)

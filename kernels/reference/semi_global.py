@@ -1,0 +1,39 @@
+"""Semi-global matching: NumPy, float64, one direction after the other and of each one line of pixels at a time.
+
+Hirschmüller, Stereo Processing by Semiglobal Matching and Mutual Information, PAMI 2008: a path to a pixel costs what
+its pixels cost, and more where the disparity changes on the way. The least cost of a path is found from that to the
+pixel before it; without the least of these, which is the same for all disparities, the numbers do not grow.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LEAST_SMALL = 0.2  # what an edge in the image leaves of the cost of a change by one
+LEAST_LARGE = 1.2  # of the cost of a larger change, relative to `small`
+
+
+def semi_global(volume: Array, image: Array, *, small: float, large: float, contrast: float, sum_out: Array) -> None:
+    def path_costs(volume: Array, image: Array, dx: int) -> Array:
+        """Of paths that go down a row and `dx` columns to the right with each pixel."""
+        costs = volume.copy()
+        width = volume.shape[2]
+        here, there = slice(max(dx, 0), width + min(dx, 0)), slice(max(-dx, 0), width + min(-dx, 0))
+        for y in range(1, volume.shape[1]):
+            likeness = np.exp(-np.abs(image[y, here] - image[y - 1, there]).mean(1) / contrast)
+            s = small * np.maximum(likeness, LEAST_SMALL)
+            t = np.maximum(large * likeness, LEAST_LARGE * small)
+            before = costs[:, y - 1, there]
+            least = before.min(0)
+            framed = np.pad(before, ((1, 1), (0, 0)), constant_values=np.inf)
+            change = np.minimum(np.minimum(framed[:-2], framed[2:]) + s, least + t)
+            costs[:, y, here] += np.minimum(before, change) - least
+        return costs
+
+    sum_out[:] = 0
+    for turn in (1, -1):
+        for dx in (-1, 0, 1):
+            sum_out[:, ::turn] += path_costs(volume[:, ::turn], image[::turn], dx)
+        along = path_costs(volume.transpose(0, 2, 1)[:, ::turn], image.transpose(1, 0, 2)[::turn], 0)
+        sum_out[:, :, ::turn] += along.transpose(0, 2, 1)

@@ -1,0 +1,243 @@
+"""Matching: what every pixel of the reference view looks most like in the other views, with occlusions.
+
+Three stages. `sweep` compares the views with the reference at a row of disparities, by apertures that see past
+occluders, and finds the best surface through these costs. `match` compares again, now only with views that see a pixel
+past the surface that has been found. `align` leaves the row of disparities behind: Gauss-Newton steps on what the views
+that see a pixel have in common, taken together over pixels that look alike and lie on one surface.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lfgpu.config import Config, SweepConfig
+from lfgpu.errors import LightFieldError
+from lfgpu.lightfield import LightField
+from lfgpu.method import Callback, Stage
+from lfgpu.prior import UNLIKE_ANY, NonLocalMeans
+from lfgpu.solvers.solution import Solution
+from lfgpu.types import Array, Float32Array, Float64Array, KernelSet
+
+_DIRECTIONS = 8  # of the half planes of views
+_STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
+
+_FEWEST = 4  # views beside the reference that a pattern must have
+_ON_LINE = 1e-3  # view steps
+_CONVERGED = 0.02  # pixels per view step, rms of the last step
+
+
+class Matching:
+    """The method of the presets "accurate" and "fast" for light fields of one kind.
+
+    Parameters
+    ----------
+    lf
+        A light field of that kind: its cameras, size, stored type, masks and reference view count, its views do not.
+    bounds
+        (low, high) of the disparities, pixels per view step.
+    config
+        `prior`, `sweep`, `matching` and `alignment` count.
+    kernels, device
+        Where it is done; it takes two volumes of one float a pixel and disparity, and what the kernels keep.
+
+    Raises
+    ------
+    LightFieldError
+        If there is no second view.
+    """
+
+    decided = "align"
+
+    def __init__(
+        self, lf: LightField, bounds: tuple[float, float], config: Config, kernels: KernelSet, device: str
+    ) -> None:
+        if len(lf.views) < 2:
+            raise LightFieldError(f"{lf.name}: there is one view only; depth needs a second one.")
+        self._kernels, self._bounds, self._config = kernels, bounds, config
+        self._twice = config.sweep.occlusions == "twice"
+        self._used, self._chosen = used_views(lf, config.sweep.views), None
+        if len(self._used) < len(lf.views):
+            lf = lf.subset(self._used)
+            self._chosen = kernels.zeros_image(lf.views.shape, device, lf.views.dtype)
+        self._reference, self._scale = lf.reference_index, lf.scale
+        shape, image = (len(lf.views), *lf.size, lf.channels), (*lf.size, lf.channels)
+        self._offsets = kernels.field(lf.offsets, device)
+        self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
+        self._image = kernels.zeros_image(image, device)
+        self._prior = NonLocalMeans(image, config.prior, kernels, device)
+        self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
+        self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
+        self._nearest = kernels.zeros(shape[:3], device)
+        self._sweep = kernels.plane_sweep(
+            shape,
+            self._offsets,
+            kernels.field(apertures(lf.offsets), device),
+            first=self._first,
+            step=self._step,
+            count=count,
+            scale=lf.scale,
+            truncation=config.sweep.truncation,
+            gradient_weight=config.sweep.gradient_weight,
+            gradient_truncation=config.sweep.gradient_truncation,
+            preference=config.sweep.preference,
+            tolerance=config.sweep.tolerance,
+            least=config.sweep.least_views,
+        )
+        self._hiding = kernels.nearest_surface(shape, self._offsets, reach=0)
+        self._hiding_beside = kernels.nearest_surface(shape, self._offsets, reach=1)
+        self._align = kernels.alignment(
+            shape,
+            self._offsets,
+            scale=lf.scale,
+            gradient_weight=config.alignment.gradient_weight,
+            robust=config.alignment.robust,
+            tolerance=config.sweep.tolerance,
+        )
+        self._swept, self._matched, self.disparity, self.confidence = (kernels.zeros(lf.size, device) for _ in range(4))
+        """`disparity` and `confidence` are the results, fields [y, x]."""
+        self._curvature, self._slope, self._certainty, self._room = (kernels.zeros(lf.size, device) for _ in range(4))
+        self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
+        self._trust, self._size = kernels.scalar(0.0, device), lf.size
+
+    def stages(self, views: Array) -> dict[str, Stage]:
+        """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
+        match: dict[str, Stage] = {"match": self._compare_seen} if self._twice else {}
+        return {"sweep": lambda _: self._compare(views), **match, "align": self._improve}
+
+    def check(self, name: str) -> None:
+        """LightFieldError, with the light field's name, if nothing came of the last run; waits for the device."""
+        if not self._kernels.number(self._trust) > 0:
+            raise LightFieldError(
+                f"{name}: no pixel shows anything that other views show as well: the views have no texture, are "
+                "masked, or the disparity range is wrong; give another one."
+            )
+
+    def is_finite(self) -> bool:
+        """Whether the last run met finite numbers only; waits for the device."""
+        return bool(np.isfinite(self._kernels.number(self._moves[0])))
+
+    def maps(self) -> dict[str, Float32Array]:
+        """The map after each stage, float32 [y, x]; waits for the device."""
+        matched = {"matched": self._matched} if self._twice else {}
+        kept = {"swept": self._swept, **matched, "aligned": self.disparity}
+        return {name: self._kernels.numpy(field).astype(np.float32) for name, field in kept.items()}
+
+    def solution(self) -> Solution:
+        """How the alignment went: its trace is the root mean square step of each iteration, in pixels per view step."""
+        height, width = self._size
+        trace = tuple(math.sqrt(self._kernels.number(move) / (height * width)) for move in self._moves)
+        return Solution(
+            converged=trace[-1] <= _CONVERGED,
+            status=f"Alignment: {len(trace)} iterations, the last one moved pixels by {trace[-1]:.2g} px (rms).",
+            iterations=len(trace),
+            evaluations=len(trace),
+            trace=trace,
+        )
+
+    def _compare(self, views: Array) -> None:
+        kernels = self._kernels
+        if self._chosen is not None:
+            kernels.line_of_views(views, self._used, vertical=False, epis_out=self._chosen)
+            views = self._chosen
+        kernels.intensities(
+            views, self._reference, self._valid, scale=self._scale, fill=UNLIKE_ANY, image_out=self._image
+        )
+        self._prior.load(self._image)
+        self._sweep.load(self._image, views, self._valid)
+        self._align.load(self._image, views, self._valid)
+        self._sweep.apertures(self._volume)
+        self._find_surface(self._swept)
+
+    def _compare_seen(self, _: Callback | None) -> None:
+        self._hiding(self._swept, self._nearest)
+        self._sweep.seen(self._nearest, self._volume)
+        self._find_surface(self._matched)
+
+    def _find_surface(self, disparity_out: Array) -> None:
+        """From costs to the map of the best surface through them; both volumes change."""
+        matching = self._config.matching
+        self._prior.average(self._volume, self._smooth)
+        self._kernels.semi_global(
+            self._smooth,
+            self._image,
+            small=matching.small_step,
+            large=matching.large_step,
+            contrast=matching.contrast,
+            sum_out=self._volume,
+        )
+        self._kernels.lowest(self._volume, first=self._first, step=self._step, disparity_out=disparity_out)
+
+    def _improve(self, callback: Callback | None) -> None:
+        """Gauss-Newton steps on the sums over each pixel's surface around it, and then its mean."""
+        kernels, config, map_, room = self._kernels, self._config.alignment, self.disparity, self._room
+        noise = config.robust**2
+        kernels.copy(self._matched if self._twice else self._swept, map_)
+        for iteration, moved in enumerate(self._moves, 1):
+            # Beside an edge in another view, what is seen there is mixed with what is nearer: one pixel is left out.
+            self._hiding_beside(map_, self._nearest)
+            self._align(map_, self._nearest, self._curvature, self._slope)
+            self._on_surface(self._slope, self._curvature, config.damping * noise, room)
+            kernels.clamp(room, -config.longest_step, config.longest_step, room)
+            kernels.dot(room, room, moved)
+            kernels.axpby(1.0, map_, 1.0, room, map_)
+            kernels.clamp(map_, *self._bounds, map_)
+            self._weigh_texture(config.stiffness * noise)
+            kernels.multiply(map_, self._certainty, room)
+            self._on_surface(room, self._certainty, 0.0, map_)
+            if callback is not None:
+                callback(iteration, math.sqrt(kernels.number(moved) / (self._size[0] * self._size[1])))
+        kernels.axpby(1.0, self._certainty, -_STILL, self._prior.ones, room)
+        self._prior.mean(room, self.confidence)
+        kernels.clamp(self.confidence, 0.0, 1.0, self.confidence)
+        kernels.dot(self.confidence, self._prior.ones, self._trust)
+
+    def _weigh_texture(self, stiffness: float) -> None:
+        """certainty = curvature / (curvature + stiffness) + a little, so that where nothing is certain means exist."""
+        kernels, ones = self._kernels, self._prior.ones
+        kernels.axpby(1.0, self._curvature, stiffness, ones, self._certainty)
+        kernels.divide(self._curvature, self._certainty, self._certainty)
+        kernels.axpby(1.0, self._certainty, _STILL, ones, self._certainty)
+
+    def _on_surface(self, numerator: Array, denominator: Array, floor: float, ratio_out: Array) -> None:
+        self._prior.ratio(
+            self.disparity,
+            numerator,
+            denominator,
+            support=self._config.alignment.support,
+            floor=floor,
+            ratio_out=ratio_out,
+        )
+
+
+def used_views(lf: LightField, pattern: str) -> list[int]:
+    """Indices of the views of a pattern, in order, or of all if fewer than four beside the reference are in it."""
+    used = [int(index) for index in np.flatnonzero(lf.pattern(pattern))]
+    return used if len(used) > _FEWEST else list(range(len(lf.views)))
+
+
+def labels(bounds: tuple[float, float], offsets: Float64Array, config: SweepConfig) -> tuple[float, float, int]:
+    """First, distance and number of the disparities that are compared: even, from bound to bound.
+
+    They are `config.step` pixels apart in the farthest view, or as far as it takes for `config.most_labels` of them.
+    """
+    low, high = bounds
+    steps = math.ceil((high - low) * float(np.abs(offsets).max()) / config.step)
+    count = min(max(steps + 1, 3), config.most_labels)
+    return low, (high - low) / (count - 1), count
+
+
+def apertures(offsets: Float64Array) -> Float64Array:
+    """Which views belong together, [m, n] of 1 and 0: first all, then the halves on either side of lines through the
+    reference, each with the views on the line itself; those that repeat others or are empty left out.
+    """
+    angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
+    ahead = np.cos(angles)[:, None] * offsets[:, 0] + np.sin(angles)[:, None] * offsets[:, 1] > -_ON_LINE
+    others = np.abs(offsets).max(1) > _ON_LINE
+    found: dict[bytes, Float64Array] = {}
+    for aperture in (np.ones(len(offsets), bool), *ahead):
+        used = np.asarray(aperture & others, np.float64)
+        if used.any():
+            found.setdefault(used.tobytes(), np.asarray(aperture, np.float64))
+    return np.stack(list(found.values()))

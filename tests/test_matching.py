@@ -1,0 +1,179 @@
+"""Matching: which views and disparities are compared, and how near the map comes to the truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lfgpu import scenes
+from lfgpu.config import PRESETS, SweepConfig
+from lfgpu.depth import DepthPipeline, estimate_depth
+from lfgpu.errors import LightFieldError
+from lfgpu.lightfield import LightField
+from lfgpu.matching import apertures, labels, used_views
+from lfgpu.metrics import Metrics, evaluate
+from lfgpu.result import DepthResult
+
+RANGE = (-1.6, 1.7)
+
+
+def grid(rows: int, columns: int) -> np.ndarray:
+    v, u = np.mgrid[:rows, :columns]
+    return np.stack([u - columns // 2, v - rows // 2], -1).reshape(-1, 2).astype(np.float64)
+
+
+def scene(name: str, *, views: int = 5, size: int = 96) -> LightField:
+    return scenes.make(name, grid=(views, views), size=(size, size))
+
+
+def scores(lf: LightField, result: DepthResult) -> dict[str, Metrics]:
+    assert lf.truth is not None
+    return {stage: evaluate(values, lf.truth.disparity) for stage, values in result.stages.items()}
+
+
+def test_disparities_go_from_bound_to_bound_and_are_as_near_as_asked_in_the_farthest_view() -> None:
+    first, step, count = labels((-1.5, 1.0), grid(9, 9), SweepConfig(step=0.4))
+    assert first == -1.5
+    assert first + step * (count - 1) == pytest.approx(1.0)
+    assert step * 4 <= 0.4 < step * 4 * (count - 1) / (count - 2)
+
+
+def test_a_wide_range_makes_the_steps_longer_and_a_narrow_one_still_has_three() -> None:
+    _, step, count = labels((-50.0, 50.0), grid(9, 9), SweepConfig(most_labels=101))
+    assert (step, count) == (1.0, 101)
+    assert labels((0.0, 1e-3), grid(3, 3), SweepConfig())[2] == 3
+
+
+def test_apertures_are_all_views_and_the_halves_around_the_reference() -> None:
+    found = apertures(grid(5, 5))
+    assert found.shape == (9, 25)
+    assert found[0].all()
+    offsets = grid(5, 5)
+    for half in found[1:]:
+        inside = offsets[half > 0]
+        assert 12 < len(inside) < 25
+        away = inside.mean(0)
+        assert (inside @ away >= -1e-9).all()  # all on one side of a line through the reference
+        opposite = (offsets @ away < -1e-9) | (np.abs(offsets @ away) < 1e-9)
+        assert opposite[half == 0].all()
+
+
+def test_apertures_of_a_row_of_views_are_its_two_sides() -> None:
+    found = apertures(grid(1, 5))
+    np.testing.assert_array_equal(found, [[1, 1, 1, 1, 1], [0, 0, 1, 1, 1], [1, 1, 1, 0, 0]])
+
+
+def test_a_reference_at_the_end_of_a_row_has_one_aperture() -> None:
+    offsets = np.array([[0.0, 0], [1, 0], [2, 0]])
+    assert apertures(offsets).shape == (1, 3)
+
+
+@pytest.mark.parametrize(("pattern", "count"), [("full", 25), ("star", 17), ("cross", 9)])
+def test_the_views_of_a_pattern_are_used(pattern: str, count: int) -> None:
+    lf = scene("planes", size=32)
+    used = used_views(lf, pattern)
+    assert len(used) == count
+    assert lf.reference_index in used
+
+
+def test_all_views_are_used_where_a_pattern_leaves_too_few() -> None:
+    lf = scene("planes", views=3, size=32).subset([0, 2, 4, 6, 8])
+    assert used_views(lf, "cross") == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("preset", ["accurate", "fast"])
+@pytest.mark.parametrize("name", ["boxes", "planes", "relief"])
+def test_the_map_is_near_the_truth_and_nearer_after_the_alignment(name: str, preset: str) -> None:
+    lf = scene(name)
+    found = scores(lf, estimate_depth(lf, disparity_range=RANGE, config=preset))
+    assert found["aligned"].badpix_07 < 12
+    assert found["aligned"].badpix_01 < 0.8 * found["swept"].badpix_01
+
+
+def test_occlusions_are_where_it_is_better_than_the_synthesis() -> None:
+    lf = scene("boxes", size=128)
+    matching, synthesis = (
+        evaluate(estimate_depth(lf, disparity_range=RANGE, config=name).disparity, lf.truth.disparity)  # type: ignore[union-attr]
+        for name in ("accurate", "paper")
+    )
+    assert matching.mse_100 < 0.7 * synthesis.mse_100
+    assert matching.badpix_07 < 0.7 * synthesis.badpix_07
+
+
+def test_fast_has_no_second_look() -> None:
+    result = estimate_depth(scene("planes", size=48), disparity_range=RANGE, config="fast")
+    assert list(result.stages) == ["swept", "aligned"]
+    assert list(estimate_depth(scene("planes", size=48), disparity_range=RANGE, config="accurate").stages) == [
+        "swept",
+        "matched",
+        "aligned",
+    ]
+
+
+def test_confidence_tells_what_is_wrong() -> None:
+    """What is trusted most is wrong less often than what is trusted least."""
+    lf = scene("textureless", size=128)
+    result = estimate_depth(lf, disparity_range=RANGE, config="accurate")
+    assert lf.truth is not None
+    wrong = np.abs(result.disparity - lf.truth.disparity)[15:-15, 15:-15] > 0.03
+    confidence = result.confidence[15:-15, 15:-15]
+    assert ((confidence >= 0) & (confidence <= 1)).all()
+    low, high = np.quantile(confidence, (0.3, 0.7))
+    assert wrong[confidence >= high].mean() < 0.5 * wrong[confidence <= low].mean()
+
+
+def test_noise_of_the_reference_is_but_one_of_many() -> None:
+    lf = scene("relief")
+    noise = np.random.default_rng(5).normal(0, 4, lf.views.shape)
+    noisy = LightField(
+        views=np.clip(lf.views + noise, 0, 255).astype(np.uint8), positions=lf.positions, reference=lf.reference
+    )
+    assert lf.truth is not None
+    found = evaluate(estimate_depth(noisy, disparity_range=RANGE, config="accurate").disparity, lf.truth.disparity)
+    assert found.badpix_07 < 15
+
+
+def test_masked_pixels_say_nothing() -> None:
+    """What stands in masked pixels makes no difference, and a vignette does not break the map."""
+    lf = scene("relief")
+    valid = np.ones(lf.views.shape[:3], bool)
+    valid[:, :8, :8] = valid[:, -8:, -8:] = False
+    valid[3] = False
+    other = lf.views.copy()
+    other[~valid] = 255 - other[~valid]
+    one, two = (
+        estimate_depth(
+            LightField(views=views, positions=lf.positions, reference=lf.reference, valid=valid),
+            disparity_range=RANGE,
+            config="accurate",
+        ).disparity
+        for views in (lf.views, other)
+    )
+    inner = np.s_[24:-24, 24:-24]
+    np.testing.assert_allclose(one[inner], two[inner], rtol=0, atol=0.02)
+
+
+def test_views_without_texture_are_refused() -> None:
+    lf = scene("relief", size=32)
+    grey = LightField(views=np.full_like(lf.views, 90), positions=lf.positions, reference=lf.reference)
+    with pytest.raises(LightFieldError, match="no pixel shows anything"):
+        estimate_depth(grey, disparity_range=RANGE, config="accurate")
+
+
+def test_one_view_is_refused() -> None:
+    lf = scene("relief", size=32)
+    alone = LightField(views=lf.views[:1], positions=lf.positions[:1])
+    with pytest.raises(LightFieldError, match="second"):
+        estimate_depth(alone, disparity_range=RANGE, config="accurate")
+
+
+def test_a_pipeline_gives_the_same_map_every_time() -> None:
+    lf = scene("planes", size=64)
+    pipeline = DepthPipeline(lf, disparity_range=RANGE, config=PRESETS["fast"])
+    maps = []
+    for _ in range(3):
+        pipeline.upload(lf.views)
+        pipeline.run()
+        maps.append(pipeline.disparity())
+    np.testing.assert_array_equal(maps[0], maps[1])
+    np.testing.assert_array_equal(maps[0], maps[2])
