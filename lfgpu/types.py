@@ -478,8 +478,8 @@ class KernelSet(Protocol):
         """sum_q v_pq numerator_q / sum_q v_pq (denominator_q + floor) over each pixel's window, fields [y, x].
 
         v_pq = w_pq / (1 + (guide_q - guide_p)^2 / support^2), and 1 for the pixel itself: only what lies on the same
-        surface of the `guide`, a disparity map, is taken together. `support` (in the guide's unit) and `floor` are > 0,
-        no denominator is negative.
+        surface of the `guide`, a disparity map, is taken together. `support` is in the guide's unit, > 0, and
+        denominator + floor > 0 everywhere; `ratio_out` is none of the inputs.
         """
 
     # --- the local estimate ---

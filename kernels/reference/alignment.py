@@ -54,15 +54,14 @@ def nearest_surface(shape: Sequence[int], offsets: Array, *, reach: int) -> Near
 
 def differences(values: Array) -> tuple[Array, Array]:
     """Central differences in x and y of [y, x, ..]; at the border they are others and not to be used."""
-    down, across = np.gradient(values, axis=(0, 1))
-    return across, down
+    return np.asarray(np.gradient(values, axis=1)), np.asarray(np.gradient(values, axis=0))
 
 
 class Alignment:
     def __init__(self, offsets: Array, scale: float, gradient_weight: float, robust: float, tolerance: float) -> None:
         self._offsets, self._scale, self._gradient_weight = offsets, scale, gradient_weight
         self._robust, self._tolerance = robust, tolerance
-        self._others = np.flatnonzero(np.hypot(*offsets.T) > AT_REFERENCE)
+        self._others = [n for n, offset in enumerate(offsets) if np.hypot(*offset) > AT_REFERENCE]
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
         self._image = self._features(image)[BORDER:-BORDER, BORDER:-BORDER]

@@ -2,11 +2,12 @@
 
 import numpy as np
 
+from .alignment import alignment, nearest_surface
 from .control import capture, is_deterministic, repeat
 from .cost_volume import lowest, nlm_average
 from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
-from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
+from .nlm import nlm_laplacian, nlm_neighbors, nlm_ratio, nlm_weights
 from .occlusion import occluding_data_term, splat_occluding, visible
 from .residuals import residuals
 from .runtime import devices
@@ -21,6 +22,7 @@ name = "taichi"
 dtype = np.float32
 
 __all__ = [
+    "alignment",
     "at_least",
     "axpby",
     "capture",
@@ -43,9 +45,11 @@ __all__ = [
     "lowest",
     "multiply",
     "name",
+    "nearest_surface",
     "nlm_average",
     "nlm_laplacian",
     "nlm_neighbors",
+    "nlm_ratio",
     "nlm_weights",
     "normalization",
     "number",

@@ -196,3 +196,58 @@ def _apply(
 ) -> None:
     kernel = operator.rows if on_cpu() else operator.pixels
     run(kernel, weights.values, values.values, *values.shape, window // 2, result_out.values)
+
+
+@ti.func
+def _shared(weight: float, apart: float, support: float):
+    return weight / (1.0 + (apart / support) * (apart / support))
+
+
+@ti.kernel
+def _ratio_kernel(
+    weights: flat(),
+    guide: flat(),
+    numerator: flat(),
+    denominator: flat(),
+    height: int,
+    width: int,
+    radius: int,
+    support: float,
+    floor: float,
+    ratio_out: flat(),
+):
+    """A pixel on each thread: its two sums stay there."""
+    size = height * width
+    for p in range(size):
+        x = p % width
+        y = p // width
+        here = guide[p]
+        above = numerator[p]
+        below = denominator[p] + floor
+        for k in range(weights.shape[0] // size):
+            step = step_of(k, radius)
+            q = step[1] * width + step[0]
+            if inside(x + step[0], y + step[1], height, width):
+                v = _shared(weights[k * size + p], guide[p + q] - here, support)
+                above += v * numerator[p + q]
+                below += v * (denominator[p + q] + floor)
+            if inside(x - step[0], y - step[1], height, width):
+                v = _shared(weights[k * size + p - q], guide[p - q] - here, support)
+                above += v * numerator[p - q]
+                below += v * (denominator[p - q] + floor)
+        ratio_out[p] = above / below
+
+
+def nlm_ratio(
+    weights: DeviceArray,
+    guide: DeviceArray,
+    numerator: DeviceArray,
+    denominator: DeviceArray,
+    *,
+    window: int,
+    support: float,
+    floor: float,
+    ratio_out: DeviceArray,
+) -> None:
+    fields = weights.values, guide.values, numerator.values, denominator.values
+    run(_ratio_kernel, *fields, *guide.shape, window // 2, support, floor, ratio_out.values)

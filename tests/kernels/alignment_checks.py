@@ -6,7 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from checks import Desk, Operation, Outputs, Program, Values, largest_error, relative_to_terms, size
+from checks import Desk, Operation, Outputs, Program, Values, compute, largest_error, relative_to_terms, size
 
 from lfgpu.types import KernelSet
 
@@ -108,6 +108,47 @@ OPERATIONS = (
     Operation(nlm_ratio, "ratio", relative_to_terms(ratio=lambda i: size(i.values) / i.options["floor"])),
 )
 NEAREST, ALIGNMENT, RATIO = OPERATIONS
+
+
+# --- checks that know no truth of the reference ---
+
+
+def check_step_leads_to_the_truth(kernels: KernelSet, device: str, channels: int, rng: np.random.Generator) -> None:
+    """Of slopes of brightness, seen from places around the reference: one step is all the way to their disparity.
+
+    Away from the border, as beyond it they do not go on.
+    """
+    height, width = 15, 17
+    offsets = np.array([(du, dv) for dv in (-1.0, 0.0, 1.0) for du in (-1.0, 0.0, 1.0)])
+    truth, now = rng.uniform(-0.5, 0.5, 2)
+    across, down = rng.uniform(0.02, 0.04, (2, channels)) * rng.choice([-1, 1], (2, channels))
+    y, x = (place[..., None] for place in np.mgrid[:height, :width])
+    views = [across * (x + truth * du) + down * (y + truth * dv) for du, dv in offsets]
+    scene = SimpleNamespace(
+        image=np.float32(across * x + down * y),
+        recorded=np.array(views, np.float32),
+        valid=None,
+        offsets=offsets,
+        disparity=np.full((height, width), now),
+        nearest=np.full((len(offsets), height, width), -1e6),
+        scale=1.0,
+        gradient_weight=2.0,
+        robust=0.05,
+        tolerance=0.25,
+    )
+    got = compute(kernels, device, ALIGNMENT, scene)
+    inner = np.s_[4:-4, 4:-4]
+    step = got["slope"][inner] / got["curvature"][inner]
+    np.testing.assert_allclose(step, truth - now, rtol=0, atol=1e-3, err_msg="a step does not lead to the truth")
+
+
+def check_what_no_view_sees_has_no_slope(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
+    """Where nothing is valid, and where something nearer hides all, nothing is known: curvature and slope are 0."""
+    blind = SimpleNamespace(**{**vars(i), "valid": np.zeros(i.nearest.shape)})
+    hidden = SimpleNamespace(**{**vars(i), "nearest": np.full_like(i.nearest, 1e3)})
+    for unseen in (blind, hidden):
+        for name, output in compute(kernels, device, ALIGNMENT, unseen).items():
+            assert not output.any(), f"the {name} of what no view sees is not 0"
 
 
 # --- a program of them, for devices that can do work as a whole ---

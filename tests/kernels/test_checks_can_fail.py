@@ -17,6 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import alignment_checks
 import cases
 import checks
 import numpy as np
@@ -894,7 +895,7 @@ def test_reference_passes_every_check_that_catches_faults(rng: np.random.Generat
 
 def test_every_operation_has_a_fault_that_its_check_catches() -> None:
     broken = {fault.operation for fault in FAULTS}
-    others = (*occlusion_checks.OPERATIONS, *volume_checks.OPERATIONS)
+    others = (*occlusion_checks.OPERATIONS, *volume_checks.OPERATIONS, *alignment_checks.OPERATIONS)
     elsewhere = {"name", "dtype", "devices", "is_deterministic", *map(str, others)}
     assert broken == {name for name in vars(KernelSet) if not name.startswith("_")} - elsewhere
 

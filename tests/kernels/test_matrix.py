@@ -9,6 +9,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import alignment_cases
+import alignment_checks
 import cases
 import checks
 import numpy as np
@@ -23,6 +25,8 @@ from lfgpu import _backends, types
 CASES: dict[str, tuple[Any, ...]] = {
     "splat": cases.SPLAT_CASES,
     "occlusion": occlusion_cases.OCCLUSION_CASES,
+    "alignment": alignment_cases.ALIGNMENT_CASES,
+    "ratio": alignment_cases.RATIO_CASES,
     "seen": cases.SEEN_CASES,
     "views": cases.VIEWS_CASES,
     "nlm": cases.NLM_CASES,
@@ -36,6 +40,8 @@ CASES: dict[str, tuple[Any, ...]] = {
 MAKERS: dict[str, Any] = {
     "splat": cases.splat_inputs,
     "occlusion": occlusion_cases.occlusion_inputs,
+    "alignment": alignment_cases.alignment_inputs,
+    "ratio": alignment_cases.ratio_inputs,
     "seen": cases.seen_inputs,
     "views": cases.views_inputs,
     "nlm": cases.nlm_inputs,
@@ -46,8 +52,18 @@ MAKERS: dict[str, Any] = {
     "residuals": cases.residuals_inputs,
     "lbfgs": cases.lbfgs_inputs,
 }
-OPERATIONS = (*checks.OPERATIONS, *occlusion_checks.OPERATIONS, *volume_checks.OPERATIONS)
-PROGRAMS = (*checks.PROGRAMS, occlusion_checks.comparing_what_is_nearest, volume_checks.finding_the_lowest)
+OPERATIONS = (
+    *checks.OPERATIONS,
+    *occlusion_checks.OPERATIONS,
+    *volume_checks.OPERATIONS,
+    *alignment_checks.OPERATIONS,
+)
+PROGRAMS = (
+    *checks.PROGRAMS,
+    occlusion_checks.comparing_what_is_nearest,
+    volume_checks.finding_the_lowest,
+    alignment_checks.stepping,
+)
 UNORDERED = ("splat", "splat_jvp", "splat_occluding", "occluding_data_term")
 """Operations that no estimate needs, so that they may add atomically on a GPU."""
 
@@ -238,3 +254,16 @@ def test_occlusions_are_safe_whatever_the_range(target: Any, rng: np.random.Gene
 def test_front_hides_back(target: Any, rng: np.random.Generator) -> None:
     inputs = occlusion_cases.occlusion_inputs(occlusion_cases.OcclusionCase("any"), rng)
     occlusion_checks.check_front_hides_back(target.kernels, target.device, inputs)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_step_of_the_alignment_leads_to_the_truth(target: Any, channels: int, rng: np.random.Generator) -> None:
+    alignment_checks.check_step_leads_to_the_truth(target.kernels, target.device, channels, rng)
+
+
+@pytest.mark.parametrize("case", alignment_cases.ALIGNMENT_CASES, ids=str)
+def test_what_no_view_sees_has_no_slope(
+    target: Any, case: alignment_cases.AlignmentCase, rng: np.random.Generator
+) -> None:
+    inputs = alignment_cases.alignment_inputs(case, rng)
+    alignment_checks.check_what_no_view_sees_has_no_slope(target.kernels, target.device, inputs)

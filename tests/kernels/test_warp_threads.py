@@ -7,6 +7,8 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import alignment_cases
+import alignment_checks
 import cases
 import checks
 import numpy as np
@@ -28,6 +30,10 @@ INPUTS = {
     "occlusion": lambda rng: occlusion_cases.occlusion_inputs(
         occlusion_cases.OcclusionCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
     ),
+    "alignment": lambda rng: alignment_cases.alignment_inputs(
+        alignment_cases.AlignmentCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
+    ),
+    "ratio": lambda rng: alignment_cases.ratio_inputs(alignment_cases.RatioCase("large", size=(61, 53), window=7), rng),
     "views": lambda rng: cases.views_inputs(
         cases.ViewsCase("many", size=(41, 38), count=25, dtype="uint8", masked=True, line=(3, 0, 1, 7)), rng
     ),
@@ -37,7 +43,12 @@ INPUTS = {
 }
 SPLIT = [
     operation
-    for operation in (*checks.OPERATIONS, *occlusion_checks.OPERATIONS, *volume_checks.OPERATIONS)
+    for operation in (
+        *checks.OPERATIONS,
+        *occlusion_checks.OPERATIONS,
+        *volume_checks.OPERATIONS,
+        *alignment_checks.OPERATIONS,
+    )
     if operation.inputs in INPUTS and str(operation) != "image_memory"
 ]
 

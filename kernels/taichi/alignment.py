@@ -1,0 +1,357 @@
+"""What comes near in each view, and how well the views agree; `kernels/reference/alignment.py` says what that is.
+
+The z-buffers of `nearest_surface` have a border, so that what lands beyond the frame comes near, too; the plan holds
+some views at a time. All that the alignment needs from a view at a place are six numbers for each channel, the mean and
+its first and second differences, which six by six stored pixels give. `load` copies the views with a border, a pixel
+with whether it is valid, so that no tap needs to look where it is.
+"""
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import taichi as ti
+
+from lfgpu.types import Alignment, NearestSurface
+
+from .memory import DeviceArray, empty, flat, numpy, optional
+from .runtime import TASK, on_cpu, once, run
+from .splat import land, within
+
+_NOWHERE = -1e6  # the disparity of what nothing comes near
+_AT_REFERENCE = 1e-3  # view steps: what is no farther from the reference is the reference
+_BUFFER = 20 * 2**20  # bytes
+_TOGETHER = 16  # views on a CPU
+_BEFORE, _BORDER = 2, 5  # pixels that copies of views are longer at their left and top, and in all
+
+
+@once
+def _nearest_kernel(cpu: bool) -> Any:
+    field = flat()
+
+    @ti.func
+    def place_of(p: int, d: float, du: float, dv: float, border: int, height: int, width: int):
+        """Where in a bordered view pixel p lands, -1 beyond it."""
+        wide = width + 2 * border
+        to = land(p % width, p // width, d, du, dv)
+        x = to.x + border + ti.cast(to.ax >= 0.5, ti.i32)
+        y = to.y + border + ti.cast(to.ay >= 0.5, ti.i32)
+        place = -1
+        if x >= 0 and x < wide and y >= 0 and y < height + 2 * border:
+            place = y * wide + x
+        return place
+
+    @ti.func
+    def largest_around(fronts: ti.template(), corner: int, side: int, wide: int):
+        found = _NOWHERE
+        for j in range(side):
+            for i in range(side):
+                found = ti.max(found, fronts[corner + j * wide + i])
+        return found
+
+    @ti.kernel
+    def nearest_kernel(
+        disparity: field,
+        offsets: field,
+        first: int,
+        count: int,
+        reach: int,
+        height: int,
+        width: int,
+        fronts: field,
+        nearest_out: field,
+    ):
+        """`count` views from the one numbered `first` on."""
+        border = reach + 1
+        wide = width + 2 * border
+        room = (height + 2 * border) * wide
+        size = height * width
+        for i in range(count * room):
+            fronts[i] = _NOWHERE
+        if ti.static(cpu):
+            for task in range(count * TASK):
+                if task % TASK == 0:
+                    n = task // TASK
+                    du = offsets[2 * (first + n)]
+                    dv = offsets[2 * (first + n) + 1]
+                    for p in range(size):
+                        d = disparity[p]
+                        place = place_of(p, d, du, dv, border, height, width)
+                        if place >= 0:
+                            fronts[n * room + place] = ti.max(fronts[n * room + place], d)
+        else:
+            for i in range(count * size):
+                n = i // size
+                p = i - n * size
+                d = disparity[p]
+                place = place_of(p, d, offsets[2 * (first + n)], offsets[2 * (first + n) + 1], border, height, width)
+                if place >= 0:
+                    ti.atomic_max(fronts[n * room + place], d)
+        for i in range(count * size):
+            n = i // size
+            p = i - n * size
+            corner = n * room + p // width * wide + p % width
+            found = largest_around(fronts, corner + wide + 1, 2 * reach + 1, wide)
+            if found <= _NOWHERE:
+                found = largest_around(fronts, corner, 2 * reach + 3, wide)
+            nearest_out[first * size + i] = found
+
+    return nearest_kernel
+
+
+def nearest_surface(shape: Sequence[int], offsets: DeviceArray, *, reach: int) -> NearestSurface:
+    count, height, width, _ = shape
+    room = (height + 2 * reach + 2) * (width + 2 * reach + 2)
+    batch = min(count, _TOGETHER if on_cpu() else max(1, _BUFFER // (4 * room)))
+    fronts, kernel = empty((batch * room,)), _nearest_kernel(on_cpu())
+
+    def find(disparity: DeviceArray, nearest_out: DeviceArray) -> None:
+        fields = disparity.values, offsets.values
+        for first in range(0, count, batch):
+            some = first, min(batch, count - first), reach, height, width
+            run(kernel, *fields, *some, fronts.values, nearest_out.values)
+
+    return find
+
+
+@ti.dataclass
+class Place:
+    """The first of four taps, or -1 where the view takes no part, and how far beyond it."""
+
+    corner: ti.i32
+    ax: ti.f32
+    ay: ti.f32
+
+
+@once
+def _kernels(channels: int, stored: Any) -> SimpleNamespace:
+    """Views are of scalar type `stored`."""
+    pad = channels + 1
+    field, pixel, kept = flat(), ti.types.vector(channels, ti.f32), ti.types.vector(pad, stored)
+
+    @ti.kernel
+    def pack_kernel(
+        recorded: flat(stored, channels),
+        valid: field,
+        masked: ti.template(),
+        height: int,
+        width: int,
+        packed_out: flat(stored, pad),
+    ):
+        """Copies views continued by their border pixels; what is there last is whether the pixel is valid."""
+        wide = width + _BORDER
+        room = (height + _BORDER) * wide
+        for i in range(packed_out.shape[0]):
+            n = i // room
+            p = i - n * room
+            y = ti.min(ti.max(p // wide - _BEFORE, 0), height - 1)
+            x = ti.min(ti.max(p % wide - _BEFORE, 0), width - 1)
+            source = (n * height + y) * width + x
+            packed = kept(0)
+            for c in ti.static(range(channels)):
+                packed[c] = recorded[source][c]
+            counts = True
+            if ti.static(masked):
+                counts = valid[source] != 0.0
+            if counts:
+                packed[channels] = ti.cast(1, stored)
+            packed_out[i] = packed
+
+    @ti.func
+    def landing(
+        n: int,
+        p: int,
+        d: float,
+        offsets: ti.template(),
+        nearest: ti.template(),
+        tolerance: float,
+        height: int,
+        width: int,
+        views: ti.template(),
+    ):
+        du = offsets[2 * n]
+        dv = offsets[2 * n + 1]
+        to = land(p % width, p // width, d, du, dv)
+        corner = -1
+        other = du * du + dv * dv > _AT_REFERENCE * _AT_REFERENCE
+        if other and within(to.x, to.ax, width) and within(to.y, to.ay, height):
+            next_x = ti.cast(to.ax >= 0.5, ti.i32)
+            next_y = ti.cast(to.ay >= 0.5, ti.i32)
+            if d >= nearest[(n * height + to.y + next_y) * width + to.x + next_x] - tolerance:
+                wide = width + _BORDER
+                corner = (n * (height + _BORDER) + to.y + _BEFORE) * wide + to.x + _BEFORE
+                if ti.cast(views[corner + next_y * wide + next_x][channels], ti.f32) == 0.0:
+                    corner = -1
+        return Place(corner=corner, ax=to.ax, ay=to.ay)
+
+    @ti.func
+    def color(image: ti.template(), x: int, y: int, height: int, width: int):
+        return image[ti.min(ti.max(y, 0), height - 1) * width + ti.min(ti.max(x, 0), width - 1)]
+
+    @ti.func
+    def value(views: ti.template(), i: int):
+        packed = views[i]
+        result = pixel(0.0)
+        for c in ti.static(range(channels)):
+            result[c] = ti.cast(packed[c], ti.f32)
+        return result
+
+    @ti.func
+    def mean_along(views: ti.template(), i: int, a: float):
+        return value(views, i) * (1.0 - a) + value(views, i + 1) * a
+
+    @ti.func
+    def slope_along(views: ti.template(), i: int, a: float):
+        """Twice the difference."""
+        across = (value(views, i + 1) - value(views, i - 1)) * (1.0 - a)
+        return across + (value(views, i + 2) - value(views, i)) * a
+
+    @ti.func
+    def bend_along(views: ti.template(), i: int, a: float):
+        """Four times the second difference."""
+        return mean_along(views, i - 2, a) + mean_along(views, i + 2, a) - 2.0 * mean_along(views, i, a)
+
+    @ti.func
+    def weight_of(square: float, robust: float):
+        excess = 1.0 + square / (3 * channels * robust * robust)
+        return 1.0 / (excess * excess)
+
+    @ti.kernel
+    def align_kernel(
+        image: flat(channels=channels),
+        views: flat(stored, pad),
+        offsets: field,
+        scale: float,
+        weight: float,
+        robust: float,
+        tolerance: float,
+        share_of_all: float,
+        disparity: field,
+        nearest: field,
+        height: int,
+        width: int,
+        curvature_out: field,
+        slope_out: field,
+    ):
+        wide = width + _BORDER
+        for p in range(height * width):
+            x = p % width
+            y = p // width
+            d = disparity[p]
+            own = image[p]
+            own_x = 0.5 * weight * (color(image, x + 1, y, height, width) - color(image, x - 1, y, height, width))
+            own_y = 0.5 * weight * (color(image, x, y + 1, height, width) - color(image, x, y - 1, height, width))
+            total = own
+            total_x = own_x
+            total_y = own_y
+            total_k = 1.0
+            for n in range(offsets.shape[0] // 2):
+                to = landing(n, p, d, offsets, nearest, tolerance, height, width, views)
+                if to.corner >= 0:
+                    i = to.corner
+                    by = 1.0 - to.ay
+                    m0 = mean_along(views, i - wide, to.ax)
+                    m1 = mean_along(views, i, to.ax)
+                    m2 = mean_along(views, i + wide, to.ax)
+                    m3 = mean_along(views, i + 2 * wide, to.ax)
+                    s1 = slope_along(views, i, to.ax)
+                    s2 = slope_along(views, i + wide, to.ax)
+                    f = scale * (m1 * by + m2 * to.ay)
+                    fx = 0.5 * scale * weight * (s1 * by + s2 * to.ay)
+                    fy = 0.5 * scale * weight * ((m2 - m0) * by + (m3 - m1) * to.ay)
+                    square = (f - own).norm_sqr() + (fx - own_x).norm_sqr() + (fy - own_y).norm_sqr()
+                    k = weight_of(square, robust)
+                    total += k * f
+                    total_x += k * fx
+                    total_y += k * fy
+                    total_k += k
+            mean = total / total_k
+            mean_x = total_x / total_k
+            mean_y = total_y / total_k
+            curvature = 0.0
+            slope = 0.0
+            for n in range(offsets.shape[0] // 2):
+                to = landing(n, p, d, offsets, nearest, tolerance, height, width, views)
+                if to.corner >= 0:
+                    i = to.corner
+                    by = 1.0 - to.ay
+                    du = offsets[2 * n]
+                    dv = offsets[2 * n + 1]
+                    m0 = mean_along(views, i - 2 * wide, to.ax)
+                    m1 = mean_along(views, i - wide, to.ax)
+                    m2 = mean_along(views, i, to.ax)
+                    m3 = mean_along(views, i + wide, to.ax)
+                    m4 = mean_along(views, i + 2 * wide, to.ax)
+                    m5 = mean_along(views, i + 3 * wide, to.ax)
+                    s1 = slope_along(views, i - wide, to.ax)
+                    s2 = slope_along(views, i, to.ax)
+                    s3 = slope_along(views, i + wide, to.ax)
+                    s4 = slope_along(views, i + 2 * wide, to.ax)
+                    t2 = bend_along(views, i, to.ax)
+                    t3 = bend_along(views, i + wide, to.ax)
+                    f = scale * (m2 * by + m3 * to.ay)
+                    fx = 0.5 * scale * (s2 * by + s3 * to.ay)
+                    fy = 0.5 * scale * ((m3 - m1) * by + (m4 - m2) * to.ay)
+                    fxx = 0.25 * scale * (t2 * by + t3 * to.ay)
+                    fxy = 0.25 * scale * ((s3 - s1) * by + (s4 - s2) * to.ay)
+                    fyy = 0.25 * scale * ((m0 + m4 - 2.0 * m2) * by + (m1 + m5 - 2.0 * m3) * to.ay)
+                    r = f - mean
+                    rx = weight * fx - mean_x
+                    ry = weight * fy - mean_y
+                    k = weight_of(r.norm_sqr() + rx.norm_sqr() + ry.norm_sqr(), robust)
+                    # Against the derivatives by d, so that their product with the residuals is what the slope adds up.
+                    g = du * fx + dv * fy
+                    gx = weight * (du * fxx + dv * fxy)
+                    gy = weight * (du * fxy + dv * fyy)
+                    curvature += k * (g.norm_sqr() + gx.norm_sqr() + gy.norm_sqr())
+                    slope += k * (g.dot(r) + gx.dot(rx) + gy.dot(ry))
+            curvature_out[p] = share_of_all * curvature
+            slope_out[p] = share_of_all * slope
+
+    return SimpleNamespace(pack=pack_kernel, align=align_kernel)
+
+
+class _Alignment:
+    def __init__(
+        self,
+        shape: Sequence[int],
+        offsets: DeviceArray,
+        scale: float,
+        gradient_weight: float,
+        robust: float,
+        tolerance: float,
+    ) -> None:
+        self._shape, self._offsets = tuple(shape), offsets
+        others = int((np.hypot(*numpy(offsets).T) > _AT_REFERENCE).sum())
+        share_of_all = 1 / (3 * shape[3] * max(others, 1))
+        self._compared = scale, gradient_weight, robust, tolerance, share_of_all
+        self._packed: Any = None
+
+    def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
+        n, height, width, channels = self._shape
+        self._kernels = _kernels(channels, recorded.scalar)
+        if self._packed is None or self._packed.scalar is not recorded.scalar:
+            size = n, height + _BORDER, width + _BORDER
+            self._packed = empty(size, channels=channels + 1, scalar=recorded.scalar)
+        self._image = image
+        run(self._kernels.pack, recorded.values, *optional(valid), height, width, self._packed.values)
+
+    def __call__(
+        self, disparity: DeviceArray, nearest: DeviceArray, curvature_out: DeviceArray, slope_out: DeviceArray
+    ) -> None:
+        views = self._image.values, self._packed.values, self._offsets.values
+        maps = disparity.values, nearest.values, *disparity.shape
+        run(self._kernels.align, *views, *self._compared, *maps, curvature_out.values, slope_out.values)
+
+
+def alignment(
+    shape: Sequence[int],
+    offsets: DeviceArray,
+    *,
+    scale: float,
+    gradient_weight: float,
+    robust: float,
+    tolerance: float,
+) -> Alignment:
+    return _Alignment(shape, offsets, scale, gradient_weight, robust, tolerance)
