@@ -7,6 +7,7 @@ from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .occlusion import occluding_data_term, splat_occluding, visible
+from .plane_sweep import plane_sweep
 from .residuals import residuals
 from .runtime import devices
 from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
@@ -46,6 +47,7 @@ __all__ = [
     "number",
     "numpy",
     "occluding_data_term",
+    "plane_sweep",
     "ratio",
     "repeat",
     "residuals",

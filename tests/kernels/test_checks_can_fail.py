@@ -22,6 +22,7 @@ import checks
 import numpy as np
 import occlusion_checks
 import pytest
+import sweep_checks
 from lfgpu.kernels.reference import lbfgs as lbfgs_module
 
 from lfgpu._backends import load
@@ -878,7 +879,7 @@ def test_reference_passes_every_check_that_catches_faults(rng: np.random.Generat
 
 def test_every_operation_has_a_fault_that_its_check_catches() -> None:
     broken = {fault.operation for fault in FAULTS}
-    elsewhere = {"name", "dtype", "devices", *map(str, occlusion_checks.OPERATIONS)}
+    elsewhere = {"name", "dtype", "devices", *map(str, (*occlusion_checks.OPERATIONS, *sweep_checks.OPERATIONS))}
     assert broken == {name for name in vars(KernelSet) if not name.startswith("_")} - elsewhere
 
 

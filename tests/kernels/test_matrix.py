@@ -15,12 +15,15 @@ import numpy as np
 import occlusion_cases
 import occlusion_checks
 import pytest
+import sweep_cases
+import sweep_checks
 
 from lfgpu import _backends, types
 
 CASES: dict[str, tuple[Any, ...]] = {
     "splat": cases.SPLAT_CASES,
     "occlusion": occlusion_cases.OCCLUSION_CASES,
+    "sweep": sweep_cases.SWEEP_CASES,
     "seen": cases.SEEN_CASES,
     "views": cases.VIEWS_CASES,
     "nlm": cases.NLM_CASES,
@@ -33,6 +36,7 @@ CASES: dict[str, tuple[Any, ...]] = {
 MAKERS: dict[str, Any] = {
     "splat": cases.splat_inputs,
     "occlusion": occlusion_cases.occlusion_inputs,
+    "sweep": sweep_cases.sweep_inputs,
     "seen": cases.seen_inputs,
     "views": cases.views_inputs,
     "nlm": cases.nlm_inputs,
@@ -42,8 +46,8 @@ MAKERS: dict[str, Any] = {
     "residuals": cases.residuals_inputs,
     "lbfgs": cases.lbfgs_inputs,
 }
-OPERATIONS = (*checks.OPERATIONS, *occlusion_checks.OPERATIONS)
-PROGRAMS = (*checks.PROGRAMS, occlusion_checks.comparing_what_is_nearest)
+OPERATIONS = (*checks.OPERATIONS, *occlusion_checks.OPERATIONS, *sweep_checks.OPERATIONS)
+PROGRAMS = (*checks.PROGRAMS, occlusion_checks.comparing_what_is_nearest, sweep_checks.sweeping)
 CELLS = [
     pytest.param(operation, case, id=f"{operation}-{case}")
     for operation in OPERATIONS
@@ -232,3 +236,20 @@ def test_occlusions_are_safe_whatever_the_range(target: Any, rng: np.random.Gene
 def test_front_hides_back(target: Any, rng: np.random.Generator) -> None:
     inputs = occlusion_cases.occlusion_inputs(occlusion_cases.OcclusionCase("any"), rng)
     occlusion_checks.check_front_hides_back(target.kernels, target.device, inputs)
+
+
+MASKED_SWEEPS = [case for case in sweep_cases.SWEEP_CASES if case.masked]
+
+
+@pytest.mark.parametrize("case", MASKED_SWEEPS, ids=str)
+def test_view_that_is_not_valid_has_no_part_in_a_sweep(
+    target: Any, case: sweep_cases.SweepCase, rng: np.random.Generator
+) -> None:
+    inputs = sweep_cases.sweep_inputs(case, rng)
+    sweep_checks.check_masked_view_is_a_missing_view(target.kernels, target.device, inputs)
+    sweep_checks.check_nothing_valid_costs_the_most(target.kernels, target.device, inputs)
+
+
+def test_a_side_that_sees_is_enough(target: Any, rng: np.random.Generator) -> None:
+    inputs = sweep_cases.sweep_inputs(sweep_cases.SweepCase("any"), rng)
+    sweep_checks.check_a_side_that_sees_is_enough(target.kernels, target.device, inputs)

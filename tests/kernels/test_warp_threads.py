@@ -13,6 +13,8 @@ import numpy as np
 import occlusion_cases
 import occlusion_checks
 import pytest
+import sweep_cases
+import sweep_checks
 
 import lfgpu
 
@@ -25,6 +27,9 @@ INPUTS = {
     "occlusion": lambda rng: occlusion_cases.occlusion_inputs(
         occlusion_cases.OcclusionCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
     ),
+    "sweep": lambda rng: sweep_cases.sweep_inputs(
+        sweep_cases.SweepCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
+    ),
     "views": lambda rng: cases.views_inputs(
         cases.ViewsCase("many", size=(41, 38), count=25, dtype="uint8", masked=True, line=(3, 0, 1, 7)), rng
     ),
@@ -33,7 +38,7 @@ INPUTS = {
 }
 SPLIT = [
     operation
-    for operation in (*checks.OPERATIONS, *occlusion_checks.OPERATIONS)
+    for operation in (*checks.OPERATIONS, *occlusion_checks.OPERATIONS, *sweep_checks.OPERATIONS)
     if operation.inputs in INPUTS and str(operation) != "image_memory"
 ]
 
