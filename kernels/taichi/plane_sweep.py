@@ -21,6 +21,7 @@ _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the 
 _PENALTY = 1e-4  # of all apertures but the first, besides their preference
 _TOGETHER = 32  # views at a time on a GPU, so that there are few launches
 _TOGETHER_CPU = 4  # so that what lies between two kernels stays in a cache
+_BLOCK = 8  # pixels at a time on a CPU, so that where they lie is worked out once for all
 
 
 @ti.dataclass
@@ -51,57 +52,95 @@ def within(i: int, size: int):
 
 
 @once
-def _difference_kernel(channels: int, stored: Any) -> Any:
-    pixels = flat(channels=channels)
+def _planes_kernel(channels: int, stored: Any) -> Any:
+    @ti.kernel
+    def planes_kernel(images: flat(stored, channels), size: int, planes_out: flat(stored)):
+        """Images of `size` pixels, channel by channel."""
+        for i in range(images.shape[0]):
+            n = i // size
+            for c in ti.static(range(channels)):
+                planes_out[(n * channels + c) * size + i - n * size] = images[i][c]
 
-    @ti.func
-    def value_of(views: ti.template(), i: int):
-        return ti.cast(views[i], ti.f32)
+    return planes_kernel
+
+
+@once
+def _difference_kernel(stored: Any, block: int) -> Any:
+    """A thread computes `block` pixels that lie one after the other."""
 
     @ti.kernel
     def difference_kernel(
-        views: flat(stored, channels),
-        image: pixels,
+        views: flat(stored),
+        image: flat(),
         shifts: flat(ti.f64),
         first: int,
         count: int,
+        channels: int,
         height: int,
         width: int,
         scale: float,
-        differences_out: pixels,
+        differences_out: flat(),
     ):
-        """W_n - I of the `count` shifted views from `first` on."""
-        size = height * width
-        for i in range(count * size):
-            k = i // size
-            p = i - k * size
-            y = p // width
-            x = p - y * width
+        """W_n - I of the `count` shifted views from `first` on, channel by channel."""
+        blocks = (width + block - 1) // block
+        for i in range(count * channels * height * blocks):
+            row = i // blocks
+            begin = (i - row * blocks) * block
+            plane = row // height
+            y = row - plane * height
+            k = plane // channels
+            c = plane - k * channels
             shift = shift_of(shifts, first + k)
-            x0 = within(x + shift.x, width)
-            x1 = within(x + shift.x + 1, width)
-            upper = shift.view * size + within(y + shift.y, height) * width
-            lower = shift.view * size + within(y + shift.y + 1, height) * width
-            left = value_of(views, upper + x0)
-            left += shift.ay * (value_of(views, lower + x0) - left)
-            right = value_of(views, upper + x1)
-            right += shift.ay * (value_of(views, lower + x1) - right)
-            differences_out[i] = scale * (left + shift.ax * (right - left)) - image[p]
+            plane = shift.view * channels + c
+            upper = (plane * height + within(y + shift.y, height)) * width
+            lower = (plane * height + within(y + shift.y + 1, height)) * width
+            here = (c * height + y) * width
+            if begin + shift.x >= 0 and begin + block + shift.x < width and begin + block <= width:
+                values = ti.Vector([0.0] * block)
+                for j in ti.static(range(block)):
+                    x = begin + shift.x + j
+                    u = ti.cast(views[upper + x], ti.f32)
+                    u += shift.ax * (ti.cast(views[upper + x + 1], ti.f32) - u)
+                    d = ti.cast(views[lower + x], ti.f32)
+                    d += shift.ax * (ti.cast(views[lower + x + 1], ti.f32) - d)
+                    values[j] = scale * (u + shift.ay * (d - u)) - image[here + begin + j]
+                for j in ti.static(range(block)):
+                    differences_out[row * width + begin + j] = values[j]
+            else:
+                for x in range(begin, ti.min(begin + block, width)):
+                    x0 = within(x + shift.x, width)
+                    x1 = within(x + shift.x + 1, width)
+                    u = ti.cast(views[upper + x0], ti.f32)
+                    u += shift.ax * (ti.cast(views[upper + x1], ti.f32) - u)
+                    d = ti.cast(views[lower + x0], ti.f32)
+                    d += shift.ax * (ti.cast(views[lower + x1], ti.f32) - d)
+                    differences_out[row * width + x] = scale * (u + shift.ay * (d - u)) - image[here + x]
 
     return difference_kernel
 
 
 @once
-def _cost_kernel(channels: int, apertures: int, masked: bool, seen: bool) -> Any:
-    """Sums of apertures are [2 * apertures, y, x], a cost and a count for each."""
+def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
+    """A thread computes `block` pixels that lie one after the other."""
+
+    @ti.func
+    def part_of(valid: ti.template(), nearest: ti.template(), deepest: float, near: int):
+        """1 where the view takes part, else 0."""
+        part = 1.0
+        if ti.static(masked):
+            part = ti.select(valid[near] != 0.0, part, 0.0)
+        if ti.static(seen):
+            part = ti.select(nearest[near] <= deepest, part, 0.0)
+        return part
 
     @ti.kernel
     def cost_kernel(
-        differences: flat(channels=channels),
+        differences: flat(),
         valid: flat(),
         nearest: flat(),
         shifts: flat(ti.f64),
         members: flat(ti.f64),
+        apertures: int,
         first: int,
         begin: int,
         end: int,
@@ -111,56 +150,86 @@ def _cost_kernel(channels: int, apertures: int, masked: bool, seen: bool) -> Any
         gradient_weight: float,
         gradient_truncation: float,
         deepest: float,
+        group_out: flat(),
         sums_out: flat(),
     ):
         """Add the views from `begin` to before `end`, whose shifts lie from `first` on; at 0 begin anew.
 
-        `members` are for each view its apertures and, last, whether it is the last one of these.
+        `members` are for each view its apertures and, last, whether it is the last one of these. What they add up to is
+        a cost and a count for each pixel: `group_out` [2, y, x] and `sums_out` [apertures, 2, y, x].
         """
         size = height * width
-        for p in range(size):
-            y = p // width
-            x = p - y * width
-            sums = ti.Vector([0.0] * (2 * apertures))
-            if begin > 0:
-                for m in ti.static(range(apertures)):
-                    sums[2 * m] = sums_out[2 * m * size + p]
-                    sums[2 * m + 1] = sums_out[(2 * m + 1) * size + p]
-            cost = 0.0
-            count = 0.0
+        blocks = (width + block - 1) // block
+        for i in range(height * blocks):
+            y = i // blocks
+            left = (i - y * blocks) * block
+            right = ti.min(left + block, width)
+            here = y * width
+            if begin == 0:
+                for m in range(2 * apertures):
+                    for x in range(left, right):
+                        sums_out[m * size + here + x] = 0.0
+            for x in range(left, right):
+                group_out[here + x] = 0.0
+                group_out[size + here + x] = 0.0
             for k in range(begin, end):
                 shift = shift_of(shifts, first + k)
-                beyond_x = x + shift.x + ti.cast(shift.ax > 0.0, ti.i32)
-                beyond_y = y + shift.y + ti.cast(shift.ay > 0.0, ti.i32)
-                if x + shift.x >= 0 and y + shift.y >= 0 and beyond_x < width and beyond_y < height:
-                    near_x = x + shift.x + ti.cast(shift.ax >= 0.5, ti.i32)
-                    near_y = y + shift.y + ti.cast(shift.ay >= 0.5, ti.i32)
-                    near = shift.view * size + near_y * width + near_x
-                    takes_part = True
-                    if ti.static(masked):
-                        takes_part = valid[near] != 0.0
-                    if ti.static(seen):
-                        takes_part = takes_part and nearest[near] <= deepest
-                    if takes_part:
-                        row = (k - begin) * size + y * width
-                        along = differences[row + ti.min(x + 1, width - 1)] - differences[row + ti.max(x - 1, 0)]
-                        under = (k - begin) * size + ti.min(y + 1, height - 1) * width + x
-                        over = (k - begin) * size + ti.max(y - 1, 0) * width + x
-                        down = differences[under] - differences[over]
-                        color = abs(differences[row + x]).sum() / channels
-                        gradient = (abs(along).sum() + abs(down).sum()) / (4 * channels)
-                        cost += ti.min(color, truncation) + gradient_weight * ti.min(gradient, gradient_truncation)
-                        count += 1.0
+                # The places in the frame, and what is nearest to them.
+                low = ti.max(left, -shift.x)
+                high = ti.min(right, width - shift.x - ti.cast(shift.ax > 0.0, ti.i32))
+                to = (shift.view * height + y + shift.y + ti.cast(shift.ay >= 0.5, ti.i32)) * width
+                to += shift.x + ti.cast(shift.ax >= 0.5, ti.i32)
+                if y + shift.y < 0 or y + shift.y + ti.cast(shift.ay > 0.0, ti.i32) >= height:
+                    high = low
+                # From a channel's difference to those above and below, of which the border is its own.
+                plane = (k - begin) * channels * size + here
+                over = plane - ti.select(y > 0, width, 0)
+                under = plane + ti.select(y + 1 < height, width, 0)
+                if low == left and high == left + block and left > 0 and high < width:
+                    colors = ti.Vector([0.0] * block)
+                    slopes = ti.Vector([0.0] * block)
+                    for c in ti.static(range(channels)):
+                        for j in ti.static(range(block)):
+                            p = c * size + left + j
+                            along = abs(differences[plane + p + 1] - differences[plane + p - 1])
+                            colors[j] += abs(differences[plane + p])
+                            slopes[j] += along + abs(differences[under + p] - differences[over + p])
+                    costs = ti.Vector([0.0] * block)
+                    parts = ti.Vector([0.0] * block)
+                    for j in ti.static(range(block)):
+                        cost = ti.min(colors[j] * (1.0 / channels), truncation)
+                        cost += gradient_weight * ti.min(slopes[j] * (0.25 / channels), gradient_truncation)
+                        part = part_of(valid, nearest, deepest, to + left + j)
+                        costs[j] = group_out[here + left + j] + part * cost
+                        parts[j] = group_out[size + here + left + j] + part
+                    for j in ti.static(range(block)):
+                        group_out[here + left + j] = costs[j]
+                        group_out[size + here + left + j] = parts[j]
+                else:
+                    for x in range(low, high):
+                        color = 0.0
+                        slope = 0.0
+                        before = ti.max(x - 1, 0) - x
+                        after = ti.min(x + 1, width - 1) - x
+                        for c in ti.static(range(channels)):
+                            p = c * size + x
+                            color += abs(differences[plane + p])
+                            slope += abs(differences[plane + p + after] - differences[plane + p + before])
+                            slope += abs(differences[under + p] - differences[over + p])
+                        cost = ti.min(color / channels, truncation)
+                        cost += gradient_weight * ti.min(slope / (4 * channels), gradient_truncation)
+                        part = part_of(valid, nearest, deepest, to + x)
+                        group_out[here + x] += part * cost
+                        group_out[size + here + x] += part
                 if k + 1 == end or members[k * (apertures + 1) + apertures] != 0.0:
-                    for m in ti.static(range(apertures)):
+                    for m in range(apertures):
                         if members[k * (apertures + 1) + m] != 0.0:
-                            sums[2 * m] += cost
-                            sums[2 * m + 1] += count
-                    cost = 0.0
-                    count = 0.0
-            for m in ti.static(range(apertures)):
-                sums_out[2 * m * size + p] = sums[2 * m]
-                sums_out[(2 * m + 1) * size + p] = sums[2 * m + 1]
+                            for x in range(left, right):
+                                sums_out[2 * m * size + here + x] += group_out[here + x]
+                                sums_out[(2 * m + 1) * size + here + x] += group_out[size + here + x]
+                    for x in range(left, right):
+                        group_out[here + x] = 0.0
+                        group_out[size + here + x] = 0.0
 
     return cost_kernel
 
@@ -230,11 +299,20 @@ class _PlaneSweep:
         self._deepest = [float(d) for d in first + step * np.arange(count) + tolerance]
         _, height, width, channels = self._shape
         self._batch = max(1, min(self._views, _TOGETHER_CPU if on_cpu() else _TOGETHER))
-        self._differences = empty((self._batch, height, width), channels=channels)
-        self._sums = empty((2 * self._apertures, height, width))
+        self._block = _BLOCK if on_cpu() else 1
+        self._image = empty((channels, height, width))
+        self._differences = empty((self._batch, channels, height, width))
+        self._group = empty((2, height, width))
+        self._sums = empty((self._apertures, 2, height, width))
+        self._recorded: Any = None
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
-        self._image, self._recorded, self._valid = image, recorded, valid
+        n, height, width, channels = self._shape
+        if self._recorded is None or self._recorded.scalar != recorded.scalar:
+            self._recorded = empty((n, channels, height, width), scalar=recorded.scalar)
+        run(_planes_kernel(channels, image.scalar), image.values, height * width, self._image.values)
+        run(_planes_kernel(channels, recorded.scalar), recorded.values, height * width, self._recorded.values)
+        self._valid = valid
 
     def apertures(self, volume_out: DeviceArray) -> None:
         self._sweep(None, self._members, self._apertures, 1.0, volume_out)
@@ -252,17 +330,17 @@ class _PlaneSweep:
     ) -> None:
         _, height, width, channels = self._shape
         (mask, masked), (surface, seen), size = optional(self._valid), optional(nearest), height * width
-        differ = _difference_kernel(channels, self._recorded.scalar)
-        add = _cost_kernel(channels, apertures, masked, seen)
+        differ = _difference_kernel(self._recorded.scalar, self._block)
+        add = _cost_kernel(channels, masked, seen, self._block)
         shifts, differences, sums = self._shifts.values, self._differences.values, self._sums.values
         for label, deepest in enumerate(self._deepest):
             first = label * self._views
             for begin in range(0, max(1, self._views), self._batch):
                 end = min(begin + self._batch, self._views)
-                images = self._recorded.values, self._image.values
-                run(differ, *images, shifts, first + begin, end - begin, height, width, self._scale, differences)
-                inputs = differences, mask, surface, shifts, members.values
-                run(add, *inputs, first, begin, end, height, width, *self._limits, deepest, sums)
+                images, these = (self._recorded.values, self._image.values), (first + begin, end - begin)
+                run(differ, *images, shifts, *these, channels, height, width, self._scale, differences)
+                inputs = differences, mask, surface, shifts, members.values, apertures, first, begin, end, height, width
+                run(add, *inputs, *self._limits, deepest, self._group.values, sums)
             numbers = *self._limits, self._preference, least, label * size, size
             run(_least_kernel, sums, apertures, *numbers, volume_out.values)
 
