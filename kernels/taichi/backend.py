@@ -9,6 +9,7 @@ from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_ratio, nlm_weights
 from .occlusion import occluding_data_term, splat_occluding, visible
+from .plane_sweep import plane_sweep
 from .residuals import residuals
 from .runtime import devices
 from .semi_global import semi_global
@@ -55,6 +56,7 @@ __all__ = [
     "number",
     "numpy",
     "occluding_data_term",
+    "plane_sweep",
     "ratio",
     "repeat",
     "residuals",

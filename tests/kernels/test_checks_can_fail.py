@@ -23,6 +23,7 @@ import checks
 import numpy as np
 import occlusion_checks
 import pytest
+import sweep_checks
 import volume_checks
 from lfgpu.kernels.reference import lbfgs as lbfgs_module
 
@@ -895,7 +896,12 @@ def test_reference_passes_every_check_that_catches_faults(rng: np.random.Generat
 
 def test_every_operation_has_a_fault_that_its_check_catches() -> None:
     broken = {fault.operation for fault in FAULTS}
-    others = (*occlusion_checks.OPERATIONS, *volume_checks.OPERATIONS, *alignment_checks.OPERATIONS)
+    others = (
+        *occlusion_checks.OPERATIONS,
+        *sweep_checks.OPERATIONS,
+        *volume_checks.OPERATIONS,
+        *alignment_checks.OPERATIONS,
+    )
     elsewhere = {"name", "dtype", "devices", "is_deterministic", *map(str, others)}
     assert broken == {name for name in vars(KernelSet) if not name.startswith("_")} - elsewhere
 

@@ -17,6 +17,8 @@ import numpy as np
 import occlusion_cases
 import occlusion_checks
 import pytest
+import sweep_cases
+import sweep_checks
 import volume_cases
 import volume_checks
 
@@ -27,6 +29,7 @@ CASES: dict[str, tuple[Any, ...]] = {
     "occlusion": occlusion_cases.OCCLUSION_CASES,
     "alignment": alignment_cases.ALIGNMENT_CASES,
     "ratio": alignment_cases.RATIO_CASES,
+    "sweep": sweep_cases.SWEEP_CASES,
     "seen": cases.SEEN_CASES,
     "views": cases.VIEWS_CASES,
     "nlm": cases.NLM_CASES,
@@ -42,6 +45,7 @@ MAKERS: dict[str, Any] = {
     "occlusion": occlusion_cases.occlusion_inputs,
     "alignment": alignment_cases.alignment_inputs,
     "ratio": alignment_cases.ratio_inputs,
+    "sweep": sweep_cases.sweep_inputs,
     "seen": cases.seen_inputs,
     "views": cases.views_inputs,
     "nlm": cases.nlm_inputs,
@@ -55,12 +59,14 @@ MAKERS: dict[str, Any] = {
 OPERATIONS = (
     *checks.OPERATIONS,
     *occlusion_checks.OPERATIONS,
+    *sweep_checks.OPERATIONS,
     *volume_checks.OPERATIONS,
     *alignment_checks.OPERATIONS,
 )
 PROGRAMS = (
     *checks.PROGRAMS,
     occlusion_checks.comparing_what_is_nearest,
+    sweep_checks.sweeping,
     volume_checks.finding_the_lowest,
     alignment_checks.stepping,
 )
@@ -267,3 +273,20 @@ def test_what_no_view_sees_has_no_slope(
 ) -> None:
     inputs = alignment_cases.alignment_inputs(case, rng)
     alignment_checks.check_what_no_view_sees_has_no_slope(target.kernels, target.device, inputs)
+
+
+MASKED_SWEEPS = [case for case in sweep_cases.SWEEP_CASES if case.masked][:4]
+
+
+@pytest.mark.parametrize("case", MASKED_SWEEPS, ids=str)
+def test_view_that_is_not_valid_has_no_part_in_a_sweep(
+    target: Any, case: sweep_cases.SweepCase, rng: np.random.Generator
+) -> None:
+    inputs = sweep_cases.sweep_inputs(case, rng)
+    sweep_checks.check_masked_view_is_a_missing_view(target.kernels, target.device, inputs)
+    sweep_checks.check_nothing_valid_costs_the_most(target.kernels, target.device, inputs)
+
+
+def test_a_side_that_sees_is_enough(target: Any, rng: np.random.Generator) -> None:
+    inputs = sweep_cases.sweep_inputs(sweep_cases.SweepCase("any"), rng)
+    sweep_checks.check_a_side_that_sees_is_enough(target.kernels, target.device, inputs)

@@ -15,6 +15,8 @@ import numpy as np
 import occlusion_cases
 import occlusion_checks
 import pytest
+import sweep_cases
+import sweep_checks
 import volume_cases
 import volume_checks
 
@@ -34,6 +36,9 @@ INPUTS = {
         alignment_cases.AlignmentCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
     ),
     "ratio": lambda rng: alignment_cases.ratio_inputs(alignment_cases.RatioCase("large", size=(61, 53), window=7), rng),
+    "sweep": lambda rng: sweep_cases.sweep_inputs(
+        sweep_cases.SweepCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
+    ),
     "views": lambda rng: cases.views_inputs(
         cases.ViewsCase("many", size=(41, 38), count=25, dtype="uint8", masked=True, line=(3, 0, 1, 7)), rng
     ),
@@ -46,6 +51,7 @@ SPLIT = [
     for operation in (
         *checks.OPERATIONS,
         *occlusion_checks.OPERATIONS,
+        *sweep_checks.OPERATIONS,
         *volume_checks.OPERATIONS,
         *alignment_checks.OPERATIONS,
     )

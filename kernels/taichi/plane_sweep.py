@@ -1,0 +1,365 @@
+"""How well the views agree with the reference view at each of a row of disparities.
+
+`PlaneSweep` in `lfgpu/types.py` says what is computed. One disparity after the other, some views at a time: first their
+differences from the reference view, then the costs of these. Views that belong to the same apertures are added up
+first, and then once to each of these.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from lfgpu.types import PlaneSweep, sweep_shifts
+
+from .memory import DeviceArray, doubles, empty, flat, numpy, optional
+from .runtime import on_cpu, once, run
+
+_LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
+_PENALTY = 1e-4  # of all apertures but the first, besides their preference
+_TOGETHER = 32  # views at a time on a GPU, so that there are few launches
+_TOGETHER_CPU = 4  # so that what lies between two kernels stays in a cache
+_BLOCK = 8  # pixels at a time on a CPU, so that where they lie is worked out once for all
+
+
+@ti.dataclass
+class Shift:
+    """By how much all pixels of a view are shifted: whole pixels, and the rest of [0, 1)."""
+
+    view: ti.i32
+    x: ti.i32
+    y: ti.i32
+    ax: ti.f32
+    ay: ti.f32
+
+
+@ti.func
+def shift_of(shifts: ti.template(), i: int):
+    return Shift(
+        view=ti.cast(shifts[5 * i], ti.i32),
+        x=ti.cast(shifts[5 * i + 1], ti.i32),
+        y=ti.cast(shifts[5 * i + 2], ti.i32),
+        ax=ti.cast(shifts[5 * i + 3], ti.f32),
+        ay=ti.cast(shifts[5 * i + 4], ti.f32),
+    )
+
+
+@ti.func
+def within(i: int, size: int):
+    return ti.min(ti.max(i, 0), size - 1)
+
+
+@once
+def _planes_kernel(channels: int, stored: Any) -> Any:
+    @ti.kernel
+    def planes_kernel(images: flat(stored, channels), size: int, planes_out: flat(stored)):
+        """Images of `size` pixels, channel by channel."""
+        for i in range(images.shape[0]):
+            n = i // size
+            for c in ti.static(range(channels)):
+                planes_out[(n * channels + c) * size + i - n * size] = images[i][c]
+
+    return planes_kernel
+
+
+@once
+def _difference_kernel(stored: Any, block: int) -> Any:
+    """A thread computes `block` pixels that lie one after the other."""
+
+    @ti.kernel
+    def difference_kernel(
+        views: flat(stored),
+        image: flat(),
+        shifts: flat(ti.f64),
+        first: int,
+        count: int,
+        channels: int,
+        height: int,
+        width: int,
+        scale: float,
+        differences_out: flat(),
+    ):
+        """W_n - I of the `count` shifted views from `first` on, channel by channel."""
+        blocks = (width + block - 1) // block
+        for i in range(count * channels * height * blocks):
+            row = i // blocks
+            begin = (i - row * blocks) * block
+            plane = row // height
+            y = row - plane * height
+            k = plane // channels
+            c = plane - k * channels
+            shift = shift_of(shifts, first + k)
+            plane = shift.view * channels + c
+            upper = (plane * height + within(y + shift.y, height)) * width
+            lower = (plane * height + within(y + shift.y + 1, height)) * width
+            here = (c * height + y) * width
+            if begin + shift.x >= 0 and begin + block + shift.x < width and begin + block <= width:
+                values = ti.Vector([0.0] * block)
+                for j in ti.static(range(block)):
+                    x = begin + shift.x + j
+                    u = ti.cast(views[upper + x], ti.f32)
+                    u += shift.ax * (ti.cast(views[upper + x + 1], ti.f32) - u)
+                    d = ti.cast(views[lower + x], ti.f32)
+                    d += shift.ax * (ti.cast(views[lower + x + 1], ti.f32) - d)
+                    values[j] = scale * (u + shift.ay * (d - u)) - image[here + begin + j]
+                for j in ti.static(range(block)):
+                    differences_out[row * width + begin + j] = values[j]
+            else:
+                for x in range(begin, ti.min(begin + block, width)):
+                    x0 = within(x + shift.x, width)
+                    x1 = within(x + shift.x + 1, width)
+                    u = ti.cast(views[upper + x0], ti.f32)
+                    u += shift.ax * (ti.cast(views[upper + x1], ti.f32) - u)
+                    d = ti.cast(views[lower + x0], ti.f32)
+                    d += shift.ax * (ti.cast(views[lower + x1], ti.f32) - d)
+                    differences_out[row * width + x] = scale * (u + shift.ay * (d - u)) - image[here + x]
+
+    return difference_kernel
+
+
+@once
+def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
+    """A thread computes `block` pixels that lie one after the other."""
+
+    @ti.func
+    def part_of(valid: ti.template(), nearest: ti.template(), deepest: float, near: int):
+        """1 where the view takes part, else 0."""
+        part = 1.0
+        if ti.static(masked):
+            part = ti.select(valid[near] != 0.0, part, 0.0)
+        if ti.static(seen):
+            part = ti.select(nearest[near] <= deepest, part, 0.0)
+        return part
+
+    @ti.kernel
+    def cost_kernel(
+        differences: flat(),
+        valid: flat(),
+        nearest: flat(),
+        shifts: flat(ti.f64),
+        members: flat(ti.f64),
+        apertures: int,
+        first: int,
+        begin: int,
+        end: int,
+        height: int,
+        width: int,
+        truncation: float,
+        gradient_weight: float,
+        gradient_truncation: float,
+        deepest: float,
+        group_out: flat(),
+        sums_out: flat(),
+    ):
+        """Add the views from `begin` to before `end`, whose shifts lie from `first` on; at 0 begin anew.
+
+        `members` are for each view its apertures and, last, whether it is the last one of these. What they add up to is
+        a cost and a count for each pixel: `group_out` [2, y, x] and `sums_out` [apertures, 2, y, x].
+        """
+        size = height * width
+        blocks = (width + block - 1) // block
+        for i in range(height * blocks):
+            y = i // blocks
+            left = (i - y * blocks) * block
+            right = ti.min(left + block, width)
+            here = y * width
+            if begin == 0:
+                for m in range(2 * apertures):
+                    for x in range(left, right):
+                        sums_out[m * size + here + x] = 0.0
+            for x in range(left, right):
+                group_out[here + x] = 0.0
+                group_out[size + here + x] = 0.0
+            for k in range(begin, end):
+                shift = shift_of(shifts, first + k)
+                # The places in the frame, and what is nearest to them.
+                low = ti.max(left, -shift.x)
+                high = ti.min(right, width - shift.x - ti.cast(shift.ax > 0.0, ti.i32))
+                to = (shift.view * height + y + shift.y + ti.cast(shift.ay >= 0.5, ti.i32)) * width
+                to += shift.x + ti.cast(shift.ax >= 0.5, ti.i32)
+                if y + shift.y < 0 or y + shift.y + ti.cast(shift.ay > 0.0, ti.i32) >= height:
+                    high = low
+                # From a channel's difference to those above and below, of which the border is its own.
+                plane = (k - begin) * channels * size + here
+                over = plane - ti.select(y > 0, width, 0)
+                under = plane + ti.select(y + 1 < height, width, 0)
+                if low == left and high == left + block and left > 0 and high < width:
+                    colors = ti.Vector([0.0] * block)
+                    slopes = ti.Vector([0.0] * block)
+                    for c in ti.static(range(channels)):
+                        for j in ti.static(range(block)):
+                            p = c * size + left + j
+                            along = abs(differences[plane + p + 1] - differences[plane + p - 1])
+                            colors[j] += abs(differences[plane + p])
+                            slopes[j] += along + abs(differences[under + p] - differences[over + p])
+                    costs = ti.Vector([0.0] * block)
+                    parts = ti.Vector([0.0] * block)
+                    for j in ti.static(range(block)):
+                        cost = ti.min(colors[j] * (1.0 / channels), truncation)
+                        cost += gradient_weight * ti.min(slopes[j] * (0.25 / channels), gradient_truncation)
+                        part = part_of(valid, nearest, deepest, to + left + j)
+                        costs[j] = group_out[here + left + j] + part * cost
+                        parts[j] = group_out[size + here + left + j] + part
+                    for j in ti.static(range(block)):
+                        group_out[here + left + j] = costs[j]
+                        group_out[size + here + left + j] = parts[j]
+                else:
+                    for x in range(low, high):
+                        color = 0.0
+                        slope = 0.0
+                        before = ti.max(x - 1, 0) - x
+                        after = ti.min(x + 1, width - 1) - x
+                        for c in ti.static(range(channels)):
+                            p = c * size + x
+                            color += abs(differences[plane + p])
+                            slope += abs(differences[plane + p + after] - differences[plane + p + before])
+                            slope += abs(differences[under + p] - differences[over + p])
+                        cost = ti.min(color / channels, truncation)
+                        cost += gradient_weight * ti.min(slope / (4 * channels), gradient_truncation)
+                        part = part_of(valid, nearest, deepest, to + x)
+                        group_out[here + x] += part * cost
+                        group_out[size + here + x] += part
+                if k + 1 == end or members[k * (apertures + 1) + apertures] != 0.0:
+                    for m in range(apertures):
+                        if members[k * (apertures + 1) + m] != 0.0:
+                            for x in range(left, right):
+                                sums_out[2 * m * size + here + x] += group_out[here + x]
+                                sums_out[(2 * m + 1) * size + here + x] += group_out[size + here + x]
+                    for x in range(left, right):
+                        group_out[here + x] = 0.0
+                        group_out[size + here + x] = 0.0
+
+    return cost_kernel
+
+
+@ti.kernel
+def _least_kernel(
+    sums: flat(),
+    apertures: int,
+    truncation: float,
+    gradient_weight: float,
+    gradient_truncation: float,
+    preference: float,
+    least: float,
+    first: int,
+    size: int,
+    volume_out: flat(),
+):
+    """The least mean of the apertures, to the slice of the volume that begins at `first`."""
+    fade = 1.0 / (1.0 + gradient_weight)
+    for p in range(size):
+        lowest = fade * (truncation + gradient_weight * gradient_truncation)
+        if sums[size + p] >= least:
+            lowest = fade * sums[p] / sums[size + p]
+        for m in range(1, apertures):
+            count = sums[(2 * m + 1) * size + p]
+            if count > 0.0:
+                mean = fade * sums[2 * m * size + p] / count
+                lowest = ti.min(lowest, (1.0 + preference) * mean + _PENALTY)
+        volume_out[first + p] = lowest
+
+
+def _table(values: NDArray[Any]) -> DeviceArray:
+    """A copy on the device, of something at least: there is no array of nothing."""
+    return doubles(values if values.size else np.zeros(1))
+
+
+class _PlaneSweep:
+    """Which views are shifted by how much, in the order of their apertures."""
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        offsets: DeviceArray,
+        apertures: DeviceArray,
+        first: float,
+        step: float,
+        count: int,
+        scale: float,
+        limits: tuple[float, float, float],
+        preference: float,
+        tolerance: float,
+        least: int,
+    ) -> None:
+        self._shape, self._scale, self._limits = tuple(shape), scale, limits
+        self._preference, self._least = preference, float(least)
+        places, belongs = numpy(offsets), numpy(apertures).T != 0
+        others = np.flatnonzero(np.hypot(*places.T) > _LEAST_OFFSET)
+        others = others[np.lexsort(belongs[others].T)]
+        shifts = sweep_shifts(places[others], first=first, step=step, count=count)
+        whole, members = np.floor(shifts), belongs[others]
+        ends = np.any(members != np.roll(members, -1, axis=0), axis=1)
+        views = np.broadcast_to(others[:, None], (count, len(others), 1))
+        self._views, self._apertures = len(others), belongs.shape[1]
+        self._shifts = _table(np.concatenate([views, whole, shifts - whole], axis=2))
+        self._members = _table(np.concatenate([members, ends[:, None]], axis=1))
+        self._together = _table(np.tile([1.0, 0.0], (len(others), 1)))
+        self._deepest = [float(d) for d in first + step * np.arange(count) + tolerance]
+        _, height, width, channels = self._shape
+        self._batch = max(1, min(self._views, _TOGETHER_CPU if on_cpu() else _TOGETHER))
+        self._block = _BLOCK if on_cpu() else 1
+        self._image = empty((channels, height, width))
+        self._differences = empty((self._batch, channels, height, width))
+        self._group = empty((2, height, width))
+        self._sums = empty((self._apertures, 2, height, width))
+        self._recorded: Any = None
+
+    def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
+        n, height, width, channels = self._shape
+        if self._recorded is None or self._recorded.scalar != recorded.scalar:
+            self._recorded = empty((n, channels, height, width), scalar=recorded.scalar)
+        run(_planes_kernel(channels, image.scalar), image.values, height * width, self._image.values)
+        run(_planes_kernel(channels, recorded.scalar), recorded.values, height * width, self._recorded.values)
+        self._valid = valid
+
+    def apertures(self, volume_out: DeviceArray) -> None:
+        self._sweep(None, self._members, self._apertures, 1.0, volume_out)
+
+    def seen(self, nearest: DeviceArray, volume_out: DeviceArray) -> None:
+        self._sweep(nearest, self._together, 1, self._least, volume_out)
+
+    def _sweep(
+        self,
+        nearest: DeviceArray | None,
+        members: DeviceArray,
+        apertures: int,
+        least: float,
+        volume_out: DeviceArray,
+    ) -> None:
+        _, height, width, channels = self._shape
+        (mask, masked), (surface, seen), size = optional(self._valid), optional(nearest), height * width
+        differ = _difference_kernel(self._recorded.scalar, self._block)
+        add = _cost_kernel(channels, masked, seen, self._block)
+        shifts, differences, sums = self._shifts.values, self._differences.values, self._sums.values
+        for label, deepest in enumerate(self._deepest):
+            first = label * self._views
+            for begin in range(0, max(1, self._views), self._batch):
+                end = min(begin + self._batch, self._views)
+                images, these = (self._recorded.values, self._image.values), (first + begin, end - begin)
+                run(differ, *images, shifts, *these, channels, height, width, self._scale, differences)
+                inputs = differences, mask, surface, shifts, members.values, apertures, first, begin, end, height, width
+                run(add, *inputs, *self._limits, deepest, self._group.values, sums)
+            numbers = *self._limits, self._preference, least, label * size, size
+            run(_least_kernel, sums, apertures, *numbers, volume_out.values)
+
+
+def plane_sweep(
+    shape: Sequence[int],
+    offsets: DeviceArray,
+    apertures: DeviceArray,
+    *,
+    first: float,
+    step: float,
+    count: int,
+    scale: float,
+    truncation: float,
+    gradient_weight: float,
+    gradient_truncation: float,
+    preference: float,
+    tolerance: float,
+    least: int,
+) -> PlaneSweep:
+    limits = truncation, gradient_weight, gradient_truncation
+    return _PlaneSweep(shape, offsets, apertures, first, step, count, scale, limits, preference, tolerance, least)

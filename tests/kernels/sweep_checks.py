@@ -1,0 +1,123 @@
+"""The checks of the plane sweep: how to run it, and what holds whatever the truth is."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from checks import Desk, Operation, Outputs, Program, Values, adjoint_tolerance, compute, largest_error
+from sweep_cases import sides
+
+from lfgpu.types import KernelSet
+
+
+def plane_sweep(desk: Desk, i: SimpleNamespace) -> Outputs:
+    """Both volumes after those of another light field, which leave no trace."""
+    offsets, apertures = desk.field(i.offsets), desk.field(i.apertures)
+    plan = desk.kernels.plane_sweep(i.recorded.shape, offsets, apertures, **i.options)
+    shape = (i.options["count"], *i.image.shape[:2])
+    out = {"apertures": desk.out(shape), "seen": desk.out(shape)}
+    other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
+    plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
+    plan.seen(desk.field(i.nearest[:, ::-1]), out["apertures"])
+    plan.apertures(out["seen"])
+    plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
+    plan.apertures(out["apertures"])
+    plan.seen(desk.field(i.nearest), out["seen"])
+    return out
+
+
+OPERATIONS = (Operation(plane_sweep, "sweep"),)
+(SWEEP,) = OPERATIONS
+
+
+def changed(i: SimpleNamespace, **values: Any) -> SimpleNamespace:
+    return SimpleNamespace(**{**vars(i), **values})
+
+
+def most(i: SimpleNamespace) -> float:
+    """What a pixel costs at most."""
+    weight = i.options["gradient_weight"]
+    return float((i.options["truncation"] + weight * i.options["gradient_truncation"]) / (1 + weight))
+
+
+# --- checks that know no truth ---
+
+
+def check_masked_view_is_a_missing_view(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
+    """A view without a valid pixel gives what the light field without that view gives; a mask of ones is none."""
+    valid = np.ones(i.recorded.shape[:3], np.float32)
+    no_mask, all_valid = (compute(kernels, device, SWEEP, changed(i, valid=mask)) for mask in (None, valid))
+    valid[0] = 0
+    fewer = {name: getattr(i, name)[1:] for name in ("recorded", "offsets", "nearest")}
+    masked = compute(kernels, device, SWEEP, changed(i, valid=valid))
+    missing = compute(kernels, device, SWEEP, changed(i, **fewer, apertures=i.apertures[:, 1:], valid=None))
+    tolerance = adjoint_tolerance(kernels)
+    for name in missing:
+        assert largest_error(masked[name], missing[name]) <= tolerance, f"a masked view changes {name}"
+        assert largest_error(all_valid[name], no_mask[name]) <= tolerance, f"a mask of ones changes {name}"
+
+
+def check_nothing_valid_costs_the_most(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
+    for name, volume in compute(kernels, device, SWEEP, changed(i, valid=np.zeros(i.recorded.shape[:3]))).items():
+        np.testing.assert_allclose(volume, most(i), rtol=1e-6, atol=0, err_msg=f"{name} without a valid pixel")
+
+
+def check_a_side_that_sees_is_enough(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
+    """A plane at disparity 2, seen by all but the left views, which something brighter hides from them."""
+    height, width = 9, 13
+    offsets = np.array([(u, v) for v in (-1, 0, 1) for u in (-1, 0, 1)], np.float32)
+    rng = np.random.default_rng(7)
+    scene = rng.random((height + 4, width + 4, 1)).astype(np.float32)
+    image = scene[2:-2, 2:-2]
+    # At disparity 2 the view at (du, dv) shows at p - 2 (du, dv) what the reference shows at p.
+    starts = [(2 + int(2 * dv), 2 + int(2 * du)) for du, dv in offsets]
+    recorded = np.stack([scene[y : y + height, x : x + width] for y, x in starts])
+    near = np.full(recorded.shape[:3], 2.0, np.float32)
+    hidden = offsets[:, 0] < 0
+    recorded[hidden] += 0.7
+    near[hidden] = 3.0
+    options = {**i.options, "first": 0.0, "step": 1.0, "count": 4, "scale": 1.0, "least": 1, "tolerance": 0.5}
+    values = {"image": image, "recorded": recorded, "valid": None, "offsets": offsets, "nearest": near}
+    got = compute(kernels, device, SWEEP, changed(i, **values, apertures=sides(offsets, 8), options=options))
+    inner = np.s_[:, 3:-3, 3:-3]  # where all views take part, and see the neighbours too
+    np.testing.assert_allclose(got["apertures"][2:3][inner], 1e-4, rtol=0, atol=1e-6, err_msg="a side that sees")
+    np.testing.assert_allclose(got["seen"][2:3][inner], 0, rtol=0, atol=1e-6, err_msg="those that see")
+    for name, volume in got.items():
+        others = np.delete(volume, 2, axis=0)[inner]
+        assert others.min() > 0.01, f"{name}: the plane seems to be elsewhere too"
+
+
+# --- a program of it, for devices that can do work as a whole ---
+
+
+def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
+    """Both volumes of a light field that is loaded each time."""
+    views, offsets = values["recorded"], values["offsets"]
+    inputs = {name: kernels.image(values[name], device) for name in ("image", "recorded")}
+    inputs["valid"] = kernels.field(values["valid"], device)
+    plan = kernels.plane_sweep(
+        views.shape,
+        kernels.field(offsets, device),
+        kernels.field(sides(offsets, 4), device),
+        first=-1.0,
+        step=0.5,
+        count=5,
+        scale=1.0,
+        truncation=0.3,
+        gradient_weight=2.0,
+        gradient_truncation=0.2,
+        preference=0.2,
+        tolerance=0.1003,
+        least=1,
+    )
+    shape = (5, *views.shape[1:3])
+    volumes = {name: kernels.zeros(shape, device) for name in ("apertures", "seen")}
+
+    def work() -> None:
+        plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
+        plan.apertures(volumes["apertures"])
+        plan.seen(inputs["valid"], volumes["seen"])  # which serves as surfaces at 0 and 1
+
+    return Program(inputs, work, volumes)
