@@ -33,24 +33,25 @@ Progress = Callable[[str, int, float], None]
 def estimate_depth(
     lf: LightField,
     *,
-    config: Config | str = "paper",
+    config: Config | str = "accurate",
     disparity_range: tuple[float, float] | None = None,
     backend: str = DEFAULT,
     device: str | None = None,
     deterministic: bool = False,
     on_progress: Progress | None = None,
 ) -> DepthResult:
-    """Estimate the disparity of the reference view of a light field (Sajjadi et al. 2016).
+    """Estimate the disparity of the reference view of a light field.
 
-    Structure tensors on epipolar plane images give a first map where the views are coherent; a non-local-means
-    propagation fills the rest; the refinement makes the map predict all recorded views best, under the same prior.
+    "accurate" and "fast" match: they find the surface on which the views agree, each as far as nothing hides the surface
+    from it (`lfgpu/matching.py`). "paper" synthesises: it finds the map from which the reference view predicts all others
+    best (Sajjadi et al. 2016; `lfgpu/synthesis.py`).
 
     Parameters
     ----------
     lf
         The light field; its `reference` is the view that is estimated.
     config
-        All parameters, or the name of a preset. Default "paper".
+        All parameters, or the name of a preset: "accurate" (default), "fast" or "paper".
     disparity_range
         (low, high) bounds of the disparity in pixels per view step, larger is nearer. Default: found from the views.
     backend
@@ -117,7 +118,7 @@ class DepthPipeline:
         self,
         lf: LightField,
         *,
-        config: Config | str = "paper",
+        config: Config | str = "accurate",
         disparity_range: tuple[float, float] | None = None,
         backend: str = DEFAULT,
         device: str | None = None,

@@ -45,11 +45,6 @@ class Matching:
         `prior`, `sweep`, `matching` and `alignment` count.
     kernels, device
         Where it is done; it takes two volumes of one float a pixel and disparity, and what the kernels keep.
-
-    Raises
-    ------
-    LightFieldError
-        If there is no second view.
     """
 
     decided = "align"
@@ -57,10 +52,8 @@ class Matching:
     def __init__(
         self, lf: LightField, bounds: tuple[float, float], config: Config, kernels: KernelSet, device: str
     ) -> None:
-        if len(lf.views) < 2:
-            raise LightFieldError(f"{lf.name}: there is one view only; depth needs a second one.")
-        if config.sweep.noise == 0:
-            config = in_units_of(measured_noise(lf, bounds, config.sweep, kernels, device), config)
+        noise = config.sweep.noise or measured_noise(lf, bounds, config.sweep, kernels, device)
+        config = in_units_of(noise, config)
         self._kernels, self._bounds, self._config = kernels, bounds, config
         self._twice = config.sweep.occlusions == "twice"
         self._used, self._chosen = used_views(lf, config.sweep.views), None
@@ -122,7 +115,8 @@ class Matching:
         trace = tuple(math.sqrt(self._kernels.number(move) / (height * width)) for move in self._moves)
         return Solution(
             converged=trace[-1] <= _CONVERGED,
-            status=f"Alignment: {len(trace)} iterations, the last one moved pixels by {trace[-1]:.2g} px (rms).",
+            status=f"Views differ by {self._config.sweep.noise:.2g} in intensity where they agree. Alignment: the last of "
+            f"{len(trace)} iterations moved pixels by {trace[-1]:.2g} px (rms).",
             iterations=len(trace),
             evaluations=len(trace),
             trace=trace,

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from lfgpu import scenes
+from lfgpu._backends import load
 from lfgpu.config import PRESETS, SweepConfig
 from lfgpu.depth import DepthPipeline, estimate_depth
 from lfgpu.errors import LightFieldError
 from lfgpu.lightfield import LightField
-from lfgpu.matching import apertures, labels, used_views
+from lfgpu.matching import apertures, in_units_of, labels, measured_noise, used_views
 from lfgpu.metrics import Metrics, evaluate
 from lfgpu.result import DepthResult
 
@@ -82,12 +83,18 @@ def test_all_views_are_used_where_a_pattern_leaves_too_few() -> None:
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
-@pytest.mark.parametrize("name", ["boxes", "planes", "relief"])
+@pytest.mark.parametrize("name", ["boxes", "planes"])
 def test_the_map_is_near_the_truth_and_nearer_after_the_alignment(name: str, preset: str) -> None:
-    lf = scene(name)
+    lf = scene(name, views=7, size=128)
     found = scores(lf, estimate_depth(lf, disparity_range=RANGE, config=preset))
-    assert found["aligned"].badpix_07 < 12
-    assert found["aligned"].badpix_01 < 0.8 * found["swept"].badpix_01
+    assert found["aligned"].badpix_07 < 10
+    assert found["aligned"].badpix_01 < 0.9 * found["swept"].badpix_01
+
+
+@pytest.mark.parametrize("preset", ["accurate", "fast"])
+def test_where_nothing_is_hidden_hardly_a_pixel_is_off(preset: str) -> None:
+    lf = scene("relief", views=7, size=128)
+    assert scores(lf, estimate_depth(lf, disparity_range=RANGE, config=preset))["aligned"].badpix_07 < 2
 
 
 def test_occlusions_are_where_it_is_better_than_the_synthesis() -> None:
@@ -122,15 +129,38 @@ def test_confidence_tells_what_is_wrong() -> None:
     assert wrong[confidence >= high].mean() < 0.5 * wrong[confidence <= low].mean()
 
 
-def test_noise_of_the_reference_is_but_one_of_many() -> None:
+def test_noise_is_measured_and_borne() -> None:
     lf = scene("relief")
     noise = np.random.default_rng(5).normal(0, 4, lf.views.shape)
     noisy = LightField(
         views=np.clip(lf.views + noise, 0, 255).astype(np.uint8), positions=lf.positions, reference=lf.reference
     )
+    kernels, sweep = load("reference"), PRESETS["accurate"].sweep
+    assert measured_noise(noisy, RANGE, sweep, kernels, "cpu") > 2 * measured_noise(lf, RANGE, sweep, kernels, "cpu")
     assert lf.truth is not None
-    found = evaluate(estimate_depth(noisy, disparity_range=RANGE, config="accurate").disparity, lf.truth.disparity)
-    assert found.badpix_07 < 15
+    matching, synthesis = (
+        evaluate(estimate_depth(noisy, disparity_range=RANGE, config=name).disparity, lf.truth.disparity)
+        for name in ("accurate", "paper")
+    )
+    assert matching.badpix_07 < 0.7 * synthesis.badpix_07
+
+
+def test_differences_of_intensity_go_with_the_noise() -> None:
+    config = PRESETS["accurate"]
+    twice, most = in_units_of(0.008, config), in_units_of(1.0, config)
+    assert twice.sweep.truncation == pytest.approx(2 * config.sweep.truncation)
+    assert twice.matching.large_step == pytest.approx(2 * config.matching.large_step)
+    assert twice.alignment.robust == pytest.approx(2 * config.alignment.robust)
+    assert twice.prior.sigma_color == pytest.approx(2 * config.prior.sigma_color)
+    assert twice.sweep.preference == config.sweep.preference
+    assert most.sweep.truncation == pytest.approx(5 * config.sweep.truncation)
+
+
+def test_noise_that_is_given_is_not_measured() -> None:
+    lf = scene("planes", size=48)
+    given = PRESETS["fast"].with_values({"sweep.noise": 0.02})
+    measured = estimate_depth(lf, disparity_range=RANGE, config="fast").disparity
+    assert np.abs(estimate_depth(lf, disparity_range=RANGE, config=given).disparity - measured).max() > 0
 
 
 def test_masked_pixels_say_nothing() -> None:
@@ -158,13 +188,6 @@ def test_views_without_texture_are_refused() -> None:
     grey = LightField(views=np.full_like(lf.views, 90), positions=lf.positions, reference=lf.reference)
     with pytest.raises(LightFieldError, match="no pixel shows anything"):
         estimate_depth(grey, disparity_range=RANGE, config="accurate")
-
-
-def test_one_view_is_refused() -> None:
-    lf = scene("relief", size=32)
-    alone = LightField(views=lf.views[:1], positions=lf.positions[:1])
-    with pytest.raises(LightFieldError, match="second"):
-        estimate_depth(alone, disparity_range=RANGE, config="accurate")
 
 
 def test_a_pipeline_gives_the_same_map_every_time() -> None:

@@ -43,7 +43,7 @@ def demo(
     rows, columns = GRID
     console.print(f"Making {rows * columns} views of {_SCENE}, seed {seed}, then estimating the depth of one ...")
     lf = make(_SCENE, seed=seed, grid=GRID, size=SIZE)
-    result = Estimation(preset("paper")).run(lf, quiet=False)
+    result = Estimation(preset("accurate")).run(lf, quiet=False)
     summary.show_input(console, lf)
     summary.show_result(console, result, range_given=False)
     scores = summary.show_scores(console, lf, result)
@@ -66,7 +66,7 @@ def _draw_overview(lf: LightField, result: DepthResult, scores: dict[str, Metric
     assert lf.truth is not None  # the scene brings it along
     view, title = lf.image(lf.reference_index), lf.name
     if scores:
-        m = scores["refined"]
+        m = scores[next(reversed(result.stages))]
         title = (
             f"{lf.name}, {len(lf.views)} views in {result.timings['total']:.1f} s: BadPix(0.07) {m.badpix_07:.1f} %, "
             f"MSE x100 {m.mse_100:.2f}, Q25 x100 {m.q25:.2f}"

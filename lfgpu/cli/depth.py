@@ -54,7 +54,7 @@ class Estimation:
 def depth(
     source: Annotated[Path, typer.Argument(metavar="INPUT", help="The light field, as a rule a folder of views.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the outputs go; made if missing.")],
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Set of parameters to start from.")] = "paper",
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Set of parameters to start from.")] = "accurate",
     reference_view: Annotated[
         str | None,
         typer.Option(metavar="ROW,COL", help="View to estimate, counted from 0.", show_default="the centre"),
