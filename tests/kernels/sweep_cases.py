@@ -22,8 +22,8 @@ class SweepCase:
     masked: bool = False
     directions: int = 8
     first: float = -1.5
-    step: float = 0.375
-    count: int = 9
+    step: float = 0.71875
+    count: int = 5
     gradient_weight: float = 2.0
     preference: float = 0.1
     least: int = 2
