@@ -21,7 +21,7 @@ _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the 
 _PENALTY = 1e-4  # of all apertures but the first, besides their preference
 _TOGETHER = 32  # views at a time on a GPU, so that there are few launches
 _TOGETHER_CPU = 4  # so that what lies between two kernels stays in a cache
-_BLOCK = 8  # pixels at a time on a CPU, so that where they lie is worked out once for all
+_BLOCK = 64  # pixels of a row at a time on a CPU, so that what they share is worked out once
 
 
 @ti.dataclass
@@ -95,26 +95,14 @@ def _difference_kernel(stored: Any, block: int) -> Any:
             upper = (plane * height + within(y + shift.y, height)) * width
             lower = (plane * height + within(y + shift.y + 1, height)) * width
             here = (c * height + y) * width
-            if begin + shift.x >= 0 and begin + block + shift.x < width and begin + block <= width:
-                values = ti.Vector([0.0] * block)
-                for j in ti.static(range(block)):
-                    x = begin + shift.x + j
-                    u = ti.cast(views[upper + x], ti.f32)
-                    u += shift.ax * (ti.cast(views[upper + x + 1], ti.f32) - u)
-                    d = ti.cast(views[lower + x], ti.f32)
-                    d += shift.ax * (ti.cast(views[lower + x + 1], ti.f32) - d)
-                    values[j] = scale * (u + shift.ay * (d - u)) - image[here + begin + j]
-                for j in ti.static(range(block)):
-                    differences_out[row * width + begin + j] = values[j]
-            else:
-                for x in range(begin, ti.min(begin + block, width)):
-                    x0 = within(x + shift.x, width)
-                    x1 = within(x + shift.x + 1, width)
-                    u = ti.cast(views[upper + x0], ti.f32)
-                    u += shift.ax * (ti.cast(views[upper + x1], ti.f32) - u)
-                    d = ti.cast(views[lower + x0], ti.f32)
-                    d += shift.ax * (ti.cast(views[lower + x1], ti.f32) - d)
-                    differences_out[row * width + x] = scale * (u + shift.ay * (d - u)) - image[here + x]
+            for x in range(begin, ti.min(begin + block, width)):
+                x0 = within(x + shift.x, width)
+                x1 = within(x + shift.x + 1, width)
+                u = ti.cast(views[upper + x0], ti.f32)
+                u += shift.ax * (ti.cast(views[upper + x1], ti.f32) - u)
+                d = ti.cast(views[lower + x0], ti.f32)
+                d += shift.ax * (ti.cast(views[lower + x1], ti.f32) - d)
+                differences_out[row * width + x] = scale * (u + shift.ay * (d - u)) - image[here + x]
 
     return difference_kernel
 
@@ -185,42 +173,21 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
                 plane = (k - begin) * channels * size + here
                 over = plane - ti.select(y > 0, width, 0)
                 under = plane + ti.select(y + 1 < height, width, 0)
-                if low == left and high == left + block and left > 0 and high < width:
-                    colors = ti.Vector([0.0] * block)
-                    slopes = ti.Vector([0.0] * block)
+                for x in range(low, high):
+                    color = 0.0
+                    slope = 0.0
+                    before = ti.max(x - 1, 0) - x
+                    after = ti.min(x + 1, width - 1) - x
                     for c in ti.static(range(channels)):
-                        for j in ti.static(range(block)):
-                            p = c * size + left + j
-                            along = abs(differences[plane + p + 1] - differences[plane + p - 1])
-                            colors[j] += abs(differences[plane + p])
-                            slopes[j] += along + abs(differences[under + p] - differences[over + p])
-                    costs = ti.Vector([0.0] * block)
-                    parts = ti.Vector([0.0] * block)
-                    for j in ti.static(range(block)):
-                        cost = ti.min(colors[j] * (1.0 / channels), truncation)
-                        cost += gradient_weight * ti.min(slopes[j] * (0.25 / channels), gradient_truncation)
-                        part = part_of(valid, nearest, deepest, to + left + j)
-                        costs[j] = group_out[here + left + j] + part * cost
-                        parts[j] = group_out[size + here + left + j] + part
-                    for j in ti.static(range(block)):
-                        group_out[here + left + j] = costs[j]
-                        group_out[size + here + left + j] = parts[j]
-                else:
-                    for x in range(low, high):
-                        color = 0.0
-                        slope = 0.0
-                        before = ti.max(x - 1, 0) - x
-                        after = ti.min(x + 1, width - 1) - x
-                        for c in ti.static(range(channels)):
-                            p = c * size + x
-                            color += abs(differences[plane + p])
-                            slope += abs(differences[plane + p + after] - differences[plane + p + before])
-                            slope += abs(differences[under + p] - differences[over + p])
-                        cost = ti.min(color / channels, truncation)
-                        cost += gradient_weight * ti.min(slope / (4 * channels), gradient_truncation)
-                        part = part_of(valid, nearest, deepest, to + x)
-                        group_out[here + x] += part * cost
-                        group_out[size + here + x] += part
+                        p = c * size + x
+                        color += abs(differences[plane + p])
+                        slope += abs(differences[plane + p + after] - differences[plane + p + before])
+                        slope += abs(differences[under + p] - differences[over + p])
+                    cost = ti.min(color / channels, truncation)
+                    cost += gradient_weight * ti.min(slope / (4 * channels), gradient_truncation)
+                    part = part_of(valid, nearest, deepest, to + x)
+                    group_out[here + x] += part * cost
+                    group_out[size + here + x] += part
                 if k + 1 == end or members[k * (apertures + 1) + apertures] != 0.0:
                     for m in range(apertures):
                         if members[k * (apertures + 1) + m] != 0.0:

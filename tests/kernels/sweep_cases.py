@@ -22,8 +22,8 @@ class SweepCase:
     masked: bool = False
     directions: int = 8
     first: float = -1.5
-    step: float = 0.375
-    count: int = 9
+    step: float = 0.71875
+    count: int = 5
     gradient_weight: float = 2.0
     preference: float = 0.1
     least: int = 2
@@ -66,7 +66,7 @@ SWEEP_CASES = (
     SweepCase("more apertures than views", directions=31, offsets=cases.IRREGULAR),
     SweepCase("colours alone", gradient_weight=0.0, masked=True),
     SweepCase("no preference", preference=0.0, masked=True),
-    SweepCase("wide", size=(5, 60)),
+    SweepCase("wide", size=(5, 150)),
     SweepCase("high", size=(300, 3), channels=1, offsets=cases.IRREGULAR, masked=True, count=2),
     SweepCase("work for several threads", size=(53, 67), offsets=cases.grid(3, 4), masked=True, count=4),
 )
