@@ -42,9 +42,9 @@ def estimate_depth(
 ) -> DepthResult:
     """Estimate the disparity of the reference view of a light field.
 
-    "accurate" and "fast" match: they find the surface on which the views agree, each as far as nothing hides the surface
-    from it (`lfgpu/matching.py`). "paper" synthesises: it finds the map from which the reference view predicts all others
-    best (Sajjadi et al. 2016; `lfgpu/synthesis.py`).
+    "accurate" and "fast" match: they find the surface on which the views agree, each as far as nothing hides it
+    (`lfgpu/matching.py`). "paper" synthesises: it finds the map from which the reference view predicts all others best
+    (Sajjadi et al. 2016; `lfgpu/synthesis.py`).
 
     Parameters
     ----------

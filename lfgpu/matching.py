@@ -115,7 +115,7 @@ class Matching:
         trace = tuple(math.sqrt(self._kernels.number(move) / (height * width)) for move in self._moves)
         return Solution(
             converged=trace[-1] <= _CONVERGED,
-            status=f"Views differ by {self._config.sweep.noise:.2g} in intensity where they agree. Alignment: the last of "
+            status=f"Views that agree differ by {self._config.sweep.noise:.2g} in intensity. Alignment: the last of "
             f"{len(trace)} iterations moved pixels by {trace[-1]:.2g} px (rms).",
             iterations=len(trace),
             evaluations=len(trace),

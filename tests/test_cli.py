@@ -21,7 +21,7 @@ from lfgpu import get_threads, list_backends, scenes, set_threads
 from lfgpu._backends import BackendInfo
 from lfgpu.cli import app, demo
 from lfgpu.cli.machine import device_name
-from lfgpu.config import Config
+from lfgpu.config import preset
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read, read_map, read_result, write_hci, write_pfm
 from lfgpu.lightfield import LightField
@@ -206,7 +206,7 @@ def raising(error: BaseException) -> Callable[..., None]:
     return fail
 
 
-@pytest.mark.parametrize("where", ["lfgpu.synthesis.BoundedLbfgs.minimize", "lfgpu.io.write_result", "lfgpu.io.read"])
+@pytest.mark.parametrize("where", ["lfgpu.matching.Matching._find_surface", "lfgpu.io.write_result", "lfgpu.io.read"])
 def test_interruption_leaves_nothing(
     where: str, recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -257,7 +257,7 @@ def test_depth_writes_what_reads_back(solved: tuple[Path, Outcome], scene: Light
     result = read_result(folder / "result.npz")
     assert result.disparity.shape == scene.size
     assert result.disparity_range == (-2, 2)
-    assert result.config == Config()
+    assert result.config == preset("accurate")
     np.testing.assert_array_equal(read_map(folder / "disparity.pfm"), result.disparity)
     assert result.depth is not None
     np.testing.assert_array_equal(read_map(folder / "depth.pfm"), result.depth)
@@ -542,7 +542,7 @@ def test_demo(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(read(out / "light-field").views, scenes.make("boxes", seed=1, **SMALL).views)
     said = " ".join(outcome.out.split())
     assert f"lfgpu eval {out}-cross {out}/light-field" in said
-    assert row_of(outcome.out, "refined")
+    assert row_of(outcome.out, "aligned")
     with Image.open(out / "overview.png") as image:
         assert min(image.size) > 1000
     assert lfgpu("eval", out, out / "light-field").code == 0

@@ -1,4 +1,4 @@
-"""The whole method on small scenes with exact truth, and what its result says about itself."""
+"""The method of the paper on small scenes with exact truth, and what its result says about itself."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lfgpu import scenes
+from lfgpu import depth, scenes
 from lfgpu.config import Config, preset
-from lfgpu.depth import estimate_depth
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.io import read
 from lfgpu.lightfield import LightField
@@ -24,6 +23,11 @@ RANGE, WIDE = (-1.5, 1.5), (-3.0, 3.0)
 CONVERGED = Config().with_values({"refinement.tolerance": 1e-6, "refinement.max_iterations": 500})
 """Where two minimisations are compared, so that not the iteration at which each happened to stop is."""
 QUICK = Config().with_values({"refinement.max_iterations": 3, "prior.window": 5})
+
+
+def estimate_depth(lf: LightField, **options: Any) -> DepthResult:
+    """By the paper's method, if not asked otherwise."""
+    return depth.estimate_depth(lf, **({"config": "paper"} | options))
 
 
 @cache
@@ -38,7 +42,7 @@ def small(**options: Any) -> LightField:
 
 @cache
 def estimated(**options: Any) -> DepthResult:
-    """The default preset on relief, within the range that the scene was made for."""
+    """Relief, within the range that the scene was made for."""
     return estimate_depth(relief(**options), disparity_range=options.get("disparity_range", RANGE))
 
 

@@ -234,7 +234,7 @@ def test_a_reference_alone_in_its_row_and_column_is_refused() -> None:
 
 def test_a_range_without_any_estimate_is_refused() -> None:
     with pytest.raises(LightFieldError, match="no pixel has a coherent estimate within the disparity range"):
-        lfgpu.estimate_depth(relief(), disparity_range=(7.0, 7.0001))
+        lfgpu.estimate_depth(relief(), disparity_range=(7.0, 7.0001), config="paper")
 
 
 def test_views_without_texture_have_no_range() -> None:
