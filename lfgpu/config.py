@@ -147,9 +147,11 @@ class SweepConfig(_Checked):
         0.2, 0.0, 10.0, "share by which half of the views must agree better than all of them to be believed"
     )  # fmt: skip
     tolerance: float = _number(
-        0.3, 0.0, 10.0, "what is nearer by less than this hides nothing, pixels per view step"
+        1.2, 0.0, 100.0, "what is nearer by less than this hides nothing, pixels in the farthest view"
     )  # fmt: skip
-    least_views: int = _number(3, 1, 1000, "views that must see a pixel for it to be compared with occlusions")
+    least_share: float = _number(
+        0.04, 0.0, 1.0, "share of the views that must see a pixel, but at least one, for it to be compared again"
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -169,11 +171,11 @@ class AlignmentConfig(_Checked):
     gradient_weight: float = _number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
     robust: float = _number(0.005, 1e-4, 10.0, "difference from the common mean that is taken for noise, intensity")
     support: float = _number(
-        0.1, 1e-3, 100.0, "difference in disparity that halves the weight of a neighbour, pixels per view step"
+        0.4, 1e-3, 100.0, "difference in disparity that halves the weight of a neighbour, pixels in the farthest view"
     )  # fmt: skip
     damping: float = _number(0.05, 0.0, 100.0, "curvature over robust², 1 / pixel², below which steps shrink")
     stiffness: float = _number(0.1, 0.0, 100.0, "the same, below which a pixel follows those around it")
-    longest_step: float = _number(0.1, 1e-3, 10.0, "longest step, pixels per view step")
+    longest_step: float = _number(0.4, 1e-3, 10.0, "longest step, pixels in the farthest view")
 
 
 @dataclass(frozen=True)

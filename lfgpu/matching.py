@@ -60,7 +60,7 @@ class Matching:
         if len(self._used) < len(lf.views):
             lf = lf.subset(self._used)
             self._chosen = kernels.zeros_image(lf.views.shape, device, lf.views.dtype)
-        self._reference, self._scale = lf.reference_index, lf.scale
+        self._reference, self._scale, self._farthest = lf.reference_index, lf.scale, farthest(lf.offsets)
         shape, image = (len(lf.views), *lf.size, lf.channels), (*lf.size, lf.channels)
         self._offsets = kernels.field(lf.offsets, device)
         self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
@@ -78,7 +78,7 @@ class Matching:
             scale=lf.scale,
             gradient_weight=config.alignment.gradient_weight,
             robust=config.alignment.robust,
-            tolerance=config.sweep.tolerance,
+            tolerance=config.sweep.tolerance / self._farthest,
         )
         self._swept, self._matched, self.disparity, self.confidence = (kernels.zeros(lf.size, device) for _ in range(4))
         """`disparity` and `confidence` are the results, fields [y, x]."""
@@ -158,14 +158,14 @@ class Matching:
     def _improve(self, callback: Callback | None) -> None:
         """Gauss-Newton steps on the sums over each pixel's surface around it, and then its mean."""
         kernels, config, map_, room = self._kernels, self._config.alignment, self.disparity, self._room
-        noise = config.robust**2
+        noise, longest = config.robust**2, config.longest_step / self._farthest
         kernels.copy(self._matched if self._twice else self._swept, map_)
         for iteration, moved in enumerate(self._moves, 1):
             # Beside an edge in another view, what is seen there is mixed with what is nearer: one pixel is left out.
             self._hiding_beside(map_, self._nearest)
             self._align(map_, self._nearest, self._curvature, self._slope)
             self._on_surface(self._slope, self._curvature, config.damping * noise, room)
-            kernels.clamp(room, -config.longest_step, config.longest_step, room)
+            kernels.clamp(room, -longest, longest, room)
             kernels.dot(room, room, moved)
             kernels.axpby(1.0, map_, 1.0, room, map_)
             kernels.clamp(map_, *self._bounds, map_)
@@ -192,7 +192,7 @@ class Matching:
             self.disparity,
             numerator,
             denominator,
-            support=self._config.alignment.support,
+            support=self._config.alignment.support / self._farthest,
             floor=floor,
             ratio_out=ratio_out,
         )
@@ -260,8 +260,8 @@ def _planned_sweep(
         gradient_weight=config.gradient_weight,
         gradient_truncation=config.gradient_truncation,
         preference=config.preference,
-        tolerance=config.tolerance,
-        least=config.least_views,
+        tolerance=config.tolerance / farthest(lf.offsets),
+        least=max(1, math.ceil(config.least_share * (len(lf.views) - 1))),
     )
 
 
@@ -271,13 +271,18 @@ def used_views(lf: LightField, pattern: str) -> list[int]:
     return used if len(used) > _FEWEST else list(range(len(lf.views)))
 
 
+def farthest(offsets: Float64Array) -> float:
+    """How far the farthest view is from the reference in u or in v, view steps."""
+    return float(np.abs(offsets).max())
+
+
 def labels(bounds: tuple[float, float], offsets: Float64Array, config: SweepConfig) -> tuple[float, float, int]:
     """First, distance and number of the disparities that are compared: even, from bound to bound.
 
     They are `config.step` pixels apart in the farthest view, or as far as it takes for `config.most_labels` of them.
     """
     low, high = bounds
-    steps = math.ceil((high - low) * float(np.abs(offsets).max()) / config.step)
+    steps = math.ceil((high - low) * farthest(offsets) / config.step)
     count = min(max(steps + 1, 3), config.most_labels)
     return low, (high - low) / (count - 1), count
 
