@@ -141,8 +141,8 @@ class SweepConfig(_Checked):
         "all differences of intensity in matching as many times larger as it is larger than 0.004"
     )  # fmt: skip
     truncation: float = _number(0.1, 1e-3, 10.0, "difference in intensity beyond which views just differ")
-    gradient_weight: float = _number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
-    gradient_truncation: float = _number(0.02, 1e-4, 10.0, "the same for image gradients, intensity per pixel")
+    gradient_weight: float = _number(1.0, 0.0, 100.0, "weight of image gradients against intensities")
+    gradient_truncation: float = _number(0.04, 1e-4, 10.0, "the same for image gradients, intensity per pixel")
     preference: float = _number(
         0.2, 0.0, 10.0, "share by which half of the views must agree better than all of them to be believed"
     )  # fmt: skip
