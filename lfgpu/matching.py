@@ -29,6 +29,7 @@ _ON_LINE = 1e-3  # view steps
 _SAMPLE = 256  # pixels, side of what the noise is measured in
 _USUAL_NOISE = 0.004  # intensity: what the defaults are meant for
 _LEAST_NOISE, _MOST_NOISE = 0.7, 5.0  # in units of that
+_DOUBT = 0.28  # pixels per view step, rms, that make a pixel as likely off by more than 0.07 as not
 _CONVERGED = 0.02  # pixels per view step, rms of the last step
 
 
@@ -175,10 +176,37 @@ class Matching:
             kernels.copy(self._slope, map_)
             if callback is not None:
                 callback(iteration, math.sqrt(kernels.number(moved) / (self._size[0] * self._size[1])))
-        kernels.axpby(1.0, self._certainty, -_STILL, self._prior.ones, room)
-        self._prior.mean(room, self.confidence)
-        kernels.clamp(self.confidence, 0.0, 1.0, self.confidence)
-        kernels.dot(self.confidence, self._prior.ones, self._trust)
+        self._judge()
+
+    def _judge(self) -> None:
+        """confidence = 1 / (1 + odds), odds = (1 - c)² / 2 + (s / _DOUBT)² being those of a pixel being off.
+
+        c is the mean certainty of the pixel's window, so that odds are 1 to 2 where it has no texture. s² is the mean
+        of (swept_q - disparity_p)² over the window: edges of depth between pixels that look alike, what the sweep was
+        torn about, and what later stages had to move all make it large.
+        """
+        kernels, prior, ones, room = self._kernels, self._prior, self._prior.ones, self._room
+        unseen, swept, spread = self._certainty, self._slope, self._curvature
+        kernels.axpby(1.0, self._certainty, -_STILL, ones, room)
+        kernels.dot(room, ones, self._trust)
+        prior.mean(room, unseen)
+        kernels.axpby(1.0, ones, -1.0, unseen, unseen)
+        kernels.multiply(unseen, unseen, unseen)
+
+        middle = sum(self._bounds) / 2  # squares of small numbers lose less in their difference
+        kernels.axpby(1.0, self._swept, -middle, ones, room)
+        prior.mean(room, swept)
+        kernels.multiply(room, room, room)
+        prior.mean(room, spread)
+        kernels.axpby(1.0, self.disparity, -middle, ones, room)
+        kernels.axpby(1.0, room, -2.0, swept, swept)
+        kernels.multiply(room, swept, swept)
+        kernels.axpby(1.0, spread, 1.0, swept, spread)
+
+        kernels.axpby(0.5, unseen, 1 / _DOUBT**2, spread, spread)
+        kernels.axpby(1.0, ones, 1.0, spread, spread)
+        kernels.divide(ones, spread, self.confidence)
+        kernels.clamp(self.confidence, 0.0, 1.0, self.confidence)  # where rounding made s² negative
 
     def _weigh_texture(self, stiffness: float) -> None:
         """certainty = curvature / (curvature + stiffness) + a little, so that where nothing is certain means exist."""

@@ -12,6 +12,9 @@ from lfgpu.errors import LightFieldError
 BORDER = 15
 """Pixels at each side of the image that the benchmark leaves out."""
 
+_SHARES = np.arange(20, 0, -1) / 20  # of the pixels that are kept: 1, 0.95 .. 0.05
+_ROUNDING = 1e-9  # percent
+
 
 @dataclass(frozen=True)
 class Metrics:
@@ -66,25 +69,8 @@ def evaluate(disparity: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None =
     LightFieldError
         If shapes differ, the border leaves nothing of the map, or no pixel is left to score.
     """
-    estimated, true = np.asarray(disparity, np.float64), np.asarray(truth, np.float64)
-    if estimated.ndim != 2 or estimated.shape != true.shape:
-        raise LightFieldError(
-            f"disparity and truth must be [y, x] of the same shape, found {estimated.shape} and {true.shape}."
-        )
-    scored = np.isfinite(true) & _inside(true.shape, border)
-    if mask is not None:
-        allowed = np.asarray(mask)
-        if allowed.shape != true.shape or allowed.dtype != np.bool_:
-            raise LightFieldError(f"mask must be bool {true.shape}, found {allowed.dtype} {allowed.shape}.")
-        scored &= allowed
-    count = int(scored.sum())
-    if count == 0:
-        raise LightFieldError(
-            f"nothing to score: no pixel of the {true.shape[0]} x {true.shape[1]} map has a known truth "
-            f"inside the mask and the border of {border} pixels."
-        )
-    errors = np.abs(estimated[scored] - true[scored])
-    defined = errors[np.isfinite(errors)]
+    errors, _ = _errors(disparity, truth, mask, border)
+    count, defined = len(errors), errors[np.isfinite(errors)]
     mse = float(np.mean(defined**2)) if len(defined) else float("nan")
     return Metrics(
         mse_100=100 * mse,
@@ -96,6 +82,112 @@ def evaluate(disparity: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None =
         undefined=100 * (count - len(defined)) / count,
         count=count,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Sparsification:
+    """What `sparsification` found: how well a confidence tells which pixels are bad."""
+
+    kept: NDArray[np.float64]
+    """Percent of the scored pixels that are kept, the most confident ones: 100, 95 .. 5."""
+    bad: NDArray[np.float64]
+    """Percent of the kept pixels that are bad."""
+    oracle: NDArray[np.float64]
+    """The same if those of the smallest true errors were kept: no confidence can do better."""
+    ause: float
+    """Area between both curves over the share kept, 0.05 to 1, of curves divided by the percentage of all pixels that
+    are bad: 0 is the oracle, a confidence that says nothing has at most 0.95, and the less the more pixels are bad. NaN
+    if no pixel is bad."""
+    monotone: bool
+    """Whether `bad` never rises as less confident pixels are left out."""
+    threshold: float
+    """Pixels with a larger |error|, pixels per view step, are bad."""
+    count: int
+    """Number of scored pixels."""
+
+
+def sparsification(
+    disparity: ArrayLike,
+    confidence: ArrayLike,
+    truth: ArrayLike,
+    *,
+    mask: ArrayLike | None = None,
+    border: int = BORDER,
+    threshold: float = 0.07,
+) -> Sparsification:
+    """Leave out the least confident pixels, more and more of them, and see what becomes of the share of bad ones.
+
+    Pixels of one confidence have no order: as many of them as are kept are bad in the proportion of them all. Undefined
+    disparities are bad, and where the confidence is NaN it is less than anywhere else. The area is that of Ilg et al.
+    (2018), "area under the sparsification error", for the share of bad pixels instead of the mean error.
+
+    Parameters
+    ----------
+    disparity
+        The estimate, [y, x], pixels per view step; NaN or infinite where it is undefined.
+    confidence
+        The larger the surer, same shape; only its order counts.
+    truth
+        The truth, same shape and unit as the estimate; pixels where it is NaN or infinite are left out.
+    mask
+        bool [y, x], True where pixels are scored; None scores everywhere.
+    border
+        Pixels at each side that are left out, >= 0; the benchmark's 15 by default.
+    threshold
+        Pixels with |error| > threshold are bad, pixels per view step, >= 0; 0.07 by default.
+
+    Raises
+    ------
+    LightFieldError
+        If shapes differ, the threshold is negative, the border leaves nothing of the map, or no pixel is left to score.
+    """
+    if not threshold >= 0:
+        raise LightFieldError(f"threshold must be at least 0, found {threshold:g}.")
+    errors, scored = _errors(disparity, truth, mask, border)
+    surer = np.asarray(confidence, np.float64)
+    if surer.shape != scored.shape:
+        raise LightFieldError(f"confidence must be {scored.shape} as the disparity, found {surer.shape}.")
+    levels, level = np.unique(-np.where(np.isnan(surer), -np.inf, surer)[scored], return_inverse=True)
+    off = ~(errors <= threshold)  # undefined ones too
+    pixels = np.cumsum(np.bincount(level, minlength=len(levels)))
+    wrong = np.cumsum(np.bincount(level, off, minlength=len(levels)))
+    count, total = len(errors), int(off.sum())
+    kept = _SHARES * count
+    bad = 100 * np.interp(kept, np.append(0, pixels), np.append(0, wrong)) / kept
+    oracle = 100 * np.maximum(0, total - (count - kept)) / kept
+    area = np.trapezoid((bad - oracle)[::-1], _SHARES[::-1])
+    return Sparsification(
+        kept=100 * _SHARES,
+        bad=bad,
+        oracle=oracle,
+        ause=float(area / (100 * total / count)) if total else float("nan"),
+        monotone=bool((np.diff(bad) <= _ROUNDING).all()),
+        threshold=threshold,
+        count=count,
+    )
+
+
+def _errors(
+    disparity: ArrayLike, truth: ArrayLike, mask: ArrayLike | None, border: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """|error| of the scored pixels [p], NaN or infinite where the estimate is undefined, and which they are [y, x]."""
+    estimated, true = np.asarray(disparity, np.float64), np.asarray(truth, np.float64)
+    if estimated.ndim != 2 or estimated.shape != true.shape:
+        raise LightFieldError(
+            f"disparity and truth must be [y, x] of the same shape, found {estimated.shape} and {true.shape}."
+        )
+    scored = np.isfinite(true) & _inside(true.shape, border)
+    if mask is not None:
+        allowed = np.asarray(mask)
+        if allowed.shape != true.shape or allowed.dtype != np.bool_:
+            raise LightFieldError(f"mask must be bool {true.shape}, found {allowed.dtype} {allowed.shape}.")
+        scored &= allowed
+    if not scored.any():
+        raise LightFieldError(
+            f"nothing to score: no pixel of the {true.shape[0]} x {true.shape[1]} map has a known truth "
+            f"inside the mask and the border of {border} pixels."
+        )
+    return np.abs(estimated[scored] - true[scored]), scored
 
 
 def _inside(shape: tuple[int, ...], border: int) -> NDArray[np.bool_]:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_write
+from lfgpu.metrics import Sparsification
 
 _DISPARITY = "disparity (px per view step)\nlarger is nearer"
 _UNDEFINED = "0.62"  # a grey that none of the colour maps has
@@ -78,9 +79,34 @@ def confidence_figure(confidence: ArrayLike, *, name: str = "light field") -> Fi
     layout = _Layout(values.shape, rows=1, columns=1)
     axes, bar = layout.axes(0, 0), layout.bar(0)
     image = _show(axes, values, "cividis", (0.0, 1.0))
-    _scale(layout.figure, image, bar, "confidence\n0: filled in from elsewhere", values)
+    _scale(layout.figure, image, bar, "confidence\nlarger is surer", values)
     axes.set_title(f"{_short(name)}: confidence", parse_math=False)
     return layout.figure
+
+
+def sparsification_figure(curve: Sparsification, *, name: str = "light field") -> Figure:
+    """The share of bad pixels among the most confident ones, and that of the order that knows the errors.
+
+    Parameters
+    ----------
+    curve
+        What `lfgpu.metrics.sparsification` found.
+    name
+        The scene, for the title.
+    """
+    figure = Figure((_LONG_SIDE, 0.75 * _LONG_SIDE), dpi=150, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot(curve.kept, curve.bad, color="C0", marker=".", label="most confident first")
+    axes.plot(curve.kept, curve.oracle, color="0.4", linestyle="--", label="smallest errors first")
+    axes.set_xlim(100, 0)
+    axes.set_ylim(0, 1.05 * max(float(curve.bad.max()), 1.0))
+    axes.set_xlabel("pixels kept (%)")
+    axes.set_ylabel(f"of them bad (%)\nmore than {curve.threshold:g} px per view step off")
+    axes.legend(frameon=False)
+    area = "" if math.isnan(curve.ause) else f", AUSE {curve.ause:.3f}"
+    axes.set_title(f"{_short(name)}: sparsification{area}", parse_math=False)
+    return figure
 
 
 def overview_figure(

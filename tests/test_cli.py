@@ -25,7 +25,7 @@ from lfgpu.config import preset
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read, read_map, read_result, write_hci, write_pfm
 from lfgpu.lightfield import LightField
-from lfgpu.metrics import evaluate
+from lfgpu.metrics import evaluate, sparsification
 
 OUTPUTS = {"confidence.png", "depth.pfm", "disparity.pfm", "disparity.png", "result.npz"}
 RANGE = ("--disparity-range", "-2,2")
@@ -295,6 +295,27 @@ def test_scores_are_those_of_evaluate(of: str, solved: tuple[Path, Outcome], rec
     assert "border of 15" in outcome.out
 
 
+@pytest.mark.parametrize("of", ["depth", "eval", "eval of a light field"])
+def test_what_the_confidence_tells_is_that_of_sparsification(
+    of: str, solved: tuple[Path, Outcome], recorded: Path
+) -> None:
+    folder, outcome = solved
+    if of != "depth":
+        outcome = lfgpu("eval", folder, recorded if "field" in of else recorded / "gt_disp_lowres.pfm")
+    result = read_result(folder / "result.npz")
+    curve = sparsification(result.disparity, result.confidence, read_map(recorded / "gt_disp_lowres.pfm"))
+    for name, shares in (("confidence", curve.bad), ("oracle", curve.oracle)):
+        expected = [shares[list(np.round(curve.kept)).index(kept)] for kept in (100, 95, 90, 75, 50, 25)]
+        assert row_of(outcome.out, name) == pytest.approx(expected, abs=0.0051)
+    assert f"{curve.ause:.3f} (AUSE" in " ".join(outcome.out.split())
+
+
+def test_a_map_alone_has_no_confidence_to_look_at(solved: tuple[Path, Outcome], recorded: Path) -> None:
+    outcome = lfgpu("eval", solved[0] / "disparity.pfm", recorded)
+    assert outcome.code == 0
+    assert "AUSE" not in outcome.out
+
+
 def test_depth_with_options(views: Path, out: Path) -> None:
     holes(views)
     outcome = lfgpu(
@@ -538,7 +559,7 @@ def test_demo(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(demo, "SIZE", (40, 48))
     outcome = lfgpu("demo", "-o", out, "--seed", 1)
     assert outcome.code == 0, outcome.err
-    assert {entry.name for entry in out.iterdir()} == OUTPUTS | {"overview.png", "light-field"}
+    assert {entry.name for entry in out.iterdir()} == OUTPUTS | {"overview.png", "sparsification.png", "light-field"}
     np.testing.assert_array_equal(read(out / "light-field").views, scenes.make("boxes", seed=1, **SMALL).views)
     said = " ".join(outcome.out.split())
     assert f"lfgpu eval {out}-cross {out}/light-field" in said

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lfgpu.errors import LightFieldError
-from lfgpu.metrics import Metrics, evaluate
+from lfgpu.metrics import Metrics, Sparsification, evaluate, sparsification
 
 NAN = float("nan")
 
@@ -97,3 +97,122 @@ def test_bad_input_is_said_so(disparity: object, truth: object, options: dict[st
 
 def test_the_smallest_map_that_a_border_leaves() -> None:
     assert evaluate(np.zeros((31, 31)), np.zeros((31, 31))).count == 1
+
+
+# --- sparsification ---
+
+
+def curve_of(errors: object, confidence: object, **options: object) -> Sparsification:
+    """The curve of a map of one row."""
+    row = np.atleast_2d(np.asarray(errors, np.float64))
+    return sparsification(row, np.atleast_2d(confidence), np.zeros_like(row), border=0, **options)  # type: ignore[arg-type]
+
+
+def rows_of(curve: Sparsification) -> dict[int, tuple[float, float]]:
+    """(bad, oracle) by the percentage kept."""
+    return {round(k): (b, o) for k, b, o in zip(curve.kept, curve.bad, curve.oracle, strict=True)}
+
+
+TWENTY = np.where(np.arange(20) < 4, 0.5, 0.0)  # the first four of twenty pixels are bad
+
+
+def test_the_curve_of_a_confidence_that_knows_all_is_the_oracles() -> None:
+    curve = curve_of(TWENTY, np.arange(20))
+    assert list(np.round(curve.kept)) == list(range(100, 0, -5))
+    # 20, 19, 18, 17, 16, 15 .. pixels are kept, and 4, 3, 2, 1, 0, 0 .. of them bad
+    np.testing.assert_allclose(curve.bad, [20, 300 / 19, 200 / 18, 100 / 17, *[0] * 16], atol=1e-9)
+    np.testing.assert_allclose(curve.oracle, curve.bad, atol=1e-9)
+    assert curve.ause == pytest.approx(0, abs=1e-12)
+    assert (curve.monotone, curve.threshold, curve.count) == (True, 0.07, 20)
+
+
+def test_a_confidence_that_is_all_wrong() -> None:
+    curve = curve_of(TWENTY, -np.arange(20))
+    rows = rows_of(curve)
+    assert rows[100] == pytest.approx((20, 20))
+    assert rows[50] == pytest.approx((40, 0))
+    assert rows[20] == rows[5] == pytest.approx((100, 0))
+    assert not curve.monotone
+
+
+def test_pixels_of_one_confidence_are_bad_in_the_proportion_of_them_all() -> None:
+    curve = curve_of(TWENTY, np.full(20, 0.3))
+    np.testing.assert_allclose(curve.bad, 20)
+    assert curve.monotone
+    # a trapezoid over 20 shares of 1 - oracle / 20 %, the oracle being (k - 16) / k for k > 16 kept and 0 below
+    difference = [1 - 5 * max(0, (k - 16) / k) for k in range(1, 21)]
+    assert curve.ause == pytest.approx(0.05 * (sum(difference) - (difference[0] + difference[-1]) / 2))
+    assert curve.ause < 0.95
+
+
+def test_ties_do_not_depend_on_where_the_pixels_are() -> None:
+    # ten sure pixels, one of them bad; ten unsure ones, three of them bad
+    errors = np.zeros(20)
+    errors[[2, 10, 11, 12]] = 0.5
+    confidence = np.repeat([0.9, 0.1], 10)
+    rows = rows_of(curve_of(errors, confidence))
+    assert rows[25][0] == rows[50][0] == pytest.approx(10)
+    assert rows[75][0] == pytest.approx(100 * (1 + 1.5) / 15)
+    mixed = np.random.default_rng(1).permutation(20)
+    np.testing.assert_allclose(curve_of(errors[mixed], confidence[mixed]).bad, curve_of(errors, confidence).bad)
+
+
+def test_shares_between_whole_pixels() -> None:
+    # 95 % of four pixels are 3.8: three sure good ones and 0.8 of the bad one
+    rows = rows_of(curve_of([1, 0, 0, 0], [0.1, 0.2, 0.3, 0.4]))
+    assert rows[95] == pytest.approx((100 * 0.8 / 3.8, 100 * 0.8 / 3.8))
+    assert rows[75] == (0, 0)
+
+
+def test_only_the_order_of_the_confidence_counts(rng: np.random.Generator) -> None:
+    errors, confidence = rng.normal(0, 0.1, 200), rng.random(200)
+    one, other = curve_of(errors, confidence), curve_of(errors, np.exp(9 * confidence))
+    np.testing.assert_array_equal(one.bad, other.bad)
+    assert one.ause == other.ause
+    assert rows_of(one)[100][0] == pytest.approx(evaluate([errors], np.zeros((1, 200)), border=0).badpix_07)
+
+
+def test_bad_is_what_is_strictly_worse_than_the_threshold() -> None:
+    assert rows_of(curve_of([0.07, 0.0701], [1, 0]))[100][0] == 50
+    assert rows_of(curve_of([0.07, 0.0701], [1, 0], threshold=0.03))[100][0] == 100
+    assert rows_of(curve_of([0.07, 0.0701], [1, 0], threshold=0.1))[100][0] == 0
+
+
+def test_undefined_pixels_are_bad_and_undefined_confidence_is_the_least() -> None:
+    curve = curve_of([NAN, 0, 0, 0], [0.9, 0.1, 0.2, 0.3])
+    assert rows_of(curve)[25] == pytest.approx((100, 0))
+    assert rows_of(curve_of([0.5, 0, 0, 0], [NAN, 0, 0.2, 0.3]))[75][0] == 0
+
+
+def test_no_area_where_nothing_is_bad() -> None:
+    curve = curve_of(np.zeros(8), np.arange(8))
+    assert np.isnan(curve.ause)
+    assert curve.monotone
+    assert not curve.bad.any()
+
+
+def test_only_scored_pixels_are_in_the_curve(rng: np.random.Generator) -> None:
+    truth, mask = np.zeros((40, 44)), rng.random((40, 44)) < 0.5
+    disparity, confidence = rng.normal(0, 0.1, truth.shape), rng.random(truth.shape)
+    truth[20, 20], mask[20, 20:22] = NAN, True
+    curve = sparsification(disparity, confidence, truth, mask=mask)
+    inner = np.zeros_like(mask)
+    inner[15:-15, 15:-15] = True
+    scored = inner & mask & np.isfinite(truth)
+    assert curve.count == scored.sum()
+    np.testing.assert_array_equal(curve.bad, curve_of(disparity[scored], confidence[scored]).bad)
+
+
+@pytest.mark.parametrize(
+    ("confidence", "options", "words"),
+    [
+        (np.zeros((4, 5)), {}, ["confidence", "(4, 4)", "(4, 5)"]),
+        (np.zeros((4, 4)), {"threshold": -0.1}, ["threshold", "-0.1"]),
+        (np.zeros((4, 4)), {"threshold": NAN}, ["threshold", "nan"]),
+        (np.zeros((4, 4)), {"mask": np.zeros((4, 4), bool)}, ["nothing to score"]),
+    ],
+)
+def test_bad_input_of_the_curve_is_said_so(confidence: object, options: dict[str, object], words: list[str]) -> None:
+    with pytest.raises(LightFieldError) as error:
+        sparsification(np.zeros((4, 4)), confidence, np.zeros((4, 4)), border=0, **options)  # type: ignore[arg-type]
+    assert all(word in str(error.value) for word in words)

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from lfgpu.errors import LightFieldError
-from lfgpu.pictures import confidence_figure, disparity_figure, overview_figure, save_png
+from lfgpu.metrics import sparsification
+from lfgpu.pictures import confidence_figure, disparity_figure, overview_figure, save_png, sparsification_figure
 
 SHAPE = (30, 40)
 
@@ -103,6 +104,23 @@ def test_errors_outside_the_mask_are_not_shown() -> None:
     error = next(axes for axes in figure.axes if axes.get_title() == "disparity minus truth").images[0].get_array()
     assert np.ma.getmaskarray(error)[:10].all()
     assert not np.ma.getmaskarray(error)[10:].any()
+
+
+@pytest.mark.parametrize("wrong", [True, False])
+def test_the_curve_is_drawn_beside_that_of_the_oracle(wrong: bool, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    error = rng.normal(0, 0.1 if wrong else 1e-3, SHAPE)
+    curve = sparsification(error, rng.random(SHAPE), np.zeros(SHAPE), border=0)
+    figure = sparsification_figure(curve, name="$a$")
+    (axes,) = figure.axes
+    drawn = [line.get_ydata() for line in axes.lines]
+    np.testing.assert_array_equal(drawn, [curve.bad, curve.oracle])
+    assert axes.get_title().startswith("$a$: sparsification")
+    assert ("AUSE" in axes.get_title()) == wrong
+    assert "0.07 px" in axes.get_ylabel()
+    low, high = axes.get_ylim()
+    assert low == 0 < high
+    assert pixels(figure, tmp_path).size
 
 
 @pytest.mark.parametrize("name", ["$x_$", "a" * 200, "深度", "two\nlines"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -14,13 +15,14 @@ from rich.text import Text
 
 if TYPE_CHECKING:
     from lfgpu.config import Config
-    from lfgpu.metrics import Metrics
+    from lfgpu.metrics import Metrics, Sparsification
 
 Progress = Callable[[str, int, float], None]
 """Called as progress(stage, iteration, value), as `estimate_depth` does."""
 
 _LABELS = 13  # characters, so that the lines of several calls stand in line
 _NARROWEST = 100  # columns where the output goes to a file: nobody wraps it there
+_KEPT = (100, 95, 90, 75, 50, 25)  # percent
 _WHAT = {
     "local": "local estimate",
     "propagate": "propagation",
@@ -72,6 +74,27 @@ def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
             f"{m.undefined:.2f} %",
         )
     console.print(Padding(table, (0, 0, 0, 2), expand=False))
+
+
+def sparsification(console: Console, curve: Sparsification) -> None:
+    """The share of bad pixels among the most confident ones, and the least it could be; fits into 80 columns."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
+    table.add_column(f"BadPix {curve.threshold:g}\nof the surest", vertical="bottom", no_wrap=True)
+    shown = [index for index, share in enumerate(curve.kept) if round(share) in _KEPT]
+    for index in shown:
+        table.add_column(f"{curve.kept[index]:.0f} %", justify="right", no_wrap=True)
+    for name, shares in (("confidence", curve.bad), ("oracle", curve.oracle)):
+        table.add_row(name, *(f"{shares[index]:.2f} %" for index in shown))
+    console.print(Padding(table, (0, 0, 0, 2), expand=False))
+    if math.isnan(curve.ause):
+        remark(console, "No pixel is bad: there is nothing that the confidence could tell.")
+        return
+    never = "never rises" if curve.monotone else "rises here and there"
+    remark(
+        console,
+        f"The oracle knows the errors; the area between them is {curve.ause:.3f} (AUSE, 0 is best). The share of bad "
+        f"pixels {never} as less confident ones are left out.",
+    )
 
 
 def backend_rows(console: Console, rows: Sequence[tuple[str, str, Sequence[str]]]) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 GRID, SIZE = (7, 7), (192, 256)
 """Small enough for a few seconds on two cores of a CPU."""
 
-_SCENE, _LIGHT_FIELD, _OVERVIEW = "boxes", "light-field", "overview.png"
+_SCENE, _LIGHT_FIELD, _OVERVIEW, _CURVE = "boxes", "light-field", "overview.png", "sparsification.png"
 
 
 def demo(
@@ -35,6 +35,7 @@ def demo(
     from lfgpu.cli.outputs import write_outputs
     from lfgpu.config import preset
     from lfgpu.io import atomic_folder, check_writable, write_hci
+    from lfgpu.pictures import save_png, sparsification_figure
     from lfgpu.scenes import make
 
     check_writable(out)
@@ -46,11 +47,14 @@ def demo(
     result = Estimation(preset("accurate")).run(lf, quiet=False)
     summary.show_input(console, lf)
     summary.show_result(console, result, range_given=False)
-    scores = summary.show_scores(console, lf, result)
+    scores, curve = summary.show_scores(console, lf, result)
     with atomic_folder(out) as folder:
         write_hci(lf, folder / _LIGHT_FIELD)
         files = write_outputs(folder, result)
         _draw_overview(lf, result, scores, folder / _OVERVIEW)
+        if curve is not None:
+            save_png(sparsification_figure(curve, name=lf.name), folder / _CURVE)
+            files.append((_CURVE, "the share of bad pixels among the most confident ones"))
     summary.show_outputs(
         console,
         out,

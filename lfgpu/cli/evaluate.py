@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lfgpu.lightfield import GroundTruth
+    from lfgpu.result import DepthResult
 
 
 def evaluate(
@@ -29,15 +30,18 @@ def evaluate(
     ] = None,
     border: Annotated[int | None, typer.Option(help="Pixels left out at each side.", show_default="15")] = None,
 ) -> None:
-    """Score a disparity map with the metrics of the HCI 4D Light Field Benchmark; smaller is better throughout."""
+    """Score a disparity map with the metrics of the HCI 4D Light Field Benchmark; smaller is better throughout.
+
+    For what depth wrote, also the share of bad pixels among the most confident ones.
+    """
     from lfgpu import metrics
-    from lfgpu.cli.console import output, remark, scores
+    from lfgpu.cli.console import output, remark, scores, sparsification
     from lfgpu.cli.summary import scored_where
     from lfgpu.io import read_mask
 
     left_out = metrics.BORDER if border is None else border
-    maps, position = _maps(result)
-    true = _truth(truth, position)
+    maps, estimate = _maps(result)
+    true = _truth(truth, None if estimate is None else estimate.position)
     where = true.mask if mask is None else read_mask(mask)
     rows = {
         name: metrics.evaluate(values, true.disparity, mask=where, border=left_out) for name, values in maps.items()
@@ -45,17 +49,22 @@ def evaluate(
     console = output()
     scores(console, rows)
     remark(console, scored_where(next(iter(rows.values())).count, left_out))
+    if estimate is not None:
+        curve = metrics.sparsification(
+            estimate.disparity, estimate.confidence, true.disparity, mask=where, border=left_out
+        )
+        sparsification(console, curve)
 
 
-def _maps(path: Path) -> tuple[dict[str, NDArray[np.float32]], tuple[float, float] | None]:
-    """The maps to score by name, the stages of a result each, and the place of their view where it is known."""
+def _maps(path: Path) -> tuple[dict[str, NDArray[np.float32]], DepthResult | None]:
+    """The maps to score by name, the stages of a result each, and the result that they are of where there is one."""
     from lfgpu.io import holds_result, read_map, read_result
 
     _check_exists(path)
     file = _inside(path) if path.is_dir() else path
     if holds_result(file):
         result = read_result(file)
-        return dict(result.stages), result.position
+        return dict(result.stages), result
     return {file.name: read_map(file)}, None
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lfgpu.lightfield import LightField
-    from lfgpu.metrics import Metrics
+    from lfgpu.metrics import Metrics, Sparsification
     from lfgpu.result import DepthResult
 
 
@@ -55,26 +55,31 @@ def show_result(console: Console, result: DepthResult, *, range_given: bool) -> 
     shown.lines(console, rows)
 
 
-def show_scores(console: Console, lf: LightField, result: DepthResult) -> dict[str, Metrics]:
-    """The metrics after each stage if the truth of the reference view is known, else why there are none."""
+def show_scores(
+    console: Console, lf: LightField, result: DepthResult
+) -> tuple[dict[str, Metrics], Sparsification | None]:
+    """The metrics after each stage and what the confidence tells, if the truth of the reference view is known, else why
+    there are none."""
     if lf.truth is None:
-        return {}
+        return {}, None
     shown.heading(console, "Against the ground truth (for evaluation only: no estimate looks at it)")
     truth = lf.reference_truth()
     if truth is None:
         place = facts.place(*lf.truth.position)
         shown.remark(console, f"It belongs to the view at {place}, not to the reference view: there is no score.")
-        return {}
-    from lfgpu.metrics import BORDER, evaluate
+        return {}, None
+    from lfgpu.metrics import BORDER, evaluate, sparsification
 
     try:
         rows = {name: evaluate(values, truth.disparity, mask=truth.mask) for name, values in result.stages.items()}
+        curve = sparsification(result.disparity, result.confidence, truth.disparity, mask=truth.mask)
     except LightFieldError as error:
         shown.remark(console, f"It cannot be scored: {error}")
-        return {}
+        return {}, None
     shown.scores(console, rows)
     shown.remark(console, scored_where(next(iter(rows.values())).count, BORDER))
-    return rows
+    shown.sparsification(console, curve)
+    return rows, curve
 
 
 def scored_where(count: int, border: int) -> str:
