@@ -118,7 +118,7 @@ def test_fast_has_no_second_look() -> None:
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
-@pytest.mark.parametrize(("name", "most"), [("boxes", 0.12), ("textureless", 0.25)])
+@pytest.mark.parametrize(("name", "most"), [("boxes", 0.12), ("textureless", 0.45)])
 def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> None:
     """The fewer of the most confident pixels are kept, the fewer of them are wrong."""
     lf = scene(name, size=128)
@@ -145,8 +145,8 @@ def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     assert abs(good.mean() - confidence.mean()) < 0.05
     for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.0)):
         there = (confidence > low) & (confidence <= high)
-        assert there.sum() > 500
-        assert abs(good[there].mean() - confidence[there].mean()) < 0.2
+        assert there.sum() > 250
+        assert abs(good[there].mean() - confidence[there].mean()) < (0.1 if low == 0.9 else 0.35)
 
 
 def test_confidence_is_low_where_the_map_differs_from_the_sweep() -> None:
