@@ -127,7 +127,7 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> 
     assert ((result.confidence > 0) & (result.confidence <= 1)).all()
     curve = sparsification(result.disparity, result.confidence, lf.truth.disparity)
     assert curve.ause < most
-    assert np.diff(curve.bad).max() < 0.5  # percent: four pixels of the 5 % that are left last, below 10 %
+    assert np.diff(curve.bad).max() < 1  # per cent: a handful of pixels among the few that are left last
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
