@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from lfgpu._backends import BackendInfo, describe_backends, list_backends
+    from lfgpu.all_views import ViewsResult, estimate_all_views
     from lfgpu.config import PRESETS, Config
     from lfgpu.depth import DepthPipeline, estimate_depth
     from lfgpu.errors import BackendError, LfgpuError, LightFieldError
@@ -36,7 +37,9 @@ _HOMES = {
     "LightField": "lightfield",
     "LightFieldError": "errors",
     "PRESETS": "config",
+    "ViewsResult": "all_views",
     "describe_backends": "_backends",
+    "estimate_all_views": "all_views",
     "estimate_depth": "depth",
     "evaluate": "metrics",
     "get_threads": "threads",
@@ -57,7 +60,9 @@ __all__ = [
     "LfgpuError",
     "LightField",
     "LightFieldError",
+    "ViewsResult",
     "describe_backends",
+    "estimate_all_views",
     "estimate_depth",
     "evaluate",
     "get_threads",

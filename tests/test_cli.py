@@ -338,6 +338,20 @@ def test_quiet_says_nothing(recorded: Path, out: Path) -> None:
     assert {file.name for file in out.iterdir()} == OUTPUTS
 
 
+def test_maps_of_all_views_lie_beside_that_of_the_reference(recorded: Path, scene: LightField, out: Path) -> None:
+    outcome = lfgpu("depth", recorded, "-o", out, "--all-views", "--preset", "fast", *RANGE)
+    assert outcome.code == 0, outcome.err
+    assert "disparities.npz" in outcome.out
+    assert {file.name for file in out.iterdir()} == OUTPUTS | {"disparities.npz"}
+    with np.load(out / "disparities.npz") as maps:
+        assert maps["disparities"].shape == maps["confidences"].shape == maps["depths"].shape == scene.views.shape[:3]
+        assert maps["disparities"].dtype == np.float32
+        np.testing.assert_array_equal(maps["positions"], scene.positions)
+        assert "larger is nearer" in str(maps["convention"])
+        reference = maps["disparities"][scene.reference_index]
+    assert np.median(np.abs(reference - read_result(out / "result.npz").disparity)) < 0.05
+
+
 def test_a_map_within_the_border_is_not_scored(tmp_path: Path, out: Path) -> None:
     write_hci(scenes.make("relief", grid=(3, 3), size=(24, 40)), tmp_path / "small")
     outcome = lfgpu("depth", tmp_path / "small", "-o", out, *RANGE)

@@ -30,8 +30,10 @@ _WHAT = {
     "sweep": "plane sweep",
     "match": "matching",
     "align": "alignment",
+    "keys": "key views",
+    "join": "all views",
 }
-_VALUE = {"propagate": "residual", "refine": "energy", "align": "step"}
+_VALUE = {"propagate": "residual", "refine": "energy", "align": "step", "keys": "share", "join": "share"}
 
 
 def output() -> Console:

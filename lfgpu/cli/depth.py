@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +13,7 @@ from lfgpu.cli import values
 from lfgpu.cli.options import Threads
 
 if TYPE_CHECKING:
+    from lfgpu.all_views import ViewsResult
     from lfgpu.config import Config
     from lfgpu.lightfield import LightField
     from lfgpu.result import DepthResult
@@ -40,15 +41,19 @@ class Estimation:
         from lfgpu.depth import estimate_depth
 
         with progress(self.config, quiet=quiet) as on_progress:
-            return estimate_depth(
-                lf,
-                config=self.config,
-                disparity_range=self.disparity_range,
-                backend=self.backend,
-                device=self.device,
-                deterministic=self.deterministic,
-                on_progress=on_progress,
-            )
+            return estimate_depth(lf, on_progress=on_progress, **self._options)
+
+    def run_all(self, lf: LightField, *, quiet: bool) -> ViewsResult:
+        """The same for all views."""
+        from lfgpu.all_views import estimate_all_views
+        from lfgpu.cli.console import progress
+
+        with progress(self.config, quiet=quiet) as on_progress:
+            return estimate_all_views(lf, on_progress=on_progress, **self._options)
+
+    @property
+    def _options(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 def depth(
@@ -62,6 +67,9 @@ def depth(
     pattern: Annotated[
         str, typer.Option("--views", metavar="PATTERN", help="Views to use: full, star, cross, row or column.")
     ] = "full",
+    all_views: Annotated[
+        bool, typer.Option("--all-views", help="Also write maps of all views, consistent with each other.")
+    ] = False,
     disparity_range: Annotated[
         str | None,
         typer.Option(
@@ -87,13 +95,14 @@ def depth(
     allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept a grid that lost some views.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
 ) -> None:
-    """Estimate the disparity of one view, and its depth if the cameras are known.
+    """Estimate the disparity of one view, or of all, and depth if the cameras are known.
 
-    Writes maps (.pfm), pictures (.png) and everything together as result.npz: all of it or nothing.
+    Writes maps (.pfm), pictures (.png) and everything together as result.npz, the maps of all views as
+    disparities.npz: all of it or nothing.
     """
     from lfgpu.cli import summary
     from lfgpu.cli.console import output
-    from lfgpu.cli.outputs import write_outputs
+    from lfgpu.cli.outputs import write_outputs, write_view_maps
     from lfgpu.io import atomic_folder, check_writable, read
 
     check_writable(out)
@@ -110,9 +119,12 @@ def depth(
     estimation.check_device()
 
     lf = _chosen(read(source, format=format_name, allow_missing=allow_missing), place, pattern)
-    result = estimation.run(lf, quiet=quiet)
+    views = estimation.run_all(lf, quiet=quiet) if all_views else None
+    result = views.reference if views else estimation.run(lf, quiet=quiet)
     with atomic_folder(out) as folder:
         files = write_outputs(folder, result)
+        if views:
+            files += write_view_maps(folder, views)
     if quiet:
         return
     console = output()

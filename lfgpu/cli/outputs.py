@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from lfgpu.all_views import ViewsResult
     from lfgpu.result import DepthResult
 
 RESULT_FILE = "result.npz"
 DISPARITY_FILE = "disparity.pfm"
+VIEWS_FILE = "disparities.npz"
 
 _MEANING = {
     DISPARITY_FILE: "float32 map, px per view step, larger is nearer",
@@ -32,3 +34,11 @@ def write_outputs(folder: Path, result: DepthResult) -> list[tuple[str, str]]:
         write_pfm(folder / "depth.pfm", result.depth)
     write_result(result, folder / RESULT_FILE)
     return [(name, meaning) for name, meaning in _MEANING.items() if (folder / name).exists()]
+
+
+def write_view_maps(folder: Path, result: ViewsResult) -> list[tuple[str, str]]:
+    """Write the maps of all views into a folder that exists; what was written, as (file, meaning)."""
+    from lfgpu.io import write_views
+
+    write_views(result, folder / VIEWS_FILE)
+    return [(VIEWS_FILE, f"maps of all {len(result.disparities)} views, consistent with each other")]

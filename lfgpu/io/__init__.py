@@ -5,7 +5,7 @@ from lfgpu.io.formats import FORMATS, Format, read, recognise
 from lfgpu.io.hci import write_hci
 from lfgpu.io.maps import read_map, read_mask
 from lfgpu.io.pfm import write_pfm
-from lfgpu.io.results import holds_result, read_result, write_result
+from lfgpu.io.results import holds_result, read_result, write_result, write_views
 
 __all__ = [
     "FORMATS",
@@ -22,4 +22,5 @@ __all__ = [
     "write_hci",
     "write_pfm",
     "write_result",
+    "write_views",
 ]

@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,20 @@ from lfgpu.geometry import Geometry
 from lfgpu.io.atomic import atomic_write
 from lfgpu.result import DepthResult
 
+if TYPE_CHECKING:
+    from lfgpu.all_views import ViewsResult
+
 ABOUT_KEY = "lfgpu"
 """The array of the .npz that holds the JSON text; other .npz files have none of that name."""
 
 CONVENTION = (
     "Disparity in pixels per view step, larger is nearer: the point at (x, y) of the reference view is at "
     "(x - d*du, y - d*dv) in the view du steps to the right of and dv steps below it."
+)
+
+VIEWS_CONVENTION = (
+    "Disparity in pixels per view step, larger is nearer: the point at (x, y) of view a is at "
+    "(x - d*(u_b - u_a), y - d*(v_b - v_a)) in view b, with (u, v) their positions."
 )
 
 _STAGE = "stage_"  # what the names of the stages' arrays begin with
@@ -62,6 +70,41 @@ def write_result(result: DepthResult, path: str | os.PathLike[str]) -> None:
     }
     if result.depth is not None:
         arrays["depth"] = result.depth
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def write_views(result: ViewsResult, path: str | os.PathLike[str]) -> None:
+    """Write the maps of all views as .npz; whole or not at all.
+
+    The arrays are `disparities` and `confidences`, float32 [n, y, x], with a geometry also `depths` in metres;
+    `positions`, float64 [n, 2], (u, v) of each view; `keys`, the indices of those that were estimated themselves; and
+    `convention`, a sentence.
+
+    Parameters
+    ----------
+    result
+        What `estimate_all_views` returned.
+    path
+        The file, with the suffix .npz.
+
+    Raises
+    ------
+    LightFieldError
+        If the suffix is another one or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".npz":
+        raise LightFieldError(f"{path} cannot be written: maps of all views are stored as .npz; choose that suffix.")
+    arrays: dict[str, NDArray[Any]] = {
+        "disparities": result.disparities,
+        "confidences": result.confidences,
+        "positions": result.positions,
+        "keys": np.asarray(result.keys),
+        "convention": np.array(VIEWS_CONVENTION),
+    }
+    if (depths := result.depths) is not None:
+        arrays["depths"] = depths
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
