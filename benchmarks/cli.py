@@ -1,4 +1,6 @@
-"""The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found."""
+"""The command line: `python -m benchmarks [options]` measures; `ablation` leaves ingredients out, and
+`table`, `plot` and `compare` look at what was found.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from benchmarks import cases, compare, merge, operations, pipelines, plot, results, show, suite
+from benchmarks import ablation, cases, compare, merge, operations, pipelines, plot, results, show, suite
 from benchmarks.errors import BenchmarkError
 from lfgpu._backends import list_backends
 from lfgpu.cli.failures import Group
@@ -70,12 +72,32 @@ def measure(
     )
     if out is not None:
         check_writable(out, folder=False)
-    run = suite.run(plan, lambda what: typer.echo(what, err=True))
+    _finish(suite.run(plan, lambda what: typer.echo(what, err=True)), out)
+
+
+@app.command("ablation")
+def ablation_(
+    scene_names: Annotated[
+        str, typer.Option("--scenes", metavar="NAME,...", help=f"{', '.join(s.name for s in ablation.SCENES)}.")
+    ] = "",
+    size: Annotated[int, typer.Option(min=48, help="Pixels along each side of the ray-cast scenes.")] = 256,
+    seeds: Annotated[int, typer.Option(min=1, help="How many of each ray-cast scene; errors are means over them.")] = 1,
+    data: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="The real light fields; default: $LFGPU_DATA, or ../shared/data.")
+    ] = ablation.DATA,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = None,
+) -> None:
+    """Leave out each ingredient of the preset `accurate`, one at a time, and print what that does to the errors."""
+    plan = ablation.Plan(
+        scenes=tuple(ablation.find(n) for n in _names(scene_names)) or ablation.SCENES,
+        size=size,
+        seeds=seeds,
+        data=data,
+        variants=ablation.VARIANTS,
+    )
     if out is not None:
-        results.save(run, out)
-    show.terminal(run)
-    if not any(record.seconds for record in run.records):
-        raise BenchmarkError("nothing could be measured, see above.")
+        check_writable(out, folder=False)
+    _finish(ablation.run(plan, lambda what: typer.echo(what, err=True)), out)
 
 
 @app.command()
@@ -111,6 +133,15 @@ def compare_(
     )
     if found.fails:
         raise typer.Exit(1)
+
+
+def _finish(run: results.Run, out: Path | None) -> None:
+    """Save and show a run; BenchmarkError if there is nothing in it."""
+    if out is not None:
+        results.save(run, out)
+    show.terminal(run)
+    if not any(record.seconds for record in run.records):
+        raise BenchmarkError("nothing could be measured, see above.")
 
 
 def _names(text: str) -> list[str]:

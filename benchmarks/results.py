@@ -32,12 +32,12 @@ class Record:
     """One thing that was measured, or the reason why it could not be."""
 
     kind: str
-    """operation, pipeline, bandwidth or startup."""
+    """operation, pipeline, bandwidth, startup or ablation."""
     backend: str
     device: str
     case: str
     name: str
-    """Of the operation, of the pipeline, or of what is started."""
+    """Of the operation, of the pipeline, of what is started, or of what is left out."""
     seconds: Spread | None = None
     calls: int = 1
     """Calls between two synchronisations; `seconds` are of one."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from statistics import geometric_mean
 
 from benchmarks import bandwidth
+from benchmarks.ablation import ALL
 from benchmarks.cases import CASES
 from benchmarks.pipelines import RESIDENT, SCIPY, SCRATCH
 from benchmarks.results import Record, Run
@@ -13,6 +15,9 @@ from benchmarks.stages import DOWNLOAD, UPLOAD
 from lfgpu.synthesis import STAGES
 
 NONE = "–"
+_LEAST = {"mse_100": 0.01, "badpix_07": 0.1, "badpix_01": 0.1}  # errors that the ablation tells apart from none
+_RATIOS = ("MSE", "BadPix 0.07", "BadPix 0.01")
+_MATTERS = 1.05  # ratio of two MSE in the ablation
 _MANY = 50  # repeats, with which a 99 % quantile says something
 _METRICS = {
     "mse_100": "MSE×100",
@@ -63,6 +68,7 @@ def tables(records: Sequence[Record]) -> list[Table]:
         _solvers([r for r in whole if r.name in (RESIDENT, SCIPY)]),
         _bandwidth(_of(done, "bandwidth")),
         _startup(_of(done, "startup")),
+        *_ablations(_of(done, "ablation")),
     ]
     return [table for table in made if table.rows]
 
@@ -214,6 +220,45 @@ def _startup(records: list[Record]) -> Table:
         assert r.seconds is not None
         rows.append((r.backend, r.device, what[r.name], duration(r.seconds.median), _quartiles(r), str(r.seconds.n)))
     return Table("Start-up", ("backend", "device", "what", "time", "quartiles", "n"), 3, rows)
+
+
+def _ablations(records: list[Record]) -> Iterator[Table]:
+    """The means over scenes, and then each scene."""
+    cases = {record.case: [r for r in records if r.case == record.case] for record in records}
+    yield _worth(list(cases.values()))
+    for case, found in cases.items():
+        judging = " (for judging: no parameter was chosen by it)" if found[0].details["judging"] else ""
+        rows = [(r.name, r.device, *_metrics(r), duration(r.seconds.median)) for r in found if r.seconds is not None]
+        yield Table(f"Ablation, {case}{judging}", ("variant", "device", *_METRICS.values(), "time"), 2, rows)
+
+
+def _worth(cases: list[list[Record]]) -> Table:
+    """What each variant does to MSE, BadPix(0.07) and BadPix(0.01), as ratios to the whole method on the same scene.
+
+    Scenes for judging stand apart, so that the mean is over those that parameters may have been chosen by.
+    """
+    by_name = [({r.name: r for r in found}, bool(found[0].details["judging"])) for found in cases]
+    known = [(found, judging) for found, judging in by_name if ALL in found]
+    rows = []
+    for name in dict.fromkeys(name for found, _ in known for name in found):
+        row = [name]
+        for judging in (False, True):
+            pairs = [(found[name], found[ALL]) for found, apart in known if apart == judging and name in found]
+            row += [_mean_ratio(pairs, measure) for measure in _LEAST]
+            worse = sum(r.errors["mse_100"] > _MATTERS * whole.errors["mse_100"] for r, whole in pairs)
+            better = sum(_MATTERS * r.errors["mse_100"] < whole.errors["mse_100"] for r, whole in pairs)
+            row += [] if judging else [f"{worse} / {better} of {len(pairs)}"]
+        rows.append(tuple(row))
+    columns = ("variant", *_RATIOS, "worse / better", *(f"{measure}, for judging" for measure in _RATIOS))
+    return Table("Ablation, ratios to accurate, geometric means over scenes", columns, 1, rows)
+
+
+def _mean_ratio(pairs: list[tuple[Record, Record]], measure: str) -> str:
+    """Geometric mean; what is below `_LEAST` counts as that, since ratios of a few pixels say nothing."""
+    if not pairs:
+        return NONE
+    least = _LEAST[measure]
+    return f"{geometric_mean(max(a.errors[measure], least) / max(b.errors[measure], least) for a, b in pairs):.2f}"
 
 
 def _of(records: Iterable[Record], kind: str, case: str | None = None) -> list[Record]:

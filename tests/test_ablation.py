@@ -1,0 +1,171 @@
+"""The ablation: that each variant is the method without one thing, that errors are those of its maps, what it says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks import ablation, results, show
+from benchmarks.ablation import SCENES, VARIANTS, Plan, Scene, Variant
+from benchmarks.cli import app
+from benchmarks.clock import spread
+from benchmarks.results import Record, Run
+from benchmarks.tables import NONE, tables
+from lfgpu import GroundTruth, estimate_depth, evaluate, scenes
+from lfgpu.config import PRESETS
+from lfgpu.io import write_hci
+from lfgpu.matching import in_units_of
+
+ROOT = Path(__file__).parents[1]
+SIZE = 48
+FEW = (VARIANTS[0], next(v for v in VARIANTS if v.values.get("sweep.views") == "cross"))
+
+
+def quiet(_: str) -> None:
+    pass
+
+
+def plan_of(*chosen: Scene, data: Path = ROOT, seeds: int = 1, variants: tuple[Variant, ...] = FEW) -> Plan:
+    return Plan(chosen, SIZE, seeds, data, variants)
+
+
+def record_of(case: str, name: str, mse: float, badpix: float = 1.0, *, judging: bool = False) -> Record:
+    errors = {"mse_100": mse, "badpix_07": badpix, "badpix_03": 5.0, "badpix_01": 9.0, "q25": 0.1}
+    return Record("ablation", "warp", "cpu", case, name, spread([1.0]), errors=errors, details={"judging": judging})
+
+
+def summary(*records: Record) -> dict[str, tuple[str, ...]]:
+    return {row[0]: row[1:] for row in tables(records)[0].rows}
+
+
+# --- what is left out ---
+
+
+def test_variants_differ_from_accurate_and_from_each_other() -> None:
+    configs = [variant.config() for variant in VARIANTS]
+    assert configs[0] == PRESETS["accurate"]
+    assert len(set(configs)) == len({variant.name for variant in VARIANTS}) == len(VARIANTS)
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1.0])
+def test_variants_stay_within_the_ranges_whatever_the_noise(noise: float) -> None:
+    for variant in VARIANTS:
+        in_units_of(noise, variant.config())  # raises where a parameter leaves its range
+
+
+def test_what_is_not_robust_is_damped_as_much_as_what_is() -> None:
+    whole = PRESETS["accurate"].alignment
+    loose = next(v for v in VARIANTS if "alignment.robust" in v.values).config().alignment
+    assert loose.robust == 100 * whole.robust
+    for name in ("damping", "stiffness"):
+        assert getattr(loose, name) * loose.robust**2 == pytest.approx(getattr(whole, name) * whole.robust**2)
+
+
+# --- a run ---
+
+
+def test_errors_are_those_of_the_maps_and_means_over_seeds() -> None:
+    run = ablation.run(plan_of(SCENES[0], seeds=2), quiet)
+    assert [record.name for record in run.records] == [variant.name for variant in FEW]
+    for record, variant in zip(run.records, FEW, strict=True):
+        found = []
+        for seed in range(2):
+            lf = scenes.make("boxes", seed=seed, grid=(9, 9), size=(SIZE, SIZE))
+            assert lf.truth is not None
+            true = lf.truth.disparity
+            bounds = float(true.min()) - 0.1, float(true.max()) + 0.1
+            map_ = estimate_depth(lf, config=variant.config(), disparity_range=bounds).disparity
+            found.append(evaluate(map_, true).mse_100)
+        assert found[0] != found[1]
+        assert record.errors["mse_100"] == pytest.approx(np.mean(found))
+        assert [each["mse_100"] for each in record.details["each"]] == pytest.approx(found)
+        assert record.case == "boxes 81x48x48, seeds 0 to 1"
+        assert record.seconds is not None
+        assert record.seconds.n == 2
+
+
+def test_a_real_scene_is_scored_in_its_mask(tmp_path: Path) -> None:
+    lf = scenes.make("planes", grid=(3, 3), size=(SIZE, SIZE))
+    assert lf.truth is not None
+    mask = np.zeros((SIZE, SIZE), bool)
+    mask[:20, 20:] = True
+    write_hci(replace(lf, truth=GroundTruth(lf.truth.disparity, lf.truth.position, mask)), tmp_path / "real")
+    (record,) = ablation.run(plan_of(Scene("real", judging=True), data=tmp_path, variants=FEW[:1]), quiet).records
+    assert record.compared == f"truth of the data set, {5 * 13} pixels"  # rows 15 to 19, columns 20 to 32
+    assert record.details["judging"]
+    assert record.details["config"]["sweep"]["occlusions"] == "twice"
+
+
+def test_what_fails_is_listed_and_the_rest_goes_on(tmp_path: Path) -> None:
+    run = ablation.run(plan_of(Scene("nosuch"), Scene("small", "relief"), data=tmp_path), quiet)
+    missing, *found = run.records
+    assert "nosuch is not there" in missing.failed
+    assert [bool(record.failed) for record in found] == [False, False]
+    assert "not measured" not in show.markdown(replace(run, records=found)).lower()
+    assert "nosuch is not there" in show.markdown(run)
+
+
+def test_a_run_comes_back_from_its_file(tmp_path: Path) -> None:
+    run = ablation.run(plan_of(SCENES[0], variants=FEW[:1]), quiet)
+    results.save(run, tmp_path / "run.json")
+    assert results.load(tmp_path / "run.json") == run
+    assert run.commit is None
+
+
+# --- what it says ---
+
+
+def test_ratios_are_geometric_means_and_judging_stands_apart() -> None:
+    rows = summary(
+        *(record_of("a", "accurate", 1.0), record_of("a", "other", 2.0, 3.0)),
+        *(record_of("b", "accurate", 2.0), record_of("b", "other", 1.0, 12.0)),
+        *(record_of("c", "accurate", 1.0, judging=True), record_of("c", "other", 8.0, judging=True)),
+        *(record_of("d", "accurate", 1.0), record_of("d", "rare", 5.0)),
+    )
+    assert rows["accurate"] == ("1.00", "1.00", "1.00", "0 / 0 of 3", "1.00", "1.00", "1.00")
+    assert rows["other"] == ("1.00", "6.00", "1.00", "1 / 1 of 2", "8.00", "1.00", "1.00")
+    assert rows["rare"] == ("5.00", "1.00", "1.00", "1 / 0 of 1", NONE, NONE, NONE)
+
+
+def test_a_few_pixels_are_no_ratio() -> None:
+    rows = summary(record_of("a", "accurate", 1.0, 0.0), record_of("a", "other", 1.0, 0.09))
+    assert rows["other"][1] == "1.00"
+
+
+def test_a_scene_without_the_whole_method_counts_for_nothing() -> None:
+    assert summary(record_of("a", "other", 2.0), record_of("b", "accurate", 2.0)).keys() == {"accurate"}
+
+
+def test_the_judging_scene_is_named_as_such() -> None:
+    titles = [table.title for table in tables([record_of("a", "accurate", 1.0, judging=True)])]
+    assert "no parameter was chosen by it" in titles[1]
+
+
+# --- the command ---
+
+
+def told(*arguments: str | Path) -> str:
+    done = CliRunner().invoke(app, ["ablation", *map(str, arguments)])
+    assert done.exit_code == 1
+    return done.output
+
+
+def test_wrong_wishes_are_refused(tmp_path: Path) -> None:
+    assert "there are boxes, planes" in told("--scenes", "nosuch")
+    assert "nothing could be measured" in told("--scenes", "cotton", "--data", tmp_path)
+    assert "nothing could be measured" not in told("--scenes", "cotton", "--data", tmp_path, "--out", tmp_path)
+
+
+# --- the results ---
+
+
+def test_the_readme_has_the_summary_of_the_results() -> None:
+    run: Run = results.load(ROOT / "benchmarks" / "results" / "ablation.json")
+    summary_lines = show.markdown(run).split("**")[2].strip()
+    text = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
+    assert text.split("<!-- ablation -->")[1].split("<!-- /ablation -->")[0].strip() == summary_lines
+    assert {record.name for record in run.records} == {variant.name for variant in VARIANTS}
