@@ -94,7 +94,7 @@ VARIANTS = (
     Variant("apertures not held back", {"sweep.preference": 0}),
     Variant("no second sweep", {"sweep.occlusions": "once"}),
     Variant("no apertures, no second sweep", {"sweep.preference": 10, "sweep.occlusions": "once"}),
-    Variant("nothing hides anything", {"sweep.tolerance": 10}),
+    Variant("nothing hides anything", {"sweep.tolerance": 100}),
     Variant("sweep: no gradients", {"sweep.gradient_weight": 0}),
     Variant("sweep: next to no intensities", {"sweep.gradient_weight": 100}),
     Variant("sweep: intensities not truncated", {"sweep.truncation": 2}),

@@ -9,17 +9,20 @@ that see a pixel have in common, taken together over pixels that look alike and 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import TypeVar
 
 import numpy as np
 
-from lfgpu.config import Config, SweepConfig
+from lfgpu.config import AlignmentConfig, Config, MatchingConfig, PriorConfig, SweepConfig
 from lfgpu.errors import LightFieldError
 from lfgpu.lightfield import LightField
 from lfgpu.method import Callback, Stage
 from lfgpu.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.solvers.solution import Solution
 from lfgpu.types import Array, Float32Array, Float64Array, KernelSet, PlaneSweep
+
+_Stage = TypeVar("_Stage", SweepConfig, MatchingConfig, AlignmentConfig, PriorConfig)
 
 _DIRECTIONS = 8  # of the half planes of views
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
@@ -252,24 +255,24 @@ def measured_noise(
 def in_units_of(noise: float, config: Config) -> Config:
     """The parameters with all differences of intensity in proportion to the noise; as they are at a noise of 0.004."""
     times = min(max(noise / _USUAL_NOISE, _LEAST_NOISE), _MOST_NOISE)
-    sweep, matching, alignment, prior = config.sweep, config.matching, config.alignment, config.prior
     return replace(
         config,
         sweep=replace(
-            sweep,
-            noise=times * _USUAL_NOISE,
-            truncation=times * sweep.truncation,
-            gradient_truncation=times * sweep.gradient_truncation,
+            _times(times, config.sweep, "truncation", "gradient_truncation"), noise=min(times * _USUAL_NOISE, 1.0)
         ),
-        matching=replace(
-            matching,
-            small_step=times * matching.small_step,
-            large_step=times * matching.large_step,
-            contrast=times * matching.contrast,
-        ),
-        alignment=replace(alignment, robust=times * alignment.robust),
-        prior=replace(prior, sigma_color=times * prior.sigma_color),
+        matching=_times(times, config.matching, "small_step", "large_step", "contrast"),
+        alignment=_times(times, config.alignment, "robust"),
+        prior=_times(times, config.prior, "sigma_color"),
     )
+
+
+def _times(factor: float, stage: _Stage, *names: str) -> _Stage:
+    """Some parameters times a factor, as far as their ranges go."""
+    ranges = {f.name: f.metadata for f in fields(stage)}
+    changed = {
+        name: min(max(factor * getattr(stage, name), ranges[name]["low"]), ranges[name]["high"]) for name in names
+    }
+    return replace(stage, **changed)
 
 
 def _planned_sweep(
