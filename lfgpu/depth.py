@@ -104,7 +104,7 @@ class DepthPipeline:
     ----------
     lf
         A light field of that kind: its cameras, size, stored type, masks and reference view count. Its views are the
-        first to be there.
+        first to be there; the range of disparities, if it is not given, and the noise are found on them.
     config, disparity_range, backend, device, deterministic
         As for `estimate_depth`.
 

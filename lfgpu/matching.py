@@ -42,7 +42,8 @@ class Matching:
     Parameters
     ----------
     lf
-        A light field of that kind: its cameras, size, stored type, masks and reference view count, its views do not.
+        A light field of that kind: its cameras, size, stored type, masks and reference view count. Of its views only
+        the noise does, unless `config.sweep.noise` gives it.
     bounds
         (low, high) of the disparities, pixels per view step.
     config
