@@ -21,7 +21,7 @@ from lfgpu.depth import DepthPipeline, Progress
 from lfgpu.errors import LightFieldError
 from lfgpu.geometry import Geometry
 from lfgpu.lightfield import LightField
-from lfgpu.matching import measured_noise
+from lfgpu.matching import farthest, measured_noise
 from lfgpu.result import DepthResult
 from lfgpu.types import Float32Array, Float64Array, KernelSet
 
@@ -96,7 +96,7 @@ def estimate_all_views(
         as there are views on, all are.
     config, disparity_range, backend, device, deterministic
         As for `estimate_depth`. The range and the noise are found once, from the reference view. Disparities that
-        differ by up to `alignment.support` count as the same surface.
+        differ by up to `alignment.support`, in the farthest view, count as the same surface.
     on_progress
         Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
         view: `keys` estimates key views, `join` makes the maps of all views, and value is the share that is done.
@@ -124,7 +124,13 @@ def estimate_all_views(
 
     report("join", 0, 0.0)
     kernels = load(backend)
-    join = _Join(estimates, None if lf.valid is None else lf.valid[chosen], kernels, pick_device(kernels, device))
+    join = _Join(
+        estimates,
+        None if lf.valid is None else lf.valid[chosen],
+        kernels,
+        pick_device(kernels, device),
+        tolerance=estimates[0].config.alignment.support / farthest(lf.offsets),
+    )
     disparities, confidences = (np.empty(lf.views.shape[:3], np.float32) for _ in range(2))
     for index, position in enumerate(lf.positions):
         disparity, confidence = join(position)
@@ -220,13 +226,21 @@ class _Join:
         bool [k, y, x]: where these say something; None is everywhere.
     kernels, device
         Where maps are carried into other views; the rest is done on the host.
+    tolerance
+        Disparities that differ by more belong to different surfaces, pixels per view step.
     """
 
     def __init__(
-        self, estimates: Sequence[DepthResult], valid: NDArray[np.bool_] | None, kernels: KernelSet, device: str
+        self,
+        estimates: Sequence[DepthResult],
+        valid: NDArray[np.bool_] | None,
+        kernels: KernelSet,
+        device: str,
+        *,
+        tolerance: float,
     ) -> None:
         self._kernels, self._device = kernels, device
-        self._tolerance, self._size = estimates[0].config.alignment.support, estimates[0].disparity.shape
+        self._tolerance, self._size = tolerance, estimates[0].disparity.shape
         self._positions = [np.asarray(estimate.position) for estimate in estimates]
         self._confidences = [estimate.confidence for estimate in estimates]
         maps = np.stack([estimate.disparity for estimate in estimates])

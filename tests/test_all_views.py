@@ -201,7 +201,7 @@ def joined(
         )
         for position, row in maps.items()
     ]
-    disparity, confidence = _Join(estimates, valid, load("reference"), "cpu")(np.array(at))
+    disparity, confidence = _Join(estimates, valid, load("reference"), "cpu", tolerance=0.1)(np.array(at))
     return disparity[1].tolist(), confidence[1].tolist()
 
 
