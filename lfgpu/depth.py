@@ -143,6 +143,7 @@ class DepthPipeline:
         start = perf_counter()
         self.bounds = bounds or find_disparity_range(lf, parameters.local, self.kernels, self.device)
         self._views = self.kernels.image(lf.views, self.device)
+        self._waited_for = self.kernels.scalar(0.0, self.device)  # who reads it waits for all that was asked for
         self._method: Method = _METHODS[parameters.method.name](lf, self.bounds, parameters, self.kernels, self.device)
         self._preparation = perf_counter() - start
 
@@ -230,7 +231,7 @@ class DepthPipeline:
                     if on_progress is not None:
                         on_progress(stage, 0, 0.0)
                     work(None if on_progress is None else _of_stage(on_progress, stage))
-                    self.kernels.numpy(self._method.confidence)  # waits
+                    self.kernels.number(self._waited_for)
                 if stage == self._method.decided:
                     self._runs += 1
                     self._method.check(self._lf.name)
