@@ -16,6 +16,7 @@ from lfgpu.cli.failures import Group
 from lfgpu.io.atomic import check_writable
 from lfgpu.threads import get_threads
 
+_PIPELINES_HELP = f'{", ".join(pipelines.NAMES)}; default: all; or "none".'
 app = typer.Typer(
     name="benchmarks",
     cls=Group,
@@ -49,7 +50,8 @@ def measure(
     threads: Annotated[int | None, typer.Option(min=1, help="Of the CPU; default: one for each core.")] = None,
     timeout: Annotated[float, typer.Option(min=1, help="Seconds that one process may take.")] = 600,
     pipeline_names: Annotated[
-        str, typer.Option("--pipelines", metavar="NAME,...", help='paper, resident, scipy; default: all; or "none".')
+        str,
+        typer.Option("--pipelines", metavar="NAME,...", help=_PIPELINES_HELP),
     ] = "",
     runs: Annotated[int, typer.Option(min=1, help="Repeats of the resident method on a GPU.")] = 50,
     startup: Annotated[bool, typer.Option(help="Import and time to the first result.")] = True,

@@ -318,7 +318,7 @@ _TOTAL = (
         const int x = (strip - row * columns) * COLUMNS + lane - 1, y = row * ROWS + (i - strip * STRIP) / 32;
         const float d = disparity.data[i], *said = gradients.data + i;
         float total = 0.f, rest;
-    #pragma unroll 8
+    #pragma unroll 16
         for (int n = 0; n < offsets.shape[0]; ++n, said += size) {
             const float by_view = *said;  // read before it is known to count
             const int tap_x = place(d, offsets.data[n].c[0], rest) + x + 1 - BIAS;

@@ -10,34 +10,16 @@ from typing import Any
 
 import warp as wp
 
+from . import gpu_lbfgs
+from .lbfgs_state import LEAST_CURVATURE, State
 from .memory import scalar
 from .threads import in_slices, launch_rows, load
 
 wp.set_module_options({"enable_backward": False})
 
 _DECREASE = 1e-4  # of what the slope promises: a trial that gives less is not accepted (Armijo)
-_CURVATURE = 1e-10  # least s . y over |s| |y| of a pair that is kept
 _SHORTEST, _LONGEST = 0.1, 0.5  # how far a step shrinks at once
 _REJECTIONS = 20  # in a row that end the search
-_PARTS = 32  # of each inner product on a GPU
-_BLOCK = 256
-_WARP = 32
-
-
-@wp.struct
-class State:
-    """One number each."""
-
-    go_on: wp.array(dtype=wp.float64)
-    step: wp.array(dtype=wp.float64)
-    slope: wp.array(dtype=wp.float64)
-    accepted: wp.array(dtype=int)
-    rejections: wp.array(dtype=int)
-    judged: wp.array(dtype=int)
-    newest: wp.array(dtype=int)  # slot of the newest pair
-    pairs: wp.array(dtype=int)
-    length: wp.array(dtype=int)  # of the trace
-    flat: wp.array(dtype=int)
 
 
 @wp.func
@@ -68,33 +50,40 @@ def _judge_kernel(
     value: wp.array(dtype=wp.float64),
     trace_out: wp.array(dtype=wp.float64),
 ):
+    # All is read before anything is written: reads that nothing can have changed wait for memory together.
     step = state.step[0]
     promised = state.slope[0] * step
     trial = trial_value[0]
-    state.judged[0] = state.judged[0] + 1
-    state.accepted[0] = 0
-    if wp.isfinite(trial) and trial <= value[0] + wp.float64(_DECREASE) * promised:
-        last = state.length[0]
+    old = value[0]
+    last = state.length[0]
+    rejections = state.rejections[0]
+    judged = state.judged[0]
+    flat = state.flat[0]
+    first = trace_out[0]
+    before = trace_out[wp.max(last - patience, 0)]
+    state.judged[0] = judged + 1
+    accepted = wp.int32(0)
+    if wp.isfinite(trial) and trial <= old + wp.float64(_DECREASE) * promised:
+        accepted = 1
         value[0] = trial
         trace_out[last] = trial
         state.length[0] = last + 1
-        state.accepted[0] = 1
         state.rejections[0] = 0
-        if last >= patience:
-            fallen = trace_out[last - patience] - trial
-            if fallen <= wp.float64(patience) * tolerance * wp.abs(trace_out[0]):
-                state.flat[0] = 1
-        if state.flat[0] == 1 or last + 1 == trace_out.shape[0]:
+        if last >= patience and before - trial <= wp.float64(patience) * tolerance * wp.abs(first):
+            flat = 1
+            state.flat[0] = 1
+        if flat == 1 or last + 1 == trace_out.shape[0]:
             state.go_on[0] = wp.float64(0.0)
     else:
         shorter = wp.float64(_SHORTEST) * step
         if wp.isfinite(trial):
-            minimum = -promised * step / (wp.float64(2.0) * (trial - value[0] - promised))
+            minimum = -promised * step / (wp.float64(2.0) * (trial - old - promised))
             shorter = wp.clamp(minimum, shorter, wp.float64(_LONGEST) * step)
         state.step[0] = shorter
-        state.rejections[0] = state.rejections[0] + 1
-        if state.rejections[0] == _REJECTIONS:
+        state.rejections[0] = rejections + 1
+        if rejections + 1 == _REJECTIONS:
             state.go_on[0] = wp.float64(0.0)
+    state.accepted[0] = accepted
 
 
 @wp.kernel
@@ -204,33 +193,6 @@ def _products_on_cpu_kernel(
 
 
 @wp.kernel
-def _products_on_gpu_kernel(state: State, stack: wp.array2d(dtype=float), sums_out: wp.array(dtype=wp.float64)):
-    """The same, of two rows and a part of the pixels for each block; sums are [row, part, which]."""
-    pair, part, thread = wp.tid()
-    memory = stack.shape[0] / 2
-    slot = (state.newest[0] + 1) % memory
-    upper = 2 * pair
-    lower = wp.min(upper + 1, stack.shape[0] - 1)
-    a = wp.vec3d()
-    b = wp.vec3d()
-    for i in range(part * wp.block_dim() + thread, stack.shape[1], wp.static(_PARTS) * wp.block_dim()):
-        with_these = wp.vec3d(
-            wp.float64(stack[slot, i]), wp.float64(stack[memory + slot, i]), wp.float64(stack[2 * memory, i])
-        )
-        a = a + wp.float64(stack[upper, i]) * with_these
-        b = b + wp.float64(stack[lower, i]) * with_these
-    first = (upper * wp.static(_PARTS) + part) * 3
-    wp.tile_store(sums_out, wp.tile_sum(wp.tile(a[0])), offset=first)
-    wp.tile_store(sums_out, wp.tile_sum(wp.tile(a[1])), offset=first + 1)
-    wp.tile_store(sums_out, wp.tile_sum(wp.tile(a[2])), offset=first + 2)
-    if lower > upper:
-        first = first + 3 * wp.static(_PARTS)
-        wp.tile_store(sums_out, wp.tile_sum(wp.tile(b[0])), offset=first)
-        wp.tile_store(sums_out, wp.tile_sum(wp.tile(b[1])), offset=first + 1)
-        wp.tile_store(sums_out, wp.tile_sum(wp.tile(b[2])), offset=first + 2)
-
-
-@wp.kernel
 def _direction_by_one_thread_kernel(
     state: State,
     sums: wp.array2d(dtype=wp.float64),
@@ -252,10 +214,10 @@ def _direction_by_one_thread_kernel(
             s_r = zero
             y_r = zero
             g_r = zero
-            for part in range(sums.shape[1] / 3):
-                s_r = s_r + sums[r, 3 * part]
-                y_r = y_r + sums[r, 3 * part + 1]
-                g_r = g_r + sums[r, 3 * part + 2]
+            for part in range(sums.shape[0]):
+                s_r = s_r + sums[part, 3 * r]
+                y_r = y_r + sums[part, 3 * r + 1]
+                g_r = g_r + sums[part, 3 * r + 2]
             if beginning == 0:
                 products[r, slot] = s_r
                 products[slot, r] = s_r
@@ -267,7 +229,7 @@ def _direction_by_one_thread_kernel(
         if beginning == 0:
             curvature = products[slot, memory + slot]
             sizes = wp.sqrt(products[slot, slot] * products[memory + slot, memory + slot])
-            if curvature > wp.float64(_CURVATURE) * sizes:
+            if curvature > wp.float64(LEAST_CURVATURE) * sizes:
                 state.newest[0] = slot
                 state.pairs[0] = wp.min(state.pairs[0] + 1, memory - 1)
         pairs = state.pairs[0]
@@ -310,114 +272,6 @@ def _direction_by_one_thread_kernel(
                 state.step[0] = zero
                 state.go_on[0] = zero
         state.slope[0] = slope
-
-
-_DIRECTION = """
-    // Lane r has coefficient r; sums over rows are sums over lanes.
-    __shared__ double g[32 * 32], inverse[32];
-    const int rows = products.shape[0], memory = rows / 2, last = rows - 1, parts = sums.shape[1] / 3;
-    const bool mine = lane < rows;
-    int newest = state.newest.data[0], pairs = state.pairs.data[0];
-    const int slot = (newest + 1) % memory;
-    if (mine) {
-        double by[3] = {0.0, 0.0, 0.0};
-        for (int part = 0; part < parts; ++part)
-            for (int which = 0; which < 3; ++which) by[which] += sums.data[(lane * parts + part) * 3 + which];
-        if (!beginning) {
-            products.data[lane * rows + slot] = products.data[slot * rows + lane] = by[0];
-            products.data[lane * rows + memory + slot] = products.data[(memory + slot) * rows + lane] = by[1];
-        }
-        products.data[lane * rows + last] = products.data[last * rows + lane] = by[2];
-    }
-    __syncwarp();
-    for (int r = 0; r < rows; ++r)
-        if (mine) g[r * 32 + lane] = products.data[r * rows + lane];
-    __syncwarp();
-    auto total = [&](double value) {
-        for (int step = 16; step; step >>= 1) value += __shfl_xor_sync(~0u, value, step);
-        return value;
-    };
-    if (!beginning) {
-        const double sy = g[slot * 32 + memory + slot], ss = g[slot * 32 + slot];
-        const double yy = g[(memory + slot) * 32 + memory + slot];
-        if (sy > curvature * sqrt(ss * yy)) {
-            newest = slot;
-            pairs = min(pairs + 1, memory - 1);
-        }
-    }
-    if (lane < memory) inverse[lane] = 1.0 / g[lane * 32 + memory + lane];
-    __syncwarp();
-    double c = lane == last ? -1.0 : 0.0, alpha = 0.0, slope = -g[last * 32 + last], step = 1.0;
-    if (pairs > 0) {
-        for (int k = 0; k < pairs; ++k) {
-            const int p = (newest - k + memory) % memory;
-            const double along = total(mine ? c * g[p * 32 + lane] : 0.0) * inverse[p];
-            if (lane == p) alpha = along;
-            if (lane == memory + p) c -= along;
-        }
-        c *= g[newest * 32 + memory + newest] / g[(memory + newest) * 32 + memory + newest];
-        for (int k = 0; k < pairs; ++k) {
-            const int p = (newest - pairs + 1 + k + memory) % memory;
-            const double beta = total(mine ? c * g[(memory + p) * 32 + lane] : 0.0) * inverse[p];
-            if (lane == p) c += alpha - beta;
-        }
-        slope = total(mine ? c * g[last * 32 + lane] : 0.0);
-        if (slope >= 0.0) {  // no descent: begin anew
-            c = lane == last ? -1.0 : 0.0;
-            slope = -g[last * 32 + last];
-            pairs = 0;
-        }
-    }
-    if (pairs == 0) step = slope < 0.0 ? first_step / sqrt(-slope / pixels) : 0.0;
-    if (mine) coefficients.data[lane] = c;
-    if (lane == 0) {
-        state.newest.data[0] = newest;
-        state.pairs.data[0] = pairs;
-        state.slope.data[0] = slope;
-        state.step.data[0] = step;
-        if (step == 0.0) state.go_on.data[0] = 0.0;
-    }
-"""
-
-
-@wp.func_native(_DIRECTION)
-def _two_loops(
-    state: State,
-    sums: wp.array2d(dtype=wp.float64),
-    first_step: wp.float64,
-    pixels: wp.float64,
-    curvature: wp.float64,
-    beginning: int,
-    lane: int,
-    products: wp.array2d(dtype=wp.float64),
-    coefficients: wp.array(dtype=wp.float64),
-): ...
-
-
-@wp.kernel(module="lfgpu_lbfgs_gpu", enable_backward=False)
-def _direction_by_one_warp_kernel(
-    state: State,
-    sums: wp.array2d(dtype=wp.float64),
-    first_step: wp.float64,
-    pixels: wp.float64,
-    beginning: int,
-    products: wp.array2d(dtype=wp.float64),
-    coefficients_out: wp.array(dtype=wp.float64),
-):
-    """The same by one warp."""
-    lane = wp.tid()
-    if state.accepted[0] == 1:
-        _two_loops(
-            state,
-            sums,
-            first_step,
-            pixels,
-            wp.float64(wp.static(_CURVATURE)),
-            beginning,
-            lane,
-            products,
-            coefficients_out,
-        )
 
 
 @wp.kernel
@@ -465,7 +319,8 @@ class _Lbfgs:
         self._stack = wp.zeros((rows, *shape), dtype=float, device=device)
         self._direction, self._root = (wp.zeros(tuple(shape), dtype=float, device=device) for _ in range(2))
         self._products = wp.zeros((rows, rows), dtype=wp.float64, device=device)
-        self._sums = wp.zeros((rows, 3 if self._device.is_cpu else 3 * _PARTS), dtype=wp.float64, device=device)
+        parts = 1 if self._device.is_cpu else gpu_lbfgs.PARTS
+        self._sums = wp.zeros((parts, 3 * rows), dtype=wp.float64, device=device)
         self._alpha = wp.zeros(slots, dtype=wp.float64, device=device)
         self._coefficients = wp.zeros(rows, dtype=wp.float64, device=device)
         self._trace = wp.zeros(most + 1, dtype=wp.float64, device=device)
@@ -511,20 +366,18 @@ class _Lbfgs:
 
             in_slices(device, stack.shape[0], some)
         else:
-            flat = stack.reshape((stack.shape[0], -1))
-            dim = [-(-stack.shape[0] // 2), _PARTS]
-            outputs = [self._sums.flatten()]
-            wp.launch_tiled(
-                _products_on_gpu_kernel, dim=dim, inputs=[state, flat], outputs=outputs, block_dim=_BLOCK, device=device
-            )
+            gpu_lbfgs.products(state, stack, self._sums)
         inputs = [state, self._sums, self._first_step, float(x.size), int(beginning)]
-        if device.is_cpu or len(stack) > _WARP:
+        if device.is_cpu or len(stack) > gpu_lbfgs.MOST_ROWS:
             outputs = [self._products, self._alpha, self._coefficients]
             wp.launch(_direction_by_one_thread_kernel, 1, inputs, outputs, device=device)
         else:
-            outputs = [self._products, self._coefficients]
-            wp.launch(_direction_by_one_warp_kernel, _WARP, inputs, outputs, device=device, block_dim=_WARP)
-        launch_rows(_combine_kernel, [stack, self._coefficients, x, self._root, *self._bounds], self._direction)
+            gpu_lbfgs.recursion(inputs, self._products, self._coefficients)
+        inputs = [stack, self._coefficients, x, self._root, *self._bounds]
+        if device.is_cpu:
+            launch_rows(_combine_kernel, inputs, self._direction)
+        else:
+            gpu_lbfgs.combine(inputs, self._direction)
 
 
 def lbfgs(

@@ -11,6 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from .sharing import take
+from .staging import WORTHWHILE, staging
 from .threads import once
 
 _SCALARS: dict[type, Any] = {
@@ -85,21 +86,34 @@ def upload(values: Any, array_out: Any) -> None:
         take(values, array_out)
         return
     if array_out.dtype is wp.float32:
-        source = wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.float32, device="cpu", copy=False)
-    else:
-        contiguous = np.ascontiguousarray(values)
-        source = wp.array(contiguous, dtype=array_out.dtype, shape=array_out.shape, device="cpu", copy=False)
-    wp.copy(array_out, source)
+        values = np.asarray(values, np.float32)
+    contiguous = np.ascontiguousarray(values)
+    if array_out.device.is_cuda and contiguous.nbytes >= WORTHWHILE:
+        staging(array_out.device.alias).send(contiguous.reshape(-1).view(np.uint8), _bytes(array_out))
+        return
+    wp.copy(array_out, wp.array(contiguous, dtype=array_out.dtype, shape=array_out.shape, device="cpu", copy=False))
     _read(array_out)
 
 
 def numpy(array: Any) -> NDArray[Any]:
-    values = array.numpy() if array.device.is_cuda else np.array(array.numpy())  # from a GPU it is a copy
-    return values if array.dtype is wp.float32 else values.reshape(*array.shape, array.dtype._length_)
+    vector = array.dtype is not wp.float32
+    shape = (*array.shape, array.dtype._length_) if vector else array.shape
+    if not array.device.is_cuda:
+        return np.array(array.numpy()).reshape(shape)
+    if array.is_contiguous and array.size * wp.types.type_size_in_bytes(array.dtype) >= WORTHWHILE:
+        scalar = array.dtype._wp_scalar_type_ if vector else array.dtype
+        return staging(array.device.alias).receive(_bytes(array)).view(wp.dtype_to_numpy(scalar)).reshape(shape)
+    return array.numpy().reshape(shape)  # from a GPU it is a copy
 
 
 def number(scalar: Any) -> float:
     return float(scalar.numpy()[0])
+
+
+def _bytes(array: Any) -> Any:
+    """What a contiguous array on a GPU is made of."""
+    count = array.size * wp.types.type_size_in_bytes(array.dtype)
+    return wp.array(ptr=array.ptr, dtype=wp.uint8, shape=count, device=array.device, copy=False)
 
 
 def _read(array: Any) -> Any:

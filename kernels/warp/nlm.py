@@ -165,17 +165,22 @@ _PIXEL_SUM = """
         const float* const down = values.data + p + dy * width;
         const float* const up = values.data + p - dy * width;
         // Of the row's first neighbour, dx = -RADIUS; the centre row begins at dx = 1, which is neighbour 0.
-        const float* w = weights.data + ((long long)dy * (2 * RADIUS + 1) - RADIUS - 1) * (long long)size + p;
+        const float* const w = weights.data + ((long long)dy * (2 * RADIUS + 1) - RADIUS - 1) * (long long)size + p;
+        auto add = [&](float weight, float other) { total += weight * TERM; };
+        if (below && above && inner && dy > 0) {  // nearly all; with nothing to decide, all reads are under way at once
     #pragma unroll
-        for (int dx = -RADIUS; dx <= RADIUS; ++dx, w += size) {
-            if (dy == 0 && dx <= 0) continue;
-            if (below && (inner || (unsigned)(x + dx) < (unsigned)width)) {
-                const float other = down[dx];
-                total += w[0] * TERM;
+            for (int dx = -RADIUS; dx <= RADIUS; ++dx) {
+                const float* const at = w + (dx + RADIUS) * size;
+                add(at[0], down[dx]);
+                add(at[-dy * width - dx], up[-dx]);
             }
-            if (above && (inner || (unsigned)(x - dx) < (unsigned)width)) {
-                const float other = up[-dx];
-                total += w[-dy * width - dx] * TERM;
+        } else {
+    #pragma unroll
+            for (int dx = -RADIUS; dx <= RADIUS; ++dx) {
+                if (dy == 0 && dx <= 0) continue;
+                const float* const at = w + (dx + RADIUS) * size;
+                if (below && (inner || (unsigned)(x + dx) < (unsigned)width)) add(at[0], down[dx]);
+                if (above && (inner || (unsigned)(x - dx) < (unsigned)width)) add(at[-dy * width - dx], up[-dx]);
             }
         }
     }
