@@ -52,7 +52,7 @@ def test_real_kitchen() -> None:
     ],
 )
 def test_real_named_views(name: str, shape: tuple[int, ...], grid_shape: tuple[int, int], notes: list[str]) -> None:
-    light_field = read(real(name))
+    light_field = read(real(name), format="named-views")
     assert (light_field.views.shape, light_field.grid_shape) == (shape, grid_shape)
     assert light_field.reference == shape[0] // 2
     assert len(light_field.notes) == len(notes)
