@@ -22,7 +22,7 @@ from lfgpu.geometry import Geometry
 from lfgpu.io.arrays import field_of
 from lfgpu.io.atomic import atomic_write, check_writable
 from lfgpu.io.flips import check_flip, flipped
-from lfgpu.io.maps import read_map, read_mask
+from lfgpu.io.maps import check_size, read_map, read_mask
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.png import write_png
 from lfgpu.io.views import load_views
@@ -187,8 +187,7 @@ def _of_files(file: Path, listed: list[Mapping[str, Any]]) -> LightField:
             if "valid" not in view:
                 continue
             mask = read_mask(_file(file, view, f"views[{index}]", "valid"))
-            if mask.shape != valid.shape[1:]:
-                raise LightFieldError(f"{file}: views[{index}].valid has {mask.shape[1]} x {mask.shape[0]} pixels.")
+            check_size(_file(file, view, f"views[{index}]", "valid"), mask, views.shape[1:3])
             valid[index] = mask
     return (
         field_of(file, views, where, files=tuple(map(str, images)), notes=notes)

@@ -17,7 +17,7 @@ from lfgpu.io import hdf5
 from lfgpu.io.arrays import grid_field
 from lfgpu.io.flips import flipped
 from lfgpu.io.folders import entries, head, sub_folders
-from lfgpu.io.maps import read_mask
+from lfgpu.io.maps import check_size, read_mask
 from lfgpu.io.named_views import read_named_views
 from lfgpu.io.parallax import runs_as_truth
 from lfgpu.lightfield import GroundTruth, LightField
@@ -38,7 +38,7 @@ class _Cameras:
     def disparity(self, depth: NDArray[Any]) -> NDArray[np.float32]:
         """Disparity of a depth, NaN where the depth is no positive number."""
         known = np.isfinite(depth) & (depth > 0)
-        with np.errstate(divide="ignore", over="ignore"):
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a file may hold any bits
             found = self.baseline * self.focal_length / np.where(known, depth.astype(np.float64), np.nan) - self.shift
             return np.where(np.isfinite(found), found, np.nan).astype(np.float32)
 
@@ -173,7 +173,10 @@ def read_hci_export(path: Path, *, allow_missing: bool = False) -> LightField:
                 f"pixels is {4 * height * width}."
             )
         depth = np.fromfile(path / DEPTH_FILE, "<f4").reshape(height, width)
-    mask = read_mask(path / MASK_FILE) if (path / MASK_FILE).is_file() else None
+    mask = None
+    if (path / MASK_FILE).is_file():
+        mask = read_mask(path / MASK_FILE)
+        check_size(path / MASK_FILE, mask, light_field.size)
     return _known(light_field, _cameras(path / ATTRIBUTES_FILE, numbers), depth, mask)
 
 
