@@ -62,7 +62,8 @@ def _header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]
     shape, _, dtype = read(file)
     if dtype.hasobject:
         raise LightFieldError(
-            f"{path} holds Python objects; such files can run code when they are read, and are refused."
+            f"{path} cannot be read as NumPy data: it holds Python objects, which can run code when they are read; "
+            "save an array of numbers."
         )
     if dtype.names is not None or dtype.subdtype is not None:
         raise LightFieldError(f"{path} holds records, not an array of numbers.")

@@ -155,7 +155,7 @@ def _row(lf: LightField, place: Path) -> Path:
     folder = place / "row"
     folder.mkdir()
     for number, index in enumerate(lf.row()):
-        Image.fromarray(lf.views[index]).save(folder / f"image_{25 + 2 * number:04d}.jpg", quality=95)
+        Image.fromarray(lf.views[index]).save(folder / f"image_{25 + 2 * number:04d}.jpg", quality=95, subsampling=0)
     return folder
 
 

@@ -16,7 +16,7 @@ from lfgpu.io import FORMATS, read, recognise
 from lfgpu.io.parallax import axes_agree, runs_as_truth
 from lfgpu.lightfield import LightField
 
-DOCS = ""
+DOCS = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +53,9 @@ def test_the_same_light_field_comes_back(name: str, written: dict[str, Path], tr
     for index, (du, dv) in enumerate(found.offsets):
         u, v = expected.positions[expected.reference_index] + (du, dv)
         wanted = expected.image(expected.index_of(round(v, 5), round(u, 5)))
-        np.testing.assert_allclose(found.image(index), wanted, atol=1e-6 if sample.exact else 0.1)
+        np.testing.assert_allclose(found.image(index), wanted, atol=1e-6 if sample.exact else 0.08)
         if not sample.exact:
-            assert np.mean(np.abs(found.image(index) - wanted)) < 0.02
+            assert np.mean(np.abs(found.image(index) - wanted)) < 0.01
 
 
 @pytest.mark.parametrize("name", [name for name, sample in SAMPLES.items() if sample.views == "full"])
