@@ -55,7 +55,7 @@ def test_the_same_light_field_comes_back(name: str, written: dict[str, Path], tr
         wanted = expected.image(expected.index_of(round(v, 5), round(u, 5)))
         np.testing.assert_allclose(found.image(index), wanted, atol=1e-6 if sample.exact else 0.08)
         if not sample.exact:
-            assert np.mean(np.abs(found.image(index) - wanted)) < 0.01
+            assert np.mean(np.abs(found.image(index) - wanted)) < 0.02
 
 
 @pytest.mark.parametrize("name", [name for name, sample in SAMPLES.items() if sample.views == "full"])
