@@ -60,7 +60,7 @@ def read_hci(path: Path, *, allow_missing: bool = False) -> LightField:
     if not views:
         raise LightFieldError(f"{path} has no views named input_Cam000.png and so on; give the folder that holds them.")
     last = max(index for index, _ in views)
-    parameters = Parameters(path / PARAMETERS_FILE) if (path / PARAMETERS_FILE).exists() else None
+    parameters = Parameters(path / PARAMETERS_FILE) if (path / PARAMETERS_FILE).is_file() else None
     rows, columns = shape = _square_grid(path, last) if parameters is None else parameters.grid_shape()
     if last >= rows * columns:
         raise LightFieldError(
@@ -157,12 +157,12 @@ def _geometry(parameters: Parameters | None, size: tuple[int, int]) -> tuple[Geo
 
 def _truth(folder: Path, shape: tuple[int, int], size: tuple[int, int]) -> GroundTruth | None:
     path = folder / DISPARITY_FILE
-    if not path.exists():
+    if not path.is_file():
         return None
     disparity = read_map(path)
     check_size(path, disparity, size)
     mask = None
-    if (folder / MASK_FILE).exists():
+    if (folder / MASK_FILE).is_file():
         mask = read_mask(folder / MASK_FILE)
         check_size(folder / MASK_FILE, mask, size)
     known = np.where(np.isfinite(disparity), disparity, np.float32(np.nan))
