@@ -7,6 +7,7 @@ import stat
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -88,13 +89,6 @@ FORMATS: tuple[Format, ...] = (
         read=plenopticam.read_plenopticam,
     ),
     Format(
-        name="hci-hdf5",
-        description="old HCI light fields: an HDF5 file with LF and GT_DEPTH",
-        recognise=hci_old.recognise_hdf5,
-        read=hci_old.read_hci_hdf5,
-        extra="hdf5",
-    ),
-    Format(
         name="lftoolbox",
         description="a MATLAB file of the Light Field Toolbox with LF [t, s, v, u, c]",
         recognise=lftoolbox.recognise,
@@ -136,6 +130,13 @@ FORMATS: tuple[Format, ...] = (
         description="a folder of images named by row and column, such as view_00_03.png or 5_5.bmp",
         recognise=named_views.recognise,
         read=named_views.read_named_views,
+    ),
+    Format(
+        name="hci-hdf5",
+        description="old HCI light fields: an HDF5 file with LF and GT_DEPTH",
+        recognise=hci_old.recognise_hdf5,
+        read=hci_old.read_hci_hdf5,
+        extra="hdf5",
     ),
     Format(
         name="camera-row",
@@ -188,7 +189,7 @@ def read(
     """
     path = Path(path)
     check_flip(flip)
-    if grid is not None and not (len(grid) == 2 and all(isinstance(side, int) and side > 0 for side in grid)):
+    if grid is not None and not (len(grid) == 2 and all(isinstance(side, Integral) and side > 0 for side in grid)):
         raise LightFieldError(f"grid must be (rows, columns), whole numbers from 1 on, not {grid}.")
     if every is not None and every < 1:
         raise LightFieldError(f"every must be a whole number from 1 on, not {every}.")

@@ -213,8 +213,14 @@ def _batch(names: list[str], sources: dict[str, Path], seeds: range, log: Path) 
         file.write(f"memory\t\t{1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)}\n")
 
 
-def run(examples: int, seed: int = 0, names: list[str] | None = None, jobs: int = 1) -> Tally:
-    """Try so many examples, from a seed on, and count what became of them."""
+def run(
+    examples: int,
+    seed: int = 0,
+    names: list[str] | None = None,
+    jobs: int = 1,
+    show: Callable[[Tally], None] = lambda tally: None,
+) -> Tally:
+    """Try so many examples, from a seed on, and count what became of them; `show` sees the count now and then."""
     chosen = sorted(names or SAMPLES)
     tally = Tally()
     fork = multiprocessing.get_context("fork")
@@ -243,6 +249,7 @@ def run(examples: int, seed: int = 0, names: list[str] | None = None, jobs: int 
                 process.kill()
                 process.join()
             _count(tally, log, process.exitcode)
+            show(tally)
     return tally
 
 
@@ -261,6 +268,10 @@ def _count(tally: Tally, log: Path, exit_code: int | None) -> None:
             tally.failures.append(f"seed {seed}, {name}: {result or f'the process ended with {exit_code}'}")
 
 
+def _progress(tally: Tally) -> None:
+    print(f"\r{tally.tried} inputs, {len(tally.failures)} failures", end="", file=sys.stderr, flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--examples", type=int, default=1000)
@@ -268,7 +279,8 @@ def main() -> None:
     parser.add_argument("--format", action="append", choices=sorted(SAMPLES))
     parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args()
-    tally = run(arguments.examples, arguments.seed, arguments.format, arguments.jobs)
+    tally = run(arguments.examples, arguments.seed, arguments.format, arguments.jobs, show=_progress)
+    print(file=sys.stderr)
     for failure, count in Counter(tally.failures).items():
         print(failure.replace("\\n", "\n"), f"({count} times)" if count > 1 else "")
     print(

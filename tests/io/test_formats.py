@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,9 @@ import pytest
 from samples import box, refusal, save_hci, save_named
 
 from lfgpu.io import FORMATS, read, recognise
+
+PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+EXTRAS = PROJECT["optional-dependencies"]
 
 
 def test_the_table_is_well_formed() -> None:
@@ -19,6 +24,8 @@ def test_the_table_is_well_formed() -> None:
         assert " " not in entry.name
         assert "\n" not in entry.description
         assert not entry.description.endswith(".")
+        assert set(entry.takes) <= set(inspect.signature(read).parameters)
+        assert entry.extra is None or entry.extra in EXTRAS
 
 
 def test_recognise_says_why(tmp_path: Path) -> None:

@@ -93,6 +93,7 @@ def test_formats_are_known_by_their_beginning_not_their_name(tmp_path: Path, tru
     assert recognise(path)[0].name == "numpy"
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes in the file system here")
 def test_pipes_and_links_in_circles(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     assert "neither a file nor a folder" in refusal(lambda: read(tmp_path / "pipe"))
@@ -208,6 +209,20 @@ def test_export_that_contradicts_itself(tmp_path: Path, true: LightField) -> Non
     assert "has 3 bytes; the depth of 48 x 40 pixels is 7680" in refusal(lambda: read(path))
     (path / "depth.bin").unlink()
     assert read(path).truth is None
+
+
+def test_views_are_not_passed_over_for_an_hdf5_file_beside_them(tmp_path: Path, true: LightField) -> None:
+    SAMPLES["hci-hdf5"].write(true, save_named(tmp_path, box(2, 2)))
+    assert recognise(tmp_path)[0].name == "named-views"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes in the file system here")
+def test_pipes_among_the_files_of_a_format_are_not_waited_for(tmp_path: Path, true: LightField) -> None:
+    folder = SAMPLES["hci"].write(true, tmp_path)
+    for name in ("parameters.cfg", "gt_disp_lowres.pfm"):
+        (folder / name).unlink()
+        os.mkfifo(folder / name)
+    assert read(folder).geometry is None
 
 
 # --- Stanford ---
