@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Integral
 from pathlib import Path
@@ -29,6 +29,7 @@ from lfgpu.io import (
 from lfgpu.io.flips import check_flip, flipped
 from lfgpu.io.folders import entries, head, listed
 from lfgpu.io.images import IMAGE_SUFFIXES
+from lfgpu.io.parallax import axes_agree
 from lfgpu.lightfield import LightField
 
 
@@ -199,7 +200,18 @@ def read(
     for name in options:
         if name not in chosen.takes:
             raise LightFieldError(f"{path} is read as {chosen.name}, for which {name} means nothing; leave it out.")
-    return flipped(chosen.read(path, allow_missing=allow_missing, **options), flip)
+    return _checked(flipped(chosen.read(path, allow_missing=allow_missing, **options), flip))
+
+
+def _checked(light_field: LightField) -> LightField:
+    """With a note if the pictures contradict the positions of their cameras."""
+    if axes_agree(light_field) is not False:
+        return light_field
+    note = (
+        "Views in a column move against those in a row, so one of the two is counted the other way round: "
+        "try flip='u' or flip='v' (--flip on the command line)."
+    )
+    return replace(light_field, notes=(*light_field.notes, note))
 
 
 def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
@@ -255,7 +267,7 @@ def _what(path: Path) -> str:
     if path.suffix.lower() not in IMAGE_SUFFIXES:
         return "a file (give the folder that holds the views)"
     for candidate in FORMATS:
-        if candidate.recognise(path.resolve().parent):
+        if candidate.extra is None and candidate.recognise(path.resolve().parent):
             return f"one image (give the folder {path.resolve().parent}, which is {candidate.name})"
     return (
         "one image (give the folder that holds the views; --format mosaic if its pixels are blocks of views behind "

@@ -106,7 +106,7 @@ def read_hci_hdf5(path: Path, *, allow_missing: bool = False) -> LightField:
 
 def _only_hdf5(folder: Path) -> Path | None:
     files = [entry for entry in entries(folder) if entry.suffix.lower() in (".h5", ".hdf5")]
-    return files[0] if len(files) == 1 and files[0].is_file() else None
+    return files[0] if len(files) == 1 and head(files[0], 8) == hdf5.MAGIC else None
 
 
 def _middle(path: Path, dataset: Any, shape: tuple[int, ...]) -> NDArray[Any] | None:

@@ -31,15 +31,12 @@ def measured(light_field: LightField, axis: int) -> tuple[NDArray[np.float64], N
     beside = np.flatnonzero(np.abs(offsets) > 0)
     if not len(beside):
         return None
-    nearest = beside[np.argsort(np.abs(offsets[beside]), kind="stable")[:2]]
+    nearest = beside[np.argmin(np.abs(offsets[beside]))]
     factor = max(1, max(light_field.size) // _AROUND)
-    centre = _grey(light_field, light_field.reference_index, factor)
-    top = bottom = np.zeros(1)
-    for index in nearest:
-        other = _grey(light_field, int(line[index]), factor)
-        gradient = np.gradient((centre + other) / 2, axis=1 - axis)
-        top = top + _blocks(gradient * (other - centre) / offsets[index])
-        bottom = bottom + _blocks(gradient**2)
+    centre, other = (_grey(light_field, index, factor) for index in (light_field.reference_index, int(line[nearest])))
+    gradient = np.gradient((centre + other) / 2, axis=1 - axis)
+    bottom = _blocks(gradient**2)
+    top = _blocks(gradient * (other - centre) / offsets[nearest])
     return factor * top / np.maximum(bottom, 1e-12), bottom
 
 
@@ -72,7 +69,8 @@ def _verdict(correlation: float) -> bool | None:
 
 
 def _grey(light_field: LightField, index: int, factor: int) -> NDArray[np.float64]:
-    return _shrunk(light_field.image(index).mean(axis=2, dtype=np.float64), factor)
+    sums = light_field.views[index].sum(axis=2, dtype=np.float64)
+    return _shrunk(sums * (light_field.scale / light_field.channels), factor)
 
 
 def _shrunk(image: NDArray[np.float64], factor: int) -> NDArray[np.float64]:

@@ -53,7 +53,7 @@ def test_the_same_light_field_comes_back(name: str, written: dict[str, Path], tr
     for index, (du, dv) in enumerate(found.offsets):
         u, v = expected.positions[expected.reference_index] + (du, dv)
         wanted = expected.image(expected.index_of(round(v, 5), round(u, 5)))
-        np.testing.assert_allclose(found.image(index), wanted, atol=1e-6 if sample.exact else 0.08)
+        np.testing.assert_allclose(found.image(index), wanted, atol=1e-6 if sample.exact else 0.12)
         if not sample.exact:
             assert np.mean(np.abs(found.image(index) - wanted)) < 0.02
 
