@@ -71,6 +71,8 @@ class LightField:
         What to call the scene in messages.
     notes
         What a reader noticed about the files, one sentence each.
+    files
+        The image file of each view; empty where views have no files of their own.
 
     Raises
     ------
@@ -87,6 +89,7 @@ class LightField:
     truth: GroundTruth | None = None
     name: str = "light field"
     notes: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         views = _array("views", self.views)
@@ -123,6 +126,8 @@ class LightField:
                     raise LightFieldError(f"truth must be {views.shape[1:3]} as the views are, found {values.shape}.")
         if self.grid_shape is not None:
             _check_grid(positions, self.grid_shape)
+        if self.files and len(self.files) != len(views):
+            raise LightFieldError(f"files must be one for each of {len(views)} views, found {len(self.files)}.")
         object.__setattr__(self, "views", views)
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "reference", int(reference))
@@ -273,6 +278,7 @@ class LightField:
             positions=self.positions[keep],
             reference=int(keep[: self.reference_index].sum()),
             valid=None if self.valid is None else self.valid[keep],
+            files=tuple(file for file, kept in zip(self.files, keep, strict=False) if kept),
         )
 
     def crop(self, y: slice, x: slice) -> LightField:
@@ -295,6 +301,7 @@ class LightField:
             valid=None if self.valid is None else self.valid[:, top:bottom, left:right],
             geometry=geometry,
             truth=truth,
+            files=(),
         )
 
     def downsampled(self, factor: int) -> LightField:
@@ -317,6 +324,7 @@ class LightField:
             valid=None if self.valid is None else blocks(self.valid).all(axis=(2, 4)),
             geometry=None,
             truth=None,
+            files=(),
         )
 
     # --- helpers ---

@@ -10,7 +10,7 @@ import typer
 
 from lfgpu._backends import DEFAULT, list_backends
 from lfgpu.cli import values
-from lfgpu.cli.options import Threads
+from lfgpu.cli.options import Every, Flip, Grid, Threads
 
 if TYPE_CHECKING:
     from lfgpu.all_views import ViewsResult
@@ -92,6 +92,9 @@ def depth(
     format_name: Annotated[
         str | None, typer.Option("--format", metavar="NAME", help="Format of INPUT.", show_default="recognised")
     ] = None,
+    grid: Grid = None,
+    every: Every = None,
+    flip: Flip = "",
     allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept a grid that lost some views.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
 ) -> None:
@@ -118,7 +121,15 @@ def depth(
     values.use_threads("--threads", threads)
     estimation.check_device()
 
-    lf = _chosen(read(source, format=format_name, allow_missing=allow_missing), place, pattern)
+    lf = read(
+        source,
+        format=format_name,
+        allow_missing=allow_missing,
+        grid=values.parse_grid(grid),
+        every=every,
+        flip=flip,
+    )
+    lf = _chosen(lf, place, pattern)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)
     with atomic_folder(out) as folder:

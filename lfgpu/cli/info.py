@@ -7,30 +7,43 @@ from typing import Annotated
 
 import typer
 
+from lfgpu.cli.options import Every, Flip, Grid
+
 
 def info(
     source: Annotated[Path, typer.Argument(metavar="INPUT", help="The light field, as a rule a folder of views.")],
     format_name: Annotated[
         str | None, typer.Option("--format", metavar="NAME", help="Format of INPUT.", show_default="recognised")
     ] = None,
+    grid: Grid = None,
+    every: Every = None,
+    flip: Flip = "",
+    write: Annotated[
+        Path | None,
+        typer.Option("--write", metavar="FILE", help="Describe it in a .toml or .json file, to be changed and read."),
+    ] = None,
 ) -> None:
     """Show what the files are taken for: grid, views, cameras, ground truth. Missing views are reported, no error."""
-    from lfgpu.cli import facts
+    from lfgpu.cli import facts, values
     from lfgpu.cli.console import heading, lines, output
-    from lfgpu.io import read, recognise
+    from lfgpu.io import read, recognise, write_description
 
-    lf = read(source, format=format_name, allow_missing=True)
-    if format_name is None:
-        chosen, reason = recognise(source)
-        taken_for = f"{chosen.name}, because {reason}"
-    else:
-        taken_for = f"{format_name}, as told"
+    shape = values.parse_grid(grid)
+    name, reason = format_name, "as told"
+    if name is None:
+        chosen, because = recognise(source)
+        name, reason = chosen.name, f"because {because}"
+    lf = read(source, format=name, allow_missing=True, grid=shape, every=every, flip=flip)
+    left_out: tuple[str, ...] = ()
+    if write is not None:
+        told = {"path": source, "format": name, "grid": shape, "every": every, "flip": flip}
+        left_out = write_description(lf, write, source=told)
     console = output()
     heading(console, lf.name)
     lines(
         console,
         [
-            ("format", taken_for),
+            ("format", f"{name}, {reason}"),
             ("views", facts.views(lf)),
             *((("missing", facts.missing(lf)),) if lf.missing else ()),
             ("size", facts.size(lf)),
@@ -39,5 +52,7 @@ def info(
             ("geometry", facts.geometry(lf.geometry)),
             ("ground truth", facts.truth(lf)),
             *(("note", note) for note in lf.notes),
+            *((("written", str(write)),) if write is not None else ()),
+            *(("left out", sentence) for sentence in left_out),
         ],
     )

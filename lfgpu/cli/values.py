@@ -36,6 +36,11 @@ def parse_size(option: str, text: str, what: str) -> tuple[int, int]:
     return int(first), int(second)
 
 
+def parse_grid(text: str | None) -> tuple[int, int] | None:
+    """ "9x9" of the option --grid as (rows, columns); None where it was not given."""
+    return None if text is None else parse_size("--grid", text, "ROWSxCOLUMNS such as 9x9")
+
+
 def numbers(option: str, text: str, separator: str, what: str) -> tuple[float, float]:
     """Two numbers with a separator between them; LightFieldError that says `what` they should be otherwise."""
     try:

@@ -1,6 +1,7 @@
 """Light fields, maps and masks from and to files."""
 
 from lfgpu.io.atomic import atomic_folder, atomic_write, check_writable
+from lfgpu.io.description import write_description
 from lfgpu.io.formats import FORMATS, Format, read, recognise
 from lfgpu.io.hci import write_hci
 from lfgpu.io.maps import read_map, read_mask
@@ -19,6 +20,7 @@ __all__ = [
     "read_mask",
     "read_result",
     "recognise",
+    "write_description",
     "write_hci",
     "write_pfm",
     "write_result",

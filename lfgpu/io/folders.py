@@ -18,8 +18,26 @@ def listed(paths: Sequence[Path]) -> str:
 
 
 def image_files(folder: Path) -> list[Path]:
-    """The image files of a folder by their suffix, sorted by name; hidden files are left out."""
-    return _select(folder, lambda entry: entry.suffix.lower() in IMAGE_SUFFIXES and _shown(entry) and entry.is_file())
+    """The image files of a folder by their suffix, sorted by name; hidden files are left out.
+
+    LightFieldError if one is a link that leads nowhere: without it the rest could pass for a smaller light field.
+    """
+    images = _select(folder, lambda entry: entry.suffix.lower() in IMAGE_SUFFIXES and _shown(entry))
+    for image in images:
+        if image.is_symlink() and not image.exists():
+            raise LightFieldError(f"{image} is a link that leads nowhere; remove it or put the file there.")
+    return [image for image in images if image.is_file()]
+
+
+def head(path: Path, count: int) -> bytes:
+    """The first bytes of a regular file; none of anything else."""
+    try:
+        if not path.is_file():  # opening a pipe would wait for somebody to write into it
+            return b""
+        with path.open("rb") as file:
+            return file.read(count)
+    except OSError as error:
+        raise LightFieldError(f"{path} cannot be read: {error.strerror}.") from error
 
 
 def sub_folders(folder: Path) -> list[Path]:

@@ -3,21 +3,34 @@
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from numbers import Integral
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import hci, named_views
-from lfgpu.io.folders import entries, listed
+from lfgpu.io import (
+    camera_row,
+    description,
+    hci,
+    hci_old,
+    lftoolbox,
+    mosaic,
+    named_views,
+    numpy_file,
+    plenopticam,
+    stanford,
+    tiff_stack,
+    video,
+)
+from lfgpu.io.flips import check_flip, flipped
+from lfgpu.io.folders import entries, head, listed
+from lfgpu.io.images import IMAGE_SUFFIXES
+from lfgpu.io.parallax import axes_agree
 from lfgpu.lightfield import LightField
-
-
-class Reader(Protocol):
-    """Reads a path that exists, or raises LightFieldError with a sentence that names the file at fault."""
-
-    def __call__(self, path: Path, *, allow_missing: bool) -> LightField: ...
 
 
 @dataclass(frozen=True)
@@ -30,11 +43,28 @@ class Format:
     """One line for lists and help, without a full stop."""
     recognise: Callable[[Path], str | None]
     """Why a path that exists is of this format ("it is a folder with ..."), or None. Looks at names and magic only."""
-    read: Reader
+    read: Callable[..., LightField]
+    """Reads a path that exists, given the keyword `allow_missing` and those in `takes`, or raises LightFieldError with
+    a sentence that names the file at fault."""
+    extra: str | None = None
+    """The extra of the package that (some files of) the format needs: pip install 'lfgpu[EXTRA]'."""
+    takes: tuple[str, ...] = ()
+    """Which further keywords of `read` have a meaning for it."""
+
+
+def _read_source(path: Path, **options: Any) -> LightField:
+    """What a description reads its source with: this very table."""
+    return read(path, **options)
 
 
 FORMATS: tuple[Format, ...] = (
     # Those that are named more distinctly come first: the first one that recognises a path is taken.
+    Format(
+        name="lightfield-toml",
+        description="a description lightfield.toml (or .json) of any array of cameras",
+        recognise=description.recognise,
+        read=partial(description.read_description, read=_read_source),
+    ),
     Format(
         name="hci",
         description="HCI 4D Light Field Benchmark: a folder with input_Cam000.png ... and parameters.cfg",
@@ -42,10 +72,79 @@ FORMATS: tuple[Format, ...] = (
         read=hci.read_hci,
     ),
     Format(
+        name="hci-export",
+        description="a folder exported from the old HCI light fields: lf/00_00.png ..., attributes.dat, depth.bin",
+        recognise=hci_old.recognise_export,
+        read=hci_old.read_hci_export,
+    ),
+    Format(
+        name="stanford",
+        description="Stanford Light Field Archive: a folder of out_ROW_COLUMN_Y_X.png",
+        recognise=stanford.recognise,
+        read=stanford.read_stanford,
+    ),
+    Format(
+        name="plenopticam",
+        description="an export of PlenoptiCam: a folder viewpoints_9px with images named by row and column",
+        recognise=plenopticam.recognise,
+        read=plenopticam.read_plenopticam,
+    ),
+    Format(
+        name="lftoolbox",
+        description="a MATLAB file of the Light Field Toolbox with LF [t, s, v, u, c]",
+        recognise=lftoolbox.recognise,
+        read=lftoolbox.read_lftoolbox,
+        extra="hdf5",
+    ),
+    Format(
+        name="numpy",
+        description="a NumPy file (.npy, .npz) of views [v, u, y, x, c] or [n, y, x, c]",
+        recognise=numpy_file.recognise,
+        read=numpy_file.read_numpy,
+        takes=("grid",),
+    ),
+    Format(
+        name="tiff-stack",
+        description="a TIFF file with a page for each view",
+        recognise=tiff_stack.recognise,
+        read=tiff_stack.read_tiff_stack,
+        extra="tiff",
+        takes=("grid",),
+    ),
+    Format(
+        name="mosaic",
+        description="an image of microlenses, a block of pixels each (ESLF)",
+        recognise=mosaic.recognise,
+        read=mosaic.read_mosaic,
+        takes=("grid",),
+    ),
+    Format(
+        name="video",
+        description="a video of a camera that moves along a row",
+        recognise=video.recognise,
+        read=video.read_video,
+        extra="video",
+        takes=("grid", "every"),
+    ),
+    Format(
         name="named-views",
         description="a folder of images named by row and column, such as view_00_03.png or 5_5.bmp",
         recognise=named_views.recognise,
         read=named_views.read_named_views,
+    ),
+    Format(
+        name="hci-hdf5",
+        description="old HCI light fields: an HDF5 file with LF and GT_DEPTH",
+        recognise=hci_old.recognise_hdf5,
+        read=hci_old.read_hci_hdf5,
+        extra="hdf5",
+    ),
+    Format(
+        name="camera-row",
+        description="a folder of numbered images, such as view_0034.jpg: a row of cameras",
+        recognise=camera_row.recognise,
+        read=camera_row.read_camera_row,
+        takes=("grid", "every"),
     ),
 )
 
@@ -55,18 +154,29 @@ def read(
     *,
     format: str | None = None,  # noqa: A002 - the word that users look for
     allow_missing: bool = False,
+    grid: tuple[int, int] | None = None,
+    every: int | None = None,
+    flip: str = "",
 ) -> LightField:
     """Read a light field from files.
 
     Parameters
     ----------
     path
-        What to read, as a rule a folder of views.
+        What to read: a folder of views, or a file that holds all of them.
     format
         Name of an entry of `FORMATS`; None finds it out from the path.
     allow_missing
         A grid of which more than half of the views are there, but not all, has probably lost some: that is an error
         unless this is True. Patterns that are meant (a cross, a star, a row, a column) and sparse grids always pass.
+    grid
+        (rows, columns) of the views where the files do not say it; None finds it out or asks for it. For the formats
+        that have "grid" in `Format.takes`.
+    every
+        Take one view of so many, >= 1, from the first on; None takes all. For formats that have "every" there.
+    flip
+        Axes along which the cameras are counted the other way round: "u" (columns, from the right), "v" (rows, from
+        below), "uv", or "" as a rule. Wrong directions turn near into far.
 
     Returns
     -------
@@ -75,12 +185,33 @@ def read(
     Raises
     ------
     LightFieldError
-        If the path is missing or not a known format, or if its files are damaged or contradict each other.
+        If the path is missing or not a known format, an option is wrong or means nothing for the format, a library
+        that it needs is missing, or its files are damaged or contradict each other.
     """
     path = Path(path)
+    check_flip(flip)
+    if grid is not None and not (len(grid) == 2 and all(isinstance(side, Integral) and side > 0 for side in grid)):
+        raise LightFieldError(f"grid must be (rows, columns), whole numbers from 1 on, not {grid}.")
+    if every is not None and every < 1:
+        raise LightFieldError(f"every must be a whole number from 1 on, not {every}.")
     chosen = recognise(path)[0] if format is None else _named(format)
     _check_exists(path)
-    return chosen.read(path, allow_missing=allow_missing)
+    options = {name: value for name, value in (("grid", grid), ("every", every)) if value is not None}
+    for name in options:
+        if name not in chosen.takes:
+            raise LightFieldError(f"{path} is read as {chosen.name}, for which {name} means nothing; leave it out.")
+    return _checked(flipped(chosen.read(path, allow_missing=allow_missing, **options), flip))
+
+
+def _checked(light_field: LightField) -> LightField:
+    """With a note if the pictures contradict the positions of their cameras."""
+    if axes_agree(light_field) is not False:
+        return light_field
+    note = (
+        "Views in a column move against those in a row, so one of the two is counted the other way round: "
+        "try flip='u' or flip='v' (--flip on the command line)."
+    )
+    return replace(light_field, notes=(*light_field.notes, note))
 
 
 def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
@@ -91,8 +222,10 @@ def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
         reason = candidate.recognise(path)
         if reason is not None:
             return candidate, reason
-    known = "; ".join(f"{entry.name} ({entry.description})" for entry in FORMATS)
-    raise LightFieldError(f"{path} is not a light field of a known format: it is {_what(path)}. Known are: {known}.")
+    raise LightFieldError(
+        f"{path} is not a light field of a known format: it is {_what(path)}. "
+        f"Known are {', '.join(entry.name for entry in FORMATS)}."
+    )
 
 
 def _named(name: str) -> Format:
@@ -104,15 +237,39 @@ def _named(name: str) -> Format:
 
 def _check_exists(path: Path) -> None:
     try:
-        path.stat()
+        mode = path.stat().st_mode
     except FileNotFoundError:
         raise LightFieldError(f"{path} does not exist; give a folder of views or a light field file.") from None
-    except OSError as error:
-        raise LightFieldError(f"{path} cannot be opened: {error.strerror}.") from error
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        raise LightFieldError(f"{path} cannot be opened: {getattr(error, 'strerror', None) or error}.") from error
+    if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):  # a pipe would be waited for, a device never ends
+        raise LightFieldError(f"{path} is neither a file nor a folder; give a folder of views or a light field file.")
+
+
+_ARCHIVES = {b"PK\x03\x04": "zip", b"PK\x05\x06": "zip", b"7z\xbc\xaf": "7z", b"Rar!": "rar", b"\x1f\x8b": "gzip"}
+
+_NAMED_SO = frozenset({".h5", ".hdf5", ".mat", ".npy", ".npz", ".mp4", ".mov", ".mkv", ".webm", ".avi"})
 
 
 def _what(path: Path) -> str:
-    if not path.is_dir():
+    """What a path is that no format recognises, and what to do about it."""
+    if path.is_dir():
+        contents = entries(path)
+        return f"a folder with {listed(contents)}" if contents else "an empty folder"
+    start = head(path, 4)
+    if not start:
+        return "an empty file (give the folder that holds the views)"
+    for magic, kind in _ARCHIVES.items():
+        if start.startswith(magic):
+            return f"a {kind} archive (unpack it and give the folder)"
+    if path.suffix.lower() in _NAMED_SO:
+        return f"a file named {path.suffix} that does not begin as such files do (it is damaged or another kind)"
+    if path.suffix.lower() not in IMAGE_SUFFIXES:
         return "a file (give the folder that holds the views)"
-    contents = entries(path)
-    return f"a folder with {listed(contents)}" if contents else "an empty folder"
+    for candidate in FORMATS:
+        if candidate.extra is None and candidate.recognise(path.resolve().parent):
+            return f"one image (give the folder {path.resolve().parent}, which is {candidate.name})"
+    return (
+        "one image (give the folder that holds the views; --format mosaic if its pixels are blocks of views behind "
+        "microlenses)"
+    )

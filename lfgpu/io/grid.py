@@ -73,6 +73,7 @@ def read_grid(
         # Without the centre view LightField takes the nearest one.
         reference=places.index(centre) if centre in files else None,
         grid_shape=shape,
+        files=tuple(str(files[place]) for place in places),
         name=folder.resolve().name,
         notes=(*notes, *hole_notes, *image_notes),
     )

@@ -18,7 +18,7 @@ from lfgpu.io.atomic import atomic_folder
 from lfgpu.io.folders import entries, image_files
 from lfgpu.io.grid import by_place, read_grid
 from lfgpu.io.hci_parameters import PARAMETERS_FILE, Parameters, write_parameters
-from lfgpu.io.maps import read_map, read_mask
+from lfgpu.io.maps import check_size, read_map, read_mask
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.png import write_png
 from lfgpu.lightfield import GroundTruth, LightField
@@ -60,7 +60,7 @@ def read_hci(path: Path, *, allow_missing: bool = False) -> LightField:
     if not views:
         raise LightFieldError(f"{path} has no views named input_Cam000.png and so on; give the folder that holds them.")
     last = max(index for index, _ in views)
-    parameters = Parameters(path / PARAMETERS_FILE) if (path / PARAMETERS_FILE).exists() else None
+    parameters = Parameters(path / PARAMETERS_FILE) if (path / PARAMETERS_FILE).is_file() else None
     rows, columns = shape = _square_grid(path, last) if parameters is None else parameters.grid_shape()
     if last >= rows * columns:
         raise LightFieldError(
@@ -157,24 +157,16 @@ def _geometry(parameters: Parameters | None, size: tuple[int, int]) -> tuple[Geo
 
 def _truth(folder: Path, shape: tuple[int, int], size: tuple[int, int]) -> GroundTruth | None:
     path = folder / DISPARITY_FILE
-    if not path.exists():
+    if not path.is_file():
         return None
     disparity = read_map(path)
-    _check_size(path, disparity, size)
+    check_size(path, disparity, size)
     mask = None
-    if (folder / MASK_FILE).exists():
+    if (folder / MASK_FILE).is_file():
         mask = read_mask(folder / MASK_FILE)
-        _check_size(folder / MASK_FILE, mask, size)
+        check_size(folder / MASK_FILE, mask, size)
     known = np.where(np.isfinite(disparity), disparity, np.float32(np.nan))
     return GroundTruth(known, (float(shape[1] // 2), float(shape[0] // 2)), mask)
-
-
-def _check_size(path: Path, array: NDArray[Any], size: tuple[int, int]) -> None:
-    if array.shape != size:
-        raise LightFieldError(
-            f"{path} has {array.shape[1]} x {array.shape[0]} pixels, but the views have {size[1]} x {size[0]}; "
-            "remove it or put the right one there."
-        )
 
 
 def _storable(view: NDArray[Any]) -> NDArray[Any]:

@@ -14,6 +14,7 @@ from PIL import Image, UnidentifiedImageError
 from PIL.TiffImagePlugin import TiffImageFile
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.limits import check_claim
 
 IMAGE_SUFFIXES = frozenset({".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff"})
 """Suffixes, in lower case, of the files that are taken for images."""
@@ -67,6 +68,8 @@ def _decode(path: Path) -> NDArray[Any]:
         warnings.simplefilter("error", Image.DecompressionBombWarning)
         try:
             with Image.open(path) as image:
+                # Four bytes a pixel whatever the mode: a bound on what decoding takes.
+                check_claim(path, (image.height, image.width, 4), np.uint8)
                 return _decode_tiff(path) if _is_misread_by_pillow(image) else _pixels(path, image)
         except UnidentifiedImageError:
             with path.open("rb") as file:
@@ -128,7 +131,11 @@ def _decode_tiff(path: Path) -> NDArray[Any]:
             "planes); run 'pip install tifffile' to read the latter, or save it as PNG."
         )
     import imageio.v3 as iio  # only here, so that nobody else waits for it
+    from tifffile import TiffFile
 
+    with TiffFile(path) as file:
+        for page in file.pages:
+            check_claim(path, page.shape, page.dtype or np.uint8)
     image = np.asarray(iio.imread(path, plugin="tifffile"))
     planes_first = image.ndim == 3 and image.shape[0] in (3, 4) and image.shape[2] > 4
     return np.moveaxis(image, 0, 2) if planes_first else image

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.images import read_image
+from lfgpu.io.numpy_arrays import load_arrays
 from lfgpu.io.pfm import read_pfm
 
 MAP_KEY = "disparity"
@@ -63,19 +64,18 @@ def read_mask(path: str | os.PathLike[str]) -> NDArray[np.bool_]:
     return np.asarray((image != 0).any(axis=2))
 
 
+def check_size(path: Path, array: NDArray[Any], size: tuple[int, int]) -> None:
+    """LightFieldError unless what a file holds has the (height, width) of the views."""
+    if array.shape != size:
+        raise LightFieldError(
+            f"{path} has {array.shape[1]} x {array.shape[0]} pixels, but the views have {size[1]} x {size[0]}; "
+            "remove it or put the right one there."
+        )
+
+
 def _read_numpy(path: Path) -> NDArray[np.float32]:
-    try:
-        loaded: Any = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.lib.npyio.NpzFile):
-            with loaded:
-                if MAP_KEY not in loaded.files:
-                    found = ", ".join(loaded.files) or "nothing"
-                    raise LightFieldError(f"{path} has no array {MAP_KEY!r}; it holds {found}.")
-                loaded = loaded[MAP_KEY]
-    except (LightFieldError, OSError):
-        raise
-    except Exception as error:  # NumPy and zipfile raise whatever comes to them when a file is damaged
-        raise LightFieldError(f"{path} cannot be read as NumPy data: {error}.") from error
+    loaded = load_arrays(path, (MAP_KEY,))[MAP_KEY]
     if loaded.ndim != 2 or loaded.dtype.kind not in "fiu" or 0 in loaded.shape:
         raise LightFieldError(f"{path} must hold numbers [y, x]; found {loaded.dtype} of shape {loaded.shape}.")
-    return np.asarray(loaded, np.float32)
+    with np.errstate(over="ignore"):
+        return np.asarray(loaded, np.float32)

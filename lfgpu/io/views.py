@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.images import read_image
+from lfgpu.io.limits import check_memory
 
 
 def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
@@ -35,6 +36,7 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
         If a file cannot be read, differs from the first in size, colour or dtype, or if memory does not suffice.
     """
     first, remarks = read_image(files[0])
+    check_memory(files[0].parent, len(files) * first.nbytes, advice="read fewer views")
     try:
         views = np.empty((len(files), *first.shape), first.dtype)
     except MemoryError as error:

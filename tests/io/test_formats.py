@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,9 @@ import pytest
 from samples import box, refusal, save_hci, save_named
 
 from lfgpu.io import FORMATS, read, recognise
+
+PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+EXTRAS = PROJECT["optional-dependencies"]
 
 
 def test_the_table_is_well_formed() -> None:
@@ -19,6 +24,8 @@ def test_the_table_is_well_formed() -> None:
         assert " " not in entry.name
         assert "\n" not in entry.description
         assert not entry.description.endswith(".")
+        assert set(entry.takes) <= set(inspect.signature(read).parameters)
+        assert entry.extra is None or entry.extra in EXTRAS
 
 
 def test_recognise_says_why(tmp_path: Path) -> None:
@@ -37,7 +44,7 @@ def test_a_format_can_be_asked_for(tmp_path: Path) -> None:
     save_named(tmp_path, box(2, 2))
     assert read(tmp_path).grid_shape == (3, 3)
     assert read(tmp_path, format="named-views").grid_shape == (2, 2)
-    assert "unknown format 'hcl'; known are hci, named-views" in refusal(lambda: read(tmp_path, format="hcl"))
+    assert "unknown format 'hcl'; known are lightfield-toml, hci, " in refusal(lambda: read(tmp_path, format="hcl"))
 
 
 @pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from lfgpu.io import read, read_map
+from lfgpu.errors import LightFieldError
+from lfgpu.io import parallax, read, read_map, write_description
+from lfgpu.io.flips import flipped
+from lfgpu.io.images import read_image
+from lfgpu.io.png import write_png
+from lfgpu.lightfield import LightField
 
 DATA = Path(os.environ.get("LFGPU_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
@@ -52,7 +59,7 @@ def test_real_kitchen() -> None:
     ],
 )
 def test_real_named_views(name: str, shape: tuple[int, ...], grid_shape: tuple[int, int], notes: list[str]) -> None:
-    light_field = read(real(name))
+    light_field = read(real(name), format="named-views")
     assert (light_field.views.shape, light_field.grid_shape) == (shape, grid_shape)
     assert light_field.reference == shape[0] // 2
     assert len(light_field.notes) == len(notes)
@@ -73,3 +80,109 @@ def test_real_views_move_as_their_truth_says() -> None:
         return float(np.mean(np.abs(errors)))
 
     assert mismatch(-1, -1) < 0.5 * min(mismatch(1, 1), mismatch(0, 0))
+
+
+def mismatches(light_field: LightField, disparity: NDArray[Any], step: int = 1) -> tuple[float, float]:
+    """Mean absolute differences of the reference from its neighbours to the right and below, looked up at x - d and at
+    x + d."""
+    row, column = light_field.positions[light_field.reference_index][::-1]
+    centre, right, below = (
+        light_field.view(*place)[..., 1].astype(float)
+        for place in ((row, column), (row, column + step), (row + step, column))
+    )
+    height, width = light_field.size
+    y, x = np.mgrid[30 : height - 30, 30 : width - 30]
+    shift = np.rint(step * np.nan_to_num(disparity[y, x])).astype(int)
+    right_way, wrong_way = (
+        float(
+            np.mean(
+                np.abs(right[y, x + sign * shift] - centre[y, x]) + np.abs(below[y + sign * shift, x] - centre[y, x])
+            )
+        )
+        for sign in (-1, 1)
+    )
+    return right_way, wrong_way
+
+
+def test_real_export_of_an_old_scene() -> None:
+    folder = real("stillLife_3x3")
+    light_field = read(folder)
+    truth, published = light_field.reference_truth(), read_map(folder / "gt_disp_3x3.pfm")
+    assert truth is not None
+    assert np.abs(truth.disparity - published).max() < 1e-4
+    assert light_field.geometry is not None
+    depth = np.fromfile(folder / "depth.bin", "<f4").reshape(light_field.size)
+    assert np.abs(light_field.geometry.depth(truth.disparity) - depth).max() < 1e-4
+    right_way, wrong_way = mismatches(light_field, truth.disparity)
+    assert right_way < 0.5 * wrong_way
+
+
+def test_real_export_as_hdf5(tmp_path: Path) -> None:
+    """The old HCI files themselves are not at hand: one is made of the export, its columns from the right as theirs."""
+    h5py = pytest.importorskip("h5py")
+    export = read(real("stillLife_3x3"))
+    depth = np.ones((3, 3, 768, 768), np.float32)
+    depth[1, 1] = np.fromfile(real("stillLife_3x3") / "depth.bin", "<f4").reshape(768, 768)
+    with h5py.File(tmp_path / "stillLife.h5", "w") as file:
+        file["LF"] = export.views.reshape(3, 3, 768, 768, 3)[:, ::-1]
+        file["GT_DEPTH"] = depth
+        file.attrs.update({"dH": 614.4, "dV": 614.4, "focalLength": 9.375, "shift": 288})
+    found = read(tmp_path / "stillLife.h5")
+    np.testing.assert_array_equal(found.views[found.index_of(0, 2)], export.views[export.index_of(0, 2)])
+    assert found.truth is not None
+    assert export.truth is not None
+    np.testing.assert_array_equal(found.truth.disparity, export.truth.disparity)
+    assert found.geometry == export.geometry
+
+
+def test_real_row_of_cameras() -> None:
+    folder = real("mansion") / "images"
+    light_field = read(folder)
+    assert (light_field.views.shape, light_field.grid_shape) == ((51, 200, 300, 3), (1, 51))
+    measured = parallax.measured(light_field.subset(range(20, 31)), axis=0)
+    assert measured is not None
+    published, _ = read_image(real("mansion") / "mansion_depth" / "mansion_depth_0050.png")
+    blocks = published[..., 0].astype(float).reshape(50, 4, 75, 4).mean(axis=(1, 3))
+    # The frames are not shifted: all disparities are positive, and brighter, nearer places have larger ones.
+    disparity, weight = measured
+    far, near = blocks < np.percentile(blocks, 30), blocks > np.percentile(blocks, 80)
+    means = [float((disparity * weight)[place].sum() / weight[place].sum()) for place in (far, near)]
+    assert -0.05 < means[0] < 0.15 < 0.3 < means[1]
+
+
+def test_real_lytro_views_as_a_mosaic(tmp_path: Path) -> None:
+    light_field = read(real("lytro_2067")).crop(slice(100, 228), slice(200, 360))
+    grid = light_field.views.reshape(9, 9, 128, 160, 3)
+    image = grid.transpose(2, 0, 3, 1, 4).reshape(128 * 9, 160 * 9, 3)
+    write_png(tmp_path / "a_eslf.png", image)
+    found = read(tmp_path / "a_eslf.png")
+    assert found.grid_shape == (9, 9)
+    np.testing.assert_array_equal(found.view(3, 5), light_field.view(3, 5))
+    assert found.valid is None or found.valid[found.reference_index].all()
+
+
+@pytest.mark.parametrize("name", ["cotton", "kitchen", "stillLife_3x3", "lytro_2067", "tao2013_IMG_1", "tao2013_IMG_4"])
+def test_real_axes_run_alike(name: str) -> None:
+    light_field = read(real(name))
+    assert parallax.axes_agree(light_field) is True
+    assert parallax.axes_agree(flipped(light_field, "v")) is False
+
+
+def test_real_matlab_file_of_another_kind() -> None:
+    file = real("tao2013_IMG_1").parent / "tao2013_image_cords.mat"
+    with pytest.raises(LightFieldError, match="it holds image_cords"):
+        read(file)
+
+
+@pytest.mark.parametrize("name", ["kitchen", "stillLife_3x3", "tao2013_IMG_1", "mansion/images"])
+def test_real_descriptions_read_back(name: str, tmp_path: Path) -> None:
+    first = read(real(name))
+    write_description(first, tmp_path / "a.toml", source={})
+    again = read(tmp_path / "a.toml")
+    np.testing.assert_array_equal(again.views, first.views)
+    np.testing.assert_array_equal(again.positions, first.positions)
+    assert (again.geometry, again.reference, again.grid_shape) == (first.geometry, first.reference, first.grid_shape)
+    if first.truth is not None:
+        assert again.truth is not None
+        np.testing.assert_array_equal(again.truth.disparity, first.truth.disparity)
+        np.testing.assert_array_equal(again.truth.mask, first.truth.mask)

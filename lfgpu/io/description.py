@@ -1,0 +1,395 @@
+"""lightfield.toml (or .json): a description of any array of cameras, by hand or by `lfgpu info --write`.
+
+What may stand in it is in docs/formats.md. Files are named relative to the description; nothing in it is run.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+from lfgpu.io.arrays import field_of
+from lfgpu.io.atomic import atomic_write, check_writable
+from lfgpu.io.flips import check_flip, flipped
+from lfgpu.io.maps import check_size, read_map, read_mask
+from lfgpu.io.pfm import write_pfm
+from lfgpu.io.png import write_png
+from lfgpu.io.views import load_views
+from lfgpu.lightfield import GroundTruth, LightField
+
+DEFAULT_NAME = "lightfield.toml"
+
+_LARGEST = 1 << 24  # bytes of a description; 100 000 views need less
+_KEYS = {
+    "": {"name", "grid", "reference", "geometry", "truth", "source", "views"},
+    "geometry": {"focal_length_px", "baseline_m", "focus_distance_m", "principal_point"},
+    "truth": {"disparity", "position", "mask"},
+    "source": {"path", "format", "grid", "every", "flip"},
+    "views": {"file", "position", "valid"},
+}
+
+
+def recognise(path: Path) -> str | None:
+    """Why a path is taken for a description, or a folder with one; None if it is not."""
+    if path.is_dir():
+        return f"it is a folder with {DEFAULT_NAME}" if (path / DEFAULT_NAME).is_file() else None
+    if path.name == DEFAULT_NAME or path.suffix.lower() in (".toml", ".json"):
+        return f"it is a description ({path.suffix.lower().removeprefix('.')})" if path.is_file() else None
+    return None
+
+
+def read_description(
+    path: Path, *, allow_missing: bool = False, read: Callable[..., LightField] | None = None
+) -> LightField:
+    """Read a light field from its description.
+
+    Parameters
+    ----------
+    path
+        The .toml or .json file, or a folder that holds lightfield.toml.
+    allow_missing
+        Handed on to the format of `source`.
+    read
+        What reads a light field of another format, for descriptions with a `source`.
+
+    Raises
+    ------
+    LightFieldError
+        If the description is damaged, has unknown or wrong entries, or names files that do not fit; the sentence
+        names the entry.
+    """
+    file = path / DEFAULT_NAME if path.is_dir() else path
+    table = _table(file, _parsed(file), "", _KEYS[""])
+    source = table.get("source")
+    listed = _listed_views(file, table.get("views"))
+    if source is not None:
+        light_field = _of_source(file, _table(file, source, "source", _KEYS["source"]), listed, allow_missing, read)
+    else:
+        light_field = _of_files(file, listed)
+    return _with_rest(file, table, light_field)
+
+
+def write_description(
+    light_field: LightField, path: str | os.PathLike[str], *, source: Mapping[str, Any]
+) -> tuple[str, ...]:
+    """Write the description of a light field that was read from files, for `read_description` to read back.
+
+    Views with files of their own are named one by one. Otherwise the description names the `source`, which is
+    read again, and the positions of its views. Ground truth goes into files beside it: NAME.truth.pfm, NAME.mask.png.
+
+    Parameters
+    ----------
+    light_field
+        What was read.
+    path
+        The file to write, .toml or .json.
+    source
+        `path` and `format`, and `grid`, `every` and `flip` where they were given, as in `lfgpu.read`.
+
+    Returns
+    -------
+    What the description could not hold, one sentence each; empty if everything was stored.
+
+    Raises
+    ------
+    LightFieldError
+        If the file cannot be written, or a name cannot be (bytes that are not UTF-8).
+    """
+    target = Path(path)
+    if target.suffix.lower() not in (".toml", ".json"):
+        raise LightFieldError(f"{target} must be named .toml or .json.")
+    check_writable(target, folder=False)
+    folder = target.resolve().parent
+    table: dict[str, Any] = {"name": light_field.name, "reference": light_field.reference_index}
+    if light_field.grid_shape is not None:
+        table["grid"] = list(light_field.grid_shape)
+    left_out = []
+    if light_field.geometry is not None:
+        table["geometry"] = _geometry_table(light_field.geometry)
+    places = [[float(u), float(v)] for u, v in light_field.positions]
+    if light_field.files:
+        table["views"] = [
+            {"file": _relative(name, folder), "position": place}
+            for name, place in zip(light_field.files, places, strict=True)
+        ]
+        if light_field.valid is not None:
+            left_out.append("The validity of the views' pixels was left out.")
+        if light_field.truth is not None:
+            table["truth"] = _write_truth(light_field.truth, target)
+    else:
+        table["source"] = {
+            key: _relative(value, folder) if key == "path" else list(value) if key == "grid" else value
+            for key, value in source.items()
+            if value
+        }
+        table["views"] = [{"position": place} for place in places]
+    text = json.dumps(table, indent=1, ensure_ascii=False) if target.suffix.lower() == ".json" else _toml(table)
+    try:
+        content = text.encode()
+    except UnicodeEncodeError as error:
+        raise LightFieldError(f"{target} cannot be written: a file has a name that is not UTF-8; rename it.") from error
+    with atomic_write(target) as temporary:
+        temporary.write_bytes(content)
+    return tuple(left_out)
+
+
+# --- reading ---
+
+
+def _parsed(file: Path) -> Any:
+    try:
+        if not file.is_file():
+            raise LightFieldError(f"{file} is not a description of a light field; name a .toml or .json file.")
+        if file.stat().st_size > _LARGEST:
+            raise LightFieldError(f"{file} is {file.stat().st_size} bytes; no description of a light field is as long.")
+        text = file.read_text(encoding="utf-8-sig")
+        return json.loads(text) if file.suffix.lower() == ".json" else tomllib.loads(text)
+    except OSError as error:
+        raise LightFieldError(f"{file} cannot be read: {error.strerror}.") from error
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, LightFieldError):
+            raise
+        kind = "JSON" if file.suffix.lower() == ".json" else "TOML"
+        raise LightFieldError(f"{file} is not valid {kind}: {' '.join(str(error).split()).rstrip('.')}.") from error
+
+
+def _listed_views(file: Path, views: Any) -> list[Mapping[str, Any]]:
+    if views is None:
+        return []
+    if not isinstance(views, list):
+        raise LightFieldError(f"{file}: views must be a list, one [[views]] for each.")
+    return [_table(file, view, f"views[{index}]", _KEYS["views"]) for index, view in enumerate(views)]
+
+
+def _of_files(file: Path, listed: list[Mapping[str, Any]]) -> LightField:
+    if len(listed) < 2:
+        raise LightFieldError(
+            f"{file} lists {len(listed)} views; depth needs at least two, each with file and position."
+        )
+    images = [_file(file, view, f"views[{index}]", "file") for index, view in enumerate(listed)]
+    where = _positions(file, listed)
+    views, notes = load_views(images)
+    valid = None
+    if any("valid" in view for view in listed):
+        valid = np.ones(views.shape[:3], np.bool_)
+        for index, view in enumerate(listed):
+            if "valid" not in view:
+                continue
+            mask = read_mask(_file(file, view, f"views[{index}]", "valid"))
+            check_size(_file(file, view, f"views[{index}]", "valid"), mask, views.shape[1:3])
+            valid[index] = mask
+    return (
+        field_of(file, views, where, files=tuple(map(str, images)), notes=notes)
+        if valid is None
+        else replace(field_of(file, views, where, files=tuple(map(str, images)), notes=notes), valid=valid)
+    )
+
+
+def _of_source(
+    file: Path,
+    source: Mapping[str, Any],
+    listed: list[Mapping[str, Any]],
+    allow_missing: bool,
+    read: Callable[..., LightField] | None,
+) -> LightField:
+    path = source.get("path")
+    chosen = source.get("format")
+    if read is None or not isinstance(path, str) or not isinstance(chosen, str) or chosen == "lightfield-toml":
+        raise LightFieldError(f"{file}: source must name a path and its format, one that `lfgpu.read` knows.")
+    options: dict[str, Any] = {}
+    if "grid" in source:
+        options["grid"] = _pair(file, source["grid"], "source.grid", whole=True)
+    if "every" in source:
+        options["every"] = _whole(file, source["every"], "source.every")
+    flip = source.get("flip", "")
+    if not isinstance(flip, str):
+        raise LightFieldError(f"{file}: source.flip must be u, v or uv, not {flip!r}.")
+    check_flip(flip)
+    light_field = read(_beside(file, path), format=chosen, allow_missing=allow_missing, **options)
+    light_field = flipped(light_field, flip)
+    if not listed:
+        return light_field
+    if len(listed) != len(light_field.views):
+        raise LightFieldError(f"{file} lists {len(listed)} views, {path} has {len(light_field.views)}.")
+    if any(set(view) != {"position"} for view in listed):
+        raise LightFieldError(f"{file}: beside a source, views have a position and nothing else.")
+    try:
+        where = _positions(file, listed)
+        truth = light_field.truth
+        if truth is not None:
+            index = light_field.index_of(truth.position[1], truth.position[0])
+            truth = replace(truth, position=(float(where[index, 0]), float(where[index, 1])))
+        return replace(light_field, positions=where, grid_shape=None, truth=truth)
+    except LightFieldError as error:
+        raise LightFieldError(f"{file}: {error}") from error
+
+
+def _with_rest(file: Path, table: Mapping[str, Any], light_field: LightField) -> LightField:
+    """With what the description says of the whole."""
+    fields: dict[str, Any] = {}
+    if "name" in table:
+        if not isinstance(table["name"], str):
+            raise LightFieldError(f"{file}: name must be a text, not {table['name']!r}.")
+        fields["name"] = table["name"]
+    else:
+        fields["name"] = file.resolve().parent.name if file.name == DEFAULT_NAME else file.stem
+    if "grid" in table:
+        fields["grid_shape"] = _pair(file, table["grid"], "grid", whole=True)
+    if "reference" in table:
+        fields["reference"] = _whole(file, table["reference"], "reference", least=0)
+    if "geometry" in table:
+        fields["geometry"] = _geometry(file, _table(file, table["geometry"], "geometry", _KEYS["geometry"]))
+    if "truth" in table:
+        fields["truth"] = _truth(file, _table(file, table["truth"], "truth", _KEYS["truth"]))
+    try:
+        return replace(light_field, **fields)
+    except LightFieldError as error:
+        raise LightFieldError(f"{file}: {error}") from error
+
+
+def _geometry(file: Path, table: Mapping[str, Any]) -> Geometry:
+    lengths = {key: _number(file, table[key], f"geometry.{key}") for key in table if key != "principal_point"}
+    for key in ("focal_length_px", "baseline_m"):
+        if key not in lengths:
+            raise LightFieldError(f"{file}: geometry has no {key}; add it or leave geometry out.")
+    point = None
+    if "principal_point" in table:
+        x, y = _pair(file, table["principal_point"], "geometry.principal_point")
+        point = (x, y)
+    try:
+        return Geometry(**lengths, principal_point=point)
+    except LightFieldError as error:
+        raise LightFieldError(f"{file}: {error}") from error
+
+
+def _truth(file: Path, table: Mapping[str, Any]) -> GroundTruth:
+    if "disparity" not in table or "position" not in table:
+        raise LightFieldError(f"{file}: truth must have a file of disparity and the position of its view.")
+    disparity = read_map(_file(file, table, "truth", "disparity"))
+    mask = read_mask(_file(file, table, "truth", "mask")) if "mask" in table else None
+    u, v = _pair(file, table["position"], "truth.position")
+    return GroundTruth(np.where(np.isfinite(disparity), disparity, np.float32(np.nan)), (u, v), mask)
+
+
+def _positions(file: Path, listed: list[Mapping[str, Any]]) -> NDArray[np.float64]:
+    missing = next((index for index, view in enumerate(listed) if "position" not in view), None)
+    if missing is not None:
+        raise LightFieldError(f"{file}: views[{missing}] has no position = [u, v].")
+    pairs = [_pair(file, view["position"], f"views[{index}].position") for index, view in enumerate(listed)]
+    return np.array(pairs, np.float64)
+
+
+def _table(file: Path, value: Any, name: str, known: set[str]) -> Mapping[str, Any]:
+    what = name or "a description"
+    if not isinstance(value, dict):
+        raise LightFieldError(f"{file}: {what} must be a table of {', '.join(sorted(known))}.")
+    if unknown := sorted(set(value) - known):
+        raise LightFieldError(
+            f"{file}: {what} has an unknown entry {unknown[0]!r}; known are {', '.join(sorted(known))}."
+        )
+    return value
+
+
+def _file(file: Path, table: Mapping[str, Any], name: str, key: str) -> Path:
+    if not isinstance(table.get(key), str) or not table[key]:
+        raise LightFieldError(f"{file}: {name} has no {key}, the name of a file.")
+    found = _beside(file, table[key])
+    try:
+        there = found.is_file()
+    except (OSError, ValueError):  # too long a name, a zero byte
+        there = False
+    if not there:
+        raise LightFieldError(f"{file}: {name}.{key} names {found}, which is not a file.")
+    return found
+
+
+def _beside(file: Path, name: str) -> Path:
+    return file.parent / name
+
+
+def _number(file: Path, value: Any, name: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+        raise LightFieldError(f"{file}: {name} must be a number, not {value!r}.")
+    try:
+        return float(value)
+    except OverflowError:
+        raise LightFieldError(f"{file}: {name} is too large a number.") from None
+
+
+def _whole(file: Path, value: Any, name: str, least: int = 1) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= 10**6:
+        raise LightFieldError(f"{file}: {name} must be a whole number from {least} to 1000000, not {value!r}.")
+    return value
+
+
+def _pair(file: Path, value: Any, name: str, *, whole: bool = False) -> tuple[Any, Any]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise LightFieldError(f"{file}: {name} must be a pair of numbers, not {value!r}.")
+    if whole:
+        return _whole(file, value[0], name), _whole(file, value[1], name)
+    return _number(file, value[0], name), _number(file, value[1], name)
+
+
+# --- writing ---
+
+
+def _geometry_table(geometry: Geometry) -> dict[str, Any]:
+    table: dict[str, Any] = {"focal_length_px": geometry.focal_length_px, "baseline_m": geometry.baseline_m}
+    if math.isfinite(geometry.focus_distance_m):
+        table["focus_distance_m"] = geometry.focus_distance_m
+    if geometry.principal_point is not None:
+        table["principal_point"] = list(geometry.principal_point)
+    return {key: [float(x) for x in value] if isinstance(value, list) else float(value) for key, value in table.items()}
+
+
+def _write_truth(truth: GroundTruth, target: Path) -> dict[str, Any]:
+    disparity = target.with_name(f"{target.stem}.truth.pfm")
+    write_pfm(disparity, truth.disparity)
+    table: dict[str, Any] = {"disparity": disparity.name, "position": [float(place) for place in truth.position]}
+    if truth.mask is not None:
+        mask = target.with_name(f"{target.stem}.mask.png")
+        with atomic_write(mask) as temporary:
+            write_png(temporary, truth.mask[..., None].astype(np.uint8) * np.uint8(255))
+        table["mask"] = mask.name
+    return table
+
+
+def _relative(name: str | os.PathLike[str], folder: Path) -> str:
+    try:
+        return Path(os.path.relpath(Path(name).resolve(), folder)).as_posix()
+    except ValueError:  # another drive
+        return str(Path(name).resolve())
+
+
+def _toml(table: Mapping[str, Any]) -> str:
+    """TOML of a description: scalars and lists first, then tables, then the views, a line for each of their entries."""
+    lines = [f"{key} = {_toml_value(value)}" for key, value in table.items() if not _is_table(value)]
+    for key, value in table.items():
+        if isinstance(value, dict):
+            lines += ["", f"[{key}]", *(f"{name} = {_toml_value(entry)}" for name, entry in value.items())]
+    for view in table.get("views", ()):
+        lines += ["", "[[views]]", *(f"{name} = {_toml_value(entry)}" for name, entry in view.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(_toml_value(entry) for entry in value)}]"
+    if isinstance(value, str):  # JSON escapes as TOML does, but for one character
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value)

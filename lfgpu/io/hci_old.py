@@ -1,0 +1,242 @@
+"""The old HCI light fields (Wanner, Meister, Goldluecke: Datasets and Benchmarks for Densely Sampled 4D Light Fields,
+VMV 2013): one HDF5 file each, or folders exported from them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+from lfgpu.io import hdf5
+from lfgpu.io.arrays import grid_field
+from lfgpu.io.flips import flipped
+from lfgpu.io.folders import entries, head, sub_folders
+from lfgpu.io.maps import check_size, read_mask
+from lfgpu.io.named_views import read_named_views
+from lfgpu.io.parallax import runs_as_truth
+from lfgpu.lightfield import GroundTruth, LightField
+
+ATTRIBUTES_FILE, DEPTH_FILE, MASK_FILE = "attributes.dat", "depth.bin", "mask.png"
+
+_WIDEST = 20  # a focal length below a 20th of the width, a field of view of 168 degrees, cannot be in pixels
+
+
+@dataclass(frozen=True)
+class _Cameras:
+    """d = dH f / Z - shift: pixels per view step for the depth Z of the file."""
+
+    baseline: float
+    focal_length: float
+    shift: float
+
+    def disparity(self, depth: NDArray[Any]) -> NDArray[np.float32]:
+        """Disparity of a depth, NaN where the depth is no positive number."""
+        known = np.isfinite(depth) & (depth > 0)
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a file may hold any bits
+            found = self.baseline * self.focal_length / np.where(known, depth.astype(np.float64), np.nan) - self.shift
+            return np.where(np.isfinite(found), found, np.nan).astype(np.float32)
+
+    def geometry(self, width: int) -> Geometry | None:
+        """The same in pixels and metres; None if it cannot be that of real cameras.
+
+        The rendered scenes have the focal length in widths of the sensor, and the baseline multiplied by the width.
+        """
+        per_width = self.focal_length < width / _WIDEST
+        scale = width if per_width else 1
+        if self.shift < 0:  # the plane of disparity 0 would lie beyond infinity
+            return None
+        focus = self.baseline * self.focal_length / self.shift if self.shift > 0 else math.inf
+        return Geometry(self.focal_length * scale, self.baseline / scale, focus)
+
+
+# --- one HDF5 file ---
+
+
+def recognise_hdf5(path: Path) -> str | None:
+    """Why a path is taken for an HDF5 light field, or a folder with one; None if it is not."""
+    if path.is_dir():
+        file = _only_hdf5(path)
+        return f"its only HDF5 file is {file.name}" if file else None
+    return "it begins as HDF5 files do" if head(path, 8) == hdf5.MAGIC else None
+
+
+def read_hci_hdf5(path: Path, *, allow_missing: bool = False) -> LightField:
+    """Read an old HCI light field from HDF5 (extra `hdf5`).
+
+    `LF` is [v, u, y, x, c], its second axis counted from the right. Depth `GT_DEPTH` [v, u, y, x], or [y, x] of the
+    middle view, becomes the ground truth by d = dH focalLength / depth - shift. Where there is ground truth, it also
+    tells whether the axes run as they should; one that does not is turned round, with a note.
+
+    Parameters
+    ----------
+    path
+        The file, or a folder that has it as its only HDF5 file.
+    allow_missing
+        Not needed: the file holds full grids only.
+
+    Raises
+    ------
+    LightFieldError
+        If h5py is missing, the file is damaged, or it has no `LF` of that shape.
+    """
+    file = (_only_hdf5(path) or path) if path.is_dir() else path
+    if head(file, 8) != hdf5.MAGIC:
+        raise LightFieldError(f"{file} is not an HDF5 file; give the .h5 file of an old HCI light field.")
+    with hdf5.opened(file) as root:
+        arrays = hdf5.datasets(root)
+        if "LF" not in arrays:
+            raise LightFieldError(f"{file} has no dataset LF; it holds {', '.join(arrays) or 'none at its top'}.")
+        hdf5.check_shape(file, arrays["LF"])
+        if arrays["LF"].ndim not in (4, 5):
+            raise LightFieldError(f"{file}: LF must be [v, u, y, x, c], found shape {arrays['LF'].shape}.")
+        grid = hdf5.load(file, arrays["LF"])
+        numbers = {name: hdf5.number(file, root, name) for name in ("dH", "dV", "focalLength", "shift")}
+        depth = _middle(file, arrays.get("GT_DEPTH"), grid.shape[:4])
+        mask = _middle(file, arrays.get("GT_DEPTH_MASK"), grid.shape[:4])
+    light_field = flipped(grid_field(file, grid if grid.ndim == 5 else grid[..., None]), "u")
+    cameras = _cameras(file, numbers)
+    return _turned(_known(light_field, cameras, depth, None if mask is None else mask != 0))
+
+
+def _only_hdf5(folder: Path) -> Path | None:
+    files = [entry for entry in entries(folder) if entry.suffix.lower() in (".h5", ".hdf5")]
+    return files[0] if len(files) == 1 and head(files[0], 8) == hdf5.MAGIC else None
+
+
+def _middle(path: Path, dataset: Any, shape: tuple[int, ...]) -> NDArray[Any] | None:
+    """What belongs to the middle view in [v, u, y, x], or all of [y, x]."""
+    if dataset is None:
+        return None
+    hdf5.check_shape(path, dataset)
+    if dataset.shape == shape:
+        # Counted from the right, the middle of an even number of columns is one place to the left.
+        return np.asarray(dataset[shape[0] // 2, (shape[1] - 1) // 2])
+    if dataset.shape == shape[2:]:
+        return np.asarray(dataset[()])
+    raise LightFieldError(
+        f"{path}: {dataset.name} has shape {dataset.shape}, which does not fit views of {shape[2]} x {shape[3]}."
+    )
+
+
+# --- an exported folder ---
+
+
+def recognise_export(path: Path) -> str | None:
+    """Why a path is taken for an exported folder; None if it is not."""
+    if not path.is_dir() or not (path / ATTRIBUTES_FILE).is_file():
+        return None
+    return f"it is a folder with {ATTRIBUTES_FILE}"
+
+
+def read_hci_export(path: Path, *, allow_missing: bool = False) -> LightField:
+    """Read a folder exported from an old HCI light field: lf/ROW_COLUMN.png, attributes.dat and depth.bin.
+
+    attributes.dat has lines such as `9.375 //focalLength`; depth.bin is float32 [y, x], little endian, the depth of
+    the middle view, and mask.png, where there is one, tells where it is scored.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    allow_missing
+        Whether a grid that seems to have lost some views is accepted.
+
+    Raises
+    ------
+    LightFieldError
+        If files are missing, damaged or contradict each other; the sentence names the file.
+    """
+    if not (path / ATTRIBUTES_FILE).is_file():
+        raise LightFieldError(f"{path} has no {ATTRIBUTES_FILE}; give the folder that holds it and the views.")
+    numbers = _attributes(path / ATTRIBUTES_FILE)
+    views = next((folder for folder in sub_folders(path) if folder.name == "lf"), path)
+    light_field = replace(read_named_views(views, allow_missing=allow_missing), name=path.resolve().name)
+    shape = tuple(int(number) if (number := numbers.get(name)) else None for name in ("vRes", "hRes"))
+    if None not in shape and shape != light_field.grid_shape and not allow_missing:
+        raise LightFieldError(
+            f"{path / ATTRIBUTES_FILE} says {shape[0]} x {shape[1]} views, found a grid of "
+            f"{' x '.join(map(str, light_field.grid_shape or ()))}; add the missing ones, or allow_missing=True "
+            "(--allow-missing on the command line)."
+        )
+    depth = None
+    if (path / DEPTH_FILE).is_file():
+        height, width = light_field.size
+        if (path / DEPTH_FILE).stat().st_size != 4 * height * width:
+            raise LightFieldError(
+                f"{path / DEPTH_FILE} has {(path / DEPTH_FILE).stat().st_size} bytes; the depth of {width} x {height} "
+                f"pixels is {4 * height * width}."
+            )
+        depth = np.fromfile(path / DEPTH_FILE, "<f4").reshape(height, width)
+    mask = None
+    if (path / MASK_FILE).is_file():
+        mask = read_mask(path / MASK_FILE)
+        check_size(path / MASK_FILE, mask, light_field.size)
+    return _known(light_field, _cameras(path / ATTRIBUTES_FILE, numbers), depth, mask)
+
+
+def _attributes(path: Path) -> dict[str, float | None]:
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise LightFieldError(f"{path} cannot be read: {error.strerror}.") from error
+    numbers: dict[str, float | None] = {}
+    for line in text.splitlines():
+        value, slashes, name = line.partition("//")
+        if not slashes:
+            continue
+        try:
+            numbers[name.strip()] = float(value)
+        except ValueError:
+            raise LightFieldError(f"{path}: {name.strip()!r} must be a number, not {value.strip()!r}.") from None
+    return {name: number for name, number in numbers.items() if number is not None and math.isfinite(number)}
+
+
+# --- what both have ---
+
+
+def _cameras(path: Path, numbers: dict[str, float | None]) -> _Cameras | None:
+    baseline, focal_length, shift = (numbers.get(name) for name in ("dH", "focalLength", "shift"))
+    if baseline is None or focal_length is None or shift is None:
+        return None
+    if not (0 < baseline < math.inf and 0 < focal_length < math.inf and math.isfinite(shift)):
+        raise LightFieldError(
+            f"{path}: dH and focalLength must be positive and shift finite, not {baseline}, {focal_length}, {shift}."
+        )
+    vertical = numbers.get("dV")
+    if vertical is not None and not math.isclose(vertical, baseline, rel_tol=1e-6):
+        raise LightFieldError(
+            f"{path}: the cameras stand {baseline} apart across and {vertical} down; describe them in a "
+            "lightfield.toml, with positions in units of the first."
+        )
+    return _Cameras(baseline, focal_length, shift)
+
+
+def _known(
+    light_field: LightField, cameras: _Cameras | None, depth: NDArray[Any] | None, mask: NDArray[np.bool_] | None
+) -> LightField:
+    if cameras is None:
+        note = "dH, focalLength or shift is not known: neither are metric depth and ground truth."
+        return replace(light_field, notes=(*light_field.notes, note))
+    truth = None
+    if depth is not None:
+        u, v = light_field.positions[light_field.reference_index]
+        rows, columns = light_field.grid_shape or (1, 1)
+        if (u, v) == (columns // 2, rows // 2):
+            truth = GroundTruth(cameras.disparity(depth), (float(u), float(v)), mask)
+    notes = (*light_field.notes, "Lengths have no unit in the file: they are taken for metres.")
+    return replace(light_field, geometry=cameras.geometry(light_field.size[1]), truth=truth, notes=notes)
+
+
+def _turned(light_field: LightField) -> LightField:
+    for axis, name in enumerate("uv"):
+        if runs_as_truth(light_field, axis) is False:
+            light_field = flipped(light_field, name)
+            note = f"The {('columns', 'rows')[axis]} of views count against the ground truth; they were turned round."
+            light_field = replace(light_field, notes=(*light_field.notes, note))
+    return light_field

@@ -1,0 +1,100 @@
+"""Light fields that the Light Field Toolbox for MATLAB decoded: .mat files with LF [t, s, v, u, c]."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io import hdf5
+from lfgpu.io.arrays import grid_field
+from lfgpu.io.folders import head
+from lfgpu.io.limits import check_claim
+from lfgpu.io.vignette import lit
+from lfgpu.lightfield import LightField
+
+_MAGIC_5, _MAGIC_7 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+_CLASSES = {"uint8": np.uint8, "uint16": np.uint16, "single": np.float32, "double": np.float64}
+_LEAST_WEIGHT = 0.25  # of the largest: what the white image says of pixels at the rim of the main lens
+
+
+def recognise(path: Path) -> str | None:
+    """Why a path is taken for a MATLAB file; None if it is not."""
+    return "it begins as MATLAB files do" if head(path, 19) in (_MAGIC_5, _MAGIC_7) else None
+
+
+def read_lftoolbox(path: Path, *, allow_missing: bool = False) -> LightField:
+    """Read a .mat file of version 5 to 7 (by SciPy) or 7.3 (extra `hdf5`).
+
+    The variable LF, or the only one with five axes, is [t, s, v, u, c]: rows of views, columns of views, y, x, colour.
+    A fourth colour is the weight of each pixel: what has less than a quarter of the largest is marked as not valid.
+    Without weights, what is less than half as bright as the middle view is. Views of which nothing is valid are left
+    out.
+
+    Parameters
+    ----------
+    path
+        The file.
+    allow_missing
+        Not needed: the file holds full grids only.
+
+    Raises
+    ------
+    LightFieldError
+        If the file is damaged, has no such variable, or claims more than it can hold.
+    """
+    if recognise(path) is None:
+        raise LightFieldError(f"{path} is not a MATLAB file; give the .mat file that the Light Field Toolbox wrote.")
+    grid = _load_5(path) if head(path, 19) == _MAGIC_5 else _load_7(path)
+    weight = None
+    if grid.shape[4] in (2, 4):
+        grid, weight = grid[..., :-1], grid[..., -1]
+        if not np.isfinite(weight).all():
+            raise LightFieldError(f"{path} has NaN or infinite weights.")
+    light_field = grid_field(path, grid)
+    rows, columns = grid.shape[:2]
+    valid = lit(light_field) if weight is None else weight > _LEAST_WEIGHT * weight.max()
+    light_field = grid_field(path, grid, valid=valid.reshape(rows, columns, *light_field.size))
+    return replace(light_field, reference=None)
+
+
+def _load_5(path: Path) -> NDArray[Any]:
+    from scipy.io import loadmat, whosmat
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what we do not want to read
+            found = {name: (shape, kind) for name, shape, kind in whosmat(path)}
+            name = _chosen(path, {name: shape for name, (shape, _) in found.items()})
+            shape, kind = found[name]
+            if kind not in _CLASSES:
+                raise LightFieldError(f"{path}: {name} holds {kind}; wanted are uint8, uint16, single or double.")
+            check_claim(path, shape, _CLASSES[kind])
+            return np.asarray(loadmat(path, variable_names=[name])[name])
+    except LightFieldError:
+        raise
+    except Exception as error:  # SciPy raises whatever comes to it when a file is damaged
+        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise LightFieldError(f"{path} cannot be read as a MATLAB file: {reason}.") from error
+
+
+def _load_7(path: Path) -> NDArray[Any]:
+    with hdf5.opened(path) as root:
+        arrays = hdf5.datasets(root)
+        name = _chosen(path, {name: dataset.shape[::-1] for name, dataset in arrays.items() if dataset.shape})
+        return np.ascontiguousarray(hdf5.load(path, arrays[name]).T)  # MATLAB counts the axes from the other end
+
+
+def _chosen(path: Path, shapes: dict[str, tuple[int, ...]]) -> str:
+    fitting = [name for name, shape in shapes.items() if len(shape) == 5 and shape[4] <= 4 and 0 not in shape]
+    if "LF" in fitting:
+        return "LF"
+    if len(fitting) == 1:
+        return fitting[0]
+    held = ", ".join(f"{name} {shape}" for name, shape in list(shapes.items())[:5]) or "no array"
+    raise LightFieldError(f"{path} has no variable LF [t, s, v, u, c] of 1 to 4 colours; it holds {held}.")

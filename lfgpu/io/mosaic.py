@@ -1,0 +1,104 @@
+"""One picture of all microlenses, each a block of rows x columns pixels of which one belongs to each view (ESLF)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.arrays import grid_field
+from lfgpu.io.images import IMAGE_SUFFIXES, read_image
+from lfgpu.io.vignette import lit
+from lfgpu.lightfield import LightField
+
+_STANFORD = (14, 14)  # of the Stanford Lytro archive, whose files are named ..._eslf.png
+_SMALLEST, _LARGEST = 3, 32  # blocks that are looked for
+_EXPLAINED = 0.35  # share of the variation of neighbouring differences that repeats with the blocks: 0.9 in real
+# mosaics, 0.1 at most in pictures
+_NEARLY = 0.85  # of the best share: multiples of the block explain as much as the block
+
+
+def recognise(path: Path) -> str | None:
+    """Why a path is taken for a mosaic of microlenses; None if it is not."""
+    if path.suffix.lower() not in IMAGE_SUFFIXES or "eslf" not in path.stem.lower() or not path.is_file():
+        return None
+    return "it is an image with ESLF in its name"
+
+
+def read_mosaic(path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None) -> LightField:
+    """Read an image in which pixel (v, u) of block (y, x) is pixel (y, x) of view (v, u).
+
+    Views in the corners of the blocks are dark where the main lens vignettes: those pixels are marked as not valid,
+    and views that are all dark are left out.
+
+    Parameters
+    ----------
+    path
+        The image, grey or colour, such as ESLF files of the Stanford Lytro archive or exports of Lytro's software.
+    allow_missing
+        Not needed: the dark views are always left out.
+    grid
+        (rows, columns) of a block; None takes 14 x 14 for files named ESLF that this divides, and looks for the block
+        in the picture otherwise.
+
+    Raises
+    ------
+    LightFieldError
+        If the image cannot be read, or the block is neither known nor found.
+    """
+    image, _ = read_image(path)
+    notes = []
+    if grid is None:
+        grid = _STANFORD if recognise(path) and _divides(_STANFORD, image) else _block(image)
+        if grid is None:
+            raise LightFieldError(
+                f"{path} does not look like a mosaic of views: no block of pixels repeats in it; if it is one, say how "
+                "many views it has: grid=(rows, columns), --grid ROWSxCOLUMNS on the command line."
+            )
+        notes.append(f"Each microlens is taken for a block of {grid[0]} x {grid[1]} pixels (rows x columns).")
+    rows, columns = grid
+    height, width = image.shape[0] // rows if rows > 0 else 0, image.shape[1] // columns if columns > 0 else 0
+    if height < 2 or width < 2:
+        raise LightFieldError(
+            f"{path} has {image.shape[1]} x {image.shape[0]} pixels; they do not hold {rows} x {columns} views."
+        )
+    if not _divides(grid, image):
+        notes.append("Pixels at the right and the bottom that do not fill a block were left out.")
+    blocks = image[: height * rows, : width * columns].reshape(height, rows, width, columns, image.shape[2])
+    views = np.ascontiguousarray(blocks.transpose(1, 3, 0, 2, 4))
+    light_field = grid_field(path, views)
+    return replace(
+        grid_field(path, views, valid=lit(light_field).reshape(views.shape[:4]), notes=notes), reference=None
+    )
+
+
+def _divides(grid: tuple[int, int], image: NDArray[Any]) -> bool:
+    return image.shape[0] % grid[0] == 0 and image.shape[1] % grid[1] == 0
+
+
+def _block(image: NDArray[Any]) -> tuple[int, int] | None:
+    """The block whose size divides the image and with which differences of neighbouring pixels repeat."""
+    grey = image.mean(axis=2, dtype=np.float32)
+    rows, columns = _period(np.abs(np.diff(grey, axis=0)).mean(axis=1)), _period(np.abs(np.diff(grey)).mean(axis=0))
+    return None if rows is None or columns is None else (rows, columns)
+
+
+def _period(profile: NDArray[np.float32]) -> int | None:
+    """The smallest period that explains nearly as much of a profile as the best one does; None if that is little."""
+    length = len(profile) + 1
+    if length < 4 * _SMALLEST or not profile.mean() > 0:
+        return None
+    # In logarithms, and without the mean of each cycle, so that the picture itself counts less.
+    levels = np.append(np.log(profile + 1e-3 * profile.mean()), np.nan)
+    explained = {}
+    for period in range(_SMALLEST, _LARGEST + 1):
+        if length % period == 0 and length >= 4 * period:
+            cycles = levels.reshape(-1, period)
+            cycles = cycles - np.nanmean(cycles, axis=1, keepdims=True)
+            explained[period] = float(np.nanmean(cycles, axis=0).var() / max(float(np.nanvar(cycles)), 1e-12))
+    best = max(explained.values(), default=0.0)
+    return None if best < _EXPLAINED else next(p for p, share in explained.items() if share >= _NEARLY * best)

@@ -1,0 +1,70 @@
+"""Arrays of .npy and .npz files, whose headers are judged before memory is taken; pickles are refused."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.folders import head
+from lfgpu.io.limits import check_claim
+
+MAGIC, ZIP = b"\x93NUMPY", b"PK\x03\x04"
+
+
+def load_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """The arrays of these names, those that are there; an .npy file holds the first one.
+
+    LightFieldError if the file is damaged, holds Python objects, claims more than it can hold, or has none of them.
+    """
+    try:
+        return _archive(path, names) if head(path, 4) == ZIP else {names[0]: _file(path)}
+    except (LightFieldError, OSError):
+        raise
+    except Exception as error:  # NumPy and zipfile raise whatever comes to them when a file is damaged
+        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise LightFieldError(f"{path} cannot be read as NumPy data: {reason}.") from error
+
+
+def _file(path: Path) -> NDArray[Any]:
+    with path.open("rb") as file:
+        check_claim(path, *_header(path, file))
+        file.seek(0)
+        return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+
+
+def _archive(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
+    found: dict[str, NDArray[Any]] = {}
+    with zipfile.ZipFile(path) as archive:
+        members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        for name in names:
+            if name not in members:
+                continue
+            if members[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise LightFieldError(f"{path} is packed in a way that NumPy does not use; write it with np.savez.")
+            with archive.open(members[name]) as file:
+                check_claim(path, *_header(path, file))
+            with archive.open(members[name]) as file:
+                found[name] = np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+    if names[0] not in found:
+        raise LightFieldError(f"{path} has no array {names[0]!r}; it holds {', '.join(members) or 'nothing'}.")
+    return found
+
+
+def _header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(file)
+    if dtype.hasobject:
+        raise LightFieldError(
+            f"{path} cannot be read as NumPy data: it holds Python objects, which can run code when they are read; "
+            "save an array of numbers."
+        )
+    if dtype.names is not None or dtype.subdtype is not None:
+        raise LightFieldError(f"{path} holds records, not an array of numbers.")
+    return shape, dtype

@@ -1,0 +1,75 @@
+"""NumPy files: one array of views, or an archive of views, positions and validity. Pickles are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.arrays import arranged, field_of, grid_field, storable
+from lfgpu.io.folders import head
+from lfgpu.io.numpy_arrays import MAGIC, ZIP, load_arrays
+from lfgpu.lightfield import LightField
+
+
+def recognise(path: Path) -> str | None:
+    """Why a path is taken for a NumPy file; None if it is not."""
+    start = head(path, 6)
+    if start == MAGIC:
+        return "it begins as .npy files do"
+    return "it is an .npz archive" if start[:4] == ZIP and path.suffix.lower() == ".npz" else None
+
+
+def read_numpy(path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None) -> LightField:
+    """Read a .npy file, or an .npz archive with an array `views`.
+
+    Views are [v, u, y, x, c], [v, u, y, x], [n, y, x, c] or [n, y, x]; n views without positions stand in a grid row by
+    row. An archive may also have `positions` [n, 2] in view steps, with views [n, y, x, c], and `valid` of the shape of
+    the views without c.
+
+    Parameters
+    ----------
+    path
+        The file.
+    allow_missing
+        Not needed.
+    grid
+        (rows, columns) of n views; None takes a square.
+
+    Raises
+    ------
+    LightFieldError
+        If the file is damaged, holds Python objects, or claims more than it can hold.
+    """
+    if recognise(path) is None:
+        raise LightFieldError(f"{path} is not a NumPy file; give an .npy or .npz file of views.")
+    try:
+        arrays = load_arrays(path, ("views", "positions", "valid"))
+    except OSError as error:
+        raise LightFieldError(f"{path} cannot be read: {error.strerror or error}.") from error
+    views, positions, valid = (arrays.get(name) for name in ("views", "positions", "valid"))
+    assert views is not None
+    if valid is not None and valid.dtype != np.bool_:
+        raise LightFieldError(f"{path}: 'valid' must be bool, found {valid.dtype}.")
+    if positions is not None:
+        if views.ndim == 3:
+            views = views[..., None]
+        if views.ndim != 4 or positions.dtype.kind not in "fiu":
+            raise LightFieldError(
+                f"{path}: with 'positions', 'views' must be [n, y, x, c] and positions numbers [n, 2]."
+            )
+        views, notes = storable(path, views)
+        return field_of(path, views, positions, valid=_shaped(path, valid, views.shape[:3]), notes=tuple(notes))
+    arrangement, guessed = arranged(path, views, grid)
+    return grid_field(path, arrangement, valid=_shaped(path, valid, arrangement.shape[:4]), notes=guessed)
+
+
+def _shaped(path: Path, valid: NDArray[Any] | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
+    if valid is None:
+        return None
+    if valid.size != np.prod(shape) or valid.shape[-2:] != shape[-2:]:
+        raise LightFieldError(f"{path}: 'valid' must be of the views' shape {shape}, found {valid.shape}.")
+    return np.asarray(valid.reshape(shape))

@@ -1,0 +1,66 @@
+"""Folders that PlenoptiCam exports: viewpoints_9px with 0_0.png ... 8_8.png, row and column."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.arrays import without_dark_views
+from lfgpu.io.folders import sub_folders
+from lfgpu.io.named_views import read_named_views
+from lfgpu.io.vignette import lit
+from lfgpu.lightfield import LightField
+
+_FOLDER = re.compile(r"viewpoints_([0-9]{1,3})(?:px|x[0-9]{1,3})?")
+
+
+def recognise(path: Path) -> str | None:
+    """Why a path is taken for an export of PlenoptiCam; None if it is not."""
+    folders = _folders(path)
+    return f"it has the views in {folders[0].name}, as PlenoptiCam writes them" if folders else None
+
+
+def read_plenopticam(path: Path, *, allow_missing: bool = False) -> LightField:
+    """Read the folder of viewpoints that PlenoptiCam wrote, or the folder around it.
+
+    Pixels that are less than half as bright as the middle view, at the rim of the main lens, are marked as not valid.
+
+    Parameters
+    ----------
+    path
+        The folder viewpoints_..., or one that has exactly one such folder.
+    allow_missing
+        Whether a grid that seems to have lost some views is accepted.
+
+    Raises
+    ------
+    LightFieldError
+        If there is no such folder or several, or views are missing or damaged.
+    """
+    folders = _folders(path)
+    if not folders:
+        raise LightFieldError(
+            f"{path} has no folder viewpoints_9px or the like; give the folder that PlenoptiCam wrote."
+        )
+    if len(folders) > 1:
+        raise LightFieldError(f"{path} has several exports ({', '.join(folder.name for folder in folders)}); give one.")
+    light_field = read_named_views(folders[0], allow_missing=allow_missing)
+    match = _FOLDER.fullmatch(folders[0].resolve().name) or _FOLDER.fullmatch(folders[0].name)
+    side = int(match[1]) if match else 0
+    if side and light_field.grid_shape != (side, side) and not allow_missing:
+        raise LightFieldError(
+            f"{folders[0]} should have {side} x {side} views, found a grid of "
+            f"{' x '.join(map(str, light_field.grid_shape or ()))}; export it again, or pass allow_missing=True "
+            "(--allow-missing on the command line)."
+        )
+    return without_dark_views(replace(light_field, name=path.resolve().name, valid=lit(light_field)))
+
+
+def _folders(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return []
+    if _FOLDER.fullmatch(path.name):
+        return [path]
+    return [folder for folder in sub_folders(path) if _FOLDER.fullmatch(folder.name)]

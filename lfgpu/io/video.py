@@ -1,0 +1,83 @@
+"""A video of a camera that moves along a rail: its frames are the views of a row (extra `video`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.arrays import field_of, grid_shape, positions
+from lfgpu.io.extras import require
+from lfgpu.io.folders import head
+from lfgpu.io.limits import check_memory
+from lfgpu.lightfield import LightField
+
+_ADVICE = "take one frame of several with every=10 (--every 10 on the command line)"
+
+
+def recognise(path: Path) -> str | None:
+    """Why a path is taken for a video; None if it is not."""
+    start = head(path, 12)
+    if start[4:8] == b"ftyp":
+        return "it begins as MP4 and MOV files do"
+    if start[:4] == b"\x1a\x45\xdf\xa3":
+        return "it begins as MKV and WebM files do"
+    return "it begins as AVI files do" if start[:4] == b"RIFF" and start[8:] == b"AVI " else None
+
+
+def read_video(
+    path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None, every: int | None = None
+) -> LightField:
+    """Read the frames of a video whose camera moves to the right in equal steps.
+
+    Parameters
+    ----------
+    path
+        An MP4, MOV, MKV, WebM or AVI file; frames become RGB of 8 bits.
+    allow_missing
+        Not needed.
+    grid
+        (1, n) for a camera that moves right, (n, 1) for down, n the number of frames taken; None is a row.
+    every
+        Take one frame of so many, from the first on; None takes all.
+
+    Raises
+    ------
+    LightFieldError
+        If imageio-ffmpeg is missing, the file is no video or damaged, or its frames do not fit into memory.
+    """
+    if recognise(path) is None:
+        raise LightFieldError(f"{path} is not a video file that can be read; known are MP4, MOV, MKV, WebM and AVI.")
+    ffmpeg = require("imageio_ffmpeg", "video", path)
+    try:
+        frames = _frames(path, ffmpeg, every or 1)
+    except LightFieldError:
+        raise
+    except Exception as error:  # what ffmpeg writes on damaged files is long: the last line says why
+        reason = str(error).strip().splitlines()[-1:] or [type(error).__name__]
+        raise LightFieldError(
+            f"{path} cannot be read as a video: {' '.join(reason[0].split()).rstrip('.')}."
+        ) from error
+    if len(frames) < 2:
+        raise LightFieldError(f"{path} has {len(frames)} frames to take; depth needs at least two views of the scene.")
+    shape = (1, len(frames)) if grid is None else grid_shape(path, len(frames), grid)
+    note = f"Frames are taken for a camera that moves {'down' if shape[1] == 1 else 'to the right'} in equal steps."
+    return field_of(path, np.stack(frames), positions(shape), grid_shape=shape, notes=(note,))
+
+
+def _frames(path: Path, ffmpeg: Any, every: int) -> list[NDArray[np.uint8]]:
+    # Nothing but files: a playlist inside the file must not reach out to the network.
+    reader = ffmpeg.read_frames(str(path.resolve()), input_params=["-protocol_whitelist", "file"])
+    try:
+        width, height = next(reader)["size"]
+        frames: list[NDArray[np.uint8]] = []
+        for index, data in enumerate(reader):
+            if index % every == 0:
+                check_memory(path, 2 * (len(frames) + 1) * len(data), advice=_ADVICE)  # twice: they are stacked
+                frames.append(np.frombuffer(data, np.uint8).reshape(height, width, 3))
+        return frames
+    finally:
+        reader.close()

@@ -1,0 +1,211 @@
+"""One small light field written in every format that can be read: what tests and fuzzing start from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from lfgpu import scenes
+from lfgpu.io import write_description, write_hci
+from lfgpu.io.png import write_png
+from lfgpu.lightfield import LightField
+
+SHIFT = 3.0  # of the old HCI format: pixels per view step
+
+
+def scene(grid: tuple[int, int] = (5, 5), size: tuple[int, int] = (40, 48)) -> LightField:
+    """Boxes before a wall, with the truth of the middle view."""
+    return scenes.make("boxes", grid=grid, size=size)
+
+
+def _named(lf: LightField, folder: Path, pattern: str = "view_{0:02d}_{1:02d}.png") -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    for view, (u, v) in zip(lf.views, lf.positions, strict=True):
+        Image.fromarray(view).save(folder / pattern.format(round(v), round(u)))
+    return folder
+
+
+def _hci(lf: LightField, place: Path) -> Path:
+    write_hci(lf, place / "hci")
+    return place / "hci"
+
+
+def _depth(lf: LightField) -> Any:
+    """The depth in the unit of a file with dH = 0.5, focalLength = 60 and shift = SHIFT."""
+    assert lf.truth is not None
+    return 0.5 * 60.0 / (lf.truth.disparity.astype(np.float64) + SHIFT)
+
+
+def _export(lf: LightField, place: Path) -> Path:
+    folder = place / "export"
+    _named(lf, folder / "lf", "{0:02d}_{1:02d}.png")
+    rows, columns = lf.grid_shape or (0, 0)
+    lines = f"{rows} //vRes\n{columns} //hRes\n5.0e-001 //dH\n60.0 //focalLength\n{SHIFT} //shift\n"
+    (folder / "attributes.dat").write_text(lines)
+    _depth(lf).astype("<f4").tofile(folder / "depth.bin")
+    return folder
+
+
+def _hdf5(lf: LightField, place: Path) -> Path:
+    import h5py
+
+    rows, columns = lf.grid_shape or (0, 0)
+    grid = lf.views.reshape(rows, columns, *lf.views.shape[1:])
+    depth = np.ones(grid.shape[:4], np.float32)
+    depth[rows // 2, (columns - 1) // 2] = _depth(lf)
+    with h5py.File(place / "buddha.h5", "w") as file:
+        file["LF"] = grid[:, ::-1]
+        file["GT_DEPTH"] = depth
+        attributes = {"dH": 0.5, "dV": 0.5, "focalLength": 60.0, "shift": SHIFT, "hRes": columns, "vRes": rows}
+        file.attrs.update(attributes)
+    return place / "buddha.h5"
+
+
+def _stanford(lf: LightField, place: Path) -> Path:
+    folder = place / "stanford" / "rectified"
+    folder.mkdir(parents=True)
+    for view, (u, v) in zip(lf.views, lf.positions, strict=True):
+        name = f"out_{round(v):02d}_{round(u):02d}_{7.25 * v - 381.909271:.6f}_{7.25 * u + 1103.376221:.6f}_.png"
+        Image.fromarray(view).save(folder / name)
+    return folder.parent
+
+
+def _plenopticam(lf: LightField, place: Path) -> Path:
+    folder = place / "plenopticam" / f"viewpoints_{(lf.grid_shape or (0,))[0]}px"
+    folder.mkdir(parents=True)
+    for view, (u, v) in zip(lf.views, lf.positions, strict=True):
+        write_png(folder / f"{round(v)}_{round(u)}.png", view.astype(np.uint16) * 257)
+    return folder.parent
+
+
+def _grid(lf: LightField) -> Any:
+    return lf.views.reshape(*(lf.grid_shape or ()), *lf.views.shape[1:])
+
+
+def _mat5(lf: LightField, place: Path) -> Path:
+    from scipy.io import savemat
+
+    savemat(place / "LF.mat", {"LF": _grid(lf), "GeneratedByInfo": {"mfilename": "x"}}, do_compression=True)
+    return place / "LF.mat"
+
+
+def _mat7(lf: LightField, place: Path) -> Path:
+    import h5py
+
+    weight = np.full((*_grid(lf).shape[:4], 1), 255, np.uint8)
+    weight[0, 0] = 0  # a corner that the main lens shades
+    with h5py.File(place / "LF7.mat", "w", userblock_size=512) as file:
+        file["LF"] = np.concatenate([_grid(lf), weight], axis=4).T
+    with (place / "LF7.mat").open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    return place / "LF7.mat"
+
+
+def _npy(lf: LightField, place: Path) -> Path:
+    np.save(place / "views.npy", _grid(lf))
+    return place / "views.npy"
+
+
+def _npz(lf: LightField, place: Path) -> Path:
+    np.savez_compressed(place / "views.npz", views=lf.views, positions=lf.positions)
+    return place / "views.npz"
+
+
+def _tiff(lf: LightField, place: Path) -> Path:
+    import tifffile
+
+    tifffile.imwrite(place / "stack.tif", lf.views, photometric="rgb", metadata=None)
+    return place / "stack.tif"
+
+
+def _mosaic(lf: LightField, place: Path) -> Path:
+    grid = _grid(lf)
+    rows, columns, height, width, colours = grid.shape
+    image = grid.transpose(2, 0, 3, 1, 4).reshape(height * rows, width * columns, colours)
+    Image.fromarray(image).save(place / "boxes_eslf.png")
+    return place / "boxes_eslf.png"
+
+
+def _video(lf: LightField, place: Path) -> Path:
+    import imageio_ffmpeg
+
+    height, width = lf.size
+    writer = imageio_ffmpeg.write_frames(
+        str(place / "rail.mkv"),
+        (width, height),
+        codec="ffv1",
+        pix_fmt_in="rgb24",
+        pix_fmt_out="bgr0",
+        macro_block_size=1,
+        ffmpeg_log_level="error",
+    )
+    writer.send(None)
+    for index in lf.row():
+        writer.send(np.ascontiguousarray(lf.views[index]))
+    writer.close()
+    return place / "rail.mkv"
+
+
+def _row(lf: LightField, place: Path) -> Path:
+    folder = place / "row"
+    folder.mkdir()
+    for number, index in enumerate(lf.row()):
+        Image.fromarray(lf.views[index]).save(folder / f"image_{25 + 2 * number:04d}.jpg", quality=95, subsampling=0)
+    return folder
+
+
+def _toml(lf: LightField, place: Path) -> Path:
+    from lfgpu.io import read
+
+    light_field = read(_named(lf, place / "toml" / "Bilder – 7"))
+    write_description(light_field, place / "toml" / "lightfield.toml", source={})
+    return place / "toml"
+
+
+def _json(lf: LightField, place: Path) -> Path:
+    from lfgpu.io import read
+
+    write_description(read(_named(lf, place / "json")), place / "json" / "array.json", source={})
+    return place / "json" / "array.json"
+
+
+@dataclass(frozen=True)
+class Sample:
+    """How the scene is written, and what of it comes back."""
+
+    format: str
+    write: Callable[[LightField, Path], Path]
+    """Writes into a folder that exists; what to read."""
+    views: str = "full"
+    """The pattern of views that the format holds."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """What has to be told."""
+    exact: bool = True
+    """Whether the pixels come back as they were."""
+    truth: bool = False
+    """Whether the ground truth comes back."""
+
+
+SAMPLES = {
+    "hci": Sample("hci", _hci, truth=True),
+    "hci-export": Sample("hci-export", _export, truth=True),
+    "hci-hdf5": Sample("hci-hdf5", _hdf5, truth=True),
+    "stanford": Sample("stanford", _stanford),
+    "plenopticam": Sample("plenopticam", _plenopticam),
+    "lftoolbox-5": Sample("lftoolbox", _mat5),
+    "lftoolbox-7.3": Sample("lftoolbox", _mat7),
+    "npy": Sample("numpy", _npy),
+    "npz": Sample("numpy", _npz),
+    "tiff-stack": Sample("tiff-stack", _tiff),
+    "mosaic": Sample("mosaic", _mosaic, options={"grid": (5, 5)}),
+    "video": Sample("video", _video, views="row"),
+    "named-views": Sample("named-views", lambda lf, place: _named(lf, place / "named")),
+    "camera-row": Sample("camera-row", _row, views="row", exact=False),
+    "toml": Sample("lightfield-toml", _toml),
+    "json": Sample("lightfield-toml", _json),
+}

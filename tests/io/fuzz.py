@@ -1,0 +1,294 @@
+"""Damaged light fields of every format, thousands of them: each is read, or refused with one sentence.
+
+    python tests/io/fuzz.py --examples 30000 [--seed 1] [--format npy] [--jobs 2]
+
+Each example takes a small light field in one format, damages some of its files (cut short, bytes changed, sizes of
+headers blown up, parts of other files put in, files lost, doubled, renamed, linked in circles) and reads it. Anything
+but a light field or a LightFieldError is a failure, as are more memory than `MEMORY`, more than `SECONDS` and a crash:
+examples run in processes of their own, whose address space is limited.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from fields import SAMPLES, scene
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io import read
+
+MEMORY = 256 << 20  # bytes on top of what Python and the libraries take; the samples are far below a megabyte
+SPACE = 2 << 30  # of addresses: an allocation beyond it fails rather than being found out later
+SECONDS = 20
+BATCH = 100  # examples for each process
+
+_EXTREMES = [0, 1, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0x10000, 100_000, 2**63 - 1, 2**64 - 1]
+_WORDS = [b"nan", b"inf", b"-1", b"1e400", b"99999999999999999999", b"0", b"[]", b"\xff\xfe", b"\n", b"../../x", b'"']
+
+
+@dataclass
+class Tally:
+    """What became of the examples."""
+
+    read: int = 0
+    refused: int = 0
+    failures: list[str] = field(default_factory=list)
+    most_memory: int = 0
+
+    @property
+    def tried(self) -> int:
+        return self.read + self.refused + len(self.failures)
+
+
+# --- damage ---
+
+
+def _cut(data: bytearray, rng: np.random.Generator) -> None:
+    del data[int(rng.integers(0, len(data) + 1)) :]
+
+
+def _flip(data: bytearray, rng: np.random.Generator) -> None:
+    for _ in range(int(rng.integers(1, 9))):
+        data[int(rng.integers(len(data)))] = int(rng.integers(256))
+
+
+def _flip_head(data: bytearray, rng: np.random.Generator) -> None:
+    for _ in range(int(rng.integers(1, 5))):
+        data[int(rng.integers(min(len(data), 256)))] = int(rng.integers(256))
+
+
+def _blow_up(data: bytearray, rng: np.random.Generator) -> None:
+    width = int(rng.choice([2, 4, 8]))
+    at = int(rng.integers(min(len(data), int(rng.choice([64, 4096, 1 << 30])))))
+    value = _EXTREMES[int(rng.integers(len(_EXTREMES)))] % (1 << (8 * width))
+    data[at : at + width] = value.to_bytes(width, str(rng.choice(["little", "big"])))  # type: ignore[arg-type]
+
+
+def _word(data: bytearray, rng: np.random.Generator) -> None:
+    at = int(rng.integers(len(data)))
+    data[at : at + int(rng.integers(0, 8))] = _WORDS[int(rng.integers(len(_WORDS)))]
+
+
+def _digits(data: bytearray, rng: np.random.Generator) -> None:
+    places = [index for index in range(min(len(data), 2048)) if chr(data[index]).isdigit()]
+    if places:
+        at = places[int(rng.integers(len(places)))]
+        data[at : at + 1] = str(rng.choice(["9", "0", "-", "99999", "1e9", ".", "9" * 30])).encode()
+
+
+def _swap_ends(data: bytearray, rng: np.random.Generator) -> None:
+    start = int(rng.integers(min(len(data), 1024)))
+    data[start : start + 64] = data[start : start + 64][::-1]
+
+
+def _repeat(data: bytearray, rng: np.random.Generator) -> None:
+    start = int(rng.integers(len(data)))
+    piece = data[start : start + int(rng.integers(1, 200))]
+    data[start:start] = piece * int(rng.integers(1, 50))
+
+
+def _blank(data: bytearray, rng: np.random.Generator) -> None:
+    start, length = int(rng.integers(len(data))), int(rng.integers(1, 512))
+    filling = int(rng.choice([0, 255]))
+    data[start : start + length] = bytes([filling]) * len(data[start : start + length])
+
+
+_OF_BYTES: list[Callable[[bytearray, np.random.Generator], None]] = [
+    _cut, _flip, _flip_head, _flip_head, _blow_up, _blow_up, _word, _digits, _swap_ends, _repeat, _blank,
+]  # fmt: skip
+
+
+def _damage_folder(root: Path, files: list[Path], rng: np.random.Generator) -> None:
+    victim, other = files[int(rng.integers(len(files)))], files[int(rng.integers(len(files)))]
+    match int(rng.integers(8)):
+        case 0:
+            victim.unlink()
+        case 1:
+            if victim != other:
+                victim.write_bytes(other.read_bytes())
+        case 2:
+            shutil.copy(victim, victim.with_name(f"{victim.stem}_1{victim.suffix}"))
+        case 3:
+            victim.rename(victim.with_name(f"ein Bild – 7 {victim.name}"))
+        case 4:
+            victim.unlink()
+            victim.symlink_to(victim.name)  # a link to itself
+        case 5:
+            with suppress(FileExistsError):
+                (victim.parent / "loop").symlink_to(root, target_is_directory=True)
+        case 6:
+            victim.unlink()
+            victim.mkdir()
+        case 7:
+            victim.unlink()
+            os.mkfifo(victim)
+
+
+def damage(root: Path, rng: np.random.Generator) -> None:
+    """Damage one to three files under a folder, or a file."""
+    for _ in range(int(rng.integers(1, 4))):
+        files = sorted(path for path in [root, *root.rglob("*")] if path.is_file() and not path.is_symlink())
+        if not files:
+            return
+        if root.is_dir() and rng.random() < 0.2:
+            _damage_folder(root, files, rng)
+            continue
+        # Each kind of file has the same share: descriptions are few, images many.
+        suffix = str(rng.choice(sorted({file.suffix for file in files})))
+        chosen = [file for file in files if file.suffix == suffix]
+        victim = chosen[int(rng.integers(len(chosen)))]
+        data = bytearray(victim.read_bytes())
+        if data:
+            _OF_BYTES[int(rng.integers(len(_OF_BYTES)))](data, rng)
+            victim.write_bytes(data)
+
+
+# --- running ---
+
+
+def one(name: str, source: Path, seed: int) -> str:
+    """Damage a copy of a sample and read it: "read", "refused", or what went wrong."""
+    rng = np.random.default_rng(seed)
+    sample = SAMPLES[name]
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / source.name
+        if source.is_dir():
+            shutil.copytree(source, place)
+        else:
+            shutil.copy(source, place)
+        damage(place, rng)
+        options = dict(sample.options) if rng.random() < 0.8 else {}
+        told = sample.format if rng.random() < 0.7 or options else None
+        signal.signal(signal.SIGALRM, _too_long)
+        signal.alarm(SECONDS)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error", RuntimeWarning)
+                found = read(place, format=told, allow_missing=bool(rng.random() < 0.5), **options)
+        except LightFieldError as error:
+            text = str(error)
+            if "\n" in text or not text.endswith("."):
+                return f"not a sentence: {text!r}"
+            result = "refused"
+        except BaseException:
+            return traceback.format_exc()
+        else:
+            if found.views.dtype == np.float32 and not np.isfinite(found.views).all():
+                return "views that are not finite"
+            result = "read"
+        finally:
+            signal.alarm(0)
+        return result
+
+
+def _too_long(*_: object) -> None:
+    raise TimeoutError(f"more than {SECONDS} seconds")
+
+
+def _batch(names: list[str], sources: dict[str, Path], seeds: range, log: Path) -> None:
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + SPACE, used + SPACE))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with log.open("a", buffering=1) as file, Path(os.devnull).open("w") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+        for seed in seeds:
+            name = names[seed % len(names)]
+            file.write(f"{seed}\t{name}\t")
+            file.write(repr(one(name, sources[name], seed)) + "\n")
+        file.write(f"memory\t\t{1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)}\n")
+
+
+def run(
+    examples: int,
+    seed: int = 0,
+    names: list[str] | None = None,
+    jobs: int = 1,
+    show: Callable[[Tally], None] = lambda tally: None,
+) -> Tally:
+    """Try so many examples, from a seed on, and count what became of them; `show` sees the count now and then."""
+    chosen = sorted(names or SAMPLES)
+    tally = Tally()
+    fork = multiprocessing.get_context("fork")
+    with tempfile.TemporaryDirectory() as folder:
+        sources = {}
+        for name in chosen:
+            place = Path(folder) / name
+            place.mkdir()
+            sources[name] = SAMPLES[name].write(scene((3, 3), (36, 34)), place)
+            if SAMPLES[name].options:
+                SAMPLES[name].options["grid"] = (3, 3)
+            read(sources[name], **SAMPLES[name].options)  # libraries are loaded before memory is counted
+        starts = list(range(seed, seed + examples, BATCH))
+        running: list[tuple[multiprocessing.process.BaseProcess, Path]] = []
+        while starts or running:
+            while starts and len(running) < jobs:
+                start = starts.pop(0)
+                log = Path(folder) / f"{start}.log"
+                seeds = range(start, min(start + BATCH, seed + examples))
+                process = fork.Process(target=_batch, args=(chosen, sources, seeds, log))
+                process.start()
+                running.append((process, log))
+            process, log = running.pop(0)
+            process.join(60 + 2 * BATCH)
+            if process.is_alive():
+                process.kill()
+                process.join()
+            _count(tally, log, process.exitcode)
+            show(tally)
+    return tally
+
+
+def _count(tally: Tally, log: Path, exit_code: int | None) -> None:
+    for line in log.read_text().splitlines():
+        seed, name, result = line.split("\t", 2)
+        if seed == "memory":
+            tally.most_memory = max(tally.most_memory, int(result))
+            if int(result) > MEMORY:
+                tally.failures.append(f"{log.stem} and {BATCH} more: {int(result) >> 20} MiB")
+        elif result == "'read'":
+            tally.read += 1
+        elif result == "'refused'":
+            tally.refused += 1
+        else:
+            tally.failures.append(f"seed {seed}, {name}: {result or f'the process ended with {exit_code}'}")
+
+
+def _progress(tally: Tally) -> None:
+    print(f"\r{tally.tried} inputs, {len(tally.failures)} failures", end="", file=sys.stderr, flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--examples", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--format", action="append", choices=sorted(SAMPLES))
+    parser.add_argument("--jobs", type=int, default=1)
+    arguments = parser.parse_args()
+    tally = run(arguments.examples, arguments.seed, arguments.format, arguments.jobs, show=_progress)
+    print(file=sys.stderr)
+    for failure, count in Counter(tally.failures).items():
+        print(failure.replace("\\n", "\n"), f"({count} times)" if count > 1 else "")
+    print(
+        f"{tally.tried} inputs: {tally.read} read, {tally.refused} refused, {len(tally.failures)} failures; "
+        f"at most {tally.most_memory >> 20} MiB"
+    )
+    sys.exit(bool(tally.failures))
+
+
+if __name__ == "__main__":
+    main()

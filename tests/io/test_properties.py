@@ -1,0 +1,272 @@
+"""Inputs that nobody thought of: readers give a light field or one sentence, and what is written is read back."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fields import SAMPLES, scene
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from numpy.typing import NDArray
+from PIL import Image
+from samples import refusal
+
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+from lfgpu.io import FORMATS, read, read_map, read_mask, write_description, write_pfm
+from lfgpu.io.flips import FLIPS, flipped
+from lfgpu.io.images import read_image
+from lfgpu.lightfield import GroundTruth, LightField
+
+if sys.platform == "linux":
+    import fuzz
+
+ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="memory of processes is limited as Linux does it")
+EASY = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+@contextmanager
+def folder() -> Iterator[Path]:
+    """A folder for one example: pytest's is that of all examples of a test."""
+    with tempfile.TemporaryDirectory() as name:
+        yield Path(name)
+
+
+def read_or_refused(path: Path, **options: Any) -> LightField | None:
+    try:
+        return read(path, **options)
+    except LightFieldError as error:
+        text = str(error)
+        assert text.endswith("."), text
+        assert "\n" not in text
+        return None
+
+
+# --- damage ---
+
+
+@ON_LINUX
+def test_damaged_light_fields_of_all_formats_are_read_or_refused() -> None:
+    """The first few of what `python tests/io/fuzz.py --examples 30000` tries."""
+    tally = fuzz.run(240)
+    assert not tally.failures, tally.failures[0]
+    assert tally.tried == 240
+    assert tally.refused > 0.3 * tally.tried  # damage is done
+    assert tally.most_memory < fuzz.MEMORY
+
+
+@ON_LINUX
+def test_the_fuzzer_finds_a_broken_reader(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(path: Path, **_: object) -> LightField:
+        raise KeyError(path)
+
+    monkeypatch.setattr(fuzz, "read", lambda path, **_: None)
+    monkeypatch.setattr(fuzz, "one", lambda name, source, seed: fuzz.traceback.format_exc() if seed else broken(source))
+    tally = fuzz.run(2, names=["npy"])
+    assert len(tally.failures) == 1  # the process died at the first
+    assert "the process ended with 1" in tally.failures[0]
+
+
+BEGINNINGS = [
+    b"", b"\x89HDF\r\n\x1a\n", b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM", b"MATLAB 7.3 MAT-file".ljust(512),
+    b"\x93NUMPY\x01\x00v\x00{", b"PK\x03\x04", b"II*\x00\x08\x00\x00\x00", b"MM\x00*\x00\x00\x00\x08", b"II+\x00",
+    b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"RIFF\x00\x00\x00\x00AVI ", b"\x00\x00\x00\x18ftypisom",
+    b"Pf\n2 2\n-1\n",
+    b"[[views]]\n", b"{",
+]  # fmt: skip
+SUFFIXES = ["h5", "mat", "npy", "npz", "tif", "png", "jpg", "bmp", "toml", "json", "txt"]
+
+
+@EASY
+@given(st.sampled_from(BEGINNINGS), st.binary(max_size=400), st.sampled_from(SUFFIXES), st.sampled_from(FORMATS))
+def test_any_bytes_are_refused_as_any_format(start: bytes, rest: bytes, suffix: str, entry: Any) -> None:
+    with folder() as place:
+        file = place / f"light field.{suffix}"
+        file.write_bytes(start + rest)
+        read_or_refused(file)
+        if entry.name != "video":  # a process each; the fuzzer tries them
+            read_or_refused(file, format=entry.name)
+        for reader in (read_image, read_map, read_mask):
+            with suppress(LightFieldError):
+                reader(file)
+
+
+NAMES = st.text(st.characters(exclude_characters="/\0", exclude_categories=["Cs"]), min_size=1, max_size=12)
+PARTS = st.sampled_from(
+    ["view_", "out_", "input_Cam", "a b ", "ü", "-", "_", ".", "0", "00", "7", "12", "3.5", "-1.25"]
+)
+
+
+@EASY
+@given(st.lists(st.lists(PARTS, min_size=1, max_size=7).map("".join), min_size=1, max_size=9), st.booleans())
+def test_any_names_of_images(names: list[str], allow_missing: bool) -> None:
+    with folder() as place:
+        for index, name in enumerate(names):
+            Image.fromarray(np.full((3, 4), index, np.uint8)).save(place / f"{name}.png", format="PNG")
+        found = read_or_refused(place, allow_missing=allow_missing)
+        for entry in FORMATS:
+            if entry.name != "video":
+                read_or_refused(place, format=entry.name)
+        if found is not None:
+            assert len(found.files) == len(found.views) <= len(set(names))
+            for file, view in zip(found.files, found.views, strict=True):
+                np.testing.assert_array_equal(read_image(file)[0], view)
+
+
+@EASY
+@given(arrays.arrays(
+    st.sampled_from(["u1", "<u2", ">u2", "<f4", ">f4", "<f8", "i4", "f2", "c8", "S3", "?", "M8[s]"]),
+    arrays.array_shapes(min_dims=0, max_dims=6, min_side=0, max_side=5),
+), st.sampled_from([None, (1, 2), (2, 2)]))  # fmt: skip
+def test_any_numpy_array(array: NDArray[Any], grid: tuple[int, int] | None) -> None:
+    with folder() as place:
+        np.save(place / "a.npy", array)
+        found = read_or_refused(place / "a.npy", grid=grid)
+        if found is not None:
+            np.testing.assert_array_equal(
+                found.views.ravel(),
+                array.reshape(*found.views.shape[:3], -1)[..., : found.channels].astype(found.views.dtype).ravel(),
+            )
+
+
+@EASY
+@given(
+    st.binary(max_size=120).map(lambda tail: b"Pf\n" + tail)
+    | st.from_regex(rb"P[fF]\s\d+\s\d+\s-?\d+\n.{0,40}", fullmatch=True)
+)
+def test_any_pfm(content: bytes) -> None:
+    with folder() as place:
+        (place / "a.pfm").write_bytes(content)
+        with suppress(LightFieldError):
+            assert read_map(place / "a.pfm").ndim == 2
+
+
+@EASY
+@given(st.text(max_size=60), st.sampled_from(["num_cams_x", "baseline_mm", "focal_length_mm", "focus_distance_m"]))
+def test_any_value_in_parameters(value: str, key: str) -> None:
+    with folder() as place:
+        for index in range(2):
+            Image.fromarray(np.full((3, 4), index, np.uint8)).save(place / f"input_Cam{index:03d}.png")
+        text = (
+            "[intrinsics]\nfocal_length_mm = 1\nsensor_size_mm = 1\n[extrinsics]\nnum_cams_x = 2\nnum_cams_y = 1\n"
+            "baseline_mm = 1\nfocus_distance_m = 1\n"
+        )
+        (place / "parameters.cfg").write_text(text.replace(f"{key} = ", f"{key} = {value} "), encoding="utf-8")
+        read_or_refused(place)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.sampled_from(["a.png", "b.png"]),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(
+                ["views", "file", "position", "source", "path", "format", "geometry", "grid", "truth", "flip"]
+            ),
+            inner,
+            max_size=4,
+        )
+    ),
+    max_leaves=12,
+)
+
+
+@EASY
+@given(JSON)
+def test_any_description(value: Any) -> None:
+    with folder() as place:
+        for name in ("a.png", "b.png"):
+            Image.fromarray(np.full((3, 4), ord(name[0]), np.uint8)).save(place / name)
+        views = [{"file": "a.png", "position": [0, 0]}, {"file": "b.png", "position": [1, 0]}]
+        table = {"views": views, **value} if isinstance(value, dict) else value
+        (place / "a.json").write_text(json.dumps(table))
+        read_or_refused(place / "a.json")
+
+
+# --- round trips ---
+
+LENGTHS = st.floats(1e-6, 1e6)
+NUMBERS = st.floats(-1000, 1000).map(lambda number: round(number, 4))
+
+
+@EASY
+@given(
+    name=st.text(st.characters(exclude_categories=["Cs"]), max_size=20),
+    files=st.lists(NAMES, min_size=2, max_size=4, unique_by=str.casefold),
+    places=st.lists(st.tuples(NUMBERS, NUMBERS), min_size=4, max_size=4, unique=True),
+    lengths=st.none() | st.tuples(LENGTHS, LENGTHS, LENGTHS | st.just(float("inf"))),
+    point=st.none() | st.tuples(NUMBERS, NUMBERS),
+    kind=st.sampled_from(["toml", "json"]),
+)  # fmt: skip
+def test_descriptions_come_back_as_they_were(
+    name: str, files: list[str], places: Any, lengths: Any, point: Any, kind: str
+) -> None:
+    with folder() as place:
+        views = np.random.default_rng(0).integers(0, 256, (len(files), 3, 4, 3), np.uint8)
+        paths = [place / "views" / f"{file}.png" for file in files]
+        (place / "views").mkdir()
+        for path, view in zip(paths, views, strict=True):
+            Image.fromarray(view).save(path, format="PNG")
+        first = LightField(
+            views,
+            np.array(places[: len(files)]),
+            reference=1,
+            geometry=None if lengths is None else Geometry(*lengths, principal_point=point),
+            truth=GroundTruth(np.full((3, 4), np.float32(0.1)), places[0], np.eye(3, 4, dtype=bool)),
+            name=name,
+            files=tuple(map(str, paths)),
+        )
+        (place / "deep").mkdir()
+        target = place / "deep" / f"a.{kind}"
+        assert write_description(first, target, source={}) == ()
+        again = read(target)
+        np.testing.assert_array_equal(again.views, views)
+        np.testing.assert_array_equal(again.positions, first.positions)
+        assert (again.name, again.reference, again.geometry) == (name, 1, first.geometry)
+        assert again.truth is not None
+        assert first.truth is not None
+        np.testing.assert_array_equal(again.truth.disparity, first.truth.disparity)
+        np.testing.assert_array_equal(again.truth.mask, first.truth.mask)
+        assert again.truth.position == first.truth.position
+
+
+@EASY
+@given(st.integers(1, 4), st.integers(1, 4), st.sampled_from(FLIPS))
+def test_flipping_twice_changes_nothing(rows: int, columns: int, flip: str) -> None:
+    if rows * columns < 2:
+        return
+    first = LightField.from_grid(np.zeros((rows, columns, 2, 3), np.uint8))
+    again = flipped(flipped(first, flip), flip)
+    np.testing.assert_array_equal(again.positions, first.positions)
+    assert again.reference == first.reference
+
+
+@EASY
+@given(arrays.arrays(np.float32, arrays.array_shapes(min_dims=2, max_dims=2, max_side=6)))
+def test_maps_come_back_bit_for_bit(values: NDArray[np.float32]) -> None:
+    with folder() as place:
+        write_pfm(place / "a.pfm", values)
+        np.testing.assert_array_equal(read_map(place / "a.pfm"), values)
+        with io.BytesIO() as buffer:
+            np.savez(buffer, disparity=values)
+            (place / "a.npz").write_bytes(buffer.getvalue())
+        np.testing.assert_array_equal(read_map(place / "a.npz"), values)
+
+
+def test_samples_that_are_whole_are_read(tmp_path: Path) -> None:
+    """What the fuzzer starts from is sound: what it finds is its own damage."""
+    for name in ("npy", "mosaic"):
+        (tmp_path / name).mkdir()
+        path = SAMPLES[name].write(scene((3, 3), (36, 34)), tmp_path / name)
+        assert read_or_refused(path, **({"grid": (3, 3)} if name == "mosaic" else {})) is not None
+    assert "does not exist" in refusal(lambda: read(tmp_path / "nothing"))

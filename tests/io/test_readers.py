@@ -1,0 +1,563 @@
+"""What is peculiar to each format of light fields: signs, spacing, guesses, and what is refused."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fields import SAMPLES, scene
+from PIL import Image
+from samples import HEIGHT, WIDTH, box, picture, refusal, save, save_named
+
+from lfgpu.io import read, recognise
+from lfgpu.io.parallax import axes_agree
+from lfgpu.lightfield import LightField
+
+
+@pytest.fixture(scope="module")
+def true() -> LightField:
+    return scene()
+
+
+def grid_of(lf: LightField) -> Any:
+    assert lf.grid_shape is not None
+    return lf.views.reshape(*lf.grid_shape, *lf.views.shape[1:])
+
+
+# --- what the user says ---
+
+
+def test_flip_mirrors_the_cameras(tmp_path: Path) -> None:
+    save_named(tmp_path, box(2, 3))
+    plain, turned = read(tmp_path), read(tmp_path, flip="u")
+    np.testing.assert_array_equal(turned.view(0, 0), plain.view(0, 2))
+    np.testing.assert_array_equal(turned.view(1, 2), plain.view(1, 0))
+    assert turned.reference == turned.index_of(1, 1)
+    both = read(tmp_path, flip="uv")
+    np.testing.assert_array_equal(both.view(0, 0), plain.view(1, 2))
+    assert "flip must be u (columns)" in refusal(lambda: read(tmp_path, flip="x"))
+
+
+def test_parallax_tells_a_flip(tmp_path: Path, true: LightField) -> None:
+    path = SAMPLES["npy"].write(true, tmp_path)
+    assert [axes_agree(read(path, flip=flip)) for flip in ("", "u", "v", "uv")] == [True, False, False, True]
+    assert axes_agree(true.subset("row")) is None
+    assert read(path).notes == ()
+    assert "try flip='u' or flip='v'" in read(path, flip="v").notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"grid": (2, 3)}, "read as named-views, for which grid means nothing"),
+        ({"every": 2}, "for which every means nothing"),
+        ({"grid": (0, 3)}, "grid must be (rows, columns)"),
+        ({"every": 0}, "every must be a whole number from 1 on"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(tmp_path: Path, options: dict[str, Any], words: str) -> None:
+    save_named(tmp_path, box(2, 3))
+    assert words in refusal(lambda: read(tmp_path, **options))
+
+
+# --- what a user tries next ---
+
+
+def test_one_image_of_a_folder_names_the_folder(tmp_path: Path) -> None:
+    folder = save_named(tmp_path / "my views", box(2, 2))
+    text = refusal(lambda: read(folder / "view_00_01.png"))
+    assert f"give the folder {folder}, which is named-views" in text
+    save(tmp_path / "alone" / "a.png")
+    assert "one image (give the folder that holds the views" in refusal(lambda: read(tmp_path / "alone" / "a.png"))
+
+
+def test_archives_have_to_be_unpacked(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "lego.zip", "w") as archive:
+        archive.writestr("a.png", "x")
+    assert "a zip archive (unpack it" in refusal(lambda: read(tmp_path / "lego.zip"))
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a.mat", "a.npz", "a.mp4"])
+def test_files_that_are_not_what_their_name_says(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("<html>404 Not Found</html>")
+    assert "does not begin as such files do" in refusal(lambda: read(tmp_path / name))
+    (tmp_path / name).write_bytes(b"")
+    assert "an empty file" in refusal(lambda: read(tmp_path / name))
+
+
+def test_formats_are_known_by_their_beginning_not_their_name(tmp_path: Path, true: LightField) -> None:
+    path = SAMPLES["npy"].write(true, tmp_path).rename(tmp_path / "views.dat")
+    assert recognise(path)[0].name == "numpy"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes in the file system here")
+def test_pipes_and_links_in_circles(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert "neither a file nor a folder" in refusal(lambda: read(tmp_path / "pipe"))
+    (tmp_path / "circle").symlink_to("circle")
+    assert "cannot be opened" in refusal(lambda: read(tmp_path / "circle"))
+    folder = save_named(tmp_path / "views", box(1, 2))
+    (folder / "view_00_02.png").symlink_to("gone.png")
+    assert "view_00_02.png is a link that leads nowhere" in refusal(lambda: read(folder))
+    (folder / "view_00_02.png").unlink()
+    (folder / "around").symlink_to(folder)
+    assert len(read(folder).views) == 2
+
+
+# --- old HCI ---
+
+
+@pytest.mark.parametrize("grid", [(3, 3), (2, 4), (4, 2)])
+def test_hdf5_counts_columns_from_the_right(tmp_path: Path, grid: tuple[int, int]) -> None:
+    true = scene(grid)
+    found = read(SAMPLES["hci-hdf5"].write(true, tmp_path))
+    for v, u in box(*grid):
+        np.testing.assert_array_equal(found.view(v, u), true.view(v, u))
+    assert found.reference_truth() is not None
+    assert found.notes == ("Lengths have no unit in the file: they are taken for metres.",)
+
+
+def test_hdf5_that_counts_from_the_left_is_turned_round_by_its_truth(tmp_path: Path, true: LightField) -> None:
+    import h5py
+
+    path = SAMPLES["hci-hdf5"].write(true, tmp_path)
+    with h5py.File(path, "r+") as file:
+        file["LF"][...] = file["LF"][...][::-1, ::-1]
+    found = read(path)
+    np.testing.assert_array_equal(found.view(0, 0), true.view(0, 0))
+    assert sum("they were turned round" in note for note in found.notes) == 2
+
+
+def test_hdf5_in_a_folder_without_truth_and_grey(tmp_path: Path, true: LightField) -> None:
+    import h5py
+
+    path = SAMPLES["hci-hdf5"].write(true, tmp_path)
+    with h5py.File(path, "r+") as file:
+        grey = file["LF"][..., 0]
+        del file["LF"], file["GT_DEPTH"], file.attrs["shift"]
+        file["LF"] = grey
+    found = read(tmp_path)
+    assert (found.channels, found.truth, found.geometry) == (1, None, None)
+    assert "dH, focalLength or shift is not known" in found.notes[0]
+
+
+def damaged_hdf5(file: Any, kind: str) -> None:
+    if kind == "no LF":
+        del file["LF"]
+    elif kind == "text":
+        del file["LF"]
+        file["LF"] = "hello"
+    elif kind == "huge":
+        del file["LF"]
+        file.create_dataset("LF", (9, 9, 40000, 40000, 3), np.uint8, chunks=(1, 1, 100, 100, 3))
+    elif kind == "depth":
+        del file["GT_DEPTH"]
+        file["GT_DEPTH"] = np.ones((3, 4))
+    elif kind == "attribute":
+        file.attrs["dH"] = "wide"
+    elif kind == "negative":
+        file.attrs["focalLength"] = -3.0
+    elif kind == "anisotropic":
+        file.attrs["dV"] = 1.0
+    elif kind == "link":
+        import h5py
+
+        del file["LF"]
+        file["LF"] = h5py.ExternalLink("/etc/other.h5", "/LF")
+    elif kind == "outside":
+        del file["LF"]
+        file.create_dataset("LF", (2, 2, 4, 5, 3), np.uint8, external=[("/etc/hostname", 0, 10_000)])
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("no LF", "has no dataset LF; it holds GT_DEPTH"),
+        ("text", "wanted is an array of numbers"),
+        ("huge", "is damaged: it claims"),
+        ("depth", "has shape (3, 4), which does not fit"),
+        ("attribute", "the attribute dH must be a number"),
+        ("negative", "must be positive"),
+        ("anisotropic", "describe them in a lightfield.toml"),
+        ("link", "has no dataset LF"),
+        ("outside", "lies in other files"),
+    ],
+)
+def test_hdf5_that_is_refused(tmp_path: Path, true: LightField, kind: str, words: str) -> None:
+    import h5py
+
+    path = SAMPLES["hci-hdf5"].write(true, tmp_path)
+    with h5py.File(path, "r+") as file:
+        damaged_hdf5(file, kind)
+    text = refusal(lambda: read(path))
+    assert words in text
+    assert str(path) in text
+
+
+def test_export_that_contradicts_itself(tmp_path: Path, true: LightField) -> None:
+    path = SAMPLES["hci-export"].write(true, tmp_path)
+    attributes = (path / "attributes.dat").read_text()
+    (path / "attributes.dat").write_text(attributes.replace("5 //vRes", "7 //vRes"))
+    assert "says 7 x 5 views, found a grid of 5 x 5" in refusal(lambda: read(path))
+    (path / "attributes.dat").write_text(attributes.replace("60.0 //", "sixty //"))
+    assert "'focalLength' must be a number, not 'sixty'" in refusal(lambda: read(path))
+    (path / "attributes.dat").write_text(attributes)
+    (path / "depth.bin").write_bytes(b"123")
+    assert "has 3 bytes; the depth of 48 x 40 pixels is 7680" in refusal(lambda: read(path))
+    (path / "depth.bin").unlink()
+    assert read(path).truth is None
+
+
+def test_views_are_not_passed_over_for_an_hdf5_file_beside_them(tmp_path: Path, true: LightField) -> None:
+    SAMPLES["hci-hdf5"].write(true, save_named(tmp_path, box(2, 2)))
+    assert recognise(tmp_path)[0].name == "named-views"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes in the file system here")
+def test_pipes_among_the_files_of_a_format_are_not_waited_for(tmp_path: Path, true: LightField) -> None:
+    folder = SAMPLES["hci"].write(true, tmp_path)
+    for name in ("parameters.cfg", "gt_disp_lowres.pfm"):
+        (folder / name).unlink()
+        os.mkfifo(folder / name)
+    assert read(folder).geometry is None
+
+
+# --- Stanford ---
+
+
+def save_stanford(folder: Path, places: Any, pattern: str = "out_{0:02d}_{1:02d}_{2:.6f}_{3:.6f}_.png") -> Path:
+    for index, (row, column, y, x) in enumerate(places):
+        save(folder / pattern.format(row, column, y, x), picture(index))
+    return folder
+
+
+def test_stanford_positions_are_irregular_view_steps(tmp_path: Path) -> None:
+    places = [(0, 0, -20.0, 100.0), (0, 1, -20.5, 110.0), (0, 2, -19.5, 121.0), (1, 0, -8.0, 101.0)]
+    found = read(save_stanford(tmp_path, places))
+    # The distances of neighbours in a row are 10 and 11: the step is their median.
+    np.testing.assert_allclose(found.positions[:, 0] * 10.5, [0, 10, 21, 1], atol=1e-9)
+    np.testing.assert_allclose(found.positions[:, 1] * 10.5, [0.5, 0, 1, 12.5], atol=1e-9)
+    assert found.grid_shape is None
+    assert "One view step is 10.5 in the unit" in found.notes[0]
+
+
+def test_stanford_y_counts_upwards_without_an_underscore_at_the_end(tmp_path: Path) -> None:
+    places = [(0, 0, 5.0, 1.0), (1, 0, 3.0, 1.0)]
+    found = read(save_stanford(tmp_path, places, "out_{0:02d}_{1:02d}_{2}_{3}.png"))
+    np.testing.assert_allclose(found.positions, [[0, 0], [0, 1]])
+    save_stanford(tmp_path, [(2, 0, 1.0, 1.0)])
+    assert "with and without an underscore" in refusal(lambda: read(tmp_path))
+
+
+def test_stanford_pictures_are_believed_against_names(tmp_path: Path, true: LightField) -> None:
+    for index, (u, v) in enumerate(true.positions):
+        name = f"out_{round(v):02d}_{round(u):02d}_{-v:.3f}_{u:.3f}_.png"
+        Image.fromarray(true.views[index]).save(tmp_path / name)
+    found = read(tmp_path)
+    assert any("rows were turned round" in note for note in found.notes)
+    np.testing.assert_allclose(found.positions[found.index_of(0, 0)], [0, 0])
+    np.testing.assert_array_equal(found.view(0, 0), true.view(0, 0))
+
+
+def test_stanford_that_is_refused(tmp_path: Path) -> None:
+    places = [(0, 0, 5.0, 1.0), (0, 1, 5.0, 1.0)]
+    assert "stand in one place" in refusal(lambda: read(save_stanford(tmp_path / "a", places)))
+    places = [(0, 0, 5.0, 1.0), (0, 1, 5.0, 2.0), (0, 2, 5.0, 2.0)]
+    assert "two views stand at" in refusal(lambda: read(save_stanford(tmp_path / "b", places)))
+    assert "one view only" in refusal(lambda: read(save_stanford(tmp_path / "c", places[:1])))
+
+
+# --- mosaics ---
+
+
+@pytest.mark.parametrize("grid", [(5, 5), (7, 9)])
+def test_the_block_of_a_mosaic_is_found(tmp_path: Path, grid: tuple[int, int]) -> None:
+    true = scene(grid, (40, 48))
+    path = SAMPLES["mosaic"].write(true, tmp_path)
+    found = read(path)
+    assert found.grid_shape == grid
+    np.testing.assert_array_equal(found.view(0, 1), true.view(0, 1))
+    assert f"a block of {grid[0]} x {grid[1]} pixels" in found.notes[0]
+
+
+def test_eslf_of_stanford_has_14_x_14_views_and_dark_corners(tmp_path: Path) -> None:
+    true = scene((14, 14), (36, 36))
+    distance = np.hypot(*(true.positions - 6.5).T)
+    views = np.where((distance < 8)[:, None, None, None], true.views, true.views // 50).astype(np.uint8)
+    path = SAMPLES["mosaic"].write(replace(true, views=views), tmp_path)
+    found = read(path)
+    assert found.grid_shape == (14, 14)
+    assert len(found.views) == (distance < 8).sum()
+    np.testing.assert_allclose(np.hypot(*(found.positions - 6.5).T).max(), distance[distance < 8].max())
+    assert any("recorded nothing of use" in note for note in found.notes)
+
+
+def test_pictures_are_no_mosaics(tmp_path: Path, true: LightField) -> None:
+    Image.fromarray(np.kron(true.views[0], np.ones((4, 4, 1), np.uint8))[:150, :187]).save(tmp_path / "a.png")
+    assert "no block of pixels repeats" in refusal(lambda: read(tmp_path / "a.png", format="mosaic"))
+    text = refusal(lambda: read(tmp_path / "a.png", format="mosaic", grid=(100, 3)))
+    assert "187 x 150 pixels; they do not hold 100 x 3 views" in text
+    found = read(tmp_path / "a.png", format="mosaic", grid=(4, 4))
+    assert any("do not fill a block" in note for note in found.notes)
+
+
+# --- MATLAB, NumPy, TIFF ---
+
+
+def test_weights_of_the_light_field_toolbox(tmp_path: Path, true: LightField) -> None:
+    from scipy.io import savemat
+
+    grid = grid_of(true).astype(np.uint16) * 257
+    weight = np.full((*grid.shape[:4], 1), 65535, np.uint16)
+    weight[0, 1, :, :8] = 100
+    weight[4, 4] = 0
+    savemat(tmp_path / "a.mat", {"LF": np.concatenate([grid, weight], axis=4)})
+    found = read(tmp_path / "a.mat")
+    assert (len(found.views), found.missing, found.views.dtype) == (24, ((4, 4),), np.uint16)
+    assert found.valid is not None
+    assert not found.valid[found.index_of(0, 1), :, :8].any()
+    assert found.valid[found.index_of(0, 1), :, 8:].all()
+    np.testing.assert_array_equal(found.view(0, 1), grid[0, 1])
+
+
+@pytest.mark.parametrize(
+    ("variables", "words"),
+    [
+        ({"x": np.zeros((2, 2))}, "no variable LF [t, s, v, u, c] of 1 to 4 colours; it holds x (2, 2)"),
+        ({"LF": np.zeros((2, 2, 4, 5, 3), np.int32)}, "LF holds int32"),
+        ({"LF": np.zeros((2, 2, 4, 5, 3))}, "nothing of the middle view is valid"),
+        ({"LF": np.full((2, 2, 4, 5, 3), np.nan)}, "NaN or infinite"),
+        ({"LF": np.full((2, 2, 4, 5, 3), 200.0)}, "must be scaled to [0, 1]"),
+    ],
+)
+def test_matlab_files_that_are_refused(tmp_path: Path, variables: dict[str, Any], words: str) -> None:
+    from scipy.io import savemat
+
+    if "nothing" in words:
+        variables = {
+            "LF": np.concatenate([np.ones((2, 2, 4, 5, 3)), np.eye(2)[..., None, None, None] * np.ones((4, 5, 1))], 4)
+        }
+        variables["LF"][1, 1, :, :, 3] = 0
+    savemat(tmp_path / "a.mat", variables)
+    text = refusal(lambda: read(tmp_path / "a.mat"))
+    assert words in text
+    assert "a.mat" in text
+
+
+def test_numpy_arrays_of_all_arrangements(tmp_path: Path) -> None:
+    grid = np.stack([picture(index) for index in range(6)]).reshape(2, 3, HEIGHT, WIDTH, 3)
+    for array, shape, options in (
+        (grid, (2, 3), {}),
+        (grid[..., 0], (2, 3), {}),
+        (grid.reshape(6, HEIGHT, WIDTH, 3), (2, 3), {"grid": (2, 3)}),
+        (grid.reshape(6, HEIGHT, WIDTH, 3)[..., 0], (3, 2), {"grid": (3, 2)}),
+        (grid.reshape(6, HEIGHT, WIDTH, 3)[:4], (2, 2), {}),
+        (grid.astype(">u2"), (2, 3), {}),
+        (grid.astype(np.float64) / 255, (2, 3), {}),
+    ):
+        np.save(tmp_path / "a.npy", array)
+        found = read(tmp_path / "a.npy", **options)  # type: ignore[arg-type]
+        assert found.grid_shape == shape
+        assert found.views.dtype.isnative
+    assert "Float64 values rounded to float32." in found.notes
+    np.save(tmp_path / "a.npy", grid.reshape(6, HEIGHT, WIDTH, 3))
+    assert "6 views in one row of files or pages; say how they stand" in refusal(lambda: read(tmp_path / "a.npy"))
+    assert "not a grid of 2 x 2" in refusal(lambda: read(tmp_path / "a.npy", grid=(2, 2)))
+    np.save(tmp_path / "a.npy", grid)
+    assert "has a grid of 2 x 3 views" in refusal(lambda: read(tmp_path / "a.npy", grid=(3, 2)))
+
+
+def test_numpy_files_that_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.array([{}], object), allow_pickle=True)
+    assert "holds Python objects" in refusal(lambda: read(tmp_path / "a.npy"))
+    for array, words in (
+        (np.zeros((3, 3), np.uint8), "views must be [v, u, y, x, c]"),
+        (np.zeros((2, 2, 4, 5, 3), np.int64), "int64 values"),
+        (np.full((2, 2, 4, 5, 3), np.inf), "NaN or infinite"),
+        (np.zeros((2, 2, 4, 5, 3), [("a", "u1")]), "holds records"),
+    ):
+        np.save(tmp_path / "a.npy", array)
+        assert words in refusal(lambda: read(tmp_path / "a.npy"))
+    np.savez(tmp_path / "b.npz", pictures=np.zeros((2, 2, 4, 5, 3)))
+    assert "no array 'views'; it holds pictures" in refusal(lambda: read(tmp_path / "b.npz"))
+
+
+def npy_claiming(shape: tuple[int, ...]) -> bytes:
+    header = f"{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(100)
+
+
+def test_claims_that_would_exhaust_memory_are_refused_at_once(tmp_path: Path) -> None:
+    (tmp_path / "a.npy").write_bytes(npy_claiming((9, 9, 100_000, 100_000, 3)))
+    assert "which a file of 228 bytes cannot hold" in refusal(lambda: read(tmp_path / "a.npy"))
+    with zipfile.ZipFile(tmp_path / "b.npz", "w") as archive:
+        archive.writestr("views.npy", npy_claiming((9, 9, 100_000, 100_000, 3)))
+    assert "cannot hold" in refusal(lambda: read(tmp_path / "b.npz"))
+    with (tmp_path / "a.npy").open("r+b") as file:
+        file.truncate(1 << 40)  # a sparse file: the claim fits, the machine does not have it
+    assert "does not fit into memory" in refusal(lambda: read(tmp_path / "a.npy"))
+
+
+def test_tiff_stacks(tmp_path: Path, true: LightField) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, grid_of(true), photometric="rgb")  # with its shape in the description
+    assert read(path).grid_shape == (5, 5)
+    six = np.stack([picture(index, 1)[..., 0] for index in range(6)])
+    tifffile.imwrite(path, six, imagej=True)
+    assert "say how they stand" in refusal(lambda: read(path))
+    found = read(path, grid=(2, 3))
+    np.testing.assert_array_equal(found.views[..., 0], six)
+    tifffile.imwrite(path, np.moveaxis(true.views, 3, 1), photometric="rgb", planarconfig="separate", metadata=None)
+    np.testing.assert_array_equal(read(path).views, true.views)
+    with tifffile.TiffWriter(path) as writer:
+        writer.write(six[0])
+        writer.write(six[1, :3])
+    assert "pages that are not alike" in refusal(lambda: read(path))
+    tifffile.imwrite(path, true.views, photometric="rgb", metadata=None)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert str(path) in refusal(lambda: read(path, format="tiff-stack"))
+
+
+# --- folders of plenopticam, rows of cameras, videos ---
+
+
+def test_plenopticam_that_lost_a_row(tmp_path: Path, true: LightField) -> None:
+    path = SAMPLES["plenopticam"].write(true, tmp_path)
+    assert read(path / "viewpoints_5px").grid_shape == (5, 5)
+    for file in path.glob("*/4_*.png"):
+        file.unlink()
+    assert "should have 5 x 5 views, found a grid of 4 x 5" in refusal(lambda: read(path))
+    (path / "viewpoints_3px").mkdir()
+    assert "several exports (viewpoints_3px, viewpoints_5px)" in refusal(lambda: read(path))
+
+
+def save_row(folder: Path, numbers: Any, pattern: str = "mansion_image_{0:04d}.png") -> Path:
+    for number in numbers:
+        save(folder / pattern.format(number), picture(number))
+    return folder
+
+
+def test_numbered_images_are_a_row(tmp_path: Path) -> None:
+    found = read(save_row(tmp_path / "a", range(25, 60, 5)))
+    assert (found.grid_shape, found.reference) == ((1, 7), 3)
+    np.testing.assert_array_equal(found.view(0, 2), picture(35))
+    found = read(tmp_path / "a", every=3)
+    np.testing.assert_array_equal(found.views[1], picture(40))
+    assert found.grid_shape == (1, 3)
+    assert read(tmp_path / "a", grid=(7, 1)).grid_shape == (7, 1)
+    save(tmp_path / "a" / "cover.png")
+    assert "not named as the others: cover.png" in read(tmp_path / "a").notes[0]
+
+
+def test_numbered_images_that_leave_it_open(tmp_path: Path) -> None:
+    save_row(tmp_path / "square", range(9))
+    text = refusal(lambda: read(tmp_path / "square"))
+    assert "--grid 1x9 or --grid 3x3" in text
+    np.testing.assert_array_equal(read(tmp_path / "square", grid=(3, 3)).view(2, 1), picture(7))
+    save_row(tmp_path / "gaps", [1, 2, 3, 5])
+    assert "lacks 1 of the 5 views of its 1 x 5 grid" in refusal(lambda: read(tmp_path / "gaps"))
+    assert len(read(tmp_path / "gaps", allow_missing=True).views) == 4
+    save_row(tmp_path / "dates", [20250101, 20261231])
+    assert read(tmp_path / "dates").grid_shape == (1, 2)
+    save_row(tmp_path / "far", [1, 2, 20261231])
+    assert "that is no row of cameras" in refusal(lambda: read(tmp_path / "far"))
+    assert "several folders with numbered images" in refusal(lambda: read(tmp_path))
+
+
+def test_videos(tmp_path: Path, true: LightField) -> None:
+    path = SAMPLES["video"].write(true, tmp_path)
+    row = true.views[true.row()]
+    found = read(path, every=2)
+    np.testing.assert_array_equal(found.views, row[::2])
+    assert read(path, grid=(5, 1)).grid_shape == (5, 1)
+    assert "5 views, which is not a grid of 2 x 2" in refusal(lambda: read(path, grid=(2, 2)))
+    assert "has 1 frames to take" in refusal(lambda: read(path, every=9))
+    path.write_bytes(path.read_bytes()[:200])
+    assert f"{path} cannot be read as a video" in refusal(lambda: read(path))
+
+
+# --- descriptions ---
+
+
+def describe(folder: Path, text: str) -> Path:
+    save(folder / "a.png", picture(1))
+    save(folder / "b.png", picture(2))
+    save(folder / "mask.png", np.array(picture(3, 1) > 100, np.uint8) * np.uint8(255))
+    (folder / "lightfield.toml").write_text(text, encoding="utf-8")
+    return folder
+
+
+TWO = '[[views]]\nfile = "a.png"\nposition = [0, 0]\n[[views]]\nfile = "b.png"\nposition = [1.5, -0.25]\n'
+
+
+def test_a_description_by_hand(tmp_path: Path) -> None:
+    text = (
+        'name = "Bänke"\nreference = 0\n[geometry]\nfocal_length_px = 1200\nbaseline_m = 0.02\n'
+        "principal_point = [1.0, 2.0]\n" + TWO + 'valid = "mask.png"\n'
+    )
+    found = read(describe(tmp_path, text))
+    assert (found.name, found.reference, found.grid_shape) == ("Bänke", 0, None)
+    np.testing.assert_array_equal(found.positions, [[0, 0], [1.5, -0.25]])
+    assert found.geometry is not None
+    assert (found.geometry.focus_distance_m, found.geometry.principal_point) == (float("inf"), (1, 2))
+    assert found.valid is not None
+    assert found.valid[0].all()
+    np.testing.assert_array_equal(found.valid[1], picture(3, 1)[..., 0] > 100)
+
+
+def test_a_description_of_another_format(tmp_path: Path, true: LightField) -> None:
+    SAMPLES["npy"].write(true, tmp_path)
+    description = tmp_path / "lightfield.toml"
+    description.write_text(
+        '[source]\npath = "views.npy"\nformat = "numpy"\nflip = "v"\n[geometry]\nfocal_length_px = 9\nbaseline_m = 1\n'
+    )
+    found = read(tmp_path)
+    np.testing.assert_array_equal(found.view(0, 1), true.view(4, 1))
+    assert found.geometry is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("views = 3", "views must be a list"),
+        ("colour = 1\n" + TWO, "a description has an unknown entry 'colour'"),
+        (TWO + "angle = 3\n", "views[1] has an unknown entry 'angle'"),
+        (TWO.replace("b.png", "c.png"), "views[1].file names"),
+        (TWO.replace("b.png", ""), "views[1] has no file"),
+        (TWO.replace("[1.5, -0.25]", "[1.5]"), "views[1].position must be a pair of numbers"),
+        (TWO.replace("[1.5, -0.25]", "[nan, 0]"), "must be a number, not nan"),
+        (TWO.replace("[1.5, -0.25]", "[inf, 0]"), "finite pairs"),
+        (TWO.replace("[1.5, -0.25]", "[true, 0]"), "must be a number, not True"),
+        (TWO.replace("[1.5, -0.25]", "[0, 0]"), "two views stand at row 0, column 0"),
+        (TWO.replace("position = [0, 0]\n", ""), "views[0] has no position"),
+        (TWO[:42], "lists 1 views"),
+        ("reference = 2\n" + TWO, "reference view 2 does not exist"),
+        ("reference = 1.5\n" + TWO, "reference must be a whole number"),
+        ("grid = [3, 3]\n" + TWO, "positions must be places in the grid"),
+        ("name = 3\n" + TWO, "name must be a text"),
+        ("[geometry]\nfocal_length_px = 3\n" + TWO, "geometry has no baseline_m"),
+        ("[geometry]\nfocal_length_px = 3\nbaseline_m = -1\n" + TWO, "baseline_m must be a positive number"),
+        ('[truth]\ndisparity = "t.pfm"\n' + TWO, "truth must have a file of disparity and the position"),
+        ('[source]\npath = "."\nformat = "lightfield-toml"\n', "source must name a path and its format"),
+        ('[source]\npath = "."\n', "source must name a path and its format"),
+        ('[source]\npath = "no.npy"\nformat = "numpy"\n', "no.npy does not exist"),
+        ('[source]\npath = "a.png"\nformat = "numpy"\nflip = 3\n', "source.flip must be u, v or uv"),
+        ("= 3", "is not valid TOML"),
+    ],
+)
+def test_descriptions_that_are_refused(tmp_path: Path, text: str, words: str) -> None:
+    found = refusal(lambda: read(describe(tmp_path, text)))
+    assert words in found
+    assert "lightfield.toml" in found or "no.npy" in found
+
+
+def test_json_that_is_refused(tmp_path: Path) -> None:
+    for text in ("[1", "[" * 100_000, "[]", '{"views": [{"file": "a"}, 3]}', '"\\ud800"', "{" + '"a":{' * 5000):
+        (tmp_path / "a.json").write_text(text)
+        assert "a.json" in refusal(lambda: read(tmp_path / "a.json"))
