@@ -1,0 +1,1 @@
+"""Raw captures of lenslet cameras as light fields."""
