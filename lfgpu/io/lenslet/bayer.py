@@ -38,6 +38,11 @@ def check_pattern(pattern: str) -> str:
     return pattern.lower()
 
 
+def transposed(pattern: str) -> str:
+    """The pattern of the transposed sensor."""
+    return pattern if pattern == GREY else pattern[0] + pattern[2] + pattern[1] + pattern[3]
+
+
 def green_diagonal(mosaic: Float32Array) -> int | None:
     """Where the green pixels are: 0 if at (0, 0) and (1, 1), 1 if at (0, 1) and (1, 0); None if there is no mosaic.
 
