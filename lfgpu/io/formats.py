@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import hci, named_views
+from lfgpu.io import hci, lenslet, named_views
 from lfgpu.io.folders import entries, listed
 from lfgpu.lightfield import LightField
 
@@ -29,7 +29,8 @@ class Format:
     description: str
     """One line for lists and help, without a full stop."""
     recognise: Callable[[Path], str | None]
-    """Why a path that exists is of this format ("it is a folder with ..."), or None. Looks at names and magic only."""
+    """Why a path that exists is of this format ("it is a folder with ..."), or None. Looks at names and
+    magic, and at what is in a file only where a quick look can be sure."""
     read: Reader
 
 
@@ -46,6 +47,12 @@ FORMATS: tuple[Format, ...] = (
         description="a folder of images named by row and column, such as view_00_03.png or 5_5.bmp",
         recognise=named_views.recognise,
         read=named_views.read_named_views,
+    ),
+    Format(
+        name="lenslet",
+        description="a raw capture of a lenslet camera: .lfp, .lfr or .raw of Lytro, or a grey picture of its sensor",
+        recognise=lenslet.recognise,
+        read=lenslet.read_lenslet,
     ),
 )
 
@@ -79,14 +86,14 @@ def read(
     """
     path = Path(path)
     chosen = recognise(path)[0] if format is None else _named(format)
-    _check_exists(path)
+    check_exists(path)
     return chosen.read(path, allow_missing=allow_missing)
 
 
 def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
     """The format of a path and why it is taken for that; LightFieldError if it is none that is known."""
     path = Path(path)
-    _check_exists(path)
+    check_exists(path)
     for candidate in FORMATS:
         reason = candidate.recognise(path)
         if reason is not None:
@@ -102,7 +109,8 @@ def _named(name: str) -> Format:
     raise LightFieldError(f"unknown format {name!r}; known are {', '.join(entry.name for entry in FORMATS)}.")
 
 
-def _check_exists(path: Path) -> None:
+def check_exists(path: Path) -> None:
+    """LightFieldError if there is nothing at a path, or it may not be looked at."""
     try:
         path.stat()
     except FileNotFoundError:

@@ -141,10 +141,8 @@ class _Sensor:
         self.lenses = lenses
         self._pattern = pattern
         places = mosaics.colours(pattern)
-        if even is None:
-            self._light = MeanMicrolens(mosaic, lenses, places).over(lenses, mosaic.shape)
-        else:
-            self._light = from_white_image(even, places)
+        self._mean = MeanMicrolens(mosaic, lenses, places) if even is None else None
+        self._light = self._mean.over(lenses, mosaic.shape) if self._mean else from_white_image(even, places)
         # What is cut off at the white level stays so in all views, whatever light they get.
         self._mosaic = np.minimum(mosaic / np.maximum(self._light, np.float32(_DARKEST)), np.float32(1))
         self._grid = view_grid(lenses, mosaic.shape, lenses.pitch / 2 + 2, name=name)
@@ -153,7 +151,11 @@ class _Sensor:
         """Linear views float32 [n, y, x, c] at offsets (du, dv) from the middle, and where they are of use, [n, y, x]."""
         if self._upright:
             offsets = offsets[:, ::-1]
-        valid = sample_views(self._light[None], self._grid, offsets, STEP)[..., 0] >= _VALID
+        if self._mean:  # the same under all microlenses
+            light = np.broadcast_to(self._mean.at(offsets.T * STEP)[:, None, None], (len(offsets), *self._grid.shape))
+        else:
+            light = sample_views(self._light[None], self._grid, offsets, STEP)[..., 0]
+        valid = light >= _VALID
         image = mosaics.demosaic(self._mosaic, self._light, self.lenses, self._pattern)
         views = sample_views(image, self._grid, offsets, STEP)
         return (views.swapaxes(1, 2), valid.swapaxes(1, 2)) if self._upright else (views, valid)
