@@ -15,7 +15,9 @@ def decode(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the views go; made if missing.")],
     white: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="White image of the same camera and zoom.", show_default="the capture itself"),
+        typer.Option(
+            metavar="FILE", help="White image of the same camera and zoom.", show_default="the capture itself"
+        ),
     ] = None,
     bayer: Annotated[
         str | None,
@@ -30,12 +32,14 @@ def decode(
     from lfgpu.cli import facts
     from lfgpu.cli.console import heading, lines, output
     from lfgpu.io import check_writable
+    from lfgpu.io.formats import check_exists
     from lfgpu.io.lenslet.decode import decode as decode_capture
     from lfgpu.io.lenslet.written import ABOUT_FILE, write_decoded
-    from lfgpu.io.formats import check_exists
 
     check_writable(out)
-    check_exists(source)
+    check_exists(source, "a raw capture")
+    if white is not None:
+        check_exists(white, "a white image")
     decoded = decode_capture(source, bayer=bayer, white=white, views=views)
     lf = decoded.light_field
     write_decoded(decoded, out)

@@ -109,12 +109,12 @@ def _named(name: str) -> Format:
     raise LightFieldError(f"unknown format {name!r}; known are {', '.join(entry.name for entry in FORMATS)}.")
 
 
-def check_exists(path: Path) -> None:
+def check_exists(path: Path, what: str = "a folder of views or a light field file") -> None:
     """LightFieldError if there is nothing at a path, or it may not be looked at."""
     try:
         path.stat()
     except FileNotFoundError:
-        raise LightFieldError(f"{path} does not exist; give a folder of views or a light field file.") from None
+        raise LightFieldError(f"{path} does not exist; give {what}.") from None
     except OSError as error:
         raise LightFieldError(f"{path} cannot be opened: {error.strerror}.") from error
 

@@ -97,7 +97,10 @@ class Sample:
         q = self.camera.axes @ (np.asarray(first) - self.camera.middle)
         height, width = self.scene.size
         assert self.scene.truth is not None
-        place = [(q[1] + y) / self.camera.row_distance + (height - 1) / 2, (q[0] + x) / self.camera.row_distance + (width - 1) / 2]
+        place = [
+            (q[1] + y) / self.camera.row_distance + (height - 1) / 2,
+            (q[0] + x) / self.camera.row_distance + (width - 1) / 2,
+        ]
         return ndimage.map_coordinates(self.scene.truth.disparity, place, order=1, mode="nearest")
 
 

@@ -6,6 +6,8 @@ import copy
 import json
 import struct
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +51,16 @@ def small(bits: int = 12, **changes: Any) -> bytes:
         else:
             place[last] = value
     return container(packed(values(bits), bits), about, illum=bits == 10)
+
+
+@contextmanager
+def refused_or_not() -> Iterator[list[str]]:
+    """Lets a LightFieldError pass, whose sentence is in the list then; nothing else."""
+    said: list[str] = []
+    try:
+        yield said
+    except LightFieldError as error:
+        said.append(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +177,7 @@ def test_bare_raw_files(tmp_path: Path) -> None:
         ({"image__rawDetails__mosaic": {"tile": "r,g:g,b", "upperLeftPixel": "b"}}, "unknown mosaic 'r,g:g,b'"),
         ({"image__rawDetails__mosaic": {"tile": "r,gr:gb,b", "upperLeftPixel": "w"}}, "unknown first pixel 'w'"),
         ({"image__rawDetails__pixelFormat__white": dict.fromkeys(("r", "gr", "gb", "b"), 100)}, "white level"),
-        ({"image__rawDetails__pixelFormat__black": {"r": 1}}, "black.gr"),
+        ({"image__rawDetails__pixelFormat__black": {"r": 1}}, "nothing for image.rawDetails.pixelFormat.black.b"),
         ({"image__color": {"whiteBalanceGain": {"r": 0, "gr": 1, "b": 1}}}, "whiteBalanceGain.r = 0"),
     ],
 )
@@ -188,7 +200,9 @@ def test_containers_that_are_damaged_or_of_other_kinds(tmp_path: Path) -> None:
     head = good[:16]
     says(head, "0 tables of contents")
     says(good[: len(good) // 2], "is cut off or damaged: a section at byte")
-    says(head + b"\x89LFM\r\n\x1a\n" + struct.pack(">II", 0, 0xFFFFFFFF), "claims 4294967295 bytes, of which 0 are there")
+    says(
+        head + b"\x89LFM\r\n\x1a\n" + struct.pack(">II", 0, 0xFFFFFFFF), "claims 4294967295 bytes, of which 0 are there"
+    )
     says(head + b"some text that is no section", "at byte 16 there is no section")
     says(head + section(b"C", b"")[0][:16] * 2000, "more than 1000 sections")
     says(head + section(b"M", b"{broken")[0], "its table of contents is not JSON")
@@ -228,24 +242,26 @@ def test_whatever_is_wrong_with_a_container_is_said(data: st.DataObject) -> None
             break
     with tempfile.TemporaryDirectory() as folder:
         path = write(Path(folder) / "a.lfp", bytes(whole))
-        try:
+        with refused_or_not() as said:
             found = read_capture(path)
-        except LightFieldError as error:
-            assert "a.lfp" in str(error)
-        else:
             assert found.mosaic.size == SHAPE[0] * SHAPE[1]
             assert 0 <= found.mosaic.min() <= found.mosaic.max() <= 1
+    assert all("a.lfp" in text for text in said)
 
 
 @settings(max_examples=50, deadline=None)
 @given(
     about=st.recursive(
         st.none() | st.booleans() | st.floats(allow_nan=True) | st.text(max_size=5) | st.integers(),
-        lambda inner: st.lists(inner, max_size=3)
-        | st.dictionaries(
-            st.sampled_from(["image", "rawDetails", "width", "height", "pixelPacking", "mosaic", "pixelFormat", "color"]),
-            inner,
-            max_size=5,
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(
+                st.sampled_from(
+                    ["image", "rawDetails", "width", "height", "pixelPacking", "mosaic", "pixelFormat", "color"]
+                ),
+                inner,
+                max_size=5,
+            )
         ),
         max_leaves=12,
     )
@@ -258,10 +274,9 @@ def test_whatever_stands_in_the_metadata_is_no_crash(about: Any) -> None:
     with tempfile.TemporaryDirectory() as folder:
         for value in (about, mixed):
             path = write(Path(folder) / "a.lfp", container(packed(values(12), 12), value))
-            try:
+            with refused_or_not() as said:
                 assert read_capture(path).mosaic.shape == SHAPE
-            except LightFieldError as error:
-                assert "a.lfp" in str(error)
+            assert all("a.lfp" in text for text in said)
 
 
 def test_a_container_of_something_else_shows_no_microlenses(tmp_path: Path) -> None:

@@ -101,7 +101,9 @@ def demosaic(mosaic: Float32Array, light: Float32Array, grid: Microlenses, patte
     return image
 
 
-def _band(values: Float32Array, light: Float32Array, lens: NDArray[np.int32], places: NDArray[np.int64]) -> Float32Array:
+def _band(
+    values: Float32Array, light: Float32Array, lens: NDArray[np.int32], places: NDArray[np.int64]
+) -> Float32Array:
     """The colours [c, y, x] of a band whose halo is cut off; `lens` numbers the microlenses."""
     green = values.copy()
     for i, j in _sites(places, (RED, BLUE)):

@@ -14,7 +14,7 @@ from lfgpu.io.images import IMAGE_SUFFIXES, read_image
 from lfgpu.io.lenslet import container
 from lfgpu.io.lenslet.vignetting import Float32Array
 
-_SIDES = (64, 32768)  # pixels that a container may claim
+_SIDES = (8, 32768)  # pixels that a container may claim
 _PLACES = ("r", "gr", "gb", "b")
 
 
@@ -75,16 +75,16 @@ def read_capture(path: Path) -> Capture:
     if is_image(path):
         return _from_image(path)
     raise LightFieldError(
-        f"{path} is not a raw capture: neither a Lytro container (.lfp, .lfr), nor a raw file of a Lytro camera (.raw), "
-        f"nor a picture ({', '.join(sorted(IMAGE_SUFFIXES))})."
+        f"{path} is not a raw capture: neither a Lytro container (.lfp, .lfr), nor a raw file of a Lytro camera "
+        f"(.raw), nor a picture ({', '.join(sorted(IMAGE_SUFFIXES))})."
     )
 
 
 def unpack(data: bytes, shape: tuple[int, int], bits: int, endianness: str) -> NDArray[np.uint16]:
     """Numbers [y, x] of 8, 10, 12 or 16 bits, from as many bytes as they take.
 
-    12 bits: three bytes hold two numbers, the high bits first ("big"). 10 bits: four bytes hold the high eight bits of a
-    number each, a fifth one the low bits of all four, those of the first number lowest ("little").
+    12 bits: three bytes hold two numbers, the high bits first ("big"). 10 bits: four bytes hold the high eight bits of
+    a number each, a fifth one the low bits of all four, those of the first number lowest ("little").
     """
     packed = np.frombuffer(data, np.uint8)
     if bits == 8:
@@ -134,7 +134,9 @@ def _from_bare_raw(path: Path) -> Capture:
     except OSError as error:
         raise LightFieldError(f"{path} cannot be read: {error.strerror or error}.") from error
     white = (1 << camera.bits) - 1
-    note = f"Black level {camera.black} and white level {white} are assumed, as is the mosaic: a bare raw file has none."
+    note = (
+        f"Black level {camera.black} and white level {white} are assumed, as is the mosaic: a bare raw file has none."
+    )
     mosaic = _levelled(values, np.full((2, 2), camera.black), np.full((2, 2), white))
     return Capture(mosaic, camera.bayer, (1.0, 1.0, 1.0), f"raw file of {camera.name}", (note,))
 

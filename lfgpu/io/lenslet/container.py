@@ -116,8 +116,13 @@ def _frame(path: Path, table: dict[str, Any]) -> dict[str, Any]:
         frames: Any = table
         for key in keys:
             frames = frames.get(key) if isinstance(frames, dict) else None
-        if isinstance(frames, list) and frames and isinstance(frames[0], dict) and isinstance(frames[0].get("frame"), dict):
-            return frames[0]["frame"]  # type: ignore[no-any-return]
+        if (
+            isinstance(frames, list)
+            and frames
+            and isinstance(frames[0], dict)
+            and isinstance(frames[0].get("frame"), dict)
+        ):
+            return frames[0]["frame"]
     raise LightFieldError(
         f"{path} has no raw picture: it is a Lytro container with {_keys(table)} only, perhaps one that was already "
         "processed; give the one with the raw picture, as the camera wrote it."

@@ -141,18 +141,23 @@ class _Sensor:
         self.lenses = lenses
         self._pattern = pattern
         places = mosaics.colours(pattern)
-        self._mean = MeanMicrolens(mosaic, lenses, places) if even is None else None
-        self._light = self._mean.over(lenses, mosaic.shape) if self._mean else from_white_image(even, places)
+        self._mean: MeanMicrolens | None = None
+        if even is None:
+            self._mean = MeanMicrolens(mosaic, lenses, places)
+            self._light = self._mean.over(lenses, mosaic.shape)
+        else:
+            self._light = from_white_image(even, places)
         # What is cut off at the white level stays so in all views, whatever light they get.
         self._mosaic = np.minimum(mosaic / np.maximum(self._light, np.float32(_DARKEST)), np.float32(1))
         self._grid = view_grid(lenses, mosaic.shape, lenses.pitch / 2 + 2, name=name)
 
     def views(self, offsets: NDArray[np.float64]) -> tuple[Float32Array, NDArray[np.bool_]]:
-        """Linear views float32 [n, y, x, c] at offsets (du, dv) from the middle, and where they are of use, [n, y, x]."""
+        """Linear views [n, y, x, c] at offsets (du, dv) from the middle, and where they are of use, bool [n, y, x]."""
         if self._upright:
             offsets = offsets[:, ::-1]
         if self._mean:  # the same under all microlenses
-            light = np.broadcast_to(self._mean.at(offsets.T * STEP)[:, None, None], (len(offsets), *self._grid.shape))
+            of_views = self._mean.at((offsets.T * STEP).astype(np.float32))
+            light = np.broadcast_to(of_views[:, None, None], (len(offsets), *self._grid.shape))
         else:
             light = sample_views(self._light[None], self._grid, offsets, STEP)[..., 0]
         valid = light >= _VALID
@@ -164,8 +169,8 @@ class _Sensor:
         """The grid in a sentence."""
         source = "the capture itself" if self._white_name is None else Path(self._white_name).name
         return (
-            f"Microlenses {self.lenses.pitch:.3f} px apart, rows {'upright' if self._upright else 'level'} and turned by "
-            f"{math.degrees(self.lenses.rotation):.3f} degrees; grid and vignetting from {source}."
+            f"Microlenses {self.lenses.pitch:.3f} px apart, rows {'upright' if self._upright else 'level'} and turned "
+            f"by {math.degrees(self.lenses.rotation):.3f} degrees; grid and vignetting from {source}."
         )
 
     def about(self) -> dict[str, Any]:
@@ -181,7 +186,10 @@ class _Sensor:
                 "convention": "lens k of row l is at origin + k * along + l * down; pixel centres are whole numbers",
             },
             "white_image": None if self._white_name is None else Path(self._white_name).name,
-            "view_pixel_px": self._grid.pixel,
+            "view_pixel": {
+                "side_px": self._grid.pixel,
+                "first_xy": (self._grid.origin[::-1] if self._upright else self._grid.origin).tolist(),
+            },
         }
 
 
@@ -192,7 +200,9 @@ def _pattern(capture: Capture) -> tuple[str, tuple[str, ...]]:
     if diagonal is None:
         return mosaics.GREY, ("No mosaic of colours was found: the views are grey.",)
     found, other = (("grbg", "gbrg"), ("bggr", "rggb"))[diagonal]
-    return found, (f"The mosaic is taken for {found}, as in Lytro cameras; if red and blue are exchanged, it is {other}.",)
+    return found, (
+        f"The mosaic is taken for {found}, as in Lytro cameras; if red and blue are exchanged, it is {other}.",
+    )
 
 
 def _white_image(path: Path, shape: tuple[int, ...]) -> Float32Array:

@@ -34,7 +34,7 @@ def recognise(path: Path) -> str | None:
 def read_lenslet(
     path: str | os.PathLike[str],
     *,
-    allow_missing: bool = False,  # noqa: ARG001 - all readers take it, and here no file of a view can be missing
+    allow_missing: bool = False,
     bayer: str | None = None,
     white: str | os.PathLike[str] | None = None,
     views: int | None = None,

@@ -23,11 +23,16 @@ _PITCHES = (5.0, 60.0)  # px between neighbouring microlenses
 _TILE = 512  # px, of the power spectrum
 _MOST_TILES = 4  # along each side
 _LEAST_PEAK = 60.0  # times the median power at the same frequency; all three pairs of peaks have to reach it
-_CANDIDATES = 12
+_LEAST_CONTRAST = 0.01  # of the wave of a peak, of the mean of the picture
+_LEAST_ALIKE = 0.03  # of the strongest of three peaks, for the weakest one
+_CANDIDATES = 24
+_LEAST_POWER = 1e-3  # of the strongest grid of peaks, for a lower one that it is a harmonic of
+_WIDTH = 4  # bins around a peak that are its own
 _STRETCH = 0.06  # by which the grid may differ from an equilateral one
 _NEIGHBOURHOOD = 6.0  # pitches, side of the squares of which the phase is taken
 _TRIMMED = 3.0  # residuals beyond so many median ones do not count
-_LEAST_ALIKE = 0.5  # share of the neighbourhoods that must agree on one grid
+_LEAST_AGREEING = 0.7  # share of the neighbourhoods that must agree on one grid
+_AGREEING = 0.15  # turns
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +106,8 @@ class Peaks:
     frequencies: NDArray[np.float64]
     strength: float
     """The weakest peak's power over the median power at its distance from zero."""
+    power: float
+    """The weakest peak's power."""
 
 
 def find_peaks(picture: NDArray[np.float32]) -> Peaks | None:
@@ -113,20 +120,21 @@ def find_peaks(picture: NDArray[np.float32]) -> Peaks | None:
         return None
     power, ring = _power(picture, side)
     excess = _excess(power, ring)
+    excess[power < _least_power(side)] = 0.0
     lowest, highest = (2 / (math.sqrt(3) * pitch) for pitch in reversed(_PITCHES))
     excess[(ring < max(lowest, 8 / side) * side) | (ring > highest * side)] = 0.0
     best: Peaks | None = None
     rest = excess.copy()
     for _ in range(_CANDIDATES):
-        peak = np.unravel_index(int(rest.argmax()), rest.shape)
+        peak = tuple(int(place) for place in np.unravel_index(int(rest.argmax()), rest.shape))
         if rest[peak] < _LEAST_PEAK:
             break
-        triple = _triple(excess, _frequency(excess, peak))
-        if best is None or triple.strength > best.strength:
+        triple = _triple(excess, power, _frequency(excess, peak))
+        if triple.strength >= _LEAST_PEAK and (best is None or triple.power > best.power):
             best = triple
-        y, x = (_window(int(p), 3, n) for p, n in zip(peak, rest.shape, strict=True))
+        y, x = (_window(p, _WIDTH, n) for p, n in zip(peak, rest.shape, strict=True))
         rest[np.ix_(y, x)] = 0.0
-    return best if best is not None and best.strength >= _LEAST_PEAK else None
+    return None if best is None else _fundamental(excess, power, best)
 
 
 def find_microlenses(picture: NDArray[np.float32], *, name: str) -> Microlenses:
@@ -168,7 +176,7 @@ def _power(picture: NDArray[np.float32], side: int) -> tuple[NDArray[np.float64]
     """Mean power spectrum of tiles, [side, side // 2 + 1], and how far each bin is from zero, in bins."""
     window = np.hanning(side).astype(np.float32)
     height, width = picture.shape
-    total = np.zeros((side, side // 2 + 1))
+    total, tiles = np.zeros((side, side // 2 + 1)), 0
     starts = [np.linspace(0, n - side, min(_MOST_TILES, -(-n // side))).astype(int) for n in (height, width)]
     for top in starts[0]:
         for left in starts[1]:
@@ -176,8 +184,15 @@ def _power(picture: NDArray[np.float32], side: int) -> tuple[NDArray[np.float64]
             mean = float(tile.mean())
             if mean > 0:  # every tile counts alike, dark ones too
                 total += np.abs(fft.rfft2((tile / mean - 1) * window[:, None] * window)) ** 2
+                tiles += 1
+    total /= max(tiles, 1)
     fy, fx = np.fft.fftfreq(side) * side, np.arange(side // 2 + 1)
     return total, np.hypot(fy[:, None], fx)
+
+
+def _least_power(side: int) -> float:
+    """The power of a wave of the least contrast that counts; far less may stand out of a picture without noise."""
+    return float((_LEAST_CONTRAST / 2 * np.hanning(side).sum() ** 2) ** 2)
 
 
 def _excess(power: NDArray[np.float64], ring: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -208,10 +223,10 @@ def _frequency(excess: NDArray[np.float64], peak: tuple[int, ...]) -> NDArray[np
     return np.array(found)
 
 
-def _triple(excess: NDArray[np.float64], first: NDArray[np.float64]) -> Peaks:
+def _triple(excess: NDArray[np.float64], power: NDArray[np.float64], first: NDArray[np.float64]) -> Peaks:
     """A peak and the strongest ones near where an equilateral grid has its partners."""
     side = excess.shape[0]
-    frequencies, strengths = [], []
+    frequencies, strengths, powers = [], [], []
     for angle in (0.0, 60.0, 120.0):
         c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
         expected = np.array([c * first[0] - s * first[1], s * first[0] + c * first[1]])
@@ -222,9 +237,24 @@ def _triple(excess: NDArray[np.float64], first: NDArray[np.float64]) -> Peaks:
         x = np.clip(np.arange(-reach, reach + 1) + round(expected[0] * side), 0, excess.shape[1] - 1)
         near = excess[np.ix_(y, x)]
         place = np.unravel_index(int(near.argmax()), near.shape)
-        frequencies.append(_frequency(excess, (int(y[place[0]]), int(x[place[1]]))))
+        peak = int(y[place[0]]), int(x[place[1]])
+        frequencies.append(_frequency(excess, peak))
         strengths.append(float(near[place]))
-    return Peaks(np.array(frequencies), min(strengths))
+        powers.append(float(power[peak]))
+    alike = min(powers) >= _LEAST_ALIKE * max(powers)
+    return Peaks(np.array(frequencies), min(strengths) if alike else 0.0, min(powers))
+
+
+def _fundamental(excess: NDArray[np.float64], power: NDArray[np.float64], found: Peaks) -> Peaks:
+    """The grid of peaks that the one found is a harmonic of, if there is such a one.
+
+    Discs that touch have little power at the frequency of their grid, and may have more at sqrt(3) times or twice that.
+    """
+    for lower in ((found.frequencies[0] + found.frequencies[1]) / 3, found.frequencies[0] / 2):
+        triple = _triple(excess, power, lower)
+        if triple.strength >= _LEAST_PEAK and triple.power >= _LEAST_POWER * found.power:
+            return triple
+    return found
 
 
 def _fitted(picture: NDArray[np.float32], frequencies: NDArray[np.float64], *, name: str) -> Microlenses:
@@ -240,7 +270,7 @@ def _fitted(picture: NDArray[np.float32], frequencies: NDArray[np.float64], *, n
         for phase, weight in zip(phases, weights, strict=True):
             planes.append(_plane(design, phase, weight, (len(np.unique(y)), len(np.unique(x)))))
             residual = _wrapped(phase - design @ planes[-1])
-            if np.average(np.abs(residual) < 0.15, weights=weight) < _LEAST_ALIKE:
+            if np.average(np.abs(residual) < _AGREEING, weights=weight) < _LEAST_AGREEING:
                 raise LightFieldError(
                     f"{name} shows a hexagonal grid, but not one and the same all over the picture: "
                     "microlenses are regular to a fraction of a pixel."

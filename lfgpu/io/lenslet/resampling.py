@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.lenslet.microlenses import Microlenses
@@ -93,16 +92,33 @@ def sample_views(
     first = np.floor(k[:, :1]).astype(np.int64) - 1
     count = int((np.floor(k[:, -1:]).astype(np.int64) - first).max()) + 3
     nodes = lenses.centres(first + np.arange(count), np.broadcast_to(rows[:, None], (height, count)))
-    index = np.floor(k).astype(np.int64) - 1 - first
+    index = np.floor(k).astype(np.int64) - 1 - first + np.arange(height)[:, None] * count
     weights = _cubic(k - np.floor(k))
-    line = np.arange(height)[:, None]
     views = np.empty((len(positions), height, width, len(image)), np.float32)
     for view, offset in zip(views, positions @ lenses.axes * step, strict=True):
-        points = (nodes + offset)[..., ::-1].transpose(2, 0, 1)
+        start, x, y = _between(nodes + offset, image.shape[1:])
         for channel, plane in enumerate(image):
-            samples = ndimage.map_coordinates(plane, points, order=1, mode="nearest")
-            view[..., channel] = sum(weights[tap] * samples[line, index + tap] for tap in range(_TAPS))
+            samples = _linear(plane, start, x, y)
+            view[..., channel] = sum(weights[tap] * samples.take(index + tap) for tap in range(_TAPS))
     return views
+
+
+def _between(
+    points: NDArray[np.float64], shape: tuple[int, ...]
+) -> tuple[NDArray[np.int64], Float32Array, Float32Array]:
+    """For points (x, y) [..., 2]: the pixel above and to the left, as its place in memory, and how far beyond it.
+
+    Points outside the image are as those on its rim.
+    """
+    x, y = np.clip(points[..., 0], 0, shape[1] - 1), np.clip(points[..., 1], 0, shape[0] - 1)
+    left, top = np.minimum(x.astype(np.int64), shape[1] - 2), np.minimum(y.astype(np.int64), shape[0] - 2)
+    return top * shape[1] + left, (x - left).astype(np.float32), (y - top).astype(np.float32)
+
+
+def _linear(plane: Float32Array, start: NDArray[np.int64], x: Float32Array, y: Float32Array) -> Float32Array:
+    """Linear interpolation of a plane [y, x] between the pixels that `_between` found."""
+    upper, lower = (plane.take(start + row) * (1 - x) + plane.take(start + row + 1) * x for row in (0, plane.shape[1]))
+    return np.asarray(upper * (1 - y) + lower * y)
 
 
 def _cubic(t: NDArray[np.float64]) -> NDArray[np.float32]:

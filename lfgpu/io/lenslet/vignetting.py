@@ -105,7 +105,9 @@ class MeanMicrolens:
             weight = mean[place]
             level = np.bincount(lens, value * weight) / np.maximum(np.bincount(lens, weight * weight), 1e-9)
             light = level[lens]
-            sums = [np.bincount(place, light * other, minlength=side * side).reshape(side, side) for other in (value, light)]
+            sums = [
+                np.bincount(place, light * other, minlength=side * side).reshape(side, side) for other in (value, light)
+            ]
             above, below = (ndimage.gaussian_filter(total, _SMOOTHING) for total in sums)
             mean = (above / np.maximum(below, 1e-9 * below.max())).ravel()
             mean /= mean.max()
