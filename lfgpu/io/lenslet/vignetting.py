@@ -17,7 +17,8 @@ BRIGHTEST = 0.98  # of the white level: what is brighter may be cut off, and tel
 
 _BINS = 4  # for each pixel, in the mean microlens image
 _ROWS = 256  # of pixels that are worked on at a time, for memory
-_USED_ROWS = 3  # one in so many rows of lenses makes the mean microlens image
+_STRIP = 8  # rows of lenses that are looked at together for the mean microlens image
+_ENOUGH = 3_000_000  # pixels that tell it; of larger sensors strips are left out
 _ROUNDS = 4
 _SMOOTHING = 1.0  # bins
 _WHITE_PERCENTILE = 99.0
@@ -57,6 +58,14 @@ def from_white_image(white: Float32Array, colours: NDArray[np.int64]) -> Float32
     return np.clip(gain, 0.0, 1.0)
 
 
+def _strips(shape: tuple[int, ...], grid: Microlenses) -> Iterator[slice]:
+    """Slices of rows, spread over a sensor [y, x], that together have about `_ENOUGH` pixels, or all there are."""
+    height = round(_STRIP * grid.row_distance)
+    step = max(1, round(shape[0] * shape[1] / _ENOUGH))
+    for top in range(0, shape[0], step * height):
+        yield slice(top, min(top + height, shape[0]))
+
+
 class MeanMicrolens:
     """The mean image of a microlens in a capture, over its lenses: what the scene shows averages out.
 
@@ -89,14 +98,14 @@ class MeanMicrolens:
     def _estimate(self, mosaic: Float32Array, grid: Microlenses, colours: NDArray[np.int64]) -> Float32Array:
         side = 2 * self._half + 1
         lenses, bins, values = [], [], []
-        for rows in bands(mosaic.shape[0]):
+        for rows in _strips(mosaic.shape, grid):
             k, row, offset = offsets(grid, rows, mosaic.shape[1])
             colour = colours[np.arange(rows.start, rows.stop)[:, None] % 2, np.arange(mosaic.shape[1]) % 2]
-            used = (row % _USED_ROWS == 0) & (mosaic[rows] < BRIGHTEST)
+            used = mosaic[rows] < BRIGHTEST
             place = np.clip(np.rint(offset[:, used] * _BINS).astype(np.int32) + self._half, 0, side - 1)
             bins.append(place[1] * side + place[0])
             # A number for each colour of each lens; k and row stay within a few thousand of zero.
-            lenses.append((((row[used] // _USED_ROWS + 8192) * 16384) + k[used] + 8192) * 4 + colour[used])
+            lenses.append(((row[used] + 8192) * 16384 + k[used] + 8192).astype(np.int64) * 4 + colour[used])
             values.append(mosaic[rows][used])
         _, lens = np.unique(np.concatenate(lenses), return_inverse=True)
         place, value = np.concatenate(bins), np.concatenate(values)
