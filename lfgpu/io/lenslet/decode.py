@@ -16,7 +16,7 @@ from lfgpu.io.lenslet import bayer as mosaics
 from lfgpu.io.lenslet.capture import Capture, read_capture
 from lfgpu.io.lenslet.microlenses import find_microlenses, is_upright
 from lfgpu.io.lenslet.resampling import sample_views, view_grid
-from lfgpu.io.lenslet.vignetting import Float32Array, MeanMicrolens, from_white_image
+from lfgpu.io.lenslet.vignetting import Float32Array, MeanMicrolens, field_gains, from_white_image
 from lfgpu.lightfield import LightField
 
 STEP = 1.0
@@ -89,10 +89,12 @@ def decode(
     count = views or _default_views(sensor.lenses.pitch)
     positions = _positions(sensor.lenses.pitch, count)
     linear, valid = sensor.views(positions - (count - 1) / 2)
+    middle = int(np.argmin(np.abs(positions - count // 2).sum(1)))
+    if even is None:
+        linear *= field_gains(linear, middle)[..., None]
     if linear.shape[-1] == 3:
         linear *= np.array(capture.balance, np.float32)
 
-    middle = int(np.argmin(np.abs(positions - count // 2).sum(1)))
     level = max(float(np.percentile(linear[middle], _WHITE_PERCENTILE)), _LEAST_LEVEL)
     if len(positions) < count * count:
         notes = (*notes, f"{count * count - len(positions)} of {count * count} views lie beyond the microlenses.")

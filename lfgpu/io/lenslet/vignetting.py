@@ -21,6 +21,9 @@ _STRIP = 8  # rows of lenses that are looked at together for the mean microlens 
 _ENOUGH = 3_000_000  # pixels that tell it; of larger sensors strips are left out
 _ROUNDS = 4
 _SMOOTHING = 1.0  # bins
+_BLOCK = 12  # pixels of a view whose means are compared with those of the middle view
+_MOST_GAIN = 2.0
+_TRIMMED = 3.0  # residuals beyond so many median ones do not count
 _WHITE_PERCENTILE = 99.0
 
 
@@ -56,6 +59,55 @@ def from_white_image(white: Float32Array, colours: NDArray[np.int64]) -> Float32
         for i, j in places:
             gain[i::2, j::2] = white[i::2, j::2] / max(float(level), 1e-6)
     return np.clip(gain, 0.0, 1.0)
+
+
+def field_gains(views: Float32Array, middle: int) -> Float32Array:
+    """Gains [n, y, x] that make each view as bright as the middle one, over its field.
+
+    Microlenses far from the middle of the sensor see the main lens from the side, so that one and the same mean
+    microlens is not quite right for them. What is missing varies slowly over the field: a polynomial of degree 4 fitted
+    to the logarithm of the ratio of block means, by trimmed least squares, as blocks with parallax or gloss differ
+    otherwise. All colours have the same gain.
+
+    Parameters
+    ----------
+    views
+        Linear float32 [n, y, x, c], 1 where cut off.
+    middle
+        Index of the view that the others are held against.
+    """
+    count, height, width, _ = views.shape
+    block = min(_BLOCK, height // 6, width // 6)
+    rows, columns = height // max(block, 1), width // max(block, 1)
+    gains = np.ones((count, height, width), np.float32)
+    if block < 1:
+        return gains
+    cut = views[:, : rows * block, : columns * block].reshape(count, rows, block, columns, block, -1)
+    means = cut.mean((2, 4, 5)).reshape(count, -1)
+    whole = (cut.max((2, 4, 5)) < BRIGHTEST).reshape(count, -1)
+    middles = [(np.arange(n) + 0.5) * block - 0.5 for n in (rows, columns)]
+    at_blocks = _powers(middles[0] * 2 / height - 1, middles[1] * 2 / width - 1).reshape(-1, rows * columns).T
+    at_pixels = _powers(np.arange(height) * 2 / height - 1, np.arange(width) * 2 / width - 1)
+    for view in range(count):
+        used = whole[view] & whole[middle] & (np.minimum(means[view], means[middle]) > 0.02 * means[middle].mean())
+        if view == middle or used.sum() < 4 * at_blocks.shape[1]:
+            continue
+        ratio = np.log(means[middle, used] / means[view, used])
+        design, root = at_blocks[used], np.sqrt(np.minimum(means[view, used], means[middle, used]))
+        kept = np.ones(len(ratio), np.bool_)
+        for _ in range(3):
+            weight = root * kept
+            fit = np.linalg.lstsq(design * weight[:, None], ratio * weight, rcond=None)[0]
+            off = np.abs(ratio - design @ fit)
+            kept = off <= _TRIMMED * np.median(off) + 1e-6
+        limit = np.log(_MOST_GAIN)
+        gains[view] = np.exp(np.clip(np.tensordot(fit, at_pixels, 1), -limit, limit))
+    return gains
+
+
+def _powers(y: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """All products x^i y^j with i + j <= 4, [15, y, x]."""
+    return np.array([y[:, None] ** j * x**i for j in range(5) for i in range(5 - j)])
 
 
 def _strips(shape: tuple[int, ...], grid: Microlenses) -> Iterator[slice]:
