@@ -21,6 +21,7 @@ from lfgpu.io.lenslet import read_lenslet, write_decoded
 from lfgpu.io.lenslet.bayer import PATTERNS, demosaic, green_diagonal, transposed
 from lfgpu.io.lenslet.decode import decode
 from lfgpu.io.lenslet.microlenses import Microlenses, find_microlenses, find_peaks, is_upright
+from lfgpu.io.lenslet.vignetting import field_gains
 from lfgpu.lightfield import LightField
 from lfgpu.scenes import make
 
@@ -233,6 +234,17 @@ def test_dark_parts_of_a_white_image_are_not_valid(sample: Sample, tmp_path: Pat
     assert valid is not None
     assert not valid[:, :18, :18].any()
     assert valid[24, 30:, 30:].all()
+
+
+def test_views_are_evened_out_over_their_fields() -> None:
+    views = make("planes", grid=(1, 3), size=(150, 160), disparity_range=(-0.8, 0.8), dtype=np.float32).views
+    y, x = np.mgrid[-1:1:150j, -1:1:160j]
+    falloff = np.stack([1 - 0.4 * (x + y > 0) * (x + y) ** 2 / 2, np.ones_like(x), 0.8 - 0.15 * x])
+    gains = field_gains((views * falloff[..., None]).astype(np.float32), 1)
+    assert np.array_equal(gains[1], np.ones_like(gains[1]))
+    assert np.median(np.abs(gains * falloff - 1)) < 0.02
+    assert np.abs(gains * falloff - 1)[:, 15:-15, 15:-15].max() < 0.1
+    assert np.abs(falloff - 1).max() > 0.3
 
 
 def test_what_cannot_be_a_white_image(sample: Sample, tmp_path: Path) -> None:
