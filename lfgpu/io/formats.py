@@ -17,6 +17,7 @@ from lfgpu.io import (
     description,
     hci,
     hci_old,
+    lenslet,
     lftoolbox,
     mosaic,
     named_views,
@@ -42,7 +43,8 @@ class Format:
     description: str
     """One line for lists and help, without a full stop."""
     recognise: Callable[[Path], str | None]
-    """Why a path that exists is of this format ("it is a folder with ..."), or None. Looks at names and magic only."""
+    """Why a path that exists is of this format ("it is a folder with ..."), or None. Looks at names and magic, and at
+    what is in a file only where a quick look can be sure."""
     read: Callable[..., LightField]
     """Reads a path that exists, given the keyword `allow_missing` and those in `takes`, or raises LightFieldError with
     a sentence that names the file at fault."""
@@ -146,6 +148,12 @@ FORMATS: tuple[Format, ...] = (
         read=camera_row.read_camera_row,
         takes=("grid", "every"),
     ),
+    Format(
+        name="lenslet",
+        description="a raw capture of a lenslet camera: .lfp, .lfr or .raw of Lytro, or a grey picture of its sensor",
+        recognise=lenslet.recognise,
+        read=lenslet.read_lenslet,
+    ),
 )
 
 
@@ -195,7 +203,7 @@ def read(
     if every is not None and every < 1:
         raise LightFieldError(f"every must be a whole number from 1 on, not {every}.")
     chosen = recognise(path)[0] if format is None else _named(format)
-    _check_exists(path)
+    check_exists(path)
     options = {name: value for name, value in (("grid", grid), ("every", every)) if value is not None}
     for name in options:
         if name not in chosen.takes:
@@ -217,7 +225,7 @@ def _checked(light_field: LightField) -> LightField:
 def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
     """The format of a path and why it is taken for that; LightFieldError if it is none that is known."""
     path = Path(path)
-    _check_exists(path)
+    check_exists(path)
     for candidate in FORMATS:
         reason = candidate.recognise(path)
         if reason is not None:
@@ -235,15 +243,16 @@ def _named(name: str) -> Format:
     raise LightFieldError(f"unknown format {name!r}; known are {', '.join(entry.name for entry in FORMATS)}.")
 
 
-def _check_exists(path: Path) -> None:
+def check_exists(path: Path, what: str = "a folder of views or a light field file") -> None:
+    """LightFieldError if there is nothing at a path, or it may not be looked at."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
-        raise LightFieldError(f"{path} does not exist; give a folder of views or a light field file.") from None
+        raise LightFieldError(f"{path} does not exist; give {what}.") from None
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise LightFieldError(f"{path} cannot be opened: {getattr(error, 'strerror', None) or error}.") from error
     if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):  # a pipe would be waited for, a device never ends
-        raise LightFieldError(f"{path} is neither a file nor a folder; give a folder of views or a light field file.")
+        raise LightFieldError(f"{path} is neither a file nor a folder; give {what}.")
 
 
 _ARCHIVES = {b"PK\x03\x04": "zip", b"PK\x05\x06": "zip", b"7z\xbc\xaf": "7z", b"Rar!": "rar", b"\x1f\x8b": "gzip"}

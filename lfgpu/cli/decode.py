@@ -1,0 +1,65 @@
+"""`lfgpu decode`: the views of a raw lenslet capture, as files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def decode(
+    source: Annotated[
+        Path, typer.Argument(metavar="RAW", help="A raw capture: .lfp, .lfr, .raw, or a grey picture of the sensor.")
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the views go; made if missing.")],
+    white: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="White image of the same camera and zoom.", show_default="the capture itself"
+        ),
+    ] = None,
+    bayer: Annotated[
+        str | None,
+        typer.Option(metavar="PATTERN", help="bggr, grbg, gbrg, rggb or grey.", show_default="found"),
+    ] = None,
+    views: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Views along each side.", show_default="as many as lie under a microlens"),
+    ] = None,
+) -> None:
+    """Make views of a raw capture of a lenslet camera: 16-bit PNG files that all commands read, and the grid found."""
+    from lfgpu.cli import facts
+    from lfgpu.cli.console import heading, lines, output
+    from lfgpu.io import check_writable
+    from lfgpu.io.formats import check_exists
+    from lfgpu.io.lenslet.decode import decode as decode_capture
+    from lfgpu.io.lenslet.written import ABOUT_FILE, write_decoded
+
+    check_writable(out)
+    check_exists(source, "a raw capture")
+    if white is not None:
+        check_exists(white, "a white image")
+    decoded = decode_capture(source, bayer=bayer, white=white, views=views)
+    lf = decoded.light_field
+    write_decoded(decoded, out)
+    console = output()
+    heading(console, lf.name)
+    lines(
+        console,
+        [
+            ("found", decoded.about["found"]),
+            ("views", facts.views(lf)),
+            ("size", facts.size(lf)),
+            ("colours", decoded.about["bayer"]),
+            *(("note", note) for note in lf.notes),
+        ],
+    )
+    heading(console, f"Written to {out}")
+    lines(
+        console,
+        [
+            ("view_row_col.png", "views, 16 bits, square roots of linear values"),
+            (ABOUT_FILE, "the grid of microlenses, colours and values"),
+        ],
+    )

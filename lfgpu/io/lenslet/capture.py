@@ -1,0 +1,254 @@
+"""One raw capture, whatever it comes in: a Lytro container, a bare raw file of a Lytro camera, or a grey picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.images import IMAGE_SUFFIXES, read_image
+from lfgpu.io.lenslet import container
+from lfgpu.io.lenslet.vignetting import Float32Array
+
+_SIDES = (8, 32768)  # pixels that a container may claim
+_PLACES = ("r", "gr", "gb", "b")
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """What the sensor recorded."""
+
+    mosaic: Float32Array
+    """[y, x], linear: 0 is black and 1 the white level of the sensor."""
+    bayer: str | None
+    """The pattern if the file says which one it is."""
+    balance: tuple[float, float, float]
+    """Gains of red, green and blue that make white of white, if the file has them; else 1."""
+    source: str
+    """What it came in, for people."""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Camera:
+    """What is known of bare raw files, which say nothing about themselves but by their length."""
+
+    name: str
+    shape: tuple[int, int]
+    bits: int
+    endianness: str
+    bayer: str
+    black: int
+
+    @property
+    def length(self) -> int:
+        return self.shape[0] * self.shape[1] * self.bits // 8
+
+
+_CAMERAS = (
+    _Camera("the first Lytro", (3280, 3280), 12, "big", "bggr", 168),
+    _Camera("the Lytro Illum", (5368, 7728), 10, "little", "grbg", 64),
+)
+
+
+def bare_raw(path: Path) -> str | None:
+    """The camera that a bare raw file is of, by its suffix and length; None if it is none."""
+    camera = _camera(path) if path.suffix.lower() == ".raw" else None
+    return camera.name if camera else None
+
+
+def is_image(path: Path) -> bool:
+    """Whether a file is an image by its suffix."""
+    return path.suffix.lower() in IMAGE_SUFFIXES
+
+
+def read_capture(path: Path) -> Capture:
+    """Read a capture; LightFieldError if the file is none, or damaged."""
+    if container.is_container(path):
+        return _from_container(path)
+    if path.suffix.lower() == ".raw":
+        return _from_bare_raw(path)
+    if is_image(path):
+        return _from_image(path)
+    raise LightFieldError(
+        f"{path} is not a raw capture: neither a Lytro container (.lfp, .lfr), nor a raw file of a Lytro camera "
+        f"(.raw), nor a picture ({', '.join(sorted(IMAGE_SUFFIXES))})."
+    )
+
+
+def unpack(data: bytes, shape: tuple[int, int], bits: int, endianness: str) -> NDArray[np.uint16]:
+    """Numbers [y, x] of 8, 10, 12 or 16 bits, from as many bytes as they take.
+
+    12 bits: three bytes hold two numbers, the high bits first ("big"). 10 bits: four bytes hold the high eight bits of
+    a number each, a fifth one the low bits of all four, those of the first number lowest ("little").
+    """
+    packed = np.frombuffer(data, np.uint8)
+    if bits == 8:
+        return packed.astype(np.uint16).reshape(shape)
+    if bits == 16:
+        return packed.view(">u2" if endianness == "big" else "<u2").astype(np.uint16).reshape(shape)
+    values = np.empty((len(packed) * 8 // bits), np.uint16)
+    if bits == 12:
+        first, middle, last = (packed[i::3].astype(np.uint16) for i in range(3))
+        values[0::2] = first << 4 | middle >> 4
+        values[1::2] = (middle & 15) << 8 | last
+    else:
+        low = packed[4::5].astype(np.uint16)
+        for i in range(4):
+            values[i::4] = packed[i::5].astype(np.uint16) << 2 | low >> (2 * i) & 3
+    return values.reshape(shape)
+
+
+def _from_image(path: Path) -> Capture:
+    image, _ = read_image(path)
+    if image.shape[2] != 1:
+        raise LightFieldError(
+            f"{path} is a colour picture; a raw capture is grey, with the mosaic of the sensor in it: save it without "
+            "demosaicing."
+        )
+    top = 1.0 if image.dtype == np.float32 else float(np.iinfo(image.dtype).max)
+    mosaic = image[..., 0].astype(np.float32) / np.float32(top)
+    return Capture(np.clip(mosaic, 0.0, 1.0), None, (1.0, 1.0, 1.0), f"grey picture, {image.dtype}")
+
+
+def _camera(path: Path) -> _Camera | None:
+    try:
+        length = path.stat().st_size
+    except OSError:
+        return None
+    return next((camera for camera in _CAMERAS if camera.length == length), None)
+
+
+def _from_bare_raw(path: Path) -> Capture:
+    camera = _camera(path)
+    if camera is None:
+        known = " or ".join(f"{camera.length} ({camera.name})" for camera in _CAMERAS)
+        found = path.stat().st_size if path.is_file() else 0
+        raise LightFieldError(f"{path} is not a raw file of a Lytro camera: it has {found} bytes, not {known}.")
+    try:
+        values = unpack(path.read_bytes(), camera.shape, camera.bits, camera.endianness)
+    except OSError as error:
+        raise LightFieldError(f"{path} cannot be read: {error.strerror or error}.") from error
+    white = (1 << camera.bits) - 1
+    note = (
+        f"Black level {camera.black} and white level {white} are assumed, as is the mosaic: a bare raw file has none."
+    )
+    mosaic = _levelled(values, np.full((2, 2), camera.black), np.full((2, 2), white))
+    return Capture(mosaic, camera.bayer, (1.0, 1.0, 1.0), f"raw file of {camera.name}", (note,))
+
+
+def _from_container(path: Path) -> Capture:
+    contents = container.read_container(path)
+    image = _Object(path, contents.metadata).object("image")
+    # The first Lytro keeps what it says of raw data apart.
+    details = image.object("rawDetails") if "rawDetails" in image.values else image
+    width, height = (image.integer(key, *_SIDES) for key in ("width", "height"))
+    packing = details.object("pixelPacking")
+    bits, endianness = packing.integer("bitsPerPixel", 8, 16), packing.text("endianness")
+    if (bits, endianness) not in {(12, "big"), (10, "little"), (8, endianness), (16, "big"), (16, "little")}:
+        raise LightFieldError(f"{path} has values of {bits} bits, {endianness} endian, which cannot be read.")
+    if len(contents.image) * 8 != width * height * bits:
+        raise LightFieldError(
+            f"{path} is damaged: {width} x {height} values of {bits} bits are {width * height * bits // 8} bytes, "
+            f"its raw picture has {len(contents.image)}."
+        )
+    values = unpack(contents.image, (height, width), bits, endianness)
+    places = _places(path, details.object("mosaic"))
+    levels = details.object("pixelFormat")
+    black, white = (
+        np.array([[levels.object(key).number(place, 0, 65535) for place in row] for row in places])
+        for key in ("black", "white")
+    )
+    if (white <= black).any():
+        raise LightFieldError(f"{path} is damaged: its white level is not above its black level.")
+    notes = list(contents.notes)
+    if image.values.get("orientation", 1) != 1:
+        notes.append("The camera was held turned, the views are as the sensor saw them.")
+    return Capture(
+        _levelled(values, black, white),
+        "".join(place[0] for row in places for place in row),
+        _balance(image),
+        f"Lytro container, {width} x {height} of {bits} bits",
+        tuple(notes),
+    )
+
+
+def _places(path: Path, mosaic: _Object) -> list[list[str]]:
+    """[2][2], the names of the places of the mosaic, from the tile "r,gr:gb,b" and the name of the pixel at (0, 0)."""
+    tile = [row.split(",") for row in mosaic.text("tile").split(":")]
+    first = mosaic.text("upperLeftPixel")
+    if sorted(place for row in tile for place in row) != sorted(_PLACES) or [len(row) for row in tile] != [2, 2]:
+        raise LightFieldError(f"{path} has an unknown mosaic {mosaic.text('tile')!r}; known is 'r,gr:gb,b'.")
+    if first not in _PLACES:
+        raise LightFieldError(f"{path} has an unknown first pixel {first!r}; known are {', '.join(_PLACES)}.")
+    top = 0 if first in tile[0] else 1
+    left = tile[top].index(first)
+    return [[tile[(top + i) % 2][(left + j) % 2] for j in (0, 1)] for i in (0, 1)]
+
+
+def _balance(image: _Object) -> tuple[float, float, float]:
+    """The camera's white balance where it has one; green is 1."""
+    color = image.values.get("color")
+    if not isinstance(color, dict) or "whiteBalanceGain" not in color:
+        return 1.0, 1.0, 1.0
+    gains = image.object("color").object("whiteBalanceGain")
+    red, green, blue = (gains.number(place, 0.05, 50) for place in ("r", "gr", "b"))
+    return red / green, 1.0, blue / green
+
+
+def _levelled(values: NDArray[np.uint16], black: NDArray[Any], white: NDArray[Any]) -> Float32Array:
+    mosaic = np.empty(values.shape, np.float32)
+    for i in (0, 1):
+        for j in (0, 1):
+            low, high = np.float32(black[i, j]), np.float32(white[i, j])
+            mosaic[i::2, j::2] = (values[i::2, j::2] - low) / (high - low)
+    return np.clip(mosaic, 0.0, 1.0, out=mosaic)
+
+
+class _Object:
+    """A JSON object whose members are asked for by type; what is not as it should be is refused by name."""
+
+    def __init__(self, path: Path, values: dict[str, Any], name: str = "") -> None:
+        self._path, self.values, self._name = path, values, name
+
+    def object(self, key: str) -> _Object:
+        """A member that is an object itself."""
+        return _Object(self._path, self._member(key, dict, "an object"), self._full(key))
+
+    def text(self, key: str) -> str:
+        """A member that is a text."""
+        return str(self._member(key, str, "a text"))
+
+    def number(self, key: str, lowest: float, highest: float) -> float:
+        """A member that is a number within bounds."""
+        value = self._member(key, (int, float), "a number")
+        if isinstance(value, bool) or not lowest <= value <= highest:
+            raise LightFieldError(
+                f"{self._path} is damaged: its metadata has {self._full(key)} = {value!r}, "
+                f"not a number from {lowest:g} to {highest:g}."
+            )
+        return float(value)
+
+    def integer(self, key: str, lowest: int, highest: int) -> int:
+        """A member that is a whole number within bounds."""
+        value = self.number(key, lowest, highest)
+        if not value.is_integer():
+            raise LightFieldError(f"{self._path} is damaged: its metadata has {self._full(key)} = {value!r}.")
+        return int(value)
+
+    def _member(self, key: str, kind: type | tuple[type, ...], wanted: str) -> Any:
+        value = self.values.get(key)
+        if not isinstance(value, kind):
+            found = "nothing" if key not in self.values else f"a JSON {type(value).__name__}"
+            raise LightFieldError(
+                f"{self._path} is damaged or of an unknown camera: its metadata has {found} for {self._full(key)}, "
+                f"where {wanted} should be."
+            )
+        return value
+
+    def _full(self, key: str) -> str:
+        return f"{self._name}.{key}" if self._name else key
