@@ -30,7 +30,8 @@ def written(true: LightField, tmp_path_factory: pytest.TempPathFactory) -> dict[
 
 
 def test_every_format_has_a_sample_and_stands_in_the_docs() -> None:
-    assert {sample.format for sample in SAMPLES.values()} == {entry.name for entry in FORMATS}
+    raw = {"lenslet"}  # holds no views but what they are made of: lenslet_samples.py has its samples
+    assert {sample.format for sample in SAMPLES.values()} == {entry.name for entry in FORMATS} - raw
     for entry in FORMATS:
         assert f"| `{entry.name}` |" in DOCS
 
