@@ -54,7 +54,7 @@ def disparity_figure(
     values = _map(disparity)
     layout = _Layout(values.shape, rows=1, columns=1)
     axes, bar = layout.axes(0, 0), layout.bar(0)
-    image = _show(axes, values, "viridis", limits or _limits(values))
+    image = _show(axes, values, "viridis", limits or scale_limits(values))
     _scale(layout.figure, image, bar, _DISPARITY, values)
     axes.set_title(f"{_short(name)}: disparity", parse_math=False)  # a name may hold dollar signs
     return layout.figure
@@ -153,13 +153,13 @@ def overview_figure(
     axes.set_title("reference view")
 
     axes = layout.axes(0, 1)
-    reach = _error_reach(error)
+    reach = error_reach(error)
     image = _show(axes, error, "RdBu_r", (-reach, reach))
     _scale(layout.figure, image, layout.bar(0), "error (px per view step)\nred is too near", error)
     axes.set_title("disparity minus truth")
     _draw_border(axes, error.shape, border)
 
-    limits = _limits(true)
+    limits = scale_limits(true)
     for column, (values, what) in enumerate(((estimated, "disparity"), (true, "truth"))):
         axes = layout.axes(1, column)
         image = _show(axes, values, "viridis", limits)
@@ -236,7 +236,8 @@ def _map(values: ArrayLike) -> NDArray[np.float32]:
     return np.where(np.isfinite(array), array, np.float32(np.nan))
 
 
-def _limits(values: NDArray[np.float32]) -> tuple[float, float]:
+def scale_limits(values: NDArray[np.float32]) -> tuple[float, float]:
+    """The ends of a map's scale: what it spans but for a few outliers; 0 to 1 if it is defined nowhere."""
     defined = values[np.isfinite(values)]
     if defined.size == 0:
         return 0.0, 1.0
@@ -244,8 +245,8 @@ def _limits(values: NDArray[np.float32]) -> tuple[float, float]:
     return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
-def _error_reach(error: NDArray[np.float32]) -> float:
-    """How far the error's scale goes either way: what 95 % of the pixels stay within, rounded up to one digit."""
+def error_reach(error: NDArray[np.float32]) -> float:
+    """How far an error's scale goes either way: what 95 % of the pixels stay within, rounded up to one digit."""
     defined = np.abs(error[np.isfinite(error)])
     reach = max(float(np.quantile(defined, 0.95)) if defined.size else 0.0, _LEAST_ERROR)
     digit = 10.0 ** math.floor(math.log10(reach))
