@@ -26,14 +26,11 @@ def view(
 
     Only this machine reaches the page. Maps are compared if there are several. Ctrl-C ends it.
     """
+    from lfgpu import Viewer
     from lfgpu.cli import values
-    from lfgpu.viewer import Viewer
-    from lfgpu.viewer.contents import opened_all
 
     values.use_threads("--threads", threads)
-    contents = opened_all(paths)
-    with Viewer(port=port) as viewer:
-        viewer.replace(contents)
+    with Viewer.of(paths, port=port) as viewer:
         typer.echo(f"Look at {viewer.url} with a browser of this machine; Ctrl-C ends it.")
         if show:
             webbrowser.open(viewer.url)

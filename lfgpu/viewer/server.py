@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.lightfield import LightField
 from lfgpu.result import DepthResult
-from lfgpu.viewer.contents import Contents, Entry, opened
+from lfgpu.viewer.contents import Contents, Entry, opened, opened_all
 from lfgpu.viewer.solving import Progress, Request, Solver
 
 HOST = "127.0.0.1"
@@ -66,7 +67,7 @@ class Viewer:
         self._closed = threading.Event()
         self.solver = Solver(self._on_progress, self._on_result)
         """What estimates for the page."""
-        with _own_pages_only():
+        with _own_pages_only(), _silent():
             self._server = viser.ViserServer(host=HOST, port=port, verbose=False)
         self._server.request_share_url = _refuse_to_share  # type: ignore[method-assign]  # pages can ask for it
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=_BRAND)
@@ -78,6 +79,17 @@ class Viewer:
             self.add(result)
         self._server.on_client_connect(self._connect)
         self._server.on_client_disconnect(self._disconnect)
+
+    @classmethod
+    def of(cls, paths: Sequence[str | os.PathLike[str]], *, port: int = 8080) -> Viewer:
+        """A viewer of what paths hold: at most one light field, and maps of it (files, or folders that depth wrote).
+
+        LightFieldError if one of them is missing or is no such thing, or they do not belong together.
+        """
+        contents = opened_all([Path(path) for path in paths])
+        viewer = cls(port=port)
+        viewer.replace(contents)
+        return viewer
 
     @property
     def url(self) -> str:
@@ -105,9 +117,9 @@ class Viewer:
             )
         return free
 
-    def open(self, path: Path) -> None:
+    def open(self, path: str | os.PathLike[str]) -> None:
         """Show what a path holds: a light field instead of all, a map beside the others. LightFieldError if neither."""
-        contents = opened(path, self._contents)
+        contents = opened(Path(path), self._contents)
         added = [name for name in contents.entries if name not in self._contents.entries]
         self.replace(contents, newest=added[-1] if added else None)
 
@@ -171,7 +183,8 @@ class Viewer:
         self.solver.close()
         for session in self._all_sessions():
             session.close()
-        self._server.stop()
+        with _silent():
+            self._server.stop()
 
     def wait(self) -> None:
         """Until `close` is called from elsewhere."""
@@ -219,6 +232,19 @@ class Viewer:
 
 def _refuse_to_share(*_: object, **__: object) -> None:
     """viser would open a tunnel through a server of its makers, for all who know the address."""
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """viser tells the terminal what nobody asked."""
+    import rich
+
+    console = rich.get_console()
+    before, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = before
 
 
 @contextmanager

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lfgpu import frames
 from lfgpu.config import PRESETS, Config, parameters, preset
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.lightfield import LightField
 from lfgpu.metrics import evaluate
-from lfgpu.viewer import frames
 from lfgpu.viewer.cloud import Cloud, nearest_to_ray, point_cloud
 from lfgpu.viewer.contents import FINAL, TRUTH, Contents
 from lfgpu.viewer.refocus import all_in_focus, refocus
@@ -33,7 +33,10 @@ _QUALITY = 88  # of JPEG
 _LEFT, _RIGHT = 560, 360  # pixels of the panels
 _LIVE_CLOUD = 0.5  # seconds between two point clouds of a stream
 _PREVIEW = 640  # pixels of the longer side of refocused pictures, about
-_EMPTY = "No depth yet: press *Estimate* at the right."
+_EMPTY = "No map yet: make one with Estimate, at the right."
+_UNIT = "px per view step, larger is nearer"
+_FIRST_PARAMETER = "alignment.iterations"
+_ROOM = (0.4, 0.75)  # width over height of what the panels leave of the window, about
 
 
 class Session:
@@ -52,8 +55,7 @@ class Session:
         self._wake = threading.Condition()
         self._stale: set[str] = {"rebuild"}
         self._closed = False
-        self._panels: list[Any] = []
-        self._main: list[Any] = []
+        self._handles: list[Any] = []
         self._built: Contents | None = None
         self._wanted: str | None = None
         self._cloud: Cloud | None = None
@@ -81,7 +83,7 @@ class Session:
 
     def show_progress(self, progress: Progress) -> None:
         """How far an estimate is."""
-        if self._main and not self._closed:
+        if self._built is not None and not self._closed:
             self._progress.value = progress.share
             self._progress.animated = progress.busy
             self._state.content = progress.text
@@ -166,6 +168,9 @@ class Session:
 
     def _draw_map(self, contents: Contents) -> None:
         kind, stage = self._kind.value, self._stage.value
+        if not contents.all_entries():
+            self._map.image = frames.notice(_EMPTY)
+            return
         first = contents.map(self._result.value, kind, stage)
         if first is None:
             size = contents.size
@@ -249,11 +254,13 @@ class Session:
         if self._cloud is None:
             return
         camera, centre = self._client.camera, self._cloud.centre
-        away = float(centre[2])
+        away, aspect = float(centre[2]), float(np.clip(camera.aspect, *_ROOM))
+        width, height = np.ptp(self._cloud.points[:, :2], axis=0) / away
+        reach = 1.25 * max(float(height), float(width) / aspect)
         camera.up_direction = (0.0, -1.0, 0.0)
         camera.position = (0.28 * away, -0.16 * away, 0.02 * away)
-        camera.look_at = (0.0, 0.0, away)
-        camera.fov = max(1.35 * self._cloud.fov, 0.1)
+        camera.look_at = (float(centre[0]), float(centre[1]), away)
+        camera.fov = float(np.clip(2 * math.atan(reach / 2), 0.1, 2.0))
         camera.near, camera.far = away / 1000, away * 100
 
     def _draw_cursor(self) -> None:
@@ -264,7 +271,7 @@ class Session:
         self._client.scene.add_icosphere(
             "/cursor",
             radius=4 * self._cloud.spacing,
-            color=frames._SLOPE,
+            color=frames.SLOPE,
             position=tuple(float(value) for value in place),
             cast_shadow=False,
             receive_shadow=False,
@@ -273,126 +280,133 @@ class Session:
     # --- the page ---
 
     def _build(self, contents: Contents) -> None:
-        for handle in (*self._panels, *self._main):
+        for handle in self._handles:
             handle.remove()
-        self._panels, self._main, self._cloud = [], [], None
+        self._handles, self._cloud = [], None
         self._client.scene.reset()
         gui, lf = self._client.gui, contents.lf
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(_RIGHT)
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Look"):
+            self._build_choices(contents)
+            self._build_cursor(contents)
+            self._build_points(contents)
+        with tabs.add_tab("Estimate"):
+            self._build_estimation(lf)
+        with tabs.add_tab("Files"):
+            self._path = gui.add_text("Path", "", hint="A light field, or what lfgpu depth wrote")
+            gui.add_button("Open").on_click(self._open)
+            gui.add_markdown("A light field replaces all that is shown, in all tabs; a map of it joins the others.")
+            gui.add_button_group("Save", ("map", "views", "refocused", "3D")).on_click(self._save)
+        maps = self._build_pictures(contents)
+        self._handles += [tabs, *maps]
         self._built = contents
-        size = contents.size or (1, 1)
-        if lf is not None:
-            self._build_views(lf)
-        else:
-            with self._folder("Pixel"):
-                self._build_cursor(*size)
+        self.show_progress(self._viewer.solver.progress)
+
+    def _build_pictures(self, contents: Contents) -> list[Any]:
+        """The panels at the left, one below the other."""
+        gui, panels = self._client.gui, []
+        if contents.lf is not None:
+            panel = gui.add_panel()
+            with panel.add_tab("Views and EPIs"):
+                self._views = self._image("")
+                self._where = gui.add_markdown("")
+            with panel.add_tab("Refocus"):
+                low, high = self._focus_range(contents)
+                self._focus = self._on(
+                    gui.add_slider("Focus", low, high, 0.01, 0.0 if low <= 0 <= high else low, hint=_UNIT), "focus"
+                )
+                self._everywhere = self._on(
+                    gui.add_checkbox("Sharp everywhere", False, hint="Each pixel focused on its disparity"), "focus"
+                )
+                self._focused = self._image("")
+            panel.dock_left()
+            panel.set_width(_LEFT)
+            panels.append(panel)
         panel = gui.add_panel()
         with panel.add_tab("Map"):
-            blank = np.full((*size, 3), 245, np.uint8)
-            self._map = gui.add_image(blank, format="jpeg", jpeg_quality=_QUALITY)
-            self._wipe = self._on(
-                gui.add_slider("Wipe", 0, 100, 1, 50, hint="Left of it the map, right of it the other")
-            )
-        if self._panels:
-            panel.dock_below(self._panels[0])
+            self._map = self._image(_EMPTY)
+        if panels:
+            panel.dock_below(panels[0])
         else:
             panel.dock_left()
             panel.set_width(_LEFT)
-        self._panels.append(panel)
-        gui.main_panel.dock_right()
-        gui.main_panel.set_width(_RIGHT)
-        with self._folder(contents.lf.name if contents.lf is not None else "Maps"):
-            self._message = gui.add_markdown("")
+        return [*panels, panel]
+
+    def _build_choices(self, contents: Contents) -> None:
+        gui = self._client.gui
+        with gui.add_folder(contents.lf.name if contents.lf is not None else "Maps"):
             self._kind = self._on(gui.add_dropdown("Show", self._kinds(contents)), "map")
             self._result = self._on(gui.add_dropdown("Of", (_NOTHING,)), "choices", "map", "cloud", "views", "facts")
             self._stage = self._on(gui.add_dropdown("After", (FINAL,)), "map", "cloud", "views", "facts")
-            self._other = self._on(gui.add_dropdown("Beside", (_NOTHING,), hint="Compare: drag Wipe below the map"))
-            swap = gui.add_button("Swap the two")
-            swap.on_click(lambda _: self._swap())
-            self._facts = gui.add_markdown("")
-        with self._folder("Points in space"):
+            self._other = self._on(gui.add_dropdown("Beside", (_NOTHING,), hint="Compare with another map"), "map")
+            self._wipe = self._on(gui.add_slider("Wipe", 0, 100, 1, 50, hint="Share of the first of the two"), "map")
+            gui.add_button("Swap the two", color="gray").on_click(lambda _: self._swap())
+            self._facts = gui.add_markdown(_EMPTY)
+
+    def _build_cursor(self, contents: Contents) -> None:
+        gui, lf, (height, width) = self._client.gui, contents.lf, contents.size or (1, 1)
+        with gui.add_folder("View and pixel" if lf is not None else "Pixel"):
+            self._place = []
+            if lf is not None and lf.grid_shape is not None:
+                u, v = lf.positions[lf.reference_index]
+                for label, count, at in zip(("View row", "View column"), lf.grid_shape, (v, u), strict=True):
+                    if count > 1:
+                        slider = gui.add_slider(label, 0, count - 1, 1, round(float(at)))
+                        self._place.append(self._on(slider, "views"))
+            elif lf is not None:
+                slider = gui.add_slider("View", 0, len(lf.views) - 1, 1, lf.reference_index)
+                self._place.append(self._on(slider, "views"))
+            self._x = self._on(gui.add_slider("x", 0, width - 1, 1, width // 2), "views", "map", "cursor")
+            self._y = self._on(gui.add_slider("y", 0, height - 1, 1, height // 2), "views", "map", "cursor")
+
+    def _build_points(self, contents: Contents) -> None:
+        gui = self._client.gui
+        with gui.add_folder("Points in space"):
             units = (_METRES, _DISPARITY) if contents.geometry is not None else (_DISPARITY,)
             self._units = self._on(gui.add_dropdown("Unit", units), "cloud", "camera")
-            paints = (_PICTURE, *self._kinds(contents)) if lf is not None else self._kinds(contents)
-            self._paint = self._on(gui.add_dropdown("Colour", paints), "cloud")
-            self._least = self._on(gui.add_slider("Surer than", 0.0, 1.0, 0.01, 0.0), "cloud")
-            self._thick = self._on(gui.add_slider("Size", 0.5, 4.0, 0.1, 1.3), "cloud")
-            gui.add_button("Back to the camera").on_click(lambda _: self._ask("camera"))
-        self._build_estimation(lf)
-        with self._folder("Files", expand=False):
-            self._path = gui.add_text("Path", "", hint="A light field, or what lfgpu depth wrote")
-            gui.add_button("Open").on_click(self._open)
-            gui.add_button_group("Save", ("map", "views", "refocused", "3D")).on_click(self._save)
-        self.show_progress(self._viewer.solver.progress)
-
-    def _build_views(self, lf: LightField) -> None:
-        gui = self._client.gui
-        height, width = lf.size
-        panel = gui.add_panel()
-        blank = np.full((height // 4 + 1, width // 4 + 1, 3), 245, np.uint8)
-        with panel.add_tab("Views and EPIs"):
-            self._views = gui.add_image(blank, format="jpeg", jpeg_quality=_QUALITY)
-            self._where = gui.add_markdown("")
-            u, v = lf.positions[lf.reference_index]
-            if lf.grid_shape is not None and len(lf.views) > 2:
-                rows, columns = lf.grid_shape
-                self._place = [
-                    self._on(gui.add_slider(label, 0, max(count - 1, 0), 1, round(at)), "views")
-                    for label, count, at in (("View row", rows, v), ("View column", columns, u))
-                ]
-            else:
-                self._place = [self._on(gui.add_slider("View", 0, len(lf.views) - 1, 1, lf.reference_index), "views")]
-            self._build_cursor(height, width)
-        with panel.add_tab("Refocus"):
-            self._focused = gui.add_image(blank, format="jpeg", jpeg_quality=_QUALITY)
-            low, high = self._focus_range(lf)
-            step = max((high - low) / 200, 1e-3)
-            middle = min(max(0.0, low), high)
-            self._focus = self._on(
-                gui.add_slider("Focus", low, high, step, middle, hint="px per view step, larger is nearer"), "focus"
+            kinds = self._kinds(contents)
+            self._paint = self._on(
+                gui.add_dropdown("Colour", (_PICTURE, *kinds) if contents.lf is not None else kinds), "cloud"
             )
-            self._everywhere = self._on(gui.add_checkbox("Sharp everywhere", False, hint="All-in-focus"), "focus")
-        panel.dock_left()
-        panel.set_width(_LEFT)
-        self._panels.append(panel)
-
-    def _build_cursor(self, height: int, width: int) -> None:
-        gui = self._client.gui
-        self._x = self._on(gui.add_slider("x", 0, width - 1, 1, width // 2), "views", "map", "cursor")
-        self._y = self._on(gui.add_slider("y", 0, height - 1, 1, height // 2), "views", "map", "cursor")
+            self._least = self._on(gui.add_slider("Surer than", 0.0, 1.0, 0.01, 0.0, hint="Confidence"), "cloud")
+            self._thick = self._on(gui.add_slider("Size", 0.5, 4.0, 0.1, 1.3), "cloud")
+            gui.add_button("Back to the camera", color="gray").on_click(lambda _: self._ask("camera"))
 
     def _build_estimation(self, lf: LightField | None) -> None:
         gui = self._client.gui
-        with self._folder("Estimate", visible=lf is not None):
-            self._preset = gui.add_dropdown("Preset", tuple(PRESETS))
-            self._preset.on_update(lambda _: self._show_parameter())
-            self._found = gui.add_checkbox("Find the range", True)
-            self._low = gui.add_number("From", -2.0, step=0.1, disabled=True, hint="px per view step")
-            self._high = gui.add_number("To", 2.0, step=0.1, disabled=True, hint="px per view step, larger is nearer")
+        if lf is None:
+            gui.add_markdown("A map alone cannot be estimated again: open the light field that it is of.")
+        self._preset = gui.add_dropdown("Preset", tuple(PRESETS), visible=lf is not None)
+        self._preset.on_update(lambda _: self._show_parameter())
+        with gui.add_folder("Disparity range", visible=lf is not None):
+            self._found = gui.add_checkbox("Find it", True)
+            self._low = gui.add_number("From", -2.0, step=0.1, disabled=True, hint=_UNIT)
+            self._high = gui.add_number("To", 2.0, step=0.1, disabled=True, hint=_UNIT)
             self._found.on_update(lambda _: self._toggle_range())
-            self._parameter = gui.add_dropdown("Parameter", tuple(name for name, _ in parameters(Config())))
-            self._parameter.value = "alignment.iterations"
+        with gui.add_folder("Parameters", visible=lf is not None):
+            names = tuple(name for name, _ in parameters(Config()))
+            self._parameter = gui.add_dropdown("Parameter", names, initial_value=_FIRST_PARAMETER)
+            self._parameter.on_update(lambda _: self._show_parameter())
             self._value = gui.add_text("Value", "")
             self._meaning = gui.add_markdown("")
-            gui.add_button("Change it").on_click(self._set)
-            gui.add_button("Take back all changes").on_click(self._unset)
-            self._run = gui.add_button("Estimate", color="blue")
-            self._run.on_click(self._estimate)
-            self._stop = gui.add_button("Stop", disabled=True)
-            self._stop.on_click(lambda _: self._viewer.solver.stop())
-            self._progress = gui.add_progress_bar(0.0)
-            self._state = gui.add_markdown("")
-            self._parameter.on_update(lambda _: self._show_parameter())
-            self._show_parameter()
+            gui.add_button("Change it", color="gray").on_click(self._set)
+            gui.add_button("Take back all changes", color="gray").on_click(self._unset)
+        self._run = gui.add_button("Estimate", visible=lf is not None)
+        self._run.on_click(self._estimate)
+        self._stop = gui.add_button("Stop", disabled=True, color="gray", visible=lf is not None)
+        self._stop.on_click(lambda _: self._viewer.solver.stop())
+        self._progress = gui.add_progress_bar(0.0, visible=lf is not None)
+        self._state = gui.add_markdown("")
+        self._show_parameter()
 
-    def _folder(self, label: str, *, expand: bool = True, visible: bool = True) -> Any:
-        folder = self._client.gui.add_folder(label, expand_by_default=expand, visible=visible)
-        self._main.append(folder)
-        return folder
+    def _image(self, text: str) -> Any:
+        return self._client.gui.add_image(frames.notice(text), format="jpeg", jpeg_quality=_QUALITY)
 
     def _on(self, handle: Any, *what: str) -> Any:
         """A control that makes something be drawn anew."""
-        stale = what or ("map",)
-        handle.on_update(lambda _: self._ask(*stale))
+        handle.on_update(lambda _: self._ask(*what))
         return handle
 
     def _kinds(self, contents: Contents) -> tuple[str, ...]:
@@ -467,15 +481,15 @@ class Session:
 
     def _view_index(self, lf: LightField) -> int:
         """The view at the sliders' place, or the nearest one where there is none."""
-        if len(self._place) == 1:
+        if lf.grid_shape is None:
             return int(self._place[0].value)
-        row, column = (handle.value for handle in self._place)
+        places = iter(self._place)
+        row, column = (next(places).value if count > 1 else 0 for count in lf.grid_shape)
         return int(np.argmin(np.abs(lf.positions - (column, row)).sum(axis=1)))
 
-    def _focus_range(self, lf: LightField) -> tuple[float, float]:
-        known = self._viewer.contents
-        if known.all_entries():
-            low, high = known.limits("disparity")
+    def _focus_range(self, contents: Contents) -> tuple[float, float]:
+        if contents.all_entries():
+            low, high = contents.limits("disparity")
             margin = 0.2 * (high - low)
             return round(low - margin, 2), round(high + margin, 2)
         return -3.0, 3.0

@@ -20,13 +20,12 @@ from lfgpu.lightfield import LightField
 Picture = NDArray[np.uint8]
 """[y, x, 3]"""
 
-_WIDE = 900  # pixels of a picture: as much as a panel can show on a dense screen
-_TALL = 900
+_WIDE, _TALL = 960, 700  # pixels of a picture: as much as a panel can show on a dense screen
 _GAP = 8
 _EPI = 120  # pixels across the views of an EPI, about
 _PAPER, _INK, _MUTED = (255, 255, 255), (33, 37, 41), (134, 142, 150)
 _UNDEFINED = (158, 158, 158)
-_CURSOR, _SLOPE = (255, 255, 255), (255, 64, 129)
+_CURSOR, SLOPE = (255, 255, 255), (255, 64, 129)
 _BAR, _LABELS = 22, 96
 _TEXT = 18
 
@@ -75,7 +74,11 @@ def view_with_epis(
     row, column = lf.row(), lf.column()
     across = _epi_height(len(row)) if len(row) > 1 else 0
     down = _epi_height(len(column)) if len(column) > 1 else 0
-    image = fitted(rgb(lf.views[index], lf.scale), wide=wide - (down + _GAP if down else 0), tall=tall)
+    image = fitted(
+        rgb(lf.views[index], lf.scale),
+        wide=wide - (down + _GAP if down else 0),
+        tall=tall - (across + _GAP if across else 0),
+    )
     factor = image.width / lf.size[1]
     width, height = image.size
     canvas = Image.new("RGB", (wide, height + (across + _GAP if across else 0)), _PAPER)
@@ -96,7 +99,7 @@ def view_with_epis(
         line = _line(offsets, cursor[1], slope, factor, down)
         _draw_slope(canvas, [(width + _GAP + along, place) for place, along in line], (None, height))
     used = width + (down + _GAP if down else 0)
-    return np.asarray(canvas.crop((0, 0, used, canvas.height)))
+    return _centred(canvas.crop((0, 0, used, canvas.height)), wide)
 
 
 @dataclass(frozen=True)
@@ -131,8 +134,8 @@ def map_picture(
         edge = round(np.clip(wipe, 0, 1) * coloured.shape[1])
         coloured[:, edge:] = colour(second.values, look.colours, limits)[:, edge:]
         both.append(second.values)
-    image = fitted(coloured, wide=wide - _BAR - _LABELS - _GAP, tall=tall)
-    heading, foot = _TEXT + 12, _TEXT + 12
+    heading, foot = _TEXT + 10, _TEXT + 10
+    image = fitted(coloured, wide=wide - _BAR - _LABELS - _GAP, tall=tall - heading - foot)
     canvas = Image.new("RGB", (image.width + _GAP + _BAR + _LABELS, image.height + heading + foot), _PAPER)
     canvas.paste(image, (0, heading))
     draw = ImageDraw.Draw(canvas)
@@ -150,7 +153,19 @@ def map_picture(
     _scale(draw, look.colours, limits, (image.width + _GAP, heading, image.height), _beyond(both, limits))
     undefined = any(not np.isfinite(values).all() for values in both)
     label = f"{look.unit}{'; grey: undefined' if undefined else ''}"
+    length = draw.textlength(label, font=_font())
+    if length > canvas.width:
+        canvas = canvas.crop((0, 0, math.ceil(length), canvas.height))
+        ImageDraw.Draw(canvas).rectangle((image.width + _GAP + _BAR + _LABELS, 0, canvas.width, canvas.height), _PAPER)
+        draw = ImageDraw.Draw(canvas)
     draw.text((0, heading + image.height + 6), label, fill=_MUTED, font=_font())
+    return _centred(canvas, wide)
+
+
+def notice(text: str, *, wide: int = _WIDE, tall: int = _TALL) -> Picture:
+    """A sentence where a picture will be."""
+    canvas = Image.new("RGB", (wide, tall), (245, 246, 247))
+    ImageDraw.Draw(canvas).text((wide / 2, tall / 2), text, fill=_MUTED, font=_font(), anchor="mm")
     return np.asarray(canvas)
 
 
@@ -170,6 +185,13 @@ def encoded(picture: Picture, kind: str = "PNG") -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(picture)).save(buffer, kind)
     return buffer.getvalue()
+
+
+def _centred(image: Image.Image, wide: int) -> Picture:
+    """With paper at both sides, so that pictures of all shapes are shown at one size."""
+    canvas = Image.new("RGB", (max(wide, image.width), image.height), _PAPER)
+    canvas.paste(image, ((canvas.width - image.width) // 2, 0))
+    return np.asarray(canvas)
 
 
 def _epi_height(views: int) -> int:
@@ -193,7 +215,7 @@ def _draw_slope(canvas: Image.Image, line: list[tuple[float, float]], ends: tupl
     inside = [(a, b) for a, b in line if (across is None or 0 <= a < across) and (down is None or 0 <= b < down)]
     if len(inside) > 1:
         draw.line(inside, fill=_INK, width=7)
-        draw.line(inside, fill=_SLOPE, width=3)
+        draw.line(inside, fill=SLOPE, width=3)
 
 
 def _cross(canvas: Image.Image, at: tuple[float, float], size: tuple[int, int], top: int = 0) -> None:
