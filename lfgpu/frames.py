@@ -72,34 +72,34 @@ def view_with_epis(
     is where that pixel is in each view. Each EPI stands in line with the view: a column of pixels is the same in both.
     """
     row, column = lf.row(), lf.column()
-    across = _epi_height(len(row)) if len(row) > 1 else 0
-    down = _epi_height(len(column)) if len(column) > 1 else 0
+    across, down = (_epi_height(len(line)) if len(line) > 1 else 0 for line in (row, column))
     image = fitted(
         rgb(lf.views[index], lf.scale),
         wide=wide - (down + _GAP if down else 0),
         tall=tall - (across + _GAP if across else 0),
     )
-    factor = image.width / lf.size[1]
     width, height = image.size
-    canvas = Image.new("RGB", (wide, height + (across + _GAP if across else 0)), _PAPER)
+    factor = width / lf.size[1]
+    size = width + (down + _GAP if down else 0), height + (across + _GAP if across else 0)
+    canvas = Image.new("RGB", size, _PAPER)
     canvas.paste(image, (0, 0))
-    cursor = (x + 0.5) * factor, (y + 0.5) * factor
-    _cross(canvas, cursor, (width, height))
+    _cross(canvas, ((x + 0.5) * factor, (y + 0.5) * factor), (width, height))
     if across:
-        epi = Image.fromarray(np.ascontiguousarray(rgb(lf.epi_horizontal(y), lf.scale)))
-        canvas.paste(epi.resize((width, across), Image.Resampling.NEAREST), (0, height + _GAP))
-        offsets = lf.offsets[row, 0]
-        line = _line(offsets, cursor[0], slope, factor, across)
-        _draw_slope(canvas, [(place, height + _GAP + along) for place, along in line], (width, None))
+        canvas.paste(Image.fromarray(epi_of_row(lf, x, y, slope, wide=width)), (0, height + _GAP))
     if down:
-        epi = Image.fromarray(np.ascontiguousarray(rgb(lf.epi_vertical(x), lf.scale)))
-        turned = epi.resize((height, down), Image.Resampling.NEAREST).transpose(Image.Transpose.TRANSPOSE)
-        canvas.paste(turned, (width + _GAP, 0))
-        offsets = lf.offsets[column, 1]
-        line = _line(offsets, cursor[1], slope, factor, down)
-        _draw_slope(canvas, [(width + _GAP + along, place) for place, along in line], (None, height))
-    used = width + (down + _GAP if down else 0)
-    return _centred(canvas.crop((0, 0, used, canvas.height)), wide)
+        epi = Image.fromarray(epi_of_column(lf, x, y, slope, wide=height))
+        canvas.paste(epi.transpose(Image.Transpose.TRANSPOSE), (width + _GAP, 0))
+    return np.asarray(canvas)
+
+
+def epi_of_row(lf: LightField, x: int, y: int, slope: float | None, *, wide: int) -> Picture:
+    """The EPI of image row `y`, one view of the reference's row below the other, with the slope's line through `x`."""
+    return _epi(lf.epi_horizontal(y), lf.scale, lf.offsets[lf.row(), 0], x, slope, wide)
+
+
+def epi_of_column(lf: LightField, x: int, y: int, slope: float | None, *, wide: int) -> Picture:
+    """The EPI of image column `x`, lying: image rows from left to right, with the slope's line through `y`."""
+    return _epi(lf.epi_vertical(x), lf.scale, lf.offsets[lf.column(), 1], y, slope, wide)
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def map_picture(
         ImageDraw.Draw(canvas).rectangle((image.width + _GAP + _BAR + _LABELS, 0, canvas.width, canvas.height), _PAPER)
         draw = ImageDraw.Draw(canvas)
     draw.text((0, heading + image.height + 6), label, fill=_MUTED, font=_font())
-    return _centred(canvas, wide)
+    return np.asarray(canvas)
 
 
 def notice(text: str, *, wide: int = _WIDE, tall: int = _TALL) -> Picture:
@@ -187,35 +187,31 @@ def encoded(picture: Picture, kind: str = "PNG") -> bytes:
     return buffer.getvalue()
 
 
-def _centred(image: Image.Image, wide: int) -> Picture:
+def centred(picture: Picture, wide: int = _WIDE) -> Picture:
     """With paper at both sides, so that pictures of all shapes are shown at one size."""
-    canvas = Image.new("RGB", (max(wide, image.width), image.height), _PAPER)
-    canvas.paste(image, ((canvas.width - image.width) // 2, 0))
-    return np.asarray(canvas)
+    beside = max(0, wide - picture.shape[1])
+    return np.pad(picture, ((0, 0), (beside // 2, beside - beside // 2), (0, 0)), constant_values=255)
+
+
+def _epi(
+    lines: NDArray[Any], scale: float, offsets: NDArray[np.float64], at: int, slope: float | None, wide: int
+) -> Picture:
+    """`lines` [view, pixel, c] at that width, each view a whole number of pixels high."""
+    height, factor = _epi_height(len(lines)), wide / lines.shape[1]
+    epi = Image.fromarray(np.ascontiguousarray(rgb(lines, scale))).resize((wide, height), Image.Resampling.NEAREST)
+    if slope is not None and math.isfinite(slope):
+        thick = height / len(offsets)
+        places = (at + 0.5 - slope * offsets) * factor
+        line = [(float(place), (i + 0.5) * thick) for i, place in enumerate(places) if 0 <= place < wide]
+        draw = ImageDraw.Draw(epi)
+        for shade, width in ((_INK, 7), (SLOPE, 3)):
+            draw.line(line, fill=shade, width=width)
+    return np.asarray(epi)
 
 
 def _epi_height(views: int) -> int:
     """A whole number of pixels for each view."""
     return views * max(3, round(_EPI / views))
-
-
-def _line(
-    offsets: NDArray[np.float64], at: float, slope: float | None, factor: float, height: int
-) -> list[tuple[float, float]]:
-    """(place, along the views) of a pixel in each view of an EPI; nothing without a slope."""
-    if slope is None or not math.isfinite(slope):
-        return []
-    thick = height / len(offsets)
-    return [(at - slope * float(offset) * factor, (i + 0.5) * thick) for i, offset in enumerate(offsets)]
-
-
-def _draw_slope(canvas: Image.Image, line: list[tuple[float, float]], ends: tuple[int | None, int | None]) -> None:
-    draw = ImageDraw.Draw(canvas)
-    across, down = ends
-    inside = [(a, b) for a, b in line if (across is None or 0 <= a < across) and (down is None or 0 <= b < down)]
-    if len(inside) > 1:
-        draw.line(inside, fill=_INK, width=7)
-        draw.line(inside, fill=SLOPE, width=3)
 
 
 def _cross(canvas: Image.Image, at: tuple[float, float], size: tuple[int, int], top: int = 0) -> None:

@@ -128,19 +128,20 @@ def _map(title: str, values: NDArray[np.float32], kind: str, limits: tuple[float
 
 
 def _epis(lf: LightField, result: DepthResult) -> list[dict[str, str]]:
-    """Some rows and columns through the middle, with the line of the slope that was found."""
+    """Some rows and columns, with the line of the slope that was found in their middle."""
     height, width = lf.size
     found = []
-    for share in _EPI_PLACES:
-        x, y = int(0.5 * width), int(share * height)
-        picture = frames.view_with_epis(lf, lf.reference_index, x, y, float(result.disparity[y, x]))
-        found.append(
-            {
-                "title": f"Row {y}, column {x}",
-                "remark": f"line: {result.disparity[y, x]:.3f} px per view step",
-                "data": _data(picture, "JPEG"),
-            }
-        )
+    lines: list[tuple[str, Any, list[tuple[int, int]]]] = []
+    if len(lf.row()) > 1:
+        lines.append(("Row", frames.epi_of_row, [(width // 2, int(share * height)) for share in _EPI_PLACES]))
+    if len(lf.column()) > 1:
+        lines.append(("Column", frames.epi_of_column, [(int(share * width), height // 2) for share in _EPI_PLACES]))
+    for what, draw, places in lines:
+        for x, y in places:
+            slope = float(result.disparity[y, x])
+            remark = f"line at {f'x {x}' if what == 'Row' else f'y {y}'}: {slope:.3f} px per view step"
+            data = _data(draw(lf, x, y, slope, wide=_LONG_SIDE), "JPEG")
+            found.append({"title": f"{what} {y if what == 'Row' else x}", "remark": remark, "data": data})
     return found
 
 

@@ -151,7 +151,8 @@ class Session:
         x, y = self._cursor()
         disparity = None if entry is None else float(entry.stage(self._stage.value)[y, x])
         picture = frames.view_with_epis(lf, index, x, y, disparity)
-        self._views.image = self._drawn["views"] = picture
+        self._drawn["views"] = picture
+        self._views.image = frames.centred(picture)
         u, v = lf.positions[index]
         du, dv = lf.offsets[index]
         what = "the reference" if index == lf.reference_index else f"du {du:g}, dv {dv:g} from the reference"
@@ -182,7 +183,7 @@ class Session:
         if other != _NOTHING:
             values = contents.map(other, kind)
             second = None if values is None else frames.Shown(values, other)
-        self._map.image = self._drawn["map"] = frames.map_picture(
+        picture = self._drawn["map"] = frames.map_picture(
             frames.Shown(first, name),
             kind,
             contents.limits(kind),
@@ -190,6 +191,7 @@ class Session:
             wipe=self._wipe.value / 100,
             cursor=self._cursor(),
         )
+        self._map.image = frames.centred(picture)
 
     def _draw_focus(self, contents: Contents) -> None:
         lf = contents.lf
@@ -203,8 +205,9 @@ class Session:
             picture = all_in_focus(lf, entry.stage(self._stage.value), step=step)
         else:
             picture = refocus(lf, self._focus.value, step=step)
-        image = frames.fitted(frames.rgb(picture, 1.0), wide=1000, tall=900)
-        self._focused.image = self._drawn["refocused"] = np.asarray(image)
+        image = frames.fitted(frames.rgb(picture, 1.0), wide=900, tall=600)
+        self._drawn["refocused"] = np.asarray(image)
+        self._focused.image = frames.centred(np.asarray(image))
 
     def _draw_cloud(self, contents: Contents) -> None:
         entry = contents.all_entries().get(self._result.value)
