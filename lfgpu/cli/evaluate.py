@@ -31,7 +31,7 @@ def evaluate(
         typer.Option(
             "--scene",
             metavar="TRUTH",
-            help="Compare methods on this light field; may be repeated. A METHOD holds its result as NAME/ or NAME.pfm.",
+            help="Compare methods on this light field; may be repeated. A METHOD has its result in NAME/ or NAME.pfm.",
         ),
     ] = None,
     out: Annotated[
