@@ -1,6 +1,6 @@
 """The same light field by every backend that runs here: how long each takes, and how far the maps are apart.
 
-    python examples/compare_backends.py
+python examples/compare_backends.py
 """
 
 import numpy as np

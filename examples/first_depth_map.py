@@ -12,7 +12,9 @@ from lfgpu import scenes
 from lfgpu.pictures import disparity_figure, save_png
 
 
-def main(folder: str | None = None, out: str = "disparity.png", size: tuple[int, int] = (192, 256)) -> lfgpu.DepthResult:
+def main(
+    folder: str | None = None, out: str = "disparity.png", size: tuple[int, int] = (192, 256)
+) -> lfgpu.DepthResult:
     lf = lfgpu.read(folder) if folder else scenes.make("boxes", grid=(7, 7), size=size)
     result = lfgpu.estimate_depth(lf)  # a GPU if there is one
     print(f"{lf.name}: {result.disparity.min():.2f} to {result.disparity.max():.2f} px per view step, larger is nearer")

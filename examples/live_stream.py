@@ -1,7 +1,7 @@
 """A video of light fields: everything is allocated once, and each frame goes in as it comes.
 
-    python examples/live_stream.py            # prints the rate
-    python examples/live_stream.py --view     # and shows the maps in the browser; needs lfgpu[viewer]
+python examples/live_stream.py            # prints the rate
+python examples/live_stream.py --view     # and shows the maps in the browser; needs lfgpu[viewer]
 """
 
 import sys
@@ -13,7 +13,7 @@ import lfgpu
 from lfgpu import scenes
 
 
-def main(frames: int = 10, size: tuple[int, int] = (96, 128), view: bool = False) -> list[np.ndarray]:
+def main(frames: int = 20, size: tuple[int, int] = (96, 128), view: bool = False) -> list[np.ndarray]:
     recording = scenes.sequence("moving", frames=frames, grid=(5, 5), size=size)
     first = next(iter(scenes.sequence("moving", frames=1, grid=(5, 5), size=size)))
     pipeline = lfgpu.DepthPipeline(first, config="fast", disparity_range=(-2, 2))

@@ -1,6 +1,6 @@
 """Views from cameras of one's own: five of them, in no grid, whose places were measured.
 
-    python examples/own_camera_array.py
+python examples/own_camera_array.py
 """
 
 import numpy as np
@@ -29,7 +29,8 @@ def main(size: tuple[int, int] = (160, 200)) -> lfgpu.DepthResult:
     )
     result = lfgpu.estimate_depth(lf, disparity_range=(-2, 2))
     assert result.depth is not None  # the geometry is known
-    print(f"{result.depth.min():.2f} to {result.depth.max():.2f} m; {100 * (result.confidence > 0.5).mean():.0f} % sure")
+    sure = 100 * (result.confidence > 0.5).mean()
+    print(f"{result.depth.min():.2f} to {result.depth.max():.2f} m, sure of {sure:.0f} % of the pixels")
     return result
 
 

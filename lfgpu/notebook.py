@@ -48,10 +48,11 @@ def result_html(result: DepthResult) -> str:
         )
     ]
     height, width = result.disparity.shape
-    low, high = float(np.nanmin(result.disparity)), float(np.nanmax(result.disparity))
+    known = result.disparity[np.isfinite(result.disparity)]
+    extent = f"{known.min():.3f} to {known.max():.3f} px per view step, larger is nearer" if known.size else "undefined"
     rows = [
         ("size", f"{width} × {height} px"),
-        ("disparity", f"{low:.3f} to {high:.3f} px per view step, larger is nearer"),
+        ("disparity", extent),
         ("computed by", f"{result.config.method.name}, {result.backend} on {result.device}"),
         ("time", f"{result.timings.get('total', float('nan')):.2f} s"),
         ("status", result.status),

@@ -33,7 +33,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def lf() -> LightField:
-    return scenes.make("boxes", grid=(5, 5), size=(48, 64))
+    return scenes.make("boxes", grid=(5, 5), size=(40, 48))
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def files(lf: LightField, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def viewer(files: Path) -> Iterator[Viewer]:
     with Viewer.of([files / "fast", files / "boxes"], port=0) as opened:
         yield opened
@@ -87,19 +87,26 @@ class Page:
         self.tab.get_by_role("option", name=option, exact=True).click()
 
     def changed(self, index: int, before: np.ndarray, what: str) -> np.ndarray:
-        def differs() -> np.ndarray | None:
+        def differs() -> list[np.ndarray]:
             now = self.picture(index)
-            return now if now.shape != before.shape or (now != before).any() else None
+            return [now] if now.shape != before.shape or (now != before).any() else []
 
-        return until(differs, what, self.tab)
+        return until(differs, what, self.tab)[0]
 
 
-@pytest.fixture
-def page(browser: Any, viewer: Viewer) -> Iterator[Page]:
+@pytest.fixture(scope="module")
+def shared(browser: Any, viewer: Viewer) -> Iterator[Page]:
     opened = Page(browser, viewer)
     yield opened
     assert not opened.errors
     opened.tab.context.close()
+
+
+@pytest.fixture
+def page(shared: Page) -> Page:
+    """The tab that the tests share, for a page takes long to come; what they change, they set anew."""
+    shared.tab.get_by_role("tab", name="Look").click()
+    return shared
 
 
 def test_sliders_change_the_view_and_the_slope(page: Page) -> None:
