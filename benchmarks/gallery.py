@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -91,7 +92,7 @@ def _figure(solved: list[tuple[LightField, DepthResult]]) -> Figure:
         view = frames.rgb(lf.views[lf.reference_index], lf.scale)
         cloud = render(point_cloud(result.disparity, view, lf.geometry), (height, width))
         bottom = extent[1] - 0.35 - (row + 1) * cell - row * 0.28
-        panels = [
+        panels: list[tuple[Any, str, tuple[float, float]]] = [
             (view, "gray", (0, 255)),
             (result.disparity, "viridis", (low, high)),
             (error, "RdBu_r", (-reach, reach)),
@@ -126,8 +127,8 @@ def _figure(solved: list[tuple[LightField, DepthResult]]) -> Figure:
 
 def _rendered(figure: Figure) -> NDArray[np.uint8]:
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+    canvas.draw()  # type: ignore[no-untyped-call]
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()  # type: ignore[no-untyped-call]
 
 
 def _scores(lf: LightField, result: DepthResult) -> str:

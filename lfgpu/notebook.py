@@ -39,9 +39,8 @@ def light_field_html(lf: LightField) -> str:
 
 def result_html(result: DepthResult) -> str:
     """Disparity and confidence with their scales, and how they came about."""
-    options = {"wide": _WIDE, "tall": _TALL}
     pictures = [
-        frames.map_picture(frames.Shown(values, kind), kind, limits, **options)
+        frames.map_picture(frames.Shown(values, kind), kind, limits, wide=_WIDE, tall=_TALL)
         for kind, values, limits in (
             ("disparity", result.disparity, scale_limits(result.disparity)),
             ("confidence", result.confidence, (0.0, 1.0)),

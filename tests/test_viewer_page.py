@@ -76,14 +76,14 @@ class Page:
     def set(self, label: str, value: object) -> None:
         """Type a number beside a slider, or a text."""
         row = self.tab.get_by_text(label, exact=True).locator("xpath=ancestor::*[.//input][1]")
-        box = row.locator("input").last
+        box = row.locator("input:visible").last
         box.fill(str(value))
         box.press("Enter")
         box.blur()
 
     def choose(self, label: str, option: str) -> None:
         row = self.tab.get_by_text(label, exact=True).locator("xpath=ancestor::*[.//input][1]")
-        row.locator("input").last.click()
+        row.locator("input:visible").last.click()
         self.tab.get_by_role("option", name=option, exact=True).click()
 
     def changed(self, index: int, before: np.ndarray, what: str) -> np.ndarray:

@@ -60,7 +60,8 @@ def evaluate(
         raise typer.BadParameter("give one RESULT and its TRUTH, or methods and --scene.")
     if out is not None:
         raise typer.BadParameter("--out is for comparisons: give the light fields with --scene.")
-    _score(*paths, mask, border)
+    result, truth = paths
+    _score(result, truth, mask, border)
 
 
 def _score(result: Path, truth: Path, mask: Path | None, border: int | None) -> None:

@@ -81,7 +81,7 @@ def point_cloud(
         keep &= (d >= low - _MARGIN * (high - low)) & (d <= high + _MARGIN * (high - low))
     else:
         cx, cy = geometry.principal_point or (cx, cy)
-        z = geometry.depth(d)
+        z = geometry.depth(d).astype(np.float32)
         keep &= np.isfinite(z)
         near, far = scale_limits(z)
         keep &= z <= far + _MARGIN * (far - near)

@@ -43,7 +43,7 @@ def refocus(lf: LightField, disparity: float, *, step: int = 1, most_views: int 
                 weight = share if valid is None else (valid[rows, columns] * share)[..., None]
                 total[place, beside] += view[rows, columns] * weight
                 weights[place, beside] += weight
-    return total / np.maximum(weights, 1e-6) * np.float32(lf.scale)
+    return np.asarray(total / np.maximum(weights, 1e-6) * np.float32(lf.scale), np.float32)
 
 
 def all_in_focus(
@@ -76,7 +76,7 @@ def all_in_focus(
         alike = np.exp(-((seen - reference) ** 2).mean(axis=-1) / (2 * _ALIKE**2)) * (inside & known[::step, ::step])
         total += seen * alike[..., None]
         weights += alike[..., None]
-    return total / weights
+    return np.asarray(total / weights, np.float32)
 
 
 _ALIKE = 0.03  # intensity: differences of this size are noise, much larger ones another surface

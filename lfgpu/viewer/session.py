@@ -84,7 +84,7 @@ class Session:
     def show_progress(self, progress: Progress) -> None:
         """How far an estimate is."""
         if self._built is not None and not self._closed:
-            self._progress.value = progress.share
+            _assign(self._progress, progress.share)
             self._progress.animated = progress.busy
             self._state.content = progress.text
             self._run.disabled, self._stop.disabled = progress.busy, not progress.busy
@@ -275,7 +275,7 @@ class Session:
             "/cursor",
             radius=4 * self._cloud.spacing,
             color=frames.SLOPE,
-            position=tuple(float(value) for value in place),
+            position=place.astype(np.float64),
             cast_shadow=False,
             receive_shadow=False,
         )
@@ -507,7 +507,7 @@ class Session:
         name = self._parameter.value
         meta = dict(parameters(Config()))[name].metadata
         stage, parameter = name.split(".")
-        self._value.value = str(getattr(getattr(self._config(), stage), parameter))
+        _assign(self._value, str(getattr(getattr(self._config(), stage), parameter)))
         extent = ", ".join(meta["choices"]) if "choices" in meta else f"{meta['low']:g} to {meta['high']:g}"
         changed = ", ".join(f"{key} = {value}" for key, value in self._settings.items())
         self._meaning.content = f"{meta['doc']}; {extent}." + (f"\n\nChanged: {changed}." if changed else "")
@@ -575,3 +575,8 @@ def _set_options(handle: Any, options: tuple[str, ...], value: str) -> None:
         handle.options = options
     if handle.value != value:
         handle.value = value
+
+
+def _assign(handle: Any, value: object) -> None:
+    """What viser's types take for read-only, though it is not."""
+    handle.value = value
