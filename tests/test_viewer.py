@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from lfgpu import frames, scenes
+from lfgpu.cli import app
 from lfgpu.errors import LightFieldError
 from lfgpu.geometry import Geometry
 from lfgpu.io import write_hci, write_pfm
@@ -218,6 +221,74 @@ def test_updates_come_from_any_thread_and_wrong_ones_are_refused() -> None:
         with pytest.raises(LightFieldError, match=r"\[y, x\]"):
             viewer.update(np.zeros(3))
     viewer.close()  # twice does no harm
+
+
+def test_an_estimate_can_be_stopped_and_made_again() -> None:
+    from lfgpu.config import preset
+    from lfgpu.viewer.solving import Progress, Request, Solver
+
+    said: list[Progress] = []
+    done = threading.Event()
+    solver = Solver(said.append, lambda *_: done.set())
+    request = Request(scenes.make("relief", grid=(3, 3), size=SIZE), preset("paper"), (-2, 2), "mine")
+    assert solver.start(request)
+    assert not solver.start(request)
+    solver.stop()
+    solver.close()
+    assert said[-1].text == "stopped"
+    assert not done.is_set()
+    assert solver.start(request)
+    assert solver._thread is not None
+    solver._thread.join(60)
+    assert done.is_set()
+    assert said[-1].text.startswith("mine: done in")
+    assert not solver.progress.busy
+    shares = [progress.share for progress in said[said.index(next(p for p in said if "local" in p.text)) :]]
+    assert max(shares) == 100
+
+
+def test_an_estimate_that_fails_says_why() -> None:
+    from lfgpu.config import preset
+    from lfgpu.viewer.solving import Progress, Request, Solver
+
+    said: list[Progress] = []
+    solver = Solver(said.append, lambda *_: pytest.fail("there is no result"))
+    assert solver.start(Request(wall(1.0), preset("fast"), (-900, 900)))
+    assert solver._thread is not None
+    solver._thread.join(60)
+    assert "give smaller disparities" in said[-1].text
+    assert not said[-1].busy
+
+
+# --- the command ---
+
+
+def view(*arguments: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, ["view", *map(str, arguments), "--port", "0"])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_the_command_says_where_to_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    viser = pytest.importorskip("viser")
+    write_pfm(tmp_path / "map.pfm", np.zeros((5, 6)))
+    monkeypatch.setattr("lfgpu.viewer.server.Viewer.wait", lambda _: None)
+    code, said, err = view(tmp_path / "map.pfm")
+    assert (code, err) == (0, "")
+    assert re.search(r"http://127\.0\.0\.1:\d+ with a browser", said)
+    assert viser.__name__ not in said
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("nowhere", "does not exist"), ("empty", "an empty folder"), ("bad.pfm", "bad.pfm")]
+)
+def test_what_cannot_be_shown_is_a_sentence(name: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "bad.pfm").write_bytes(b"PF?")
+    code, said, err = view(tmp_path / name)
+    assert (code, said) == (1, "")
+    assert words in err
+    assert err.count("\n") == 1
 
 
 def test_without_viser_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -205,6 +205,7 @@ class Viewer:
         session = Session(self, client)
         with self._lock:
             self._sessions[client.client_id] = session
+        session.start()
 
     def _disconnect(self, client: Any) -> None:
         with self._lock:

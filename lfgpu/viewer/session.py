@@ -33,6 +33,7 @@ _QUALITY = 88  # of JPEG
 _LEFT, _RIGHT = 560, 360  # pixels of the panels
 _LIVE_CLOUD = 0.5  # seconds between two point clouds of a stream
 _PREVIEW = 640  # pixels of the longer side of refocused pictures, about
+_FOCUS_VIEWS = 49  # of a refocused picture, so that it follows its slider
 _EMPTY = "No map yet: make one with Estimate, at the right."
 _UNIT = "px per view step, larger is nearer"
 _FIRST_PARAMETER = "alignment.iterations"
@@ -59,11 +60,14 @@ class Session:
         self._built: Contents | None = None
         self._wanted: str | None = None
         self._cloud: Cloud | None = None
-        self._cloud_at = 0.0
+        self._cloud_at, self._cloud_is_late = 0.0, False
         self._is_live = False
         self._settings: dict[str, str] = {}
         self._drawn: dict[str, frames.Picture] = {}
         client.scene.on_click()(self._clicked)
+
+    def start(self) -> None:
+        """Begin to draw, once it is told of changes."""
         threading.Thread(target=self._draw_forever, name="lfgpu-tab", daemon=True).start()
 
     # --- what others tell it ---
@@ -105,10 +109,12 @@ class Session:
     def _draw_forever(self) -> None:
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._closed or bool(self._stale))
+                woken = self._wake.wait_for(
+                    lambda: self._closed or bool(self._stale), _LIVE_CLOUD if self._cloud_is_late else None
+                )
                 if self._closed:
                     return
-                stale, self._stale = self._stale, set()
+                stale, self._stale = self._stale if woken else {"cloud"}, set()
             try:
                 self._draw(stale)
             except LfgpuError as error:
@@ -204,7 +210,7 @@ class Session:
                 raise LightFieldError("a picture that is sharp everywhere needs a map; press Estimate.")
             picture = all_in_focus(lf, entry.stage(self._stage.value), step=step)
         else:
-            picture = refocus(lf, self._focus.value, step=step)
+            picture = refocus(lf, self._focus.value, step=step, most_views=_FOCUS_VIEWS)
         image = frames.fitted(frames.rgb(picture, 1.0), wide=900, tall=600)
         self._drawn["refocused"] = np.asarray(image)
         self._focused.image = frames.centred(np.asarray(image))
@@ -216,7 +222,8 @@ class Session:
                 self._client.scene.remove_by_name("/cloud")
                 self._cloud = None
             return
-        if self._is_live and monotonic() - self._cloud_at < _LIVE_CLOUD:
+        self._cloud_is_late = self._is_live and monotonic() - self._cloud_at < _LIVE_CLOUD
+        if self._cloud_is_late:
             return
         self._cloud_at = monotonic()
         disparity = entry.stage(self._stage.value)
