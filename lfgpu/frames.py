@@ -20,7 +20,7 @@ from lfgpu.lightfield import LightField
 Picture = NDArray[np.uint8]
 """[y, x, 3]"""
 
-_WIDE, _TALL = 960, 700  # pixels of a picture: as much as a panel can show on a dense screen
+_WIDE, _TALL = 960, 620  # pixels of a picture: as much as a panel can show on a dense screen
 _GAP = 8
 _EPI = 120  # pixels across the views of an EPI, about
 _PAPER, _INK, _MUTED = (255, 255, 255), (33, 37, 41), (134, 142, 150)

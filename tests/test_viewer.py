@@ -125,7 +125,7 @@ def test_views_of_every_kind_have_a_picture() -> None:
 def test_large_views_are_drawn_smaller() -> None:
     lf = LightField(np.zeros((2, 960, 1280, 3), np.uint8), [[0, 0], [1, 0]])
     picture = frames.view_with_epis(lf, 0, 3, 3, 1.0)
-    assert picture.shape[0] <= 760
+    assert picture.shape[0] <= 620
     assert picture.shape[1] <= 960
 
 

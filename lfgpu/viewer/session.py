@@ -266,9 +266,9 @@ class Session:
         camera, centre = self._client.camera, self._cloud.centre
         away, aspect = float(centre[2]), float(np.clip(camera.aspect, *_ROOM))
         width, height = np.ptp(self._cloud.points[:, :2], axis=0) / away
-        reach = 1.25 * max(float(height), float(width) / aspect)
+        reach = 1.35 * max(float(height), float(width) / aspect)
         camera.up_direction = (0.0, -1.0, 0.0)
-        camera.position = (0.28 * away, -0.16 * away, 0.02 * away)
+        camera.position = (0.22 * away, -0.14 * away, 0.02 * away)
         camera.look_at = (float(centre[0]), float(centre[1]), away)
         camera.fov = float(np.clip(2 * math.atan(reach / 2), 0.1, 2.0))
         camera.near, camera.far = away / 1000, away * 100
