@@ -93,6 +93,13 @@ def test_type_information_is_installed() -> None:
     assert (ROOT / "lfgpu" / "py.typed").is_file()
 
 
+def test_files_that_are_no_code_are_installed() -> None:
+    patterns = SETTINGS["tool"]["setuptools"]["package-data"]["lfgpu"]
+    for path in (ROOT / "lfgpu").rglob("*"):
+        if path.is_file() and path.suffix not in (".py", ".pyc"):
+            assert any(path.relative_to(ROOT / "lfgpu").match(pattern) for pattern in patterns), name_of(path)
+
+
 def test_backends_have_files_of_the_same_names() -> None:
     """So that a kernel's versions are found at once; a backend may have more of its own."""
     reference = {path.name for path in (ROOT / "kernels" / "reference").glob("*.py")}
