@@ -1,5 +1,5 @@
-"""The command line: `python -m benchmarks [options]` measures; `ablation` leaves ingredients out, and
-`table`, `plot` and `compare` look at what was found.
+"""The command line: `python -m benchmarks [options]` measures; `ablation` leaves ingredients out, `gallery` draws
+the picture of the README, and `table`, `plot` and `compare` look at what was found.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from benchmarks import ablation, cases, compare, merge, operations, pipelines, plot, results, show, suite
+from benchmarks import ablation, cases, compare, gallery, merge, operations, pipelines, plot, results, show, suite
 from benchmarks.errors import BenchmarkError
 from lfgpu._backends import list_backends
 from lfgpu.cli.failures import Group
@@ -135,6 +135,18 @@ def compare_(
     )
     if found.fails:
         raise typer.Exit(1)
+
+
+@app.command("gallery")
+def gallery_(
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.png", help="Where the picture goes.")] = Path(
+        "docs/gallery.png"
+    ),
+) -> None:
+    """Draw the gallery of the README: three scenes of the package, their disparity, its error, and points in space."""
+    check_writable(out, folder=False)
+    for line in gallery.write(out):
+        typer.echo(line)
 
 
 def _finish(run: results.Run, out: Path | None) -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from lfgpu.metrics import evaluate
     from lfgpu.result import DepthResult
     from lfgpu.threads import get_threads, set_threads
+    from lfgpu.viewer import Viewer
 
 _HOMES = {
     "BackendError": "errors",
@@ -37,6 +38,7 @@ _HOMES = {
     "LightField": "lightfield",
     "LightFieldError": "errors",
     "PRESETS": "config",
+    "Viewer": "viewer",
     "ViewsResult": "all_views",
     "describe_backends": "_backends",
     "estimate_all_views": "all_views",
@@ -60,6 +62,7 @@ __all__ = [
     "LfgpuError",
     "LightField",
     "LightFieldError",
+    "Viewer",
     "ViewsResult",
     "describe_backends",
     "estimate_all_views",

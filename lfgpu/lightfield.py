@@ -248,6 +248,12 @@ class LightField:
         """The epipolar plane image of image column `x` over the reference's column of views: [v, y, c]."""
         return np.asarray(self.views[self.column(), :, x])
 
+    def _repr_html_(self) -> str:
+        """What notebooks show."""
+        from lfgpu.notebook import light_field_html
+
+        return light_field_html(self)
+
     # --- other light fields from it ---
 
     def with_reference(self, index: int) -> LightField:

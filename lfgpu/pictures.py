@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
 from numpy.typing import ArrayLike, NDArray
 
+from lfgpu.comparison import Scene, error_map
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_write
 from lfgpu.metrics import Sparsification
@@ -29,6 +31,7 @@ _LONG_SIDE = 6.0  # inches, of the longer side of each map
 _LEAST_PIXELS = 900  # of the longer side of each map in the picture
 _BAR, _GAP, _TICKS, _MARGIN, _TITLE = 0.2, 0.15, 1.05, 0.15, 0.42  # inches
 _LEAST_HEIGHT, _LEAST_WIDTH = 2.4, 4.2  # inches: room for the text along a colour bar and above a map
+_CELL = 2.2  # inches, the width of a map among many
 _LONGEST_NAME = 34  # characters of a scene that fit above a map
 
 
@@ -54,7 +57,7 @@ def disparity_figure(
     values = _map(disparity)
     layout = _Layout(values.shape, rows=1, columns=1)
     axes, bar = layout.axes(0, 0), layout.bar(0)
-    image = _show(axes, values, "viridis", limits or _limits(values))
+    image = _show(axes, values, "viridis", limits or scale_limits(values))
     _scale(layout.figure, image, bar, _DISPARITY, values)
     axes.set_title(f"{_short(name)}: disparity", parse_math=False)  # a name may hold dollar signs
     return layout.figure
@@ -153,13 +156,13 @@ def overview_figure(
     axes.set_title("reference view")
 
     axes = layout.axes(0, 1)
-    reach = _error_reach(error)
+    reach = error_reach(error)
     image = _show(axes, error, "RdBu_r", (-reach, reach))
     _scale(layout.figure, image, layout.bar(0), "error (px per view step)\nred is too near", error)
     axes.set_title("disparity minus truth")
     _draw_border(axes, error.shape, border)
 
-    limits = _limits(true)
+    limits = scale_limits(true)
     for column, (values, what) in enumerate(((estimated, "disparity"), (true, "truth"))):
         axes = layout.axes(1, column)
         image = _show(axes, values, "viridis", limits)
@@ -168,6 +171,62 @@ def overview_figure(
     height = layout.figure.get_figheight()
     layout.figure.suptitle(title, fontsize=13, y=1 - 0.3 / height, va="center", parse_math=False)
     return layout.figure
+
+
+def comparison_figure(scenes: Sequence[Scene]) -> Figure:
+    """Error maps as light field papers show them: a row for each scene, a column for each method.
+
+    Parameters
+    ----------
+    scenes
+        What `lfgpu.comparison` scores; the first two columns are the view and the truth. All errors have one scale;
+        below each stand BadPix(0.07) and the mean squared error times 100.
+
+    Raises
+    ------
+    LightFieldError
+        If there is no scene, or a map does not fit its truth.
+    """
+    methods = list(dict.fromkeys(method for scene in scenes for method in scene.maps))
+    if not methods:
+        raise LightFieldError("there is nothing to compare: give at least one scene and one method.")
+    errors = {(s.name, m): error_map(values, s.truth) for s in scenes for m, values in s.maps.items()}
+    reach = max(error_reach(error) for error in errors.values())
+    heights = [scene.truth.shape[0] / scene.truth.shape[1] for scene in scenes]
+    columns, rows = 2 + len(methods), len(scenes)
+    size = columns * _CELL + 0.35, sum(heights) * _CELL + rows * 0.42 + 1.0
+    figure = Figure(size, dpi=150, facecolor="white")
+    FigureCanvasAgg(figure)
+    places = figure.add_gridspec(
+        rows, columns, height_ratios=heights, left=0.35 / size[0], right=0.995, top=1 - 0.35 / size[1],
+        bottom=0.9 / size[1], wspace=0.03, hspace=0.42 / (size[1] - 1.0) * rows,
+    )  # fmt: skip
+    for row, scene in enumerate(scenes):
+        scores = scene.scores()
+        picture = scene.view[..., 0] if scene.view.shape[2] == 1 else scene.view
+        panels = [(picture, "gray", (0.0, 1.0)), (_map(scene.truth), "viridis", scale_limits(_map(scene.truth)))]
+        missing = np.full(scene.truth.shape, np.nan, np.float32)
+        panels += [(errors.get((scene.name, method), missing), "RdBu_r", (-reach, reach)) for method in methods]
+        for column, (values, colours, limits) in enumerate(panels):
+            axes = figure.add_subplot(places[row, column])
+            axes.set_xticks([])
+            axes.set_yticks([])
+            shown = axes.imshow(
+                values, cmap=_colours(colours), norm=Normalize(*limits), interpolation="antialiased", aspect="auto"
+            )
+            if column >= 2:
+                _draw_border(axes, scene.truth.shape, scene.border)
+                m = scores.get(methods[column - 2])
+                text = "no map" if m is None else f"{m.badpix_07:.2f} % bad, MSE {m.mse_100:.2f}"
+                axes.set_xlabel(text, fontsize=9)
+            if row == 0:
+                axes.set_title(["view", "truth", *methods][column], fontsize=11, parse_math=False)
+            if column == 0:
+                axes.set_ylabel(_short(scene.name), fontsize=11, parse_math=False)
+    bar = figure.add_axes((0.25, 0.5 / size[1], 0.5, 0.12 / size[1]))
+    figure.colorbar(shown, cax=bar, orientation="horizontal", extend="both", extendfrac=0.02)
+    bar.set_xlabel("error, px per view step; red is too near; grey: undefined or not scored", fontsize=9)
+    return figure
 
 
 def save_png(figure: Figure, path: str | os.PathLike[str]) -> None:
@@ -236,7 +295,8 @@ def _map(values: ArrayLike) -> NDArray[np.float32]:
     return np.where(np.isfinite(array), array, np.float32(np.nan))
 
 
-def _limits(values: NDArray[np.float32]) -> tuple[float, float]:
+def scale_limits(values: NDArray[np.float32]) -> tuple[float, float]:
+    """The ends of a map's scale: what it spans but for a few outliers; 0 to 1 if it is defined nowhere."""
     defined = values[np.isfinite(values)]
     if defined.size == 0:
         return 0.0, 1.0
@@ -244,8 +304,8 @@ def _limits(values: NDArray[np.float32]) -> tuple[float, float]:
     return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
-def _error_reach(error: NDArray[np.float32]) -> float:
-    """How far the error's scale goes either way: what 95 % of the pixels stay within, rounded up to one digit."""
+def error_reach(error: NDArray[np.float32]) -> float:
+    """How far an error's scale goes either way: what 95 % of the pixels stay within, rounded up to one digit."""
     defined = np.abs(error[np.isfinite(error)])
     reach = max(float(np.quantile(defined, 0.95)) if defined.size else 0.0, _LEAST_ERROR)
     digit = 10.0 ** math.floor(math.log10(reach))

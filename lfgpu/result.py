@@ -81,3 +81,9 @@ class DepthResult:
     def depth(self) -> NDArray[np.float32] | None:
         """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""
         return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)
+
+    def _repr_html_(self) -> str:
+        """What notebooks show."""
+        from lfgpu.notebook import result_html
+
+        return result_html(self)

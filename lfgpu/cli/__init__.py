@@ -1,4 +1,4 @@
-"""The command line: `lfgpu depth`, `info`, `decode`, `scene`, `eval`, `demo` and `backends`.
+"""The command line: `lfgpu depth`, `info`, `decode`, `scene`, `eval`, `view`, `demo` and `backends`.
 
 Commands import what they need when they run, so that help and mistakes answer at once.
 """
@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from lfgpu.cli import backends, decode, demo, depth, evaluate, info, scene
+from lfgpu.cli import backends, decode, demo, depth, evaluate, info, scene, view
 from lfgpu.cli.failures import Group
 
 app = typer.Typer(
@@ -28,6 +28,7 @@ app.command("info")(info.info)
 app.command("decode")(decode.decode)
 app.command("scene")(scene.scene)
 app.command("eval")(evaluate.evaluate)
+app.command("view")(view.view)
 app.command("demo")(demo.demo)
 app.command("backends")(backends.backends)
 

@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
+    from lfgpu.comparison import Table as Compared
     from lfgpu.config import Config
     from lfgpu.metrics import Metrics, Sparsification
 
@@ -75,6 +76,23 @@ def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
             f"{m.rmse:.4f}",
             f"{m.undefined:.2f} %",
         )
+    console.print(Padding(table, (0, 0, 0, 2), expand=False))
+
+
+def comparison(console: Console, scored: Compared) -> None:
+    """Scenes and metrics from top to bottom, methods from left to right, the best of each row in bold."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
+    table.add_column("scene")
+    table.add_column("metric", no_wrap=True)
+    for method in scored.methods:
+        table.add_column(Text(method), justify="right")
+    before = None
+    for row in scored.rows:
+        if before not in (None, row.scene):
+            table.add_section()
+        cells = [Text(cell, style="bold" * (i == row.best)) for i, cell in enumerate(scored.cells(row))]
+        table.add_row(Text(row.scene if row.scene != before else ""), row.metric, *cells)
+        before = row.scene
     console.print(Padding(table, (0, 0, 0, 2), expand=False))
 
 

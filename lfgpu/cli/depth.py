@@ -96,6 +96,9 @@ def depth(
     every: Every = None,
     flip: Flip = "",
     allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept a grid that lost some views.")] = False,
+    report: Annotated[
+        bool, typer.Option("--report", help="Also write report.html: input, maps, scores, parameters on one page.")
+    ] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
 ) -> None:
     """Estimate the disparity of one view, or of all, and depth if the cameras are known.
@@ -105,7 +108,7 @@ def depth(
     """
     from lfgpu.cli import summary
     from lfgpu.cli.console import output
-    from lfgpu.cli.outputs import write_outputs, write_view_maps
+    from lfgpu.cli.outputs import write_outputs, write_page, write_view_maps
     from lfgpu.io import atomic_folder, check_writable, read
 
     check_writable(out)
@@ -136,6 +139,8 @@ def depth(
         files = write_outputs(folder, result)
         if views:
             files += write_view_maps(folder, views)
+        if report:
+            files.append(write_page(folder, lf, result))
     if quiet:
         return
     console = output()

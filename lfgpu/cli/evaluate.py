@@ -18,12 +18,26 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    result: Annotated[
-        Path, typer.Argument(metavar="RESULT", help="A map (.pfm, .npy, .npz, .tif) or a folder that depth wrote.")
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RESULT TRUTH | METHOD...",
+            help="A map (.pfm, .npy, .npz, .tif) or a folder that depth wrote, and the truth: a map, or a light field "
+            "folder that holds it. With --scene: folders of such results.",
+        ),
     ],
-    truth: Annotated[
-        Path, typer.Argument(metavar="TRUTH", help="A map, or a light field folder that holds the truth.")
-    ],
+    scenes: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--scene",
+            metavar="TRUTH",
+            help="Compare methods on this light field; may be repeated. A METHOD has its result in NAME/ or NAME.pfm.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="FOLDER", help="Where tables and error maps of a comparison go."),
+    ] = None,
     mask: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Image, not zero where it is scored.", show_default="that of TRUTH"),
@@ -32,8 +46,25 @@ def evaluate(
 ) -> None:
     """Score a disparity map with the metrics of the HCI 4D Light Field Benchmark; smaller is better throughout.
 
-    For what depth wrote, also the share of bad pixels among the most confident ones.
+    For what depth wrote, also the share of bad pixels among the most confident ones. Several methods on several scenes
+    give one table, and with -o files: table.md, table.tex, table.csv and errors.png.
     """
+    if scenes:
+        if mask is not None:
+            raise LightFieldError("--mask belongs to one scene; with --scene, the masks of the light fields are used.")
+        from lfgpu.cli.compare import compare
+
+        compare(paths, scenes, out, border)
+        return
+    if len(paths) != 2:
+        raise typer.BadParameter("give one RESULT and its TRUTH, or methods and --scene.")
+    if out is not None:
+        raise typer.BadParameter("--out is for comparisons: give the light fields with --scene.")
+    result, truth = paths
+    _score(result, truth, mask, border)
+
+
+def _score(result: Path, truth: Path, mask: Path | None, border: int | None) -> None:
     from lfgpu import metrics
     from lfgpu.cli.console import output, remark, scores, sparsification
     from lfgpu.cli.summary import scored_where

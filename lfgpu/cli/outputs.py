@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from lfgpu.all_views import ViewsResult
+    from lfgpu.lightfield import LightField
     from lfgpu.result import DepthResult
 
 RESULT_FILE = "result.npz"
 DISPARITY_FILE = "disparity.pfm"
 VIEWS_FILE = "disparities.npz"
+REPORT_FILE = "report.html"
 
 _MEANING = {
     DISPARITY_FILE: "float32 map, px per view step, larger is nearer",
@@ -42,3 +44,11 @@ def write_view_maps(folder: Path, result: ViewsResult) -> list[tuple[str, str]]:
 
     write_views(result, folder / VIEWS_FILE)
     return [(VIEWS_FILE, f"maps of all {len(result.disparities)} views, consistent with each other")]
+
+
+def write_page(folder: Path, lf: LightField, result: DepthResult) -> tuple[str, str]:
+    """Write the report into a folder that exists; what was written, as (file, meaning)."""
+    from lfgpu.cli.report import write_report
+
+    write_report(folder / REPORT_FILE, lf, result)
+    return REPORT_FILE, "all of it on one page, for any browser"

@@ -1,0 +1,31 @@
+"""A first depth map: a light field in, a picture and a number for each pixel out.
+
+    python examples/first_depth_map.py [FOLDER]
+
+FOLDER is a light field of yours; without it a scene of lfgpu is made, whose truth is known.
+"""
+
+import sys
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.pictures import disparity_figure, save_png
+
+
+def main(
+    folder: str | None = None, out: str = "disparity.png", size: tuple[int, int] = (192, 256)
+) -> lfgpu.DepthResult:
+    lf = lfgpu.read(folder) if folder else scenes.make("boxes", grid=(7, 7), size=size)
+    result = lfgpu.estimate_depth(lf)  # a GPU if there is one
+    print(f"{lf.name}: {result.disparity.min():.2f} to {result.disparity.max():.2f} px per view step, larger is nearer")
+    if result.depth is not None:
+        print(f"{result.depth.min():.2f} to {result.depth.max():.2f} m")
+    truth = lf.reference_truth()
+    if truth is not None:
+        print(lfgpu.evaluate(result.disparity, truth.disparity, mask=truth.mask))
+    save_png(disparity_figure(result.disparity, name=lf.name), out)
+    return result
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])

@@ -1,0 +1,119 @@
+"""`lfgpu eval --scene`: several methods on several scenes, as a table and as error maps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfgpu.errors import LightFieldError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from lfgpu.comparison import Scene, Table
+    from lfgpu.lightfield import LightField
+
+_IN_FOLDER = ("result.npz", "disparity.pfm")
+_SUFFIXES = (".pfm", ".npz", ".npy", ".tif", ".tiff")
+_FILES = {
+    "table.md": "scores, for a README",
+    "table.tex": "the same for LaTeX, with booktabs",
+    "table.csv": "the same for programs, all digits",
+    "errors.png": "error maps, a row for each scene and a column for each method",
+}
+
+
+def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: int | None) -> None:
+    """Score, show, and write if there is an `out`. LightFieldError if nothing fits together."""
+    from lfgpu.cli.console import comparison, output, remark
+    from lfgpu.cli.summary import show_outputs
+    from lfgpu.comparison import table
+    from lfgpu.io import check_writable
+    from lfgpu.metrics import BORDER
+
+    if out is not None:
+        check_writable(out)
+    names = [method.resolve().name for method in methods]
+    if len(set(names)) < len(names):
+        raise LightFieldError("two methods have the same name; columns are called as their folders are: rename one.")
+    for method in methods:
+        if not method.exists():
+            raise LightFieldError(f"{method} does not exist; give folders that hold a result of each scene.")
+    left_out = BORDER if border is None else border
+    found = [_scene(scene, methods, left_out, alone=len(scenes) == 1) for scene in scenes]
+    if len({scene.name for scene in found}) < len(found):
+        raise LightFieldError("two scenes have the same name; rows are called as their folders are: rename one.")
+    scored = table(found)
+    console = output()
+    comparison(console, scored)
+    remark(console, f"Smaller is better; a border of {left_out} left out. BadPix in percent, undefined pixels are bad.")
+    if out is not None:
+        _write(out, found, scored)
+        show_outputs(console, out, list(_FILES.items()))
+
+
+def _write(out: Path, scenes: list[Scene], scored: Table) -> None:
+    from lfgpu.io import atomic_folder
+    from lfgpu.pictures import comparison_figure, save_png
+
+    with atomic_folder(out) as folder:
+        for name, text in (
+            ("table.md", scored.markdown()),
+            ("table.tex", scored.latex()),
+            ("table.csv", scored.csv()),
+        ):
+            (folder / name).write_text(text, encoding="utf-8")
+        save_png(comparison_figure(scenes), folder / "errors.png")
+
+
+def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scene:
+    import numpy as np
+
+    from lfgpu.comparison import Scene
+    from lfgpu.io import read
+
+    lf = read(path, allow_missing=True)
+    if lf.truth is None:
+        raise LightFieldError(f"{path} holds no ground truth; it cannot be scored.")
+    truth = lf.truth.disparity
+    if lf.truth.mask is not None:
+        truth = np.where(lf.truth.mask, truth, np.float32(np.nan))
+    name = path.resolve().name
+    maps = {}
+    for method in methods:
+        file = _result(method, name, alone=alone)
+        if file is not None:
+            maps[method.resolve().name] = _map(file, lf)
+    if not maps:
+        raise LightFieldError(
+            f"no method has a result of {name}; they are looked for as METHOD/{name}/result.npz, METHOD/{name}.pfm, or "
+            "in METHOD itself if there is one scene only."
+        )
+    u, v = lf.truth.position
+    return Scene(name, lf.image(lf.index_of(v, u)), truth, maps, border)
+
+
+def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
+    """The file of a method's result on a scene; None if it has none."""
+    candidates = [method / scene / name for name in _IN_FOLDER]
+    candidates += [method / f"{scene}{suffix}" for suffix in _SUFFIXES]
+    if alone:  # of several scenes it would be scored on each of them
+        candidates += [method / name for name in _IN_FOLDER]
+    return next((file for file in candidates if file.is_file()), None)
+
+
+def _map(file: Path, lf: LightField) -> NDArray[np.float32]:
+    from lfgpu.cli.facts import place
+    from lfgpu.io import holds_result, read_map, read_result
+
+    if not holds_result(file):
+        return read_map(file)
+    result = read_result(file)
+    assert lf.truth is not None  # the caller looked
+    if result.position != lf.truth.position:
+        raise LightFieldError(
+            f"{file} is of the view at {place(*result.position)}, the truth of {lf.name} of the one at "
+            f"{place(*lf.truth.position)}; they cannot be compared."
+        )
+    return result.disparity

@@ -1,0 +1,156 @@
+"""Several methods on several scenes, scored: the tables of light field papers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.metrics import BORDER, Metrics, evaluate
+
+COLUMNS = {
+    "MSE x100": "mse_100",
+    "BadPix 0.07": "badpix_07",
+    "BadPix 0.03": "badpix_03",
+    "BadPix 0.01": "badpix_01",
+    "Q25 x100": "q25",
+}
+"""The metrics of a table, by name: attributes of `lfgpu.metrics.Metrics`; smaller is better throughout."""
+
+_AVERAGE = "average"
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One scene, and what several methods made of it."""
+
+    name: str
+    view: NDArray[np.float32]
+    """float32 [y, x, c] in [0, 1], the view that the truth is of."""
+    truth: NDArray[np.float32]
+    """[y, x], pixels per view step; NaN where it is not known or not scored."""
+    maps: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+    """The maps by method, [y, x]."""
+    border: int = BORDER
+
+    def scores(self) -> dict[str, Metrics]:
+        """Those of each method. LightFieldError, with the scene's and the method's name, where a map does not fit."""
+        found = {}
+        for method, values in self.maps.items():
+            try:
+                found[method] = evaluate(values, self.truth, border=self.border)
+            except LightFieldError as error:
+                raise LightFieldError(f"{method} on {self.name}: {error}") from error
+        return found
+
+
+@dataclass(frozen=True)
+class Row:
+    """One metric on one scene: a value for each method, NaN where it has no map."""
+
+    scene: str
+    metric: str
+    values: tuple[float, ...]
+
+    @property
+    def best(self) -> int | None:
+        """Index of the smallest value; None if there is none."""
+        return int(np.nanargmin(self.values)) if not all(map(math.isnan, self.values)) else None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Scenes and metrics from top to bottom, methods from left to right; the averages last."""
+
+    methods: tuple[str, ...]
+    rows: tuple[Row, ...]
+
+    def cells(self, row: Row) -> list[str]:
+        """The values of a row as text, rounded alike."""
+        digits = 3 if row.metric.endswith("x100") else 2
+        return ["-" if math.isnan(value) else f"{value:.{digits}f}" for value in row.values]
+
+    def markdown(self) -> str:
+        """For a README: the best of each row in bold."""
+        head = ["scene", "metric", *self.methods]
+        lines = [_piped(head), "|---|---|" + "---:|" * len(self.methods)]
+        for row in self.rows:
+            cells = [f"**{cell}**" if i == row.best else cell for i, cell in enumerate(self.cells(row))]
+            lines.append(_piped([row.scene, row.metric, *cells]))
+        return "\n".join(lines) + "\n"
+
+    def latex(self) -> str:
+        """For a paper: a tabular of the package booktabs, the best of each row in bold."""
+        lines = [
+            f"\\begin{{tabular}}{{ll{'r' * len(self.methods)}}}",
+            "\\toprule",
+            " & ".join(["scene", "metric", *map(_escaped, self.methods)]) + r" \\",
+        ]
+        before = None
+        for row in self.rows:
+            if row.scene != before:
+                lines.append("\\midrule")
+            cells = [f"\\textbf{{{cell}}}" if i == row.best else cell for i, cell in enumerate(self.cells(row))]
+            name = _escaped(row.scene) if row.scene != before else ""
+            lines.append(" & ".join([name, row.metric.replace("x100", r"$\times$100"), *cells]) + r" \\")
+            before = row.scene
+        return "\n".join([*lines, "\\bottomrule", "\\end{tabular}"]) + "\n"
+
+    def csv(self) -> str:
+        """For programs: all digits."""
+        lines = [",".join(["scene", "metric", *map(_quoted, self.methods)])]
+        for row in self.rows:
+            values = ["" if math.isnan(value) else repr(value) for value in row.values]
+            lines.append(",".join([_quoted(row.scene), row.metric, *values]))
+        return "\n".join(lines) + "\n"
+
+
+def table(scenes: Sequence[Scene]) -> Table:
+    """The scores of all methods on all scenes; averages are over the scenes that every method has a map of.
+
+    Raises
+    ------
+    LightFieldError
+        If there is no scene, or a map does not fit its truth.
+    """
+    if not scenes:
+        raise LightFieldError("there is nothing to compare: give at least one scene.")
+    methods = tuple(dict.fromkeys(method for scene in scenes for method in scene.maps))
+    scores = {scene.name: scene.scores() for scene in scenes}
+    rows = [
+        Row(scene, metric, tuple(_score(of, method, attribute) for method in methods))
+        for scene, of in scores.items()
+        for metric, attribute in COLUMNS.items()
+    ]
+    common = [of for of in scores.values() if len(of) == len(methods)]
+    if len(common) > 1:
+        for metric, attribute in COLUMNS.items():
+            means = tuple(float(np.mean([_score(of, method, attribute) for of in common])) for method in methods)
+            rows.append(Row(f"{_AVERAGE} of {len(common)}", metric, means))
+    return Table(methods, tuple(rows))
+
+
+def error_map(values: ArrayLike, truth: ArrayLike) -> NDArray[np.float32]:
+    """Disparity minus truth, [y, x], pixels per view step; NaN where either is undefined."""
+    found = np.asarray(values, np.float32) - np.asarray(truth, np.float32)
+    return np.where(np.isfinite(found), found, np.float32(np.nan))
+
+
+def _score(scores: dict[str, Metrics], method: str, attribute: str) -> float:
+    return float(getattr(scores[method], attribute)) if method in scores else float("nan")
+
+
+def _piped(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+
+
+def _escaped(text: str) -> str:
+    return "".join(f"\\{c}" if c in "_&%#$" else c for c in text)
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text

@@ -1,0 +1,162 @@
+"""What there is to look at: a light field, maps of it, and what they can be compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+from lfgpu.io import holds_result, read, read_map, read_result
+from lfgpu.lightfield import LightField
+from lfgpu.pictures import error_reach, scale_limits
+from lfgpu.result import DepthResult
+
+TRUTH = "ground truth"
+FINAL = "final"
+
+_FILES = ("result.npz", "disparity.pfm")  # of a folder that `lfgpu depth` wrote, the better one first
+_MAPS = (".pfm", ".npy", ".npz", ".tif", ".tiff")
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One disparity map of the reference view, and what is known about it."""
+
+    disparity: NDArray[np.float32]
+    confidence: NDArray[np.float32] | None = None
+    result: DepthResult | None = None
+
+    def stage(self, name: str) -> NDArray[np.float32]:
+        """The map after a stage; `FINAL`, and a stage that there is not, is the map itself."""
+        return self.disparity if self.result is None else self.result.stages.get(name, self.disparity)
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """A light field and maps by name, in the order in which they came; never changed, only replaced."""
+
+    lf: LightField | None = None
+    entries: dict[str, Entry] = field(default_factory=dict)
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """(height, width) of the maps, None if there is nothing."""
+        if self.lf is not None:
+            return self.lf.size
+        for entry in self.entries.values():
+            return entry.disparity.shape[0], entry.disparity.shape[1]
+        return None
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """What turns disparity into metres."""
+        if self.lf is not None:
+            return self.lf.geometry
+        known = (entry.result.geometry for entry in self.entries.values() if entry.result is not None)
+        return next(known, None)
+
+    @property
+    def truth(self) -> NDArray[np.float32] | None:
+        """The true disparity of the reference view, NaN where it is not scored."""
+        truth = None if self.lf is None else self.lf.reference_truth()
+        if truth is None or truth.mask is None:
+            return None if truth is None else truth.disparity
+        return np.where(truth.mask, truth.disparity, np.float32(np.nan))
+
+    def all_entries(self) -> dict[str, Entry]:
+        """The maps, and the truth as one of them."""
+        truth = None if self.lf is None else self.lf.reference_truth()
+        return self.entries if truth is None else {**self.entries, TRUTH: Entry(truth.disparity)}
+
+    def with_entry(self, name: str, entry: Entry) -> Contents:
+        """One map more, or another one of that name; LightFieldError if it is of another size than the views."""
+        if self.size not in (None, entry.disparity.shape):
+            assert self.size is not None
+            raise LightFieldError(
+                f"{name} is a map of {entry.disparity.shape[1]} x {entry.disparity.shape[0]} pixels, what is shown has "
+                f"{self.size[1]} x {self.size[0]}; open the light field that it belongs to."
+            )
+        return replace(self, entries={**self.entries, name: entry})
+
+    def map(self, name: str, kind: str, stage: str = FINAL) -> NDArray[np.float32] | None:
+        """A map of one of the `frames.LOOKS`; None where there is no such thing."""
+        entry = self.all_entries().get(name)
+        if entry is None:
+            return None
+        disparity = entry.stage(stage)
+        match kind:
+            case "confidence":
+                return entry.confidence
+            case "depth":
+                return None if self.geometry is None else self.geometry.depth(disparity).astype(np.float32)
+            case "error":
+                return None if self.truth is None else disparity - self.truth
+        return disparity
+
+    def limits(self, kind: str) -> tuple[float, float]:
+        """The scale of all maps of a kind: the same for all that may be compared."""
+        if kind == "confidence":
+            return 0.0, 1.0
+        if kind == "error":
+            errors = [error for name in self.entries if (error := self.map(name, kind)) is not None]
+            reach = max((error_reach(error) for error in errors), default=0.07)
+            return -reach, reach
+        known = self.truth if self.truth is not None and kind == "disparity" else None
+        maps = [known] if known is not None else [self.map(name, kind) for name in self.all_entries()]
+        spans = [scale_limits(values) for values in maps if values is not None]
+        return min((low for low, _ in spans), default=0.0), max((high for _, high in spans), default=1.0)
+
+    def free_name(self, wanted: str) -> str:
+        """`wanted`, or with a number if there is a map of that name."""
+        names, number = set(self.all_entries()), 2
+        if wanted not in names:
+            return wanted
+        while f"{wanted} {number}" in names:
+            number += 1
+        return f"{wanted} {number}"
+
+
+def opened(path: Path, into: Contents) -> Contents:
+    """What a path holds, added to what is there: a light field replaces all, a map of it joins the others.
+
+    Raises
+    ------
+    LightFieldError
+        If the path is missing, is neither a light field nor a map, or is a map of another size.
+    """
+    file = next((path / name for name in _FILES if (path / name).is_file()), None) if path.is_dir() else path
+    if file is None:
+        return Contents(read(path, allow_missing=True))
+    if not file.exists():
+        raise LightFieldError(f"{path} does not exist; give a light field, or what lfgpu depth wrote.")
+    if file.suffix.lower() not in _MAPS and not path.is_dir():
+        return Contents(read(path, allow_missing=True))
+    named = path.name if path.is_dir() else path.stem
+    if holds_result(file):
+        result = read_result(file)
+        here = into
+        if here.lf is not None and tuple(here.lf.positions[here.lf.reference_index]) != result.position:
+            row, column = result.position[1], result.position[0]
+            here = replace(here, lf=here.lf.with_reference(here.lf.index_of(row, column)))
+        return here.with_entry(into.free_name(named), Entry(result.disparity, result.confidence, result))
+    return into.with_entry(into.free_name(named), Entry(read_map(file)))
+
+
+def opened_all(paths: Sequence[Path]) -> Contents:
+    """What several paths hold together, in any order: at most one light field, and maps of it."""
+    contents = Contents()
+    for path in sorted(paths, key=_is_map):  # False first: the light field is what maps are fitted to
+        before = contents.lf
+        contents = opened(path, contents)
+        if before is not None and contents.lf is not None and contents.lf.views is not before.views:
+            raise LightFieldError(f"{path} is a second light field; only one can be looked at, with maps of it.")
+    return contents
+
+
+def _is_map(path: Path) -> bool:
+    return any((path / name).is_file() for name in _FILES) or path.suffix.lower() in _MAPS

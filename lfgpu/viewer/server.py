@@ -1,0 +1,263 @@
+"""The viewer: a page on this machine that shows a light field and maps of it, also while they change."""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from lfgpu.errors import LfgpuError, LightFieldError
+from lfgpu.lightfield import LightField
+from lfgpu.result import DepthResult
+from lfgpu.viewer.contents import Contents, Entry, opened, opened_all
+from lfgpu.viewer.solving import Progress, Request, Solver
+
+HOST = "127.0.0.1"
+"""Nothing but this machine reaches the page."""
+
+LIVE = "live"
+"""What the map of `Viewer.update` is called on the page."""
+
+_OWN_PAGES = re.compile(r"http://(127\.0\.0\.1|localhost)(:\d+)?")
+_BRAND = (28, 126, 214)
+
+
+class Viewer:
+    """A page in the browser, on this machine only, that shows a light field and disparity maps of it.
+
+        viewer = lfgpu.Viewer(lf, result)
+        viewer.url                              # http://127.0.0.1:8080
+        viewer.update(disparity, confidence)    # from any thread, as often as there is a new one
+        viewer.close()
+
+    Every tab of the browser has its own sliders; all show the same light field and maps. A tab draws what is asked for
+    last and skips what came before, so neither many frames nor a slow browser hold up who calls `update`.
+
+    Parameters
+    ----------
+    lf, result
+        What to show first; None for nothing yet.
+    port
+        Of 127.0.0.1; the next free one if it is taken. 0 takes any. Default 8080.
+
+    Raises
+    ------
+    LightFieldError
+        If viser is not installed, or the result is not of the light field's size.
+    """
+
+    def __init__(self, lf: LightField | None = None, result: DepthResult | None = None, *, port: int = 8080) -> None:
+        try:
+            import viser
+        except ImportError:
+            raise LightFieldError("the viewer needs viser; install it with: pip install 'lfgpu[viewer]'.") from None
+        from lfgpu.viewer.session import Session
+
+        self._lock = threading.RLock()
+        self._contents = Contents()
+        self._sessions: dict[int, Session] = {}
+        self._closed = threading.Event()
+        self.solver = Solver(self._on_progress, self._on_result)
+        """What estimates for the page."""
+        with _own_pages_only(), _silent():
+            self._server = viser.ViserServer(host=HOST, port=port, verbose=False)
+        self._server.request_share_url = _refuse_to_share  # type: ignore[method-assign]  # pages can ask for it
+        self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=_BRAND)
+        self._server.gui.set_panel_label("lfgpu")
+        self._server.scene.set_up_direction("-y")
+        if lf is not None:
+            self.show(lf, result)
+        elif result is not None:
+            self.add(result)
+        self._server.on_client_connect(self._connect)
+        self._server.on_client_disconnect(self._disconnect)
+
+    @classmethod
+    def of(cls, paths: Sequence[str | os.PathLike[str]], *, port: int = 8080) -> Viewer:
+        """A viewer of what paths hold: at most one light field, and maps of it (files, or folders that depth wrote).
+
+        LightFieldError if one of them is missing or is no such thing, or they do not belong together.
+        """
+        contents = opened_all([Path(path) for path in paths])
+        viewer = cls(port=port)
+        viewer.replace(contents)
+        return viewer
+
+    @property
+    def url(self) -> str:
+        """Where the page is."""
+        return f"http://{HOST}:{self._server.get_port()}"
+
+    @property
+    def contents(self) -> Contents:
+        """What is shown now."""
+        return self._contents
+
+    def show(self, lf: LightField, result: DepthResult | None = None, *, name: str | None = None) -> None:
+        """Show another light field, and a result of it, instead of all that is shown; from any thread."""
+        contents = Contents(lf)
+        if result is not None:
+            contents = contents.with_entry(name or "result", Entry(result.disparity, result.confidence, result))
+        self.replace(contents)
+
+    def add(self, result: DepthResult, *, name: str | None = None) -> str:
+        """Show one more result of the light field, to be compared; from any thread. What it is called on the page."""
+        with self._lock:
+            free = self._contents.free_name(name or "result")
+            self.replace(
+                self._contents.with_entry(free, Entry(result.disparity, result.confidence, result)), newest=free
+            )
+        return free
+
+    def open(self, path: str | os.PathLike[str]) -> None:
+        """Show what a path holds: a light field instead of all, a map beside the others. LightFieldError if neither."""
+        contents = opened(Path(path), self._contents)
+        added = [name for name in contents.entries if name not in self._contents.entries]
+        self.replace(contents, newest=added[-1] if added else None)
+
+    def update(
+        self, disparity: ArrayLike, confidence: ArrayLike | None = None, *, views: ArrayLike | None = None
+    ) -> None:
+        """Show the newest frame of a stream; from any thread, and returns at once.
+
+        Parameters
+        ----------
+        disparity
+            [y, x], pixels per view step; copied, so that its buffer may be written to again.
+        confidence
+            [y, x], 0 to 1; None if there is none.
+        views
+            The views that it belongs to, as those of the light field that is shown; None leaves these.
+
+        Raises
+        ------
+        LightFieldError
+            If sizes are not those of what is shown.
+        """
+        entry = Entry(np.array(disparity, np.float32), None if confidence is None else np.array(confidence, np.float32))
+        if entry.disparity.ndim != 2:
+            raise LightFieldError(f"disparity must be [y, x], found shape {entry.disparity.shape}.")
+        if entry.confidence is not None and entry.confidence.shape != entry.disparity.shape:
+            raise LightFieldError(
+                f"confidence must be {entry.disparity.shape} as the disparity, found {entry.confidence.shape}."
+            )
+        with self._lock:
+            contents = self._contents
+            is_new = LIVE not in contents.entries
+            if views is not None and contents.lf is not None:
+                frame = np.array(views)
+                if frame.shape != contents.lf.views.shape or frame.dtype != contents.lf.views.dtype:
+                    raise LightFieldError(
+                        f"views must be {contents.lf.views.dtype} {contents.lf.views.shape} as those that are shown, "
+                        f"found {frame.dtype} {frame.shape}."
+                    )
+                contents = replace(contents, lf=replace(contents.lf, views=frame))
+            self._contents = contents.with_entry(LIVE, entry)
+        for session in self._all_sessions():
+            session.new_contents(LIVE if is_new else None, live=True, views=views is not None)
+
+    def replace(self, contents: Contents, *, newest: str | None = None) -> None:
+        """Show these contents; every tab goes to the map called `newest`."""
+        with self._lock:
+            other = contents.lf is not self._contents.lf or contents.size != self._contents.size
+            self._contents = contents
+        for session in self._all_sessions():
+            if other:
+                session.rebuild()
+            else:
+                session.new_contents(newest)
+
+    def close(self) -> None:
+        """Stop estimating, tell all tabs and free the port."""
+        if self._closed.is_set():
+            return
+        self._closed.set()
+        self.solver.close()
+        for session in self._all_sessions():
+            session.close()
+        with _silent():
+            self._server.stop()
+
+    def wait(self) -> None:
+        """Until `close` is called from elsewhere."""
+        while not self._closed.wait(0.5):  # so that Ctrl-C is heard everywhere
+            pass
+
+    def __enter__(self) -> Viewer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # --- what happens on the page ---
+
+    def _connect(self, client: Any) -> None:
+        from lfgpu.viewer.session import Session
+
+        session = Session(self, client)
+        with self._lock:
+            self._sessions[client.client_id] = session
+        session.start()
+
+    def _disconnect(self, client: Any) -> None:
+        with self._lock:
+            session = self._sessions.pop(client.client_id, None)
+        if session is not None:
+            session.close()
+
+    def _all_sessions(self) -> list[Any]:
+        with self._lock:
+            return list(self._sessions.values())
+
+    def _on_progress(self, progress: Progress) -> None:
+        for session in self._all_sessions():
+            session.show_progress(progress)
+
+    def _on_result(self, request: Request, result: DepthResult) -> None:
+        with self._lock:
+            lf = self._contents.lf
+        if lf is not None and lf.size == result.disparity.shape:  # another light field may have been opened meanwhile
+            try:
+                self.add(result, name=request.name)
+            except LfgpuError:
+                return
+
+
+def _refuse_to_share(*_: object, **__: object) -> None:
+    """viser would open a tunnel through a server of its makers, for all who know the address."""
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """viser tells the terminal what nobody asked."""
+    import rich
+
+    console = rich.get_console()
+    before, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = before
+
+
+@contextmanager
+def _own_pages_only() -> Iterator[None]:
+    """Servers that start meanwhile refuse connections from pages of other sites, which any browser would allow."""
+    import functools
+
+    import websockets.asyncio.server as place
+
+    serve = place.serve
+    place.serve = functools.partial(serve, origins=[_OWN_PAGES, None])  # type: ignore[misc,assignment]
+    try:
+        yield
+    finally:
+        place.serve = serve  # type: ignore[misc]

@@ -1,0 +1,122 @@
+"""Estimating while the page goes on: one at a time, with its progress, and an end when it is no longer wanted."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+
+from lfgpu.config import Config
+from lfgpu.depth import estimate_depth
+from lfgpu.errors import LfgpuError
+from lfgpu.lightfield import LightField
+from lfgpu.result import DepthResult
+
+_STAGES = {
+    "synthesis": {"local": "local estimate", "propagate": "propagation", "refine": "refinement"},
+    "matching": {"sweep": "plane sweep", "match": "matching", "align": "alignment"},
+}
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to estimate, and how."""
+
+    lf: LightField
+    config: Config
+    disparity_range: tuple[float, float] | None = None
+    name: str = "result"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far it is."""
+
+    text: str = ""
+    share: float = 0.0
+    busy: bool = False
+
+
+class _Stopped(Exception):  # noqa: N818 - nothing went wrong
+    """Raised inside the solver when nobody wants its answer any more."""
+
+
+class Solver:
+    """Runs one request at a time in a thread of its own.
+
+    Parameters
+    ----------
+    on_progress
+        Called with each `Progress`, from that thread.
+    on_result
+        Called with the request and its result, from that thread.
+    """
+
+    def __init__(
+        self, on_progress: Callable[[Progress], None], on_result: Callable[[Request, DepthResult], None]
+    ) -> None:
+        self._on_progress, self._on_result = on_progress, on_result
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.progress = Progress()
+
+    def start(self, request: Request) -> bool:
+        """Begin, unless another one is being worked on; whether it began."""
+        with self._lock:
+            if self.progress.busy:
+                return False
+            self._stop.clear()
+            self._say("starting; the first time, kernels are compiled", 0.0)
+            self._thread = threading.Thread(target=self._work, args=(request,), name="lfgpu-solver", daemon=True)
+            self._thread.start()
+            return True
+
+    def stop(self) -> None:
+        """End as soon as the present step is done."""
+        self._stop.set()
+
+    def close(self, timeout: float = 10.0) -> None:
+        """Stop and wait."""
+        self.stop()
+        if self._thread is not None:
+            self._thread.join(timeout)
+
+    def _work(self, request: Request) -> None:
+        start = perf_counter()
+        config = request.config
+        names = _STAGES[config.method.name]
+        order = list(names)
+        limits = {
+            "propagate": config.propagation.max_iterations,
+            "refine": config.refinement.max_iterations,
+            "align": config.alignment.iterations,
+        }
+
+        def show(stage: str, iteration: int, _value: float) -> None:
+            if self._stop.is_set():
+                raise _Stopped
+            within = iteration / limits[stage] if limits.get(stage) else 0.0
+            place = order.index(stage) if stage in order else 0
+            text = f"{names.get(stage, stage)}{f', iteration {iteration}' if iteration else ''}"
+            self._say(f"{text}, {perf_counter() - start:.1f} s", 100 * min(1.0, (place + within) / len(order)))
+
+        try:
+            result = estimate_depth(
+                request.lf, config=config, disparity_range=request.disparity_range, on_progress=show
+            )
+        except _Stopped:
+            self._say("stopped", 0.0, busy=False)
+        except (LfgpuError, MemoryError) as error:
+            self._say(f"**{' '.join(str(error).split()) or 'the memory does not suffice.'}**", 0.0, busy=False)
+        except Exception as error:
+            self._say(f"**this failed, which is a bug: {type(error).__name__}: {error}**", 0.0, busy=False)
+            raise
+        else:
+            self._on_result(request, result)
+            self._say(f"{request.name}: done in {perf_counter() - start:.1f} s", 100.0, busy=False)
+
+    def _say(self, text: str, share: float, *, busy: bool = True) -> None:
+        self.progress = Progress(text, share, busy)
+        self._on_progress(self.progress)

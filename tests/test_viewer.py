@@ -1,0 +1,301 @@
+"""What the viewer shows, without a browser: refocused pictures, points in space, contents, frames of pixels."""
+
+from __future__ import annotations
+
+import re
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from lfgpu import frames, scenes
+from lfgpu.cli import app
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+from lfgpu.io import write_hci, write_pfm
+from lfgpu.lightfield import LightField
+from lfgpu.viewer.contents import TRUTH, Contents, Entry, opened, opened_all
+from lfgpu.viewer.refocus import all_in_focus, refocus
+
+SIZE = (24, 32)
+
+
+def wall(disparity: float, *, valid: bool = False) -> LightField:
+    """A plane of one disparity, drawn by hand: each view is the same texture, shifted."""
+    y, x = np.mgrid[0 : SIZE[0], 0 : SIZE[1]].astype(np.float64)
+    views = np.empty((3, 3, *SIZE, 1), np.float32)
+    for v in range(3):
+        for u in range(3):
+            px, py = x + disparity * (u - 1), y + disparity * (v - 1)
+            views[v, u, ..., 0] = 0.5 + 0.2 * np.sin(0.7 * px) + 0.2 * np.cos(0.9 * py)
+    mask = np.ones((9, *SIZE), np.bool_)
+    if valid:
+        views[0, 0], mask[0] = 0, False
+    return LightField.from_grid(views, valid=mask if valid else None)
+
+
+@pytest.mark.parametrize("disparity", [1.0, -2.0, 0.0])
+@pytest.mark.parametrize("valid", [False, True])
+def test_what_is_in_focus_looks_as_in_the_reference(disparity: float, valid: bool) -> None:
+    lf = wall(disparity, valid=valid)
+    sharp, blurred = refocus(lf, disparity), refocus(lf, disparity + 2)
+    reference = lf.image(lf.reference_index)
+    np.testing.assert_allclose(sharp, reference, atol=1e-5)
+    assert np.abs(blurred - reference).mean() > 0.05
+
+
+def test_focus_between_pixels_is_nearly_as_good() -> None:
+    lf = wall(0.5)
+    error = refocus(lf, 0.5) - lf.image(lf.reference_index)
+    assert np.abs(error[2:-2, 2:-2]).max() < 0.05
+
+
+@pytest.mark.parametrize("step", [2, 3])
+@pytest.mark.parametrize("disparity", [-1.5, 0.0, 2.25])
+def test_a_preview_is_every_few_pixels_of_the_whole(step: int, disparity: float) -> None:
+    lf = wall(1.0)
+    np.testing.assert_allclose(refocus(lf, disparity, step=step), refocus(lf, disparity)[::step, ::step], atol=1e-6)
+
+
+def test_everywhere_in_focus_takes_noise_away_and_lets_no_occluder_through() -> None:
+    clean = scenes.make("planes", grid=(5, 5), size=(48, 64))
+    noisy = scenes.make("planes", grid=(5, 5), size=(48, 64), noise=0.02)
+    assert clean.truth is not None
+    truth, found = clean.image(clean.reference_index), all_in_focus(noisy, clean.truth.disparity)
+    before = np.sqrt(np.mean((noisy.image(noisy.reference_index) - truth) ** 2))
+    assert np.sqrt(np.mean((found - truth) ** 2)) < 0.7 * before
+
+
+def test_points_stand_where_the_geometry_says() -> None:
+    pytest.importorskip("viser")
+    from lfgpu.viewer.cloud import nearest_to_ray, point_cloud
+
+    geometry = Geometry(focal_length_px=50.0, baseline_m=0.1, focus_distance_m=2.0)
+    disparity = np.zeros(SIZE, np.float32)
+    disparity[4, 7] = 5 * 0.5 - 5 / 2.0 + 5.0 / 1.0 - 5.0 / 2.0  # depth 1 m
+    disparity[0, 0] = np.nan
+    colours = np.zeros((*SIZE, 3), np.uint8)
+    colours[4, 7] = 255
+    cloud = point_cloud(disparity, colours, geometry)
+    assert cloud.metric
+    assert len(cloud.points) == SIZE[0] * SIZE[1] - 1
+    (index,) = np.flatnonzero(cloud.colours[:, 0])
+    np.testing.assert_allclose(cloud.points[index], [(7 - 15.5) / 50, (4 - 11.5) / 50, 1.0], rtol=1e-5)
+    assert nearest_to_ray(cloud, (0, 0, 0), cloud.points[index]) == (7, 4)
+    assert nearest_to_ray(cloud, (0, 0, 0), (0, 0, -1)) is None
+
+
+def test_points_without_a_geometry_keep_the_order_of_disparities() -> None:
+    from lfgpu.viewer.cloud import point_cloud
+
+    disparity = np.linspace(-1, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
+    cloud = point_cloud(disparity, np.zeros((*SIZE, 3), np.uint8), None, confidence=np.ones(SIZE), least_confidence=0.5)
+    assert not cloud.metric
+    assert (np.diff(cloud.points[:, 2]) <= 0).all()  # larger is nearer
+    few = point_cloud(disparity, np.zeros((*SIZE, 3), np.uint8), None, most_points=100)
+    assert 0 < len(few.points) <= 100
+    none = point_cloud(disparity, np.zeros((*SIZE, 3), np.uint8), None, confidence=np.zeros(SIZE), least_confidence=0.5)
+    assert none.points.shape == (0, 3)
+
+
+# --- pictures ---
+
+
+def test_the_line_follows_the_slope_of_the_epi() -> None:
+    """The line goes through pixels of one colour: those that show the same point in all views."""
+    lf = wall(2.0)
+    wide = SIZE[1] * 10
+    plain = frames.epi_of_row(lf, 16, 12, None, wide=wide)
+    drawn = frames.epi_of_row(lf, 16, 12, 2.0, wide=wide)
+    on_line = (drawn == frames.SLOPE).all(axis=2)
+    along = plain[on_line].astype(float)
+    wrong = (frames.epi_of_row(lf, 16, 12, -2.0, wide=wide) == frames.SLOPE).all(axis=2)
+    assert along.std() < 0.3 * plain[wrong].astype(float).std()
+
+
+def test_views_of_every_kind_have_a_picture() -> None:
+    for lf in (wall(1.0), wall(1.0).subset("row"), wall(1.0).subset("column"), wall(1.0).subset([0, 4])):
+        picture = frames.view_with_epis(lf, 0, 3, 3, 1.0)
+        assert picture.dtype == np.uint8
+        assert picture.shape[2] == 3
+
+
+def test_large_views_are_drawn_smaller() -> None:
+    lf = LightField(np.zeros((2, 960, 1280, 3), np.uint8), [[0, 0], [1, 0]])
+    picture = frames.view_with_epis(lf, 0, 3, 3, 1.0)
+    assert picture.shape[0] <= 620
+    assert picture.shape[1] <= 960
+
+
+@pytest.mark.parametrize("kind", list(frames.LOOKS))
+def test_undefined_pixels_are_grey_in_every_map(kind: str) -> None:
+    values = np.linspace(-1, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
+    values[3, 4] = np.nan
+    colours = frames.colour(values, frames.LOOKS[kind].colours, (-1, 1))
+    assert len(set(colours[3, 4].tolist())) == 1
+    assert (colours[3, 4] == colours.reshape(-1, 3)).all(axis=1).sum() == 1
+
+
+def test_the_wipe_shows_one_map_at_each_side_on_one_scale() -> None:
+    one, other = np.full(SIZE, -1, np.float32), np.full(SIZE, 1, np.float32)
+    picture = frames.map_picture(
+        frames.Shown(one, "one"), "disparity", (-1, 1), second=frames.Shown(other, "other"), wipe=0.25
+    )
+    low, high = (frames.colour(np.array([[value]], np.float32), "viridis", (-1, 1))[0, 0] for value in (-1, 1))
+    is_low, is_high = ((picture == shade).all(axis=2).any(axis=0) for shade in (low, high))
+    shown = np.flatnonzero(is_low | is_high)
+    assert is_low[shown[5]]
+    assert np.flatnonzero(is_low[: picture.shape[1] // 2]).max() < np.flatnonzero(is_high).max()
+    assert is_high.sum() > 2 * is_low.sum()
+
+
+# --- contents ---
+
+
+def test_compared_maps_have_one_scale() -> None:
+    contents = Contents(None, {"a": Entry(np.full(SIZE, -3, np.float32)), "b": Entry(np.full(SIZE, 2, np.float32))})
+    low, high = contents.limits("disparity")
+    assert low <= -3
+    assert high >= 2
+    assert contents.free_name("a") == "a 2"
+    assert contents.free_name("c") == "c"
+
+
+def test_paths_are_taken_in_any_order(tmp_path: Path) -> None:
+    lf = scenes.make("relief", grid=(3, 3), size=SIZE)
+    assert lf.truth is not None
+    write_hci(lf, tmp_path / "lf")
+    write_pfm(tmp_path / "map.pfm", lf.truth.disparity + 0.1)
+    contents = opened_all([tmp_path / "map.pfm", tmp_path / "lf"])
+    assert list(contents.all_entries()) == ["map", TRUTH]
+    error = contents.map("map", "error")
+    assert error is not None
+    np.testing.assert_allclose(error, 0.1, atol=1e-5)
+    alone = opened_all([tmp_path / "map.pfm"])
+    assert alone.size == SIZE
+    assert alone.map("map", "error") is None
+
+
+def test_what_does_not_belong_is_refused(tmp_path: Path) -> None:
+    lf = scenes.make("relief", grid=(3, 3), size=SIZE)
+    write_hci(lf, tmp_path / "lf")
+    write_pfm(tmp_path / "small.pfm", np.zeros((5, 6)))
+    with pytest.raises(LightFieldError, match="6 x 5 pixels, what is shown has 32 x 24"):
+        opened_all([tmp_path / "lf", tmp_path / "small.pfm"])
+    with pytest.raises(LightFieldError, match="second light field"):
+        opened_all([tmp_path / "lf", tmp_path / "lf"])
+    with pytest.raises(LightFieldError, match=r"nowhere\.pfm does not exist"):
+        opened(tmp_path / "nowhere.pfm", Contents())
+    with pytest.raises(LightFieldError, match="does not exist"):
+        opened(tmp_path / "nowhere", Contents())
+
+
+# --- the viewer itself ---
+
+
+def test_updates_come_from_any_thread_and_wrong_ones_are_refused() -> None:
+    pytest.importorskip("viser")
+    from lfgpu.viewer import Viewer
+    from lfgpu.viewer.server import LIVE
+
+    lf = wall(1.0)
+    with Viewer(lf, port=0) as viewer:
+        assert viewer.url.startswith("http://127.0.0.1:")
+        buffer = np.zeros(SIZE, np.float32)
+        pushers = [threading.Thread(target=viewer.update, args=(buffer,)) for _ in range(4)]
+        for pusher in pushers:
+            pusher.start()
+        for pusher in pushers:
+            pusher.join()
+        buffer += 9  # its owner writes the next frame to it
+        assert not viewer.contents.entries[LIVE].disparity.any()
+        viewer.update(buffer, views=lf.views)
+        with pytest.raises(LightFieldError, match="what is shown has 32 x 24"):
+            viewer.update(np.zeros((5, 6)))
+        with pytest.raises(LightFieldError, match="confidence must be"):
+            viewer.update(buffer, np.zeros((2, 2)))
+        with pytest.raises(LightFieldError, match="views must be"):
+            viewer.update(buffer, views=lf.views[1:])
+        with pytest.raises(LightFieldError, match=r"\[y, x\]"):
+            viewer.update(np.zeros(3))
+    viewer.close()  # twice does no harm
+
+
+def test_an_estimate_can_be_stopped_and_made_again() -> None:
+    from lfgpu.config import preset
+    from lfgpu.viewer.solving import Progress, Request, Solver
+
+    said: list[Progress] = []
+    done = threading.Event()
+    solver = Solver(said.append, lambda *_: done.set())
+    request = Request(scenes.make("relief", grid=(3, 3), size=SIZE), preset("paper"), (-2, 2), "mine")
+    assert solver.start(request)
+    assert not solver.start(request)
+    solver.stop()
+    solver.close()
+    assert said[-1].text == "stopped"
+    assert not done.is_set()
+    assert solver.start(request)
+    assert solver._thread is not None
+    solver._thread.join(60)
+    assert done.is_set()
+    assert said[-1].text.startswith("mine: done in")
+    assert not solver.progress.busy
+    shares = [progress.share for progress in said[said.index(next(p for p in said if "local" in p.text)) :]]
+    assert max(shares) == 100
+
+
+def test_an_estimate_that_fails_says_why() -> None:
+    from lfgpu.config import preset
+    from lfgpu.viewer.solving import Progress, Request, Solver
+
+    said: list[Progress] = []
+    solver = Solver(said.append, lambda *_: pytest.fail("there is no result"))
+    assert solver.start(Request(wall(1.0), preset("fast"), (-900, 900)))
+    assert solver._thread is not None
+    solver._thread.join(60)
+    assert "give smaller disparities" in said[-1].text
+    assert not said[-1].busy
+
+
+# --- the command ---
+
+
+def view(*arguments: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, ["view", *map(str, arguments), "--port", "0"])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_the_command_says_where_to_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    viser = pytest.importorskip("viser")
+    write_pfm(tmp_path / "map.pfm", np.zeros((5, 6)))
+    monkeypatch.setattr("lfgpu.viewer.server.Viewer.wait", lambda _: None)
+    code, said, err = view(tmp_path / "map.pfm")
+    assert (code, err) == (0, "")
+    assert re.search(r"http://127\.0\.0\.1:\d+ with a browser", said)
+    assert viser.__name__ not in said
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("nowhere", "does not exist"), ("empty", "an empty folder"), ("bad.pfm", "bad.pfm")]
+)
+def test_what_cannot_be_shown_is_a_sentence(name: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "bad.pfm").write_bytes(b"PF?")
+    code, said, err = view(tmp_path / name)
+    assert (code, said) == (1, "")
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_without_viser_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    from lfgpu.viewer import Viewer
+
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(LightFieldError, match=r"pip install 'lfgpu\[viewer\]'"):
+        Viewer()
