@@ -222,12 +222,14 @@ def _config(about: Mapping[str, Mapping[str, Any]]) -> Config:
 
 
 def _geometry(about: Mapping[str, Any]) -> Geometry:
-    focus, point = about["focus_distance_m"], about["principal_point"]
+    focus, point, unshifted = about["focus_distance_m"], about["principal_point"], about.get("unshifted_at")
     return Geometry(
         focal_length_px=float(about["focal_length_px"]),
         baseline_m=float(about["baseline_m"]),
         focus_distance_m=math.inf if focus is None else float(focus),
         principal_point=None if point is None else (float(point[0]), float(point[1])),
+        pixel_aspect=float(about.get("pixel_aspect", 1.0)),
+        unshifted_at=None if unshifted is None else (float(unshifted[0]), float(unshifted[1])),
     )
 
 
