@@ -7,6 +7,7 @@ Estimating every view on its own would cost more, and its maps would differ by a
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from numbers import Integral
@@ -22,7 +23,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.geometry import Geometry
 from lfgpu.lightfield import LightField
 from lfgpu.matching import farthest, measured_noise
-from lfgpu.result import DepthResult
+from lfgpu.result import DepthResult, DisparityMap
 from lfgpu.types import Float32Array, Float64Array, KernelSet
 
 _KEYS = 9
@@ -61,6 +62,25 @@ class ViewsResult:
     keys: tuple[int, ...]
     reference: DepthResult
     timings: dict[str, float]
+
+    def map(self, index: int) -> DisparityMap:
+        """The map of view `index` by itself, with what it takes to read it right."""
+        u, v = (float(value) for value in self.positions[index])
+        about = self.reference
+        return DisparityMap(
+            self.disparities[index],
+            self.confidences[index],
+            position=(u, v),
+            geometry=about.geometry,
+            name=about.name,
+            versions=about.versions,
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write all maps as .npz; see `lfgpu.save`."""
+        from lfgpu.io import save
+
+        save(self, path)
 
     @property
     def geometry(self) -> Geometry | None:
@@ -124,7 +144,7 @@ def estimate_all_views(
 
     report("join", 0, 0.0)
     kernels = load(backend)
-    join = _Join(
+    join = Join(
         estimates,
         None if lf.valid is None else lf.valid[chosen],
         kernels,
@@ -215,7 +235,7 @@ def _pipelines(
                 config = config.with_values({"sweep.noise": noise})
 
 
-class _Join:
+class Join:
     """What the maps of the key views say together about any view.
 
     Parameters
@@ -232,7 +252,7 @@ class _Join:
 
     def __init__(
         self,
-        estimates: Sequence[DepthResult],
+        estimates: Sequence[DepthResult | DisparityMap],
         valid: NDArray[np.bool_] | None,
         kernels: KernelSet,
         device: str,
