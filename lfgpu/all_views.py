@@ -262,7 +262,10 @@ class Join:
         self._kernels, self._device = kernels, device
         self._tolerance, self._size = tolerance, estimates[0].disparity.shape
         self._positions = [np.asarray(estimate.position) for estimate in estimates]
-        self._confidences = [estimate.confidence for estimate in estimates]
+        self._confidences = [
+            np.ones(self._size, np.float32) if estimate.confidence is None else estimate.confidence
+            for estimate in estimates
+        ]
         maps = np.stack([estimate.disparity for estimate in estimates])
         known = np.ones(maps.shape, np.bool_) if valid is None else valid
         # What is not known lands nowhere, and has no voice where it is looked at.

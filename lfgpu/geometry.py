@@ -86,9 +86,7 @@ class Geometry:
         """Where cameras stand, (right, down) in metres, [n, 2]; the inverse of `positions`."""
         return _pairs("positions", positions) * self.baseline_m / (1.0, self.pixel_aspect)
 
-    def points(
-        self, disparity: ArrayLike, *, position: tuple[float, float] | None = None
-    ) -> NDArray[np.float64]:
+    def points(self, disparity: ArrayLike, *, position: tuple[float, float] | None = None) -> NDArray[np.float64]:
         """The points in space that the pixels of a disparity map show.
 
         Parameters

@@ -136,10 +136,10 @@ class LightField:
 
         The reference is the middle view, or for even counts the one right below and to the right of the middle.
 
-        `vertical_step` is how far things move, in pixels, from row to row of the grid over how far they move from column
-        to column: the distance of rows over that of columns, times the width of a pixel over its height. A disparity is
-        that from column to column. If it is not 1, the view in grid row r stands at v = r * vertical_step, which is
-        what `index_of` and messages mean by its row then, and `grid_shape` is None.
+        `vertical_step` is how far things move, in pixels, from row to row of the grid over how far they move from
+        column to column: the distance of rows over that of columns, times the width of a pixel over its height. A
+        disparity is that from column to column. If it is not 1, the view in grid row r stands at v = r * vertical_step,
+        which is what `index_of` and messages mean by its row then, and `grid_shape` is None.
         """
         if not (math.isfinite(vertical_step) and vertical_step > 0):
             raise LightFieldError(f"vertical_step must be a positive number, not {vertical_step}.")

@@ -1,9 +1,9 @@
 """New views of a recorded scene: each pixel takes its colour from the recorded views that see the same surface.
 
 The maps of the recorded views around the new one are carried into it, where they agree on a disparity for each pixel
-(`all_views.Join`). With it every pixel is looked up in these views, between their pixels by cubic splines. A view counts
-the more the nearer it stands, and as far as its own map shows that disparity there: what it sees is else something
-that hides the surface. Looking colours up keeps them sharper than splatting them does, and averages the views' noise.
+(`all_views.Join`). With it every pixel is looked up in these views, between their pixels by cubic splines. A view
+counts the more the nearer it stands, and as far as its own map shows that disparity there: else, what it sees is
+something that hides the surface. Looking colours up keeps them sharper than splatting them does, and averages noise.
 """
 
 from __future__ import annotations
@@ -126,12 +126,12 @@ class Renderer:
     def _checked(self, position: ArrayLike) -> Float64Array:
         place = np.asarray(position, np.float64)
         if place.shape != (2,) or not np.isfinite(place).all():
-            raise LightFieldError(f"a position must be two finite numbers (u, v), not {position}.")
+            raise LightFieldError(f"a position must be two finite numbers (u, v), not {position!r}.")
         low, high = self._lf.positions.min(0), self._lf.positions.max(0)
         if (np.abs(place - (low + high) / 2) > _FARTHEST * max(*(high - low), 1.0)).any():
             raise LightFieldError(
-                f"row {place[1]:g}, column {place[0]:g} is too far away from the cameras, which stand in rows {low[1]:g} "
-                f"to {high[1]:g} and columns {low[0]:g} to {high[0]:g}."
+                f"row {place[1]:g}, column {place[0]:g} is too far away from the cameras, which stand in rows "
+                f"{low[1]:g} to {high[1]:g} and columns {low[0]:g} to {high[0]:g}."
             )
         return place
 
@@ -180,8 +180,8 @@ def render_view(
     lf, maps, sources, backend, device
         As for `Renderer`.
     position
-        (u, v) of the view, as in `LightField.positions`: u is the column, v the row of a grid, fractions allowed. It may
-        lie beyond the grid; there, what no view shows is filled.
+        (u, v) of the view, as in `LightField.positions`: u is the column, v the row of a grid, fractions allowed. It
+        may lie beyond the grid; there, what no view shows is filled.
 
     Raises
     ------

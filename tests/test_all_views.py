@@ -11,7 +11,7 @@ import pytest
 
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.all_views import ViewsResult, Join, estimate_all_views, filled_from_behind, spread_out
+from lfgpu.all_views import Join, ViewsResult, estimate_all_views, filled_from_behind, spread_out
 from lfgpu.depth import estimate_depth
 from lfgpu.errors import LightFieldError
 from lfgpu.lightfield import LightField

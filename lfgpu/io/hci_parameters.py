@@ -65,7 +65,8 @@ class Parameters:
         if self._config.has_option("extrinsics", "unshifted_cam_x"):
             unshifted = self._number("extrinsics", "unshifted_cam_x"), self._number("extrinsics", "unshifted_cam_y")
         elif math.isfinite(lengths["focus_distance_m"]):
-            unshifted = tuple(float(cameras // 2) for cameras in reversed(self.grid_shape()))
+            rows, columns = self.grid_shape()
+            unshifted = float(columns // 2), float(rows // 2)
         aspect = self._config.has_option("intrinsics", "pixel_aspect")
         try:
             return Geometry(

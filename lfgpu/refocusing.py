@@ -33,8 +33,8 @@ def refocus(lf: LightField, disparity: float) -> Float32Array:
     Returns
     -------
     float32 [y, x, c] in [0, 1], of the reference view: the mean over the views whose frame and mask hold the pixel,
-    each shifted by -disparity * (du, dv) with cubic splines between pixels. Intensities are averaged as they are stored.
-    0 where no view is valid.
+    each shifted by -disparity * (du, dv) with cubic splines between pixels. Intensities are averaged as they are
+    stored. 0 where no view is valid.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def refocus(lf: LightField, disparity: float) -> Float32Array:
     total, count = np.zeros((*lf.size, lf.channels), np.float32), np.zeros(lf.size, np.float32)
     for n, (du, dv) in enumerate(lf.offsets):
         at = np.stack([y - disparity * dv, x - disparity * du])
-        inside = ((at >= 0) & (at <= np.array([height - 1, width - 1])[:, None, None])).all(0)
+        inside = (at[0] >= 0) & (at[0] <= height - 1) & (at[1] >= 0) & (at[1] <= width - 1)
         if not inside.any():
             continue
         if lf.valid is not None:
@@ -93,8 +93,8 @@ def all_in_focus(
     u, v = lf.positions[lf.reference_index]
     if result.position is not None and not np.allclose(result.position, (u, v), atol=1e-6):
         raise LightFieldError(
-            f"the map is of the view at row {result.position[1]:g}, column {result.position[0]:g}, the reference view is "
-            f"at row {v:g}, column {u:g}; choose that one with with_reference."
+            f"the map is of the view at row {result.position[1]:g}, column {result.position[0]:g}, the reference view "
+            f"is at row {v:g}, column {u:g}; choose that one with with_reference."
         )
     kernels = load(backend)
     place = pick_device(kernels, device)
