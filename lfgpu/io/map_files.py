@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import importlib.util
+import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 from PIL.PngImagePlugin import PngInfo
 
 from lfgpu.errors import LightFieldError
@@ -71,8 +73,11 @@ def read_tiff(path: Path) -> DisparityMap:
     if stored.shape[2] != 1:
         raise LightFieldError(f"{path} is a colour image; a map has one value per pixel.")
     disparity = stored[..., 0].astype(np.float32)
-    with Image.open(path) as image:
-        text = str(getattr(image, "tag_v2", {}).get(_DESCRIPTION_TAG, ""))
+    text = ""
+    with warnings.catch_warnings(), suppress(UnidentifiedImageError):  # kinds that Pillow does not know are not ours
+        warnings.simplefilter("ignore", UserWarning)
+        with Image.open(path) as image:
+            text = str(getattr(image, "tag_v2", {}).get(_DESCRIPTION_TAG, ""))
     if f'"{KEY}"' not in text:
         return DisparityMap(disparity, name=path.name)
     return map_of(path, parse_about(path, text), disparity, None)
@@ -104,7 +109,8 @@ def read_exr(path: Path) -> DisparityMap:
     try:
         with exr.File(str(path)) as file:
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-            text = file.header().get(KEY)
+            found = file.header().get(KEY)
+            text = None if found is None else str(found)  # decoded here, as it may be damaged
     except Exception as error:  # the library raises whatever comes to it when a file is damaged
         raise LightFieldError(f"{path} cannot be read as OpenEXR: {' '.join(str(error).split())}.") from error
     name = "disparity" if "disparity" in channels or len(channels) != 1 else next(iter(channels))
@@ -113,14 +119,14 @@ def read_exr(path: Path) -> DisparityMap:
     disparity = channels[name].astype(np.float32)
     if text is None:
         return DisparityMap(disparity, name=path.name)
-    return map_of(path, parse_about(path, str(text)), disparity, channels.get("confidence"))
+    return map_of(path, parse_about(path, text), disparity, channels.get("confidence"))
 
 
 def open_exr(path: Path) -> Any:
     """The OpenEXR library; LightFieldError that says how to install it if it is not there."""
     if importlib.util.find_spec("OpenEXR") is None:
         raise LightFieldError(
-            f"{path} is an OpenEXR file, which needs OpenEXR; install it with: pip install 'lfgpu[exr]'"
+            f"{path} is an OpenEXR file, which needs OpenEXR; install it with: pip install 'lfgpu[exr]'."
         )
     import OpenEXR
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfgpu.errors import LightFieldError
 from lfgpu.io import map_files, ply
 from lfgpu.io.atomic import atomic_write
-from lfgpu.io.pfm import read_pfm, write_pfm
+from lfgpu.io.pfm import read_pfm, write_pfm_to
 from lfgpu.io.results import holds_result, holds_views, read_result, read_views, write_result, write_views
 from lfgpu.result import DepthResult, DisparityMap
 
@@ -40,7 +40,7 @@ class Writer:
 
 
 def _write_pfm(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
-    write_pfm(path, values.disparity)
+    write_pfm_to(path, np.asarray(values.disparity, np.float32))
 
 
 def _read_pfm(path: Path) -> DisparityMap:
