@@ -30,6 +30,7 @@ _KEYS = 9
 _LEAST_VALID = 0.5  # share of a view's pixels, for it to become a key
 _LANDED = -1e5  # px per view step: `nearest_surface` writes less where nothing lands
 _UNKNOWN = 1e6  # px per view step: so near that it hides everything, farther away than all that lands if negative
+_SAME_PLACE = 1e-6  # view steps
 _SEEN_THROUGH = 0.5  # of a vote: beside an edge a key that sees through is wrong more often than one that agrees
 
 
@@ -62,6 +63,13 @@ class ViewsResult:
     keys: tuple[int, ...]
     reference: DepthResult
     timings: dict[str, float]
+
+    def index_of(self, row: float, column: float) -> int:
+        """Index of the view at position v = `row`, u = `column`; LightFieldError if there is none."""
+        distance = np.abs(self.positions - (column, row)).max(1)
+        if not distance.min() < _SAME_PLACE:
+            raise LightFieldError(f"there is no map of a view at row {row:g}, column {column:g}.")
+        return int(np.argmin(distance))
 
     def map(self, index: int) -> DisparityMap:
         """The map of view `index` by itself, with what it takes to read it right."""

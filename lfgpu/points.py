@@ -70,7 +70,9 @@ def point_cloud(
     if least_confidence > 0 and result.confidence is not None:
         kept &= result.confidence >= least_confidence
     if not kept.any():
-        raise LightFieldError("no pixel of the map has a finite depth and enough confidence: there is no cloud of points.")
+        raise LightFieldError(
+            "no pixel of the map has a finite depth and enough confidence: there is no cloud of points."
+        )
     colors = None if image is None else _colors(np.asarray(image), (height, width))[kept]
     rows, columns = np.nonzero(kept)
     return PointCloud(

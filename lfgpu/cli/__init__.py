@@ -1,4 +1,4 @@
-"""The command line: `lfgpu depth`, `info`, `scene`, `eval`, `demo` and `backends`.
+"""The command line: `lfgpu depth`, `info`, `convert`, `render`, `scene`, `eval`, `demo` and `backends`.
 
 Commands import what they need when they run, so that help and mistakes answer at once.
 """
@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from lfgpu.cli import backends, demo, depth, evaluate, info, scene
+from lfgpu.cli import backends, convert, demo, depth, evaluate, info, render, scene
 from lfgpu.cli.failures import Group
 
 app = typer.Typer(
@@ -25,6 +25,8 @@ app = typer.Typer(
 )
 app.command("depth")(depth.depth)
 app.command("info")(info.info)
+app.command("convert")(convert.convert)
+app.command("render")(render.render)
 app.command("scene")(scene.scene)
 app.command("eval")(evaluate.evaluate)
 app.command("demo")(demo.demo)

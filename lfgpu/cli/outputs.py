@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
     from lfgpu.all_views import ViewsResult
     from lfgpu.result import DepthResult
+    from lfgpu.types import Float32Array
 
 RESULT_FILE = "result.npz"
 DISPARITY_FILE = "disparity.pfm"
@@ -42,3 +46,24 @@ def write_view_maps(folder: Path, result: ViewsResult) -> list[tuple[str, str]]:
 
     write_views(result, folder / VIEWS_FILE)
     return [(VIEWS_FILE, f"maps of all {len(result.disparities)} views, consistent with each other")]
+
+
+def check_names(option: str, names: Sequence[str]) -> None:
+    """LightFieldError if one of the names is no file of a known format in a folder, or one that is written anyway."""
+    from lfgpu.io import writer_of
+
+    for name in names:
+        writer_of(name)
+        if Path(name).name != name:
+            raise LightFieldError(f"{option} must be the name of a file, without folders, not {name!r}; it goes to -o.")
+        if name.lower() in (*_MEANING, VIEWS_FILE):
+            raise LightFieldError(f"{option} must not be {name!r}, which is the name of another output.")
+
+
+def write_saved(folder: Path, names: Sequence[str], result: DepthResult, image: Float32Array) -> list[tuple[str, str]]:
+    """Write a result under other names, too; what was written, as (file, meaning)."""
+    from lfgpu.io import save, writer_of
+
+    for name in names:
+        save(result, folder / name, image=image)
+    return [(name, writer_of(name).description) for name in names]
