@@ -92,10 +92,9 @@ def _measure(name: str, lf: LightField, preset: str, every: int, say: Callable[[
         whole[place] = [psnr(image, recorded) for image in images]
         cut = np.s_[BORDER:-BORDER, BORDER:-BORDER]
         inner[place] = [psnr(image[cut], recorded[cut]) for image in images]
-    named = [
-        dict(zip(METHODS, map(float, values), strict=True)) for values in (whole.mean(0), inner.mean(0), whole.min(0))
-    ]
-    return Row(name, len(kept.views), len(wanted), *named, known=float(np.mean(known)))
+    by_method = [dict(zip(METHODS, map(float, m), strict=True)) for m in (whole.mean(0), inner.mean(0), whole.min(0))]
+    mean, within, worst = by_method
+    return Row(name, len(kept.views), len(wanted), mean, within, worst, float(np.mean(known)))
 
 
 def psnr(image: Float32Array, true: Float32Array) -> float:

@@ -47,7 +47,8 @@ def write_image(image: Float32Array, path: str | os.PathLike[str], *, dtype: Any
         else:
             import tifffile
 
-            tifffile.imwrite(temporary, image[..., 0] if image.shape[2] == 1 else image)
+            grey = image.shape[2] == 1
+            tifffile.imwrite(temporary, image[..., 0] if grey else image, photometric="minisblack" if grey else "rgb")
 
 
 def check_image_path(path: str | os.PathLike[str]) -> None:
@@ -114,11 +115,9 @@ def _need(module: str, extra: str, path: Path) -> None:
 
 
 def _write_gif(frames: Iterable[Float32Array], path: Path, fps: float) -> None:
-    # One palette of all frames, so that colours do not flicker; GIF counts in hundredths of a second.
-    first, *others = (Image.fromarray(_colour(frame)) for frame in frames)
-    palette = first.quantize(256, dither=Image.Dither.NONE)
-    pictures = [image.quantize(palette=palette) for image in (first, *others)]
-    duration = max(20, 10 * round(100 / fps))
+    # Of the ways to choose 256 colours the one that keeps rare ones: a small yellow thing stays yellow.
+    pictures = [Image.fromarray(_colour(frame)).quantize(256, Image.Quantize.MAXCOVERAGE) for frame in frames]
+    duration = max(20, 10 * round(100 / fps))  # ms; GIF counts in hundredths of a second
     pictures[0].save(path, format="GIF", save_all=True, append_images=pictures[1:], duration=duration, loop=0)
 
 
