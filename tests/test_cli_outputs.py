@@ -116,7 +116,7 @@ def test_convert(recorded: Path, solved: Path, tmp_path: Path) -> None:
     )
     refused("holds one map only", "convert", solved, "--view", "1,1", "-o", tmp_path / "c.tif")
     refused("stored as .pfm", "convert", solved, "-o", tmp_path / "c.jpg")
-    refused("does not exist", "convert", tmp_path / "none.npz", "-o", tmp_path / "c.tif")
+    refused("No such file", "convert", tmp_path / "none.npz", "-o", tmp_path / "c.tif")
     refused("does not say which view", "convert", solved / "map.pfm", "-o", tmp_path / "c.ply", "--image", recorded)
     assert {file.name for file in tmp_path.iterdir()} == {"a.tif", "b.ply"}
 
@@ -146,9 +146,9 @@ def test_render_estimates_what_is_not_there(recorded: Path, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("sweep", ["circle", "across", "down", "focus"])
 def test_render_films(sweep: str, recorded: Path, solved: Path, tmp_path: Path) -> None:
-    run("render", recorded, "--maps", solved, "--sweep", sweep, "--frames", 3, "-o", tmp_path / "a.gif")
+    run("render", recorded, "--maps", solved, "--sweep", sweep, "--frames", 4, "-o", tmp_path / "a.gif")
     with Image.open(tmp_path / "a.gif") as film:
-        assert (film.n_frames, film.size) == (3, (56, 48))
+        assert (film.n_frames, film.size) == (4, (56, 48))
         first = np.asarray(film.convert("RGB")).astype(float)
         film.seek(1)
         assert np.abs(np.asarray(film.convert("RGB")) - first).mean() > 2  # it moves

@@ -174,11 +174,12 @@ def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: b
 def _map(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> DepthResult | DisparityMap:
     """The map of the reference view."""
     from lfgpu.all_views import ViewsResult
+    from lfgpu.cli.outputs import VIEWS_FILE
     from lfgpu.io import load
 
     if path is None:
         return estimation.run(lf, quiet=quiet)
-    found = load(path)
+    found = load(path / VIEWS_FILE if (path / VIEWS_FILE).exists() else path)
     if not isinstance(found, ViewsResult):
         return found
     u, v = lf.positions[lf.reference_index]
