@@ -50,8 +50,8 @@ def read_png(path: Path) -> DisparityMap:
         text = getattr(image, "text", {}).get(KEY)
     if text is None or stored.dtype != np.uint16 or stored.shape[2] != 1:
         raise LightFieldError(
-            f"{path} is not a map of lfgpu: a PNG has to have 16 bits, one channel and a text {KEY!r} that says what "
-            "its values mean; give a .pfm, .npy, .npz, .tif or .exr."
+            f"{path} is not a kind of map that can be read: a PNG has to have 16 bits, one channel and a text "
+            f"{KEY!r} that says what its values mean; give a .pfm, .npy, .npz, .tif or .exr."
         )
     about = parse_about(path, text)
     try:
