@@ -1,5 +1,7 @@
-"""The command line: `python -m benchmarks [options]` measures; `ablation` leaves ingredients out, `gallery` draws
-the picture of the README, and `table`, `plot` and `compare` look at what was found.
+"""The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found.
+
+`ablation` leaves ingredients out, `rendering` renders views that were left out, `gallery` draws the picture of the
+README.
 """
 
 from __future__ import annotations
@@ -9,7 +11,20 @@ from typing import Annotated
 
 import typer
 
-from benchmarks import ablation, cases, compare, gallery, merge, operations, pipelines, plot, results, show, suite
+from benchmarks import (
+    ablation,
+    cases,
+    compare,
+    gallery,
+    merge,
+    operations,
+    pipelines,
+    plot,
+    rendering,
+    results,
+    show,
+    suite,
+)
 from benchmarks.errors import BenchmarkError
 from lfgpu._backends import list_backends
 from lfgpu.cli.failures import Group
@@ -100,6 +115,28 @@ def ablation_(
     if out is not None:
         check_writable(out, folder=False)
     _finish(ablation.run(plan, lambda what: typer.echo(what, err=True)), out)
+
+
+@app.command("rendering")
+def rendering_(
+    scene_names: Annotated[
+        str, typer.Option("--scenes", metavar="NAME,...", help=f"Default: {', '.join(rendering.SCENES)}.")
+    ] = "",
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Of the maps of the views that are kept.")] = "accurate",
+    every: Annotated[int, typer.Option(min=1, help="Render every so many of the views that are left out.")] = 1,
+    data: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="The real light fields; default: $LFGPU_DATA, or ../shared/data.")
+    ] = rendering.DATA,
+) -> None:
+    """Leave out every second row and column of views, render them from the rest, and print how near that comes."""
+    rows = rendering.run(
+        tuple(_names(scene_names)) or rendering.SCENES,
+        data,
+        preset=preset,
+        every=every,
+        say=lambda what: typer.echo(what, err=True),
+    )
+    typer.echo(rendering.markdown(rows), nl=False)
 
 
 @app.command()

@@ -19,10 +19,13 @@ if TYPE_CHECKING:
     from lfgpu.depth import DepthPipeline, estimate_depth
     from lfgpu.errors import BackendError, LfgpuError, LightFieldError
     from lfgpu.geometry import Geometry
-    from lfgpu.io import read
+    from lfgpu.io import load, read, save
     from lfgpu.lightfield import GroundTruth, LightField
     from lfgpu.metrics import evaluate
-    from lfgpu.result import DepthResult
+    from lfgpu.points import PointCloud, point_cloud
+    from lfgpu.refocusing import all_in_focus, refocus
+    from lfgpu.render import RenderedView, Renderer, render_view
+    from lfgpu.result import DepthResult, DisparityMap
     from lfgpu.threads import get_threads, set_threads
     from lfgpu.viewer import Viewer
 
@@ -32,21 +35,31 @@ _HOMES = {
     "Config": "config",
     "DepthPipeline": "depth",
     "DepthResult": "result",
+    "DisparityMap": "result",
     "Geometry": "geometry",
     "GroundTruth": "lightfield",
     "LfgpuError": "errors",
     "LightField": "lightfield",
     "LightFieldError": "errors",
     "PRESETS": "config",
+    "PointCloud": "points",
+    "RenderedView": "render",
+    "Renderer": "render",
     "Viewer": "viewer",
     "ViewsResult": "all_views",
+    "all_in_focus": "refocusing",
     "describe_backends": "_backends",
     "estimate_all_views": "all_views",
     "estimate_depth": "depth",
     "evaluate": "metrics",
     "get_threads": "threads",
     "list_backends": "_backends",
+    "load": "io",
+    "point_cloud": "points",
     "read": "io",
+    "refocus": "refocusing",
+    "render_view": "render",
+    "save": "io",
     "set_threads": "threads",
 }
 
@@ -57,20 +70,30 @@ __all__ = [
     "Config",
     "DepthPipeline",
     "DepthResult",
+    "DisparityMap",
     "Geometry",
     "GroundTruth",
     "LfgpuError",
     "LightField",
     "LightFieldError",
+    "PointCloud",
+    "RenderedView",
+    "Renderer",
     "Viewer",
     "ViewsResult",
+    "all_in_focus",
     "describe_backends",
     "estimate_all_views",
     "estimate_depth",
     "evaluate",
     "get_threads",
     "list_backends",
+    "load",
+    "point_cloud",
     "read",
+    "refocus",
+    "render_view",
+    "save",
     "set_threads",
 ]
 

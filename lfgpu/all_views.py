@@ -7,6 +7,7 @@ Estimating every view on its own would cost more, and its maps would differ by a
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from numbers import Integral
@@ -22,13 +23,14 @@ from lfgpu.errors import LightFieldError
 from lfgpu.geometry import Geometry
 from lfgpu.lightfield import LightField
 from lfgpu.matching import farthest, measured_noise
-from lfgpu.result import DepthResult
+from lfgpu.result import DepthResult, DisparityMap
 from lfgpu.types import Float32Array, Float64Array, KernelSet
 
 _KEYS = 9
 _LEAST_VALID = 0.5  # share of a view's pixels, for it to become a key
 _LANDED = -1e5  # px per view step: `nearest_surface` writes less where nothing lands
 _UNKNOWN = 1e6  # px per view step: so near that it hides everything, farther away than all that lands if negative
+_SAME_PLACE = 1e-6  # view steps
 _SEEN_THROUGH = 0.5  # of a vote: beside an edge a key that sees through is wrong more often than one that agrees
 
 
@@ -61,6 +63,32 @@ class ViewsResult:
     keys: tuple[int, ...]
     reference: DepthResult
     timings: dict[str, float]
+
+    def index_of(self, row: float, column: float) -> int:
+        """Index of the view at position v = `row`, u = `column`; LightFieldError if there is none."""
+        distance = np.abs(self.positions - (column, row)).max(1)
+        if not distance.min() < _SAME_PLACE:
+            raise LightFieldError(f"there is no map of a view at row {row:g}, column {column:g}.")
+        return int(np.argmin(distance))
+
+    def map(self, index: int) -> DisparityMap:
+        """The map of view `index` by itself, with what it takes to read it right."""
+        u, v = (float(value) for value in self.positions[index])
+        about = self.reference
+        return DisparityMap(
+            self.disparities[index],
+            self.confidences[index],
+            position=(u, v),
+            geometry=about.geometry,
+            name=about.name,
+            versions=about.versions,
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write all maps as .npz; see `lfgpu.save`."""
+        from lfgpu.io import save
+
+        save(self, path)
 
     @property
     def geometry(self) -> Geometry | None:
@@ -124,7 +152,7 @@ def estimate_all_views(
 
     report("join", 0, 0.0)
     kernels = load(backend)
-    join = _Join(
+    join = Join(
         estimates,
         None if lf.valid is None else lf.valid[chosen],
         kernels,
@@ -215,7 +243,7 @@ def _pipelines(
                 config = config.with_values({"sweep.noise": noise})
 
 
-class _Join:
+class Join:
     """What the maps of the key views say together about any view.
 
     Parameters
@@ -232,7 +260,7 @@ class _Join:
 
     def __init__(
         self,
-        estimates: Sequence[DepthResult],
+        estimates: Sequence[DepthResult | DisparityMap],
         valid: NDArray[np.bool_] | None,
         kernels: KernelSet,
         device: str,
@@ -242,7 +270,10 @@ class _Join:
         self._kernels, self._device = kernels, device
         self._tolerance, self._size = tolerance, estimates[0].disparity.shape
         self._positions = [np.asarray(estimate.position) for estimate in estimates]
-        self._confidences = [estimate.confidence for estimate in estimates]
+        self._confidences = [
+            np.ones(self._size, np.float32) if estimate.confidence is None else estimate.confidence
+            for estimate in estimates
+        ]
         maps = np.stack([estimate.disparity for estimate in estimates])
         known = np.ones(maps.shape, np.bool_) if valid is None else valid
         # What is not known lands nowhere, and has no voice where it is looked at.

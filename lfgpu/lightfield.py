@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral
@@ -56,7 +57,8 @@ class LightField:
         views of its kind need not be: see `DepthPipeline.upload`.
     positions
         [n, 2], where each camera stands as (u, v): u to the right, v down, in view steps (units of the nominal
-        baseline). In a grid these are column and row. All different.
+        baseline). In a grid these are column and row. All different. Where rows of cameras stand closer or farther than
+        columns, or pixels are not square, v is scaled such that one disparity holds for both (`Geometry.positions`).
     reference
         Index of the view whose disparity is estimated; None takes the view nearest to the middle of the positions.
     grid_shape
@@ -134,11 +136,18 @@ class LightField:
         object.__setattr__(self, "valid", valid)
 
     @classmethod
-    def from_grid(cls, views: ArrayLike, **fields: Any) -> LightField:
+    def from_grid(cls, views: ArrayLike, *, vertical_step: float = 1.0, **fields: Any) -> LightField:
         """A light field of a full grid: `views` is [v, u, y, x, c] or [v, u, y, x]; `fields` as in `LightField`.
 
         The reference is the middle view, or for even counts the one right below and to the right of the middle.
+
+        `vertical_step` is how far things move, in pixels, from row to row of the grid over how far they move from
+        column to column: the distance of rows over that of columns, times the width of a pixel over its height. A
+        disparity is that from column to column. If it is not 1, the view in grid row r stands at v = r * vertical_step,
+        which is what `index_of` and messages mean by its row then, and `grid_shape` is None.
         """
+        if not (math.isfinite(vertical_step) and vertical_step > 0):
+            raise LightFieldError(f"vertical_step must be a positive number, not {vertical_step}.")
         grid = _array("views", views)
         if grid.ndim not in (4, 5):
             raise LightFieldError(f"a grid of views must be [v, u, y, x] or [v, u, y, x, c], found shape {grid.shape}.")
@@ -147,8 +156,8 @@ class LightField:
         fields.setdefault("reference", (rows // 2) * columns + columns // 2)
         return cls(
             grid.reshape(rows * columns, *grid.shape[2:]),
-            np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64),
-            grid_shape=(rows, columns),
+            np.stack([u.ravel(), vertical_step * v.ravel()], axis=1).astype(np.float64),
+            grid_shape=(rows, columns) if vertical_step == 1 else None,
             **fields,
         )
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.config import Config
 from lfgpu.geometry import Geometry
@@ -87,3 +88,60 @@ class DepthResult:
         from lfgpu.notebook import result_html
 
         return result_html(self)
+
+    @property
+    def map(self) -> DisparityMap:
+        """The map by itself, with what it takes to read it right."""
+        return DisparityMap(
+            self.disparity,
+            self.confidence,
+            position=self.position,
+            geometry=self.geometry,
+            name=self.name,
+            versions=self.versions,
+        )
+
+    def save(self, path: str | os.PathLike[str], *, image: ArrayLike | None = None) -> None:
+        """Write the result (.npz), its map (.pfm, .png, .tif, .exr) or its points (.ply); see `lfgpu.save`."""
+        from lfgpu.io import save
+
+        save(self, path, image=image)
+
+
+@dataclass(frozen=True, eq=False)
+class DisparityMap:
+    """A disparity map of one view and what it takes to read it right: what files of maps hold.
+
+    Parameters
+    ----------
+    disparity
+        float32 [y, x], as in `DepthResult`; NaN where it is not known.
+    confidence
+        float32 [y, x], 0 to 1; None if unknown.
+    position
+        (u, v) of the view, as in `LightField.positions`; None if unknown.
+    geometry
+        What turns disparity into metres; None if unknown.
+    name
+        The light field's name.
+    versions
+        Versions of what computed it.
+    """
+
+    disparity: Float32Array
+    confidence: Float32Array | None = None
+    position: tuple[float, float] | None = None
+    geometry: Geometry | None = None
+    name: str = "light field"
+    versions: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def depth(self) -> NDArray[np.float32] | None:
+        """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""
+        return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)
+
+    def save(self, path: str | os.PathLike[str], *, image: ArrayLike | None = None) -> None:
+        """Write the map (.npz, .pfm, .png, .tif, .exr) or its points (.ply); see `lfgpu.save`."""
+        from lfgpu.io import save
+
+        save(self, path, image=image)

@@ -11,7 +11,7 @@ import pytest
 
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.all_views import ViewsResult, _Join, estimate_all_views, filled_from_behind, spread_out
+from lfgpu.all_views import Join, ViewsResult, estimate_all_views, filled_from_behind, spread_out
 from lfgpu.depth import estimate_depth
 from lfgpu.errors import LightFieldError
 from lfgpu.lightfield import LightField
@@ -201,7 +201,7 @@ def joined(
         )
         for position, row in maps.items()
     ]
-    disparity, confidence = _Join(estimates, valid, load("reference"), "cpu", tolerance=0.1)(np.array(at))
+    disparity, confidence = Join(estimates, valid, load("reference"), "cpu", tolerance=0.1)(np.array(at))
     return disparity[1].tolist(), confidence[1].tolist()
 
 

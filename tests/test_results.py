@@ -40,13 +40,15 @@ def a_result(**changes: Any) -> DepthResult:
         backend="warp",
         device="cuda:0",
         versions={"lfgpu": "0.1.0", "numpy": "2.0"},
-        geometry=Geometry(500.0, 0.05, 4.25, (3.0, 2.5)),
+        geometry=Geometry(500.0, 0.05, 4.25, (3.0, 2.5), 1.25, (1.0, 2.0)),
         name="Käse & $dollars$",
     )
     return replace(result, **changes)
 
 
-@pytest.mark.parametrize("geometry", [None, Geometry(500.0, 0.05, 4.25, (3.0, 2.5)), Geometry(480.0, 0.1)])
+@pytest.mark.parametrize(
+    "geometry", [None, Geometry(500.0, 0.05, 4.25, (3.0, 2.5), 1.25, (1.0, 2.0)), Geometry(480.0, 0.1)]
+)
 def test_everything_comes_back(geometry: Geometry | None, tmp_path: Path) -> None:
     written = a_result(geometry=geometry)
     write_result(written, tmp_path / "r.npz")

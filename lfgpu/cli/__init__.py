@@ -1,4 +1,4 @@
-"""The command line: `lfgpu depth`, `info`, `decode`, `scene`, `eval`, `view`, `demo` and `backends`.
+"""The command line: `lfgpu depth`, `info`, `decode`, `convert`, `render`, `scene`, `eval` and others.
 
 Commands import what they need when they run, so that help and mistakes answer at once.
 """
@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from lfgpu.cli import backends, decode, demo, depth, evaluate, info, scene, view
+from lfgpu.cli import backends, convert, decode, demo, depth, evaluate, info, render, scene, view
 from lfgpu.cli.failures import Group
 
 app = typer.Typer(
@@ -26,6 +26,8 @@ app = typer.Typer(
 app.command("depth")(depth.depth)
 app.command("info")(info.info)
 app.command("decode")(decode.decode)
+app.command("convert")(convert.convert)
+app.command("render")(render.render)
 app.command("scene")(scene.scene)
 app.command("eval")(evaluate.evaluate)
 app.command("view")(view.view)

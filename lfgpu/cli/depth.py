@@ -70,6 +70,14 @@ def depth(
     all_views: Annotated[
         bool, typer.Option("--all-views", help="Also write maps of all views, consistent with each other.")
     ] = False,
+    saved: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--save",
+            metavar="FILE",
+            help="Also write the map as this file in FOLDER: .exr, .tif, .png, .pfm, .npz, or its points: .ply.",
+        ),
+    ] = None,
     disparity_range: Annotated[
         str | None,
         typer.Option(
@@ -108,10 +116,11 @@ def depth(
     """
     from lfgpu.cli import summary
     from lfgpu.cli.console import output
-    from lfgpu.cli.outputs import write_outputs, write_page, write_view_maps
+    from lfgpu.cli.outputs import check_names, write_outputs, write_page, write_saved, write_view_maps
     from lfgpu.io import atomic_folder, check_writable, read
 
     check_writable(out)
+    check_names("--save", saved or ())
     estimation = Estimation(
         values.configured(preset, settings or ()),
         None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
@@ -141,6 +150,7 @@ def depth(
             files += write_view_maps(folder, views)
         if report:
             files.append(write_page(folder, lf, result))
+        files += write_saved(folder, saved or (), result, lf.image(lf.reference_index))
     if quiet:
         return
     console = output()

@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from lfgpu.all_views import ViewsResult
     from lfgpu.lightfield import GroundTruth
-    from lfgpu.result import DepthResult
+    from lfgpu.result import DepthResult, DisparityMap
 
 
 def evaluate(
@@ -22,8 +23,8 @@ def evaluate(
         list[Path],
         typer.Argument(
             metavar="RESULT TRUTH | METHOD...",
-            help="A map (.pfm, .npy, .npz, .tif) or a folder that depth wrote, and the truth: a map, or a light field "
-            "folder that holds it. With --scene: folders of such results.",
+            help="A map (.pfm, .npz, .tif, .exr, ...) or a folder that depth wrote, and the truth: a map, or a light "
+            "field folder that holds it. With --scene: folders of such results.",
         ),
     ],
     scenes: Annotated[
@@ -71,7 +72,7 @@ def _score(result: Path, truth: Path, mask: Path | None, border: int | None) -> 
     from lfgpu.io import read_mask
 
     left_out = metrics.BORDER if border is None else border
-    maps, estimate = _maps(result)
+    maps, estimate = _maps(result, truth)
     true = _truth(truth, None if estimate is None else estimate.position)
     where = true.mask if mask is None else read_mask(mask)
     rows = {
@@ -80,23 +81,38 @@ def _score(result: Path, truth: Path, mask: Path | None, border: int | None) -> 
     console = output()
     scores(console, rows)
     remark(console, scored_where(next(iter(rows.values())).count, left_out))
-    if estimate is not None:
+    if estimate is not None and estimate.confidence is not None:
         curve = metrics.sparsification(
             estimate.disparity, estimate.confidence, true.disparity, mask=where, border=left_out
         )
         sparsification(console, curve)
 
 
-def _maps(path: Path) -> tuple[dict[str, NDArray[np.float32]], DepthResult | None]:
-    """The maps to score by name, the stages of a result each, and the result that they are of where there is one."""
-    from lfgpu.io import holds_result, read_map, read_result
+def _maps(path: Path, truth: Path) -> tuple[dict[str, NDArray[np.float32]], DepthResult | DisparityMap | None]:
+    """The maps to score by name, the stages of a result each, and what they are of where the file says that."""
+    from lfgpu.all_views import ViewsResult
+    from lfgpu.io import load
+    from lfgpu.result import DepthResult
 
     _check_exists(path)
     file = _inside(path) if path.is_dir() else path
-    if holds_result(file):
-        result = read_result(file)
-        return dict(result.stages), result
-    return {file.name: read_map(file)}, None
+    found = load(file)
+    if isinstance(found, DepthResult):
+        return dict(found.stages), found
+    if isinstance(found, ViewsResult):
+        found = found.map(_true_view(found, truth))
+    return {file.name: found.disparity}, None if found.position is None else found
+
+
+def _true_view(result: ViewsResult, truth: Path) -> int:
+    """The view whose truth a light field folder holds; the reference view where it is a map."""
+    from lfgpu.io import read
+
+    known = read(truth, allow_missing=True).truth if truth.is_dir() else None
+    if known is None:
+        return result.keys[0]
+    u, v = known.position
+    return result.index_of(v, u)
 
 
 def _check_exists(path: Path) -> None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
     from lfgpu.all_views import ViewsResult
     from lfgpu.lightfield import LightField
     from lfgpu.result import DepthResult
+    from lfgpu.types import Float32Array
 
 RESULT_FILE = "result.npz"
 DISPARITY_FILE = "disparity.pfm"
@@ -52,3 +56,24 @@ def write_page(folder: Path, lf: LightField, result: DepthResult) -> tuple[str, 
 
     write_report(folder / REPORT_FILE, lf, result)
     return REPORT_FILE, "all of it on one page, for any browser"
+
+
+def check_names(option: str, names: Sequence[str]) -> None:
+    """LightFieldError if one of the names is no file of a known format in a folder, or one that is written anyway."""
+    from lfgpu.io import writer_of
+
+    for name in names:
+        writer_of(name)
+        if Path(name).name != name:
+            raise LightFieldError(f"{option} must be the name of a file, without folders, not {name!r}; it goes to -o.")
+        if name.lower() in (*_MEANING, VIEWS_FILE):
+            raise LightFieldError(f"{option} must not be {name!r}, which is the name of another output.")
+
+
+def write_saved(folder: Path, names: Sequence[str], result: DepthResult, image: Float32Array) -> list[tuple[str, str]]:
+    """Write a result under other names, too; what was written, as (file, meaning)."""
+    from lfgpu.io import save, writer_of
+
+    for name in names:
+        save(result, folder / name, image=image)
+    return [(name, writer_of(name).description) for name in names]

@@ -31,9 +31,10 @@ from lfgpu.lightfield import GroundTruth, LightField
 DEFAULT_NAME = "lightfield.toml"
 
 _LARGEST = 1 << 24  # bytes of a description; 100 000 views need less
+_PLACES = ("principal_point", "unshifted_at")  # of the geometry; the rest of it are lengths
 _KEYS = {
     "": {"name", "grid", "reference", "geometry", "truth", "source", "views"},
-    "geometry": {"focal_length_px", "baseline_m", "focus_distance_m", "principal_point"},
+    "geometry": {"focal_length_px", "baseline_m", "focus_distance_m", "pixel_aspect", *_PLACES},
     "truth": {"disparity", "position", "mask"},
     "source": {"path", "format", "grid", "every", "flip"},
     "views": {"file", "position", "valid"},
@@ -259,16 +260,14 @@ def _with_rest(file: Path, table: Mapping[str, Any], light_field: LightField) ->
 
 
 def _geometry(file: Path, table: Mapping[str, Any]) -> Geometry:
-    lengths = {key: _number(file, table[key], f"geometry.{key}") for key in table if key != "principal_point"}
+    fields: dict[str, Any] = {
+        key: (_pair if key in _PLACES else _number)(file, table[key], f"geometry.{key}") for key in table
+    }
     for key in ("focal_length_px", "baseline_m"):
-        if key not in lengths:
+        if key not in fields:
             raise LightFieldError(f"{file}: geometry has no {key}; add it or leave geometry out.")
-    point = None
-    if "principal_point" in table:
-        x, y = _pair(file, table["principal_point"], "geometry.principal_point")
-        point = (x, y)
     try:
-        return Geometry(**lengths, principal_point=point)
+        return Geometry(**fields)
     except LightFieldError as error:
         raise LightFieldError(f"{file}: {error}") from error
 
@@ -348,8 +347,11 @@ def _geometry_table(geometry: Geometry) -> dict[str, Any]:
     table: dict[str, Any] = {"focal_length_px": geometry.focal_length_px, "baseline_m": geometry.baseline_m}
     if math.isfinite(geometry.focus_distance_m):
         table["focus_distance_m"] = geometry.focus_distance_m
-    if geometry.principal_point is not None:
-        table["principal_point"] = list(geometry.principal_point)
+    if geometry.pixel_aspect != 1:
+        table["pixel_aspect"] = geometry.pixel_aspect
+    for key in _PLACES:
+        if (place := getattr(geometry, key)) is not None:
+            table[key] = list(place)
     return {key: [float(x) for x in value] if isinstance(value, list) else float(value) for key, value in table.items()}
 
 

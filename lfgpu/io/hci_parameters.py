@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import math
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
@@ -46,6 +47,7 @@ class Parameters:
         """The geometry for views of (height, width) pixels; None if the file says nothing of lengths.
 
         The sensor's size is that of its longer side, so that views which were scaled as a whole are covered as well.
+        The camera whose frame is not shifted is the middle one (rows // 2, columns // 2), unless our own keys say else.
         """
         given = {key for key, section in _LENGTHS.items() if self._config.has_option(section, key)}
         if not given:
@@ -59,12 +61,21 @@ class Parameters:
                 self._number("intrinsics", "principal_point_x_px"),
                 self._number("intrinsics", "principal_point_y_px"),
             )
+        unshifted = None
+        if self._config.has_option("extrinsics", "unshifted_cam_x"):
+            unshifted = self._number("extrinsics", "unshifted_cam_x"), self._number("extrinsics", "unshifted_cam_y")
+        elif math.isfinite(lengths["focus_distance_m"]):
+            rows, columns = self.grid_shape()
+            unshifted = float(columns // 2), float(rows // 2)
+        aspect = self._config.has_option("intrinsics", "pixel_aspect")
         try:
             return Geometry(
                 focal_length_px=lengths["focal_length_mm"] / lengths["sensor_size_mm"] * max(size),
                 baseline_m=lengths["baseline_mm"] / 1000.0,
                 focus_distance_m=lengths["focus_distance_m"],
                 principal_point=principal_point,
+                pixel_aspect=self._number("intrinsics", "pixel_aspect") if aspect else 1.0,
+                unshifted_at=unshifted,
             )
         except LightFieldError as error:
             raise LightFieldError(f"{self._path}: {error}") from error
@@ -104,7 +115,8 @@ def write_parameters(
 ) -> None:
     """Write a parameters.cfg that `Parameters` reads back to the same grid and geometry.
 
-    A principal point off the middle, which the benchmark does not know, goes into keys of our own that others ignore.
+    What the benchmark does not know (a principal point off the middle, pixels that are not square, a camera other than
+    the middle one whose frame is not shifted) goes into keys of our own that others ignore.
     """
     config = configparser.ConfigParser(interpolation=None)
     intrinsics = {"image_resolution_x_px": size[1], "image_resolution_y_px": size[0]}
@@ -117,6 +129,10 @@ def write_parameters(
         extrinsics["focus_distance_m"] = geometry.focus_distance_m
         if geometry.principal_point is not None:
             lengths["principal_point_x_px"], lengths["principal_point_y_px"] = geometry.principal_point
+        if geometry.pixel_aspect != 1:
+            lengths["pixel_aspect"] = geometry.pixel_aspect
+        if geometry.unshifted_at is not None:
+            extrinsics["unshifted_cam_x"], extrinsics["unshifted_cam_y"] = geometry.unshifted_at
     config.read_dict(
         {"intrinsics": intrinsics | lengths, "extrinsics": extrinsics, "meta": {"scene": " ".join(scene.split())}}
     )

@@ -27,13 +27,15 @@ _BITS_TAG, _PLANAR_TAG = 258, 284
 _OTHER_BYTE = {"16B": "16L", "16L": "16B", "16N": "16B" if np.little_endian else "16L"}
 
 
-def read_image(path: str | os.PathLike[str]) -> tuple[NDArray[Any], frozenset[str]]:
+def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[NDArray[Any], frozenset[str]]:
     """Read an image file as it is stored.
 
     Parameters
     ----------
     path
         A PNG, BMP, JPEG or TIFF file of 8 or 16 bits, or a TIFF of float32 or float64.
+    finite
+        Whether NaN and infinities are refused.
 
     Returns
     -------
@@ -45,7 +47,8 @@ def read_image(path: str | os.PathLike[str]) -> tuple[NDArray[Any], frozenset[st
     Raises
     ------
     LightFieldError
-        If the file cannot be read, is damaged, claims an absurd size, is of another kind, or has NaN or infinities.
+        If the file cannot be read, is damaged, claims an absurd size, is of another kind, or, with `finite`, has NaN or
+        infinities.
     """
     path = Path(path)
     try:
@@ -57,7 +60,7 @@ def read_image(path: str | os.PathLike[str]) -> tuple[NDArray[Any], frozenset[st
     except Exception as error:  # decoders raise whatever comes to them when a file is damaged
         reason = str(getattr(error, "strerror", None) or error).rstrip(".")
         raise LightFieldError(f"{path} cannot be read as an image: {reason}.") from error
-    return _normalised(path, image)
+    return _normalised(path, image, finite=finite)
 
 
 def _decode(path: Path) -> NDArray[Any]:
@@ -141,7 +144,7 @@ def _decode_tiff(path: Path) -> NDArray[Any]:
     return np.moveaxis(image, 0, 2) if planes_first else image
 
 
-def _normalised(path: Path, image: NDArray[Any]) -> tuple[NDArray[Any], frozenset[str]]:
+def _normalised(path: Path, image: NDArray[Any], *, finite: bool) -> tuple[NDArray[Any], frozenset[str]]:
     remarks = set()
     if image.ndim == 2:
         image = image[..., None]
@@ -156,6 +159,6 @@ def _normalised(path: Path, image: NDArray[Any]) -> tuple[NDArray[Any], frozense
         remarks.add(FLOAT64_ROUNDED)
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         raise LightFieldError(f"{path} has {image.dtype} values; views must be uint8, uint16 or float32: convert it.")
-    if image.dtype == np.float32 and not np.isfinite(image).all():
+    if finite and image.dtype == np.float32 and not np.isfinite(image).all():
         raise LightFieldError(f"{path} has NaN or infinite values; the values of a view must be finite.")
     return image, frozenset(remarks)

@@ -55,6 +55,11 @@ def write_pfm(path: str | os.PathLike[str], values: ArrayLike) -> None:
     array = np.asarray(values, np.float32)
     if array.ndim != 2 or 0 in array.shape:
         raise LightFieldError(f"{os.fspath(path)} cannot be written: a map must be [y, x], found shape {array.shape}.")
-    header = f"Pf\n{array.shape[1]} {array.shape[0]}\n-1.0\n".encode()
     with atomic_write(path) as temporary:
-        temporary.write_bytes(header + np.flipud(array).astype("<f4").tobytes())
+        write_pfm_to(temporary, array)
+
+
+def write_pfm_to(path: Path, array: NDArray[np.float32]) -> None:
+    """The same for a path that is there to be written, of a map that is one."""
+    header = f"Pf\n{array.shape[1]} {array.shape[0]}\n-1.0\n".encode()
+    path.write_bytes(header + np.flipud(array).astype("<f4").tobytes())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import zipfile
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from lfgpu.config import Config
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
+from lfgpu.io.about import CONVENTION, geometry_about, geometry_of
 from lfgpu.io.atomic import atomic_write
 from lfgpu.result import DepthResult
 
@@ -26,17 +25,13 @@ if TYPE_CHECKING:
 ABOUT_KEY = "lfgpu"
 """The array of the .npz that holds the JSON text; other .npz files have none of that name."""
 
-CONVENTION = (
-    "Disparity in pixels per view step, larger is nearer: the point at (x, y) of the reference view is at "
-    "(x - d*du, y - d*dv) in the view du steps to the right of and dv steps below it."
-)
-
 VIEWS_CONVENTION = (
     "Disparity in pixels per view step, larger is nearer: the point at (x, y) of view a is at "
     "(x - d*(u_b - u_a), y - d*(v_b - v_a)) in view b, with (u, v) their positions."
 )
 
 _STAGE = "stage_"  # what the names of the stages' arrays begin with
+_REFERENCE = "reference_"  # what those of the reference view begin with among the maps of all views
 _LAYOUT = 1  # goes up when a file of the old layout can no longer be read as one of the new
 
 
@@ -61,25 +56,17 @@ def write_result(result: DepthResult, path: str | os.PathLike[str]) -> None:
     path = Path(path)
     if path.suffix.lower() != ".npz":
         raise LightFieldError(f"{path} cannot be written: a result is stored as .npz; choose that suffix.")
-    arrays: dict[str, NDArray[Any]] = {
-        "disparity": result.disparity,
-        "confidence": result.confidence,
-        **{f"{_STAGE}{name}": values for name, values in result.stages.items()},
-        "trace": np.asarray(result.trace, np.float64),
-        ABOUT_KEY: np.array(json.dumps(_about(result), allow_nan=False, ensure_ascii=False)),
-    }
-    if result.depth is not None:
-        arrays["depth"] = result.depth
     with atomic_write(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+        np.savez_compressed(file, allow_pickle=False, **_arrays(result))
 
 
 def write_views(result: ViewsResult, path: str | os.PathLike[str]) -> None:
     """Write the maps of all views as .npz; whole or not at all.
 
     The arrays are `disparities` and `confidences`, float32 [n, y, x], with a geometry also `depths` in metres;
-    `positions`, float64 [n, 2], (u, v) of each view; `keys`, the indices of those that were estimated themselves; and
-    `convention`, a sentence.
+    `positions`, float64 [n, 2], (u, v) of each view; `keys`, the indices of those that were estimated themselves;
+    `convention`, a sentence; `timings`, a JSON text; and the estimate of the reference view by itself under the names
+    that `write_result` gives, with "reference_" before them.
 
     Parameters
     ----------
@@ -102,6 +89,8 @@ def write_views(result: ViewsResult, path: str | os.PathLike[str]) -> None:
         "positions": result.positions,
         "keys": np.asarray(result.keys),
         "convention": np.array(VIEWS_CONVENTION),
+        "timings": np.array(json.dumps(result.timings, allow_nan=False)),
+        **{f"{_REFERENCE}{name}": values for name, values in _arrays(result.reference).items()},
     }
     if (depths := result.depths) is not None:
         arrays["depths"] = depths
@@ -118,7 +107,47 @@ def read_result(path: str | os.PathLike[str]) -> DepthResult:
         If the file is missing, damaged, not a result of lfgpu, or of a version with other parameters.
     """
     path = Path(path)
+    return _result_of(path, _load(path))
+
+
+def read_views(path: str | os.PathLike[str]) -> ViewsResult:
+    """Read what `write_views` wrote.
+
+    Raises
+    ------
+    LightFieldError
+        As `read_result`.
+    """
+    from lfgpu.all_views import ViewsResult
+
+    path = Path(path)
     arrays = _load(path)
+    if "disparities" not in arrays:
+        raise LightFieldError(f"{path} does not hold maps of all views: it has no array 'disparities'.")
+    own = {name.removeprefix(_REFERENCE): a for name, a in arrays.items() if name.startswith(_REFERENCE)}
+    reference = _result_of(path, own)
+    try:
+        result = ViewsResult(
+            arrays["disparities"],
+            arrays["confidences"],
+            arrays["positions"],
+            tuple(int(key) for key in arrays["keys"]),
+            reference,
+            dict(json.loads(str(arrays["timings"]))),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise LightFieldError(f"{path} is a damaged result of lfgpu: {_reason(error)}.") from error
+    shape = (len(result.positions), *reference.disparity.shape)
+    for name, values in {"disparities": result.disparities, "confidences": result.confidences}.items():
+        if values.dtype != np.float32 or values.shape != shape or result.positions.shape != (len(values), 2):
+            raise LightFieldError(
+                f"{path} is a damaged result of lfgpu: {name} is {values.dtype} of shape {values.shape}, "
+                f"not float32 {shape}."
+            )
+    return result
+
+
+def _result_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> DepthResult:
     if ABOUT_KEY not in arrays:
         raise LightFieldError(f"{path} is not a result of lfgpu: it has no array {ABOUT_KEY!r}.")
     try:
@@ -137,11 +166,33 @@ def read_result(path: str | os.PathLike[str]) -> DepthResult:
 
 def holds_result(path: str | os.PathLike[str]) -> bool:
     """Whether a file is an .npz that `write_result` wrote, going by the names of its arrays only."""
+    return _has_array(path, ABOUT_KEY)
+
+
+def holds_views(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is an .npz that `write_views` wrote, going by the names of its arrays only."""
+    return _has_array(path, f"{_REFERENCE}{ABOUT_KEY}")
+
+
+def _has_array(path: str | os.PathLike[str], name: str) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
-            return f"{ABOUT_KEY}.npy" in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
+            return f"{name}.npy" in archive.namelist()
+    except Exception:  # zipfile raises whatever comes to it when a file is damaged; who reads it says what it is
         return False
+
+
+def _arrays(result: DepthResult) -> dict[str, NDArray[Any]]:
+    arrays: dict[str, NDArray[Any]] = {
+        "disparity": result.disparity,
+        "confidence": result.confidence,
+        **{f"{_STAGE}{name}": values for name, values in result.stages.items()},
+        "trace": np.asarray(result.trace, np.float64),
+        ABOUT_KEY: np.array(json.dumps(_about(result), allow_nan=False, ensure_ascii=False)),
+    }
+    if result.depth is not None:
+        arrays["depth"] = result.depth
+    return arrays
 
 
 def _about(result: DepthResult) -> dict[str, Any]:
@@ -157,17 +208,9 @@ def _about(result: DepthResult) -> dict[str, Any]:
         "device": result.device,
         "versions": result.versions,
         "timings": result.timings,
-        "geometry": None if result.geometry is None else _geometry_about(result.geometry),
+        "geometry": None if result.geometry is None else geometry_about(result.geometry),
         "config": asdict(result.config),
     }
-
-
-def _geometry_about(geometry: Geometry) -> dict[str, Any]:
-    """JSON knows no infinity: frames that are not shifted have the focus distance null."""
-    values = asdict(geometry)
-    if math.isinf(geometry.focus_distance_m):
-        values["focus_distance_m"] = None
-    return values
 
 
 def _load(path: Path) -> dict[str, NDArray[Any]]:
@@ -211,7 +254,7 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
         backend=str(about["backend"]),
         device=str(about["device"]),
         versions=dict(about["versions"]),
-        geometry=None if about["geometry"] is None else _geometry(about["geometry"]),
+        geometry=None if about["geometry"] is None else geometry_of(about["geometry"]),
         name=str(about["name"]),
     )
 
@@ -219,16 +262,6 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
 def _config(about: Mapping[str, Mapping[str, Any]]) -> Config:
     stages = {field.name: type(getattr(Config(), field.name)) for field in fields(Config)}
     return Config(**{name: stage(**about[name]) for name, stage in stages.items()})
-
-
-def _geometry(about: Mapping[str, Any]) -> Geometry:
-    focus, point = about["focus_distance_m"], about["principal_point"]
-    return Geometry(
-        focal_length_px=float(about["focal_length_px"]),
-        baseline_m=float(about["baseline_m"]),
-        focus_distance_m=math.inf if focus is None else float(focus),
-        principal_point=None if point is None else (float(point[0]), float(point[1])),
-    )
 
 
 def _check_maps(path: Path, result: DepthResult) -> None:

@@ -233,7 +233,7 @@ def _record(scene: _Scene, recording: _Recording, time: float) -> LightField:
     return LightField.from_grid(
         views,
         reference=row * columns + column,
-        geometry=_geometry(frame),
+        geometry=_geometry(scene),
         truth=GroundTruth(truth, (float(column), float(row))),
         name=scene.name,
     )
@@ -245,15 +245,17 @@ def _stored(intensities: NDArray[np.float32], dtype: np.dtype[Any]) -> NDArray[A
     return np.rint(intensities * np.iinfo(dtype).max).astype(dtype)
 
 
-def _geometry(frame: render.Frame) -> Geometry:
+def _geometry(scene: _Scene) -> Geometry:
     """Cameras that see the far end of the disparity range at 8 m and the near end at 4 m."""
+    frame, middle = scene.frame, _farthest(scene.grid)
     focal_length = _FOCAL_LENGTH * frame.width
     if frame.far > frame.near - frame.far:
         # No frames shifted outwards: they stay as they are, and the far end comes nearer than 8 m.
         return Geometry(focal_length, _NEAREST_M * frame.near / focal_length)
     scale = (frame.near - frame.far) / (1 / _NEAREST_M - 1 / _FARTHEST_M)  # baseline times focal length
     vergence = 1 / _FARTHEST_M - frame.far / scale  # of the plane of disparity 0, in 1 / m
-    return Geometry(focal_length, scale / focal_length, 1 / vergence if vergence > 0 else math.inf)
+    focus_distance = 1 / vergence if vergence > 0 else math.inf
+    return Geometry(focal_length, scale / focal_length, focus_distance, unshifted_at=middle)
 
 
 # --- arguments ---

@@ -22,7 +22,7 @@ def test_hci_grid_and_geometry(tmp_path: Path) -> None:
     np.testing.assert_array_equal(light_field.view(1, 2), picture(5))  # index = columns * row + column
     assert light_field.positions[light_field.reference_index].tolist() == [1, 1]
     # 100 mm / 35 mm * 5 px, the longer side of the views
-    assert light_field.geometry == Geometry(100 / 35 * 5, 0.025, 4.25)
+    assert light_field.geometry == Geometry(100 / 35 * 5, 0.025, 4.25, unshifted_at=(1.0, 1.0))
 
 
 def test_hci_truth_and_mask_belong_to_the_centre_view(tmp_path: Path) -> None:
@@ -178,8 +178,9 @@ def test_hci_round_trip(tmp_path: Path, dtype: Any, channels: int) -> None:
 def test_hci_round_trip_without_geometry_or_with_parallel_frames(tmp_path: Path) -> None:
     write_hci(scene(), tmp_path / "a")
     assert read(tmp_path / "a").geometry is None
-    write_hci(scene(geometry=Geometry(100.0, 0.5)), tmp_path / "b")
-    assert read(tmp_path / "b").geometry == Geometry(100.0, 0.5)
+    for geometry in (Geometry(100.0, 0.5), Geometry(100.0, 0.5, 2.0, pixel_aspect=0.75, unshifted_at=(2.0, 0.5))):
+        write_hci(scene(geometry=geometry), tmp_path / "b")
+        assert read(tmp_path / "b").geometry == geometry
 
 
 def test_hci_stores_float_views_with_16_bits(tmp_path: Path) -> None:

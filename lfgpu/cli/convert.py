@@ -1,0 +1,50 @@
+"""`lfgpu convert`: a result or a map as a file of another format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lfgpu.cli import values
+from lfgpu.errors import LightFieldError
+
+
+def convert(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="A folder that depth wrote, a file of it, or another map.")
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FILE", help="Its suffix says what: .pfm .png .tif .exr .npz .ply.")
+    ],
+    view: Annotated[
+        str | None,
+        typer.Option(metavar="ROW,COL", help="Of maps of all views, that of this one.", show_default="the reference"),
+    ] = None,
+    colours: Annotated[
+        Path | None,
+        typer.Option("--image", metavar="INPUT", help="The light field, for the colours of a point cloud."),
+    ] = None,
+) -> None:
+    """Write a disparity map in another format, or its points in space, with all it takes to read it right."""
+    from lfgpu.all_views import ViewsResult
+    from lfgpu.io import check_writable, load, read, save, writer_of
+
+    check_writable(out, folder=False)
+    writer_of(out)
+    place = None if view is None else values.parse_place("--view", view)
+    found = load(result)
+    if isinstance(found, ViewsResult):
+        found = found.map(found.keys[0] if place is None else found.index_of(*place))
+    elif place is not None:
+        raise LightFieldError(f"--view: {result} holds one map only; leave it out, or give a disparities.npz.")
+    image = None
+    if colours is not None:
+        lf = read(colours, allow_missing=True)
+        if found.position is None:
+            raise LightFieldError(f"{result} does not say which view it belongs to: its points cannot be coloured.")
+        u, v = found.position
+        image = lf.view(v, u)
+    save(found, out, image=image)
+    typer.echo(f"Wrote {out}.")

@@ -1,0 +1,186 @@
+"""`lfgpu render`: new views, refocused and all-in-focus images, and films of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lfgpu._backends import DEFAULT, list_backends
+from lfgpu.cli import values
+from lfgpu.cli.depth import Estimation
+from lfgpu.cli.options import Threads
+from lfgpu.errors import LightFieldError
+
+if TYPE_CHECKING:
+    from lfgpu.all_views import ViewsResult
+    from lfgpu.lightfield import LightField
+    from lfgpu.result import DepthResult, DisparityMap
+    from lfgpu.types import Float32Array
+
+_SWEEPS = ("circle", "across", "down", "focus")
+_REACH = 0.9  # of the way from the middle of the cameras to the outermost
+
+
+def render(
+    source: Annotated[Path, typer.Argument(metavar="INPUT", help="The light field, as a rule a folder of views.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "-o", "--out", metavar="FILE", help="An image: .png, .tif. A sweep: .gif, .mp4, or a folder of PNGs."
+        ),
+    ],
+    view: Annotated[
+        str | None, typer.Option(metavar="ROW,COL", help="A view from there; between the recorded ones or beyond.")
+    ] = None,
+    focus: Annotated[
+        float | None, typer.Option("--refocus", metavar="D", help="Focused at this disparity, the rest blurred.")
+    ] = None,
+    in_focus: Annotated[
+        bool, typer.Option("--all-in-focus", help="The reference view, with less noise, from all views.")
+    ] = False,
+    sweep: Annotated[str | None, typer.Option(metavar="PATH", help=f"A film of views: {', '.join(_SWEEPS)}.")] = None,
+    maps: Annotated[
+        Path | None,
+        typer.Option(metavar="RESULT", help="What depth --all-views wrote; without it, maps are estimated first."),
+    ] = None,
+    reference_view: Annotated[
+        str | None,
+        typer.Option(metavar="ROW,COL", help="View that is refocused or all in focus.", show_default="the centre"),
+    ] = None,
+    frames: Annotated[int, typer.Option(min=2, max=10000, help="Frames of a sweep.")] = 30,
+    fps: Annotated[float, typer.Option(help="Frames per second of a sweep.")] = 15.0,
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Set of parameters of the maps.")] = "accurate",
+    disparity_range: Annotated[
+        str | None,
+        typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found"),
+    ] = None,
+    backend: Annotated[str, typer.Option(metavar="NAME", help=f"Kernels: {', '.join(list_backends())}.")] = DEFAULT,
+    device: Annotated[
+        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the best there is")
+    ] = None,
+    threads: Threads = None,
+    format_name: Annotated[
+        str | None, typer.Option("--format", metavar="NAME", help="Format of INPUT.", show_default="recognised")
+    ] = None,
+    allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept a grid that lost some views.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
+) -> None:
+    """Make new views, refocused images or an all-in-focus image of a light field, or a film of them.
+
+    One of --view, --refocus, --all-in-focus and --sweep says which.
+    """
+    from lfgpu.io import check_writable, read
+    from lfgpu.io.frames import check_frames_path, check_image_path, write_frames, write_image
+
+    asked = [view is not None, focus is not None, in_focus, sweep is not None]
+    if sum(asked) != 1:
+        raise LightFieldError("give one of --view, --refocus, --all-in-focus and --sweep.")
+    if sweep is not None and sweep not in _SWEEPS:
+        raise LightFieldError(f"--sweep must be one of {', '.join(_SWEEPS)}, not {sweep!r}.")
+    (check_image_path if sweep is None else check_frames_path)(out)
+    check_writable(out, folder=not out.suffix)
+    place = None if view is None else values.parse_place("--view", view)
+    reference = None if reference_view is None else values.parse_place("--reference-view", reference_view)
+    estimation = Estimation(
+        values.configured(preset, ()),
+        None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
+        backend,
+        device,
+    )
+    values.use_threads("--threads", threads)
+    estimation.check_device()
+
+    lf = read(source, format=format_name, allow_missing=allow_missing)
+    if reference is not None:
+        lf = lf.with_reference(lf.index_of(*reference))
+    dtype = "uint16" if lf.views.dtype == "uint16" else "uint8"
+    if sweep is not None:
+        write_frames(_film(lf, sweep, frames, maps, estimation, quiet=quiet), out, fps=fps, dtype=dtype)
+    else:
+        write_image(_picture(lf, place, focus, maps, estimation, quiet=quiet), out, dtype=dtype)
+    if not quiet:
+        typer.echo(f"Wrote {out}.")
+
+
+def _picture(
+    lf: LightField,
+    place: tuple[float, float] | None,
+    focus: float | None,
+    maps: Path | None,
+    estimation: Estimation,
+    *,
+    quiet: bool,
+) -> Float32Array:
+    from lfgpu.refocusing import all_in_focus, refocus
+    from lfgpu.render import render_view
+
+    if focus is not None:
+        return refocus(lf, focus)
+    backend, device = estimation.backend, estimation.device
+    if place is None:
+        return all_in_focus(lf, _map(lf, maps, estimation, quiet=quiet), backend=backend, device=device)
+    row, column = place
+    found = render_view(lf, _maps(lf, maps, estimation, quiet=quiet), (column, row), backend=backend, device=device)
+    if not quiet:
+        hidden = 100 * (1 - found.known.mean())
+        typer.echo(f"{hidden:.2f} % of it is shown by no recorded view and filled from beside.")
+    return found.image
+
+
+def _film(
+    lf: LightField, sweep: str, count: int, maps: Path | None, estimation: Estimation, *, quiet: bool
+) -> Iterator[Float32Array]:
+    """The frames of a sweep that begins where it ends."""
+    import numpy as np
+
+    from lfgpu.refocusing import refocus
+    from lfgpu.render import Renderer
+
+    turns = [2 * math.pi * n / count for n in range(count)]
+    if sweep == "focus":
+        disparity = _map(lf, maps, estimation, quiet=quiet).disparity
+        far, near = np.nanquantile(disparity, (0.01, 0.99))
+        yield from (refocus(lf, float((far + near) / 2 - (near - far) / 2 * math.cos(turn))) for turn in turns)
+        return
+    render = Renderer(
+        lf, _maps(lf, maps, estimation, quiet=quiet), backend=estimation.backend, device=estimation.device
+    )
+    low, high = lf.positions.min(axis=0), lf.positions.max(axis=0)
+    middle, (u, v) = (low + high) / 2, _REACH * (high - low) / 2
+    for turn in turns:
+        across = math.cos(turn) if sweep == "circle" else math.sin(turn)
+        step = (0 if sweep == "down" else u * across, 0 if sweep == "across" else v * math.sin(turn))
+        yield render(middle + step).image
+
+
+def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> ViewsResult:
+    """The maps of all views: those that are there, or new ones."""
+    from lfgpu.all_views import ViewsResult
+    from lfgpu.cli.outputs import VIEWS_FILE
+    from lfgpu.io import load
+
+    if path is None:
+        return estimation.run_all(lf, quiet=quiet)
+    found = load(path / VIEWS_FILE if path.is_dir() else path)
+    if not isinstance(found, ViewsResult):
+        raise LightFieldError(f"{path} does not hold maps of all views; give what depth --all-views wrote.")
+    return found
+
+
+def _map(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> DepthResult | DisparityMap:
+    """The map of the reference view."""
+    from lfgpu.all_views import ViewsResult
+    from lfgpu.cli.outputs import VIEWS_FILE
+    from lfgpu.io import load
+
+    if path is None:
+        return estimation.run(lf, quiet=quiet)
+    found = load(path / VIEWS_FILE if (path / VIEWS_FILE).exists() else path)
+    if not isinstance(found, ViewsResult):
+        return found
+    u, v = lf.positions[lf.reference_index]
+    return found.map(found.index_of(float(v), float(u)))

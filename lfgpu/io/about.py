@@ -1,0 +1,93 @@
+"""What stands in the metadata of a written map, as one JSON text: what it takes to read the map right."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from lfgpu.errors import LightFieldError
+from lfgpu.geometry import Geometry
+from lfgpu.result import DisparityMap
+from lfgpu.types import Float32Array
+
+KEY = "lfgpu"
+"""What the text is called where metadata have names."""
+
+CONVENTION = (
+    "Disparity in pixels per view step, larger is nearer: the point at (x, y) of the reference view is at "
+    "(x - d*du, y - d*dv) in the view du steps to the right of and dv steps below it."
+)
+
+
+def map_about(values: DisparityMap, **format_specific: Any) -> str:
+    """The text of a map, in ASCII on one line; `format_specific` says what the format does to the values."""
+    return json.dumps(
+        {
+            KEY: importlib.metadata.version("lfgpu"),
+            "content": "disparity",
+            "unit": "pixels per view step",
+            "convention": CONVENTION,
+            "position": None if values.position is None else list(values.position),
+            "position_means": "(u, v): column and row of the view that the map belongs to, counted from 0",
+            "geometry": None if values.geometry is None else geometry_about(values.geometry),
+            "name": values.name,
+            "versions": values.versions,
+            **format_specific,
+        },
+        allow_nan=False,
+    )
+
+
+def parse_about(path: Path, text: str) -> dict[str, Any]:
+    """The text of a map's file as values; LightFieldError that names the file if it is none of ours."""
+    try:
+        about = json.loads(text)
+        if about["content"] != "disparity":
+            raise ValueError(f"it holds {about['content']}")
+    except (KeyError, TypeError, ValueError) as error:
+        raise LightFieldError(f"{path} is a damaged map of lfgpu: its metadata cannot be read.") from error
+    return dict(about)
+
+
+def map_of(
+    path: Path, about: Mapping[str, Any], disparity: Float32Array, confidence: Float32Array | None
+) -> DisparityMap:
+    """The map that the values and their metadata make; LightFieldError that names the file if they are damaged."""
+    try:
+        position, geometry = about["position"], about["geometry"]
+        return DisparityMap(
+            disparity,
+            confidence,
+            position=None if position is None else (float(position[0]), float(position[1])),
+            geometry=None if geometry is None else geometry_of(geometry),
+            name=str(about["name"]),
+            versions=dict(about["versions"]),
+        )
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise LightFieldError(f"{path} is a damaged map of lfgpu: its metadata are incomplete.") from error
+
+
+def geometry_about(geometry: Geometry) -> dict[str, Any]:
+    """JSON knows no infinity: frames that are not shifted have the focus distance null."""
+    values = asdict(geometry)
+    if math.isinf(geometry.focus_distance_m):
+        values["focus_distance_m"] = None
+    return values
+
+
+def geometry_of(about: Mapping[str, Any]) -> Geometry:
+    """The inverse of `geometry_about`; what older files do not have is as it was then."""
+    focus, point, unshifted = about["focus_distance_m"], about["principal_point"], about.get("unshifted_at")
+    return Geometry(
+        focal_length_px=float(about["focal_length_px"]),
+        baseline_m=float(about["baseline_m"]),
+        focus_distance_m=math.inf if focus is None else float(focus),
+        principal_point=None if point is None else (float(point[0]), float(point[1])),
+        pixel_aspect=float(about.get("pixel_aspect", 1.0)),
+        unshifted_at=None if unshifted is None else (float(unshifted[0]), float(unshifted[1])),
+    )

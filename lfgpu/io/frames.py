@@ -1,0 +1,169 @@
+"""Rendered images as files: one as PNG or TIFF, many as GIF, MP4 or a folder of PNGs."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.atomic import atomic_folder, atomic_write
+from lfgpu.io.png import write_png
+from lfgpu.types import Float32Array
+
+_FPS = 15.0
+_QUALITY = 8  # of 10
+
+
+def write_image(image: Float32Array, path: str | os.PathLike[str], *, dtype: Any = np.uint8) -> None:
+    """Write an image; whole or not at all.
+
+    Parameters
+    ----------
+    image
+        float32 [y, x, c], c = 1 or 3, in [0, 1].
+    path
+        .png, rounded to `dtype`, or .tif, of one channel or three of float32 as they are.
+    dtype
+        uint8 (default) or uint16, of a PNG.
+
+    Raises
+    ------
+    LightFieldError
+        If the suffix is another one, a colour TIFF shall be written and tifffile is not there, or the file cannot be
+        written.
+    """
+    path = Path(path)
+    check_image_path(path)
+    with atomic_write(path) as temporary:
+        if path.suffix.lower() == ".png":
+            write_png(temporary, _stored(image, dtype))
+        else:
+            import tifffile
+
+            grey = image.shape[2] == 1
+            tifffile.imwrite(temporary, image[..., 0] if grey else image, photometric="minisblack" if grey else "rgb")
+
+
+def check_image_path(path: str | os.PathLike[str]) -> None:
+    """LightFieldError if `write_image` could not write such a file."""
+    path = Path(path)
+    if path.suffix.lower() not in (".png", ".tif", ".tiff"):
+        raise LightFieldError(f"{path} cannot be written: an image is stored as .png or .tif; choose one of these.")
+    if path.suffix.lower() != ".png":
+        _need("tifffile", "tiff", path)
+
+
+def write_frames(
+    frames: Iterable[Float32Array], path: str | os.PathLike[str], *, fps: float = _FPS, dtype: Any = np.uint8
+) -> None:
+    """Write images of one size as a film; whole or not at all.
+
+    Parameters
+    ----------
+    frames
+        float32 [y, x, c] each, c = 1 or 3, in [0, 1]; made while they are written.
+    path
+        .gif, which repeats for ever; .mp4 (H.264), which cuts an odd row or column off; or without a suffix a folder of
+        frame_000.png and so on.
+    fps
+        Frames per second, 0.1 to 100; 15 by default. A folder has no speed.
+    dtype
+        uint8 (default) or uint16, of PNGs.
+
+    Raises
+    ------
+    LightFieldError
+        If the suffix or `fps` is another one, imageio-ffmpeg is not there for .mp4, or it cannot be written.
+    """
+    path = Path(path)
+    check_frames_path(path)
+    if not 0.1 <= fps <= 100:
+        raise LightFieldError(f"frames per second must be 0.1 to 100, not {fps}.")
+    if path.suffix:
+        writer = _FILMS[path.suffix.lower()]
+        with atomic_write(path) as temporary:
+            writer(frames, temporary, fps)
+        return
+    with atomic_folder(path) as folder:
+        for index, frame in enumerate(frames):
+            write_png(folder / f"frame_{index:03d}.png", _stored(frame, dtype))
+
+
+def check_frames_path(path: str | os.PathLike[str]) -> None:
+    """LightFieldError if `write_frames` could not write such a file or folder."""
+    path = Path(path)
+    if path.suffix and path.suffix.lower() not in _FILMS:
+        raise LightFieldError(
+            f"{path} cannot be written: a film is stored as .gif or .mp4, or without a suffix as a folder of PNGs."
+        )
+    if path.suffix.lower() == ".mp4":
+        _need("imageio_ffmpeg", "video", path)
+
+
+def _need(module: str, extra: str, path: Path) -> None:
+    if importlib.util.find_spec(module) is None:
+        raise LightFieldError(
+            f"{path} needs {module.replace('_', '-')}; install it with: pip install 'lfgpu[{extra}]'."
+        )
+
+
+def _write_gif(frames: Iterable[Float32Array], path: Path, fps: float) -> None:
+    # Of the ways to choose 256 colours the one that keeps rare ones: a small yellow thing stays yellow.
+    pictures = [Image.fromarray(_colour(frame)).quantize(256, Image.Quantize.MAXCOVERAGE) for frame in frames]
+    duration = max(20, 10 * round(100 / fps))  # ms; GIF counts in hundredths of a second
+    pictures[0].save(path, format="GIF", save_all=True, append_images=pictures[1:], duration=duration, loop=0)
+
+
+def _write_mp4(frames: Iterable[Float32Array], path: Path, fps: float) -> None:
+    import imageio_ffmpeg
+
+    pictures: Iterator[NDArray[np.uint8]] = (_even(_colour(frame)) for frame in frames)
+    first = next(pictures)
+    height, width, _ = first.shape
+    writer = imageio_ffmpeg.write_frames(
+        str(path),
+        (width, height),
+        fps=fps,
+        codec="libx264",
+        quality=_QUALITY,
+        macro_block_size=2,
+        ffmpeg_log_level="fatal",
+    )
+    try:
+        writer.send(None)
+        writer.send(np.ascontiguousarray(first))
+        for picture in pictures:
+            writer.send(np.ascontiguousarray(picture))
+    finally:
+        writer.close()
+    if not _is_whole(path):
+        raise OSError(None, "ffmpeg could not finish it; is the disk full?")
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a film has its table of contents, which ffmpeg writes last."""
+    return path.exists() and b"moov" in path.read_bytes()
+
+
+_FILMS: dict[str, Callable[[Iterable[Float32Array], Path, float], None]] = {".gif": _write_gif, ".mp4": _write_mp4}
+
+
+def _stored(image: Float32Array, dtype: Any) -> NDArray[Any]:
+    most = np.iinfo(dtype).max
+    return np.rint(np.clip(image, 0, 1) * np.float32(most)).astype(dtype)
+
+
+def _colour(image: Float32Array) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(np.broadcast_to(_stored(image, np.uint8), (*image.shape[:2], 3)))
+
+
+def _even(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    height, width, _ = image.shape
+    return image[: height - height % 2, : width - width % 2]

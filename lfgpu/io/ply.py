@@ -1,0 +1,83 @@
+"""Point clouds as binary PLY, each point with the pixel and the disparity that it comes from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.about import KEY, map_about, map_of, parse_about
+from lfgpu.points import point_cloud
+from lfgpu.result import DisparityMap
+
+_MARK = f"{KEY} "  # what the comment begins with that holds the metadata
+_MOST_PIXELS = 1 << 28
+
+
+def write_ply(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
+    """Binary, little endian: x, y, z, colours if there is an image, confidence if known, disparity, column and row."""
+    from plyfile import PlyData, PlyElement
+
+    cloud = point_cloud(values, image=image)
+    columns: dict[str, tuple[str, NDArray[Any]]] = {
+        name: ("<f4", cloud.points[:, axis]) for axis, name in enumerate("xyz")
+    }
+    if cloud.colors is not None:
+        columns |= {name: ("u1", cloud.colors[:, n]) for n, name in enumerate(("red", "green", "blue"))}
+    if cloud.confidence is not None:
+        columns["confidence"] = ("<f4", cloud.confidence)
+    column, row = cloud.pixels.T
+    columns |= {"disparity": ("<f4", values.disparity[row, column]), "column": ("<i4", column), "row": ("<i4", row)}
+    vertices = np.empty(len(column), [(name, kind) for name, (kind, _) in columns.items()])
+    for name, (_, numbers) in columns.items():
+        vertices[name] = numbers
+    unit = "metres" if cloud.metric else "pixels; z is -disparity in pixels per view step, as no geometry is known"
+    comments = [
+        f"x to the right, y down, z away from the camera, in {unit}",
+        _MARK
+        + map_about(
+            values,
+            height=values.disparity.shape[0],
+            width=values.disparity.shape[1],
+            invalid="pixels without a point are not known or at infinity",
+        ),
+    ]
+    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<", comments=comments).write(str(path))
+
+
+def read_ply(path: Path) -> DisparityMap:
+    """The map that a cloud of ours was made of, NaN where it has no point."""
+    from plyfile import PlyData, PlyParseError
+
+    with path.open("rb"):  # errors of the system are said by the caller
+        pass
+    try:
+        data = PlyData.read(str(path))
+        vertices = data["vertex"].data
+    except (PlyParseError, KeyError, ValueError, UnicodeDecodeError) as error:
+        raise LightFieldError(f"{path} cannot be read as PLY: {' '.join(str(error).split())}.") from error
+    texts = [comment.removeprefix(_MARK) for comment in data.comments if comment.startswith(_MARK)]
+    if len(texts) != 1:
+        raise LightFieldError(
+            f"{path} is not a point cloud of lfgpu: it does not say which pixels its points belong to."
+        )
+    about = parse_about(path, texts[0])
+    try:
+        height, width = int(about["height"]), int(about["width"])
+        if not 0 < height * width <= _MOST_PIXELS:
+            raise ValueError("absurd size")
+        at = vertices["row"], vertices["column"]
+        disparity = np.full((height, width), np.nan, np.float32)
+        disparity[at] = vertices["disparity"]
+        confidence = None
+        if "confidence" in vertices.dtype.names:
+            confidence = np.zeros((height, width), np.float32)
+            confidence[at] = vertices["confidence"]
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise LightFieldError(
+            f"{path} is a damaged point cloud of lfgpu: its points are not those of a map."
+        ) from error
+    return map_of(path, about, disparity, confidence)

@@ -1,0 +1,307 @@
+"""Maps in every format: what is written comes back, others can open it, and it is written whole or not at all."""
+
+from __future__ import annotations
+
+import resource
+import signal
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+import trimesh
+from PIL import Image
+from samples import refusal
+
+import lfgpu
+from lfgpu.all_views import ViewsResult
+from lfgpu.config import Config
+from lfgpu.geometry import Geometry
+from lfgpu.io import WRITERS, load, read_map, save
+from lfgpu.io.map_files import open_exr
+from lfgpu.result import DepthResult, DisparityMap
+
+RNG = np.random.default_rng(3)
+SHAPE = (5, 7)
+GEOMETRY = Geometry(500.0, 0.05, 4.25, (3.0, 2.5), 1.25, (1.0, 2.0))
+SUFFIXES = [suffix for writer in WRITERS if writer.write is not None for suffix in writer.suffixes]
+WITH_METADATA = [suffix for suffix in SUFFIXES if suffix != ".pfm"]
+WITH_CONFIDENCE = (".npz", ".exr", ".ply")
+
+
+def a_map(**changes: Any) -> DisparityMap:
+    disparity = RNG.uniform(-2, 3, SHAPE).astype(np.float32)
+    disparity[1, 2] = np.nan
+    values = DisparityMap(
+        disparity,
+        RNG.random(SHAPE).astype(np.float32),
+        position=(4.0, 3.5),
+        geometry=GEOMETRY,
+        name="Käse & $dollars$\nover two lines",
+        versions={"lfgpu": "0.1.0", "numpy": "2.0"},
+    )
+    return replace(values, **changes)
+
+
+def a_result(position: tuple[float, float] = (1.0, 0.0)) -> DepthResult:
+    numbers = RNG.random((3, *SHAPE)).astype(np.float32)
+    return DepthResult(
+        disparity=numbers[0],
+        confidence=numbers[1],
+        stages={"swept": numbers[2], "aligned": numbers[0]},
+        position=position,
+        disparity_range=(-1.0, 2.0),
+        config=Config(),
+        status="It stopped.",
+        converged=True,
+        trace=(),
+        timings={"total": 0.5},
+        backend="warp",
+        device="cpu",
+        versions={"lfgpu": "0.1.0"},
+        geometry=GEOMETRY,
+        name="scene",
+    )
+
+
+def maps_of_all_views() -> ViewsResult:
+    positions = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.5]])
+    disparities, confidences = RNG.random((2, 3, *SHAPE)).astype(np.float32)
+    return ViewsResult(disparities, confidences, positions, (1, 0), a_result(), {"keys": 1.0, "total": 2.5})
+
+
+def assert_same(found: Any, written: Any) -> None:
+    assert type(found) is type(written)
+    for name, value in vars(written).items():
+        other = getattr(found, name)
+        if isinstance(value, np.ndarray):
+            np.testing.assert_array_equal(other, value)
+            assert other.dtype == value.dtype
+        elif name == "stages":
+            assert list(other) == list(value)
+            for stage in value:
+                np.testing.assert_array_equal(other[stage], value[stage])
+        elif name == "reference":
+            assert_same(other, value)
+        else:
+            assert other == value, name
+
+
+# --- what is written comes back ---
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_the_map_comes_back(suffix: str, tmp_path: Path) -> None:
+    written, path = a_map(), tmp_path / f"map{suffix.upper()}"
+    written.save(path)
+    found = load(path)
+    assert isinstance(found, DisparityMap)
+    step = 0.5 * (np.nanmax(written.disparity) - np.nanmin(written.disparity)) / 65534 if suffix == ".png" else 0
+    np.testing.assert_allclose(found.disparity, written.disparity, rtol=0, atol=1.01 * step)
+    assert found.disparity.dtype == np.float32
+    np.testing.assert_array_equal(read_map(path), found.disparity)
+    if suffix in WITH_METADATA:
+        about = [(m.position, m.geometry, m.name, m.versions) for m in (found, written)]
+        assert about[0] == about[1]
+    if suffix in WITH_CONFIDENCE:
+        assert found.confidence is not None
+        known = np.isfinite(written.disparity)
+        np.testing.assert_array_equal(found.confidence[known], written.confidence[known])
+
+
+@pytest.mark.parametrize("suffix", WITH_METADATA)
+def test_what_is_not_known_stays_so(suffix: str, tmp_path: Path) -> None:
+    written = DisparityMap(np.full(SHAPE, 1.5, np.float32))  # of one value: a PNG has no range to spread
+    written.save(tmp_path / f"map{suffix}")
+    found = load(tmp_path / f"map{suffix}")
+    np.testing.assert_array_equal(found.disparity, written.disparity)
+    assert (found.confidence, found.position, found.geometry) == (None, None, None)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_result_is_saved_as_its_map(suffix: str, tmp_path: Path) -> None:
+    written = a_result()
+    written.save(tmp_path / f"map{suffix}")
+    found = load(tmp_path / f"map{suffix}")
+    if suffix == ".npz":
+        assert_same(found, written)
+    else:
+        np.testing.assert_allclose(found.disparity, written.disparity, atol=1e-5)
+        assert suffix == ".pfm" or found.position == written.position
+
+
+def test_maps_of_all_views_come_back(tmp_path: Path) -> None:
+    written = maps_of_all_views()
+    lfgpu.save(written, tmp_path / "all.npz")
+    found = lfgpu.load(tmp_path / "all.npz")
+    assert_same(found, written)
+    one = written.map(2)
+    assert one.position == (2.0, 0.5)
+    one.save(tmp_path / "one.exr")
+    np.testing.assert_array_equal(read_map(tmp_path / "one.exr"), written.disparities[2])
+    assert "choose one with .map(index)" in refusal(lambda: written.save(tmp_path / "all.pfm"))
+
+
+def test_a_folder_that_depth_wrote(tmp_path: Path) -> None:
+    written = a_result()
+    written.save(tmp_path / "result.npz")
+    assert_same(load(tmp_path), written)
+    (tmp_path / "empty").mkdir()
+    assert "holds no result.npz" in refusal(lambda: load(tmp_path / "empty"))
+
+
+# --- others can open it ---
+
+
+def test_others_open_the_tiff(tmp_path: Path) -> None:
+    written = a_map()
+    written.save(tmp_path / "map.tif")
+    with tifffile.TiffFile(tmp_path / "map.tif") as file:
+        np.testing.assert_array_equal(file.asarray(), written.disparity)
+        assert file.asarray().dtype == np.float32
+        assert "larger is nearer" in file.pages[0].description
+    tifffile.imwrite(tmp_path / "other.tif", written.disparity, description="not ours")
+    np.testing.assert_array_equal(read_map(tmp_path / "other.tif"), written.disparity)
+
+
+def test_others_open_the_exr(tmp_path: Path) -> None:
+    written = a_map()
+    written.save(tmp_path / "map.exr")
+    exr = open_exr(tmp_path)
+    with exr.File(str(tmp_path / "map.exr")) as file:
+        channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+        assert "larger is nearer" in file.header()["lfgpu"]
+    assert set(channels) == {"disparity", "confidence", "Z"}
+    np.testing.assert_array_equal(channels["Z"], written.depth)
+    with exr.File({}, {"Y": written.disparity}) as file:
+        file.write(str(tmp_path / "other.exr"))
+    np.testing.assert_array_equal(read_map(tmp_path / "other.exr"), written.disparity)
+    with exr.File({}, {"a": written.disparity, "b": written.disparity}) as file:
+        file.write(str(tmp_path / "two.exr"))
+    assert "it holds a, b" in refusal(lambda: read_map(tmp_path / "two.exr"))
+
+
+def test_others_open_the_png(tmp_path: Path) -> None:
+    written = a_map()
+    written.save(tmp_path / "map.png")
+    with Image.open(tmp_path / "map.png") as image:
+        assert np.asarray(image).max() == 65535
+        assert "disparity = offset + scale * value" in image.text["lfgpu"]
+    Image.fromarray(np.ones(SHAPE, np.uint16)).save(tmp_path / "other.png")
+    assert "what its values mean" in refusal(lambda: read_map(tmp_path / "other.png"))
+
+
+@pytest.mark.parametrize("geometry", [GEOMETRY, None])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_others_open_the_cloud(geometry: Geometry | None, dtype: Any, tmp_path: Path) -> None:
+    written = a_map(geometry=geometry)
+    image = RNG.integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
+    scale = {np.uint8: 1, np.uint16: 257, np.float32: np.float32(1 / 255)}[dtype]
+    save(written, tmp_path / "cloud.ply", image=(image * dtype(scale)).astype(dtype))
+    cloud = trimesh.load(tmp_path / "cloud.ply", process=False)
+    known = np.isfinite(written.disparity)
+    if geometry is None:
+        y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+        points = np.stack([x - 3.0, y - 2.0, -written.disparity], axis=-1)
+    else:
+        points = geometry.points(written.disparity, position=written.position)
+        assert known.sum() == known.size - 1
+    np.testing.assert_allclose(cloud.vertices, points[known], rtol=1e-6)
+    np.testing.assert_array_equal(cloud.colors[:, :3], image[known])
+    assert b"metres" in (tmp_path / "cloud.ply").read_bytes()[:200] or geometry is None
+    np.testing.assert_array_equal(read_map(tmp_path / "cloud.ply"), written.disparity)
+
+
+def test_a_cloud_needs_points_and_an_image_of_its_size(tmp_path: Path) -> None:
+    path = tmp_path / "cloud.ply"
+    for image, words in (
+        (np.zeros((2, 2, 3), np.uint8), "5 x 7 pixels, found (2, 2, 3)"),
+        (np.zeros((*SHAPE, 3), np.int64), "found int64"),
+    ):
+        assert words in refusal(lambda image=image: save(a_map(), path, image=image))
+    assert "there is no cloud" in refusal(lambda: save(a_map(disparity=np.full(SHAPE, np.nan, np.float32)), path))
+    assert not path.exists()
+
+
+def test_points_of_little_confidence_can_be_left_out() -> None:
+    values = a_map()
+    assert values.confidence is not None
+    cloud = lfgpu.point_cloud(values, least_confidence=0.5)
+    assert cloud.metric
+    assert len(cloud.points) == (np.isfinite(values.disparity) & (values.confidence >= 0.5)).sum()
+    grey = lfgpu.point_cloud(values, image=np.full(SHAPE, 7, np.uint8))
+    assert grey.colors is not None
+    assert (grey.colors == 7).all()
+
+
+# --- whole or not at all ---
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_full_disk_leaves_what_was_there(suffix: str, tmp_path: Path) -> None:
+    big = DisparityMap(RNG.random((300, 300)).astype(np.float32))
+    path = tmp_path / f"map{suffix}"
+    path.write_text("mine")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))  # the system refuses what goes beyond
+    try:
+        text = refusal(lambda: big.save(path))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert f"{path} cannot be written" in text
+    assert path.read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_other_suffixes_are_refused(tmp_path: Path) -> None:
+    for name in ("map.jpg", "map", "map.npy"):
+        assert "stored as .pfm, .npz, .png, .tif, .exr, .ply" in refusal(
+            lambda name=name: save(a_map(), tmp_path / name)
+        )
+    assert "[y, x]" in refusal(lambda: save(DisparityMap(np.zeros(3, np.float32)), tmp_path / "a.tif"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_openexr_it_is_said_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    a_map().save(tmp_path / "a.exr")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    for action in (lambda: load(tmp_path / "a.exr"), lambda: a_map().save(tmp_path / "b.exr")):
+        assert "pip install 'lfgpu[exr]'" in refusal(action)
+
+
+# --- damaged files ---
+
+
+@pytest.mark.parametrize("suffix", WITH_METADATA)
+def test_noise_in_a_file_is_never_a_traceback(suffix: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    a_map().save(tmp_path / f"good{suffix}")
+    whole = (tmp_path / f"good{suffix}").read_bytes()
+    bad = tmp_path / f"bad{suffix}"
+    for trial in range(60):
+        noisy = bytearray(whole[: rng.integers(0, len(whole))] if trial % 3 == 0 else whole)
+        for place in rng.integers(0, max(len(noisy), 1), 4 if noisy else 0):
+            noisy[place] = rng.integers(0, 256)
+        bad.write_bytes(noisy)
+        with suppress(lfgpu.LightFieldError):  # or it was read: not every byte matters
+            load(bad)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_what_is_not_there(suffix: str, tmp_path: Path) -> None:
+    assert "No such file" in refusal(lambda: load(tmp_path / f"none{suffix}")).replace("does not exist", "No such file")
+
+
+def test_metadata_that_lie_are_refused(tmp_path: Path) -> None:
+    a_map().save(tmp_path / "cloud.ply")
+    whole = (tmp_path / "cloud.ply").read_bytes()
+    for old, new in ((b'"height": 5', b'"height": 2'), (b'"content": "disparity"', b'"content": "depthdept"')):
+        (tmp_path / "cloud.ply").write_bytes(whole.replace(old, new))
+        assert "damaged" in refusal(lambda: load(tmp_path / "cloud.ply"))
+    written = maps_of_all_views()
+    replace(written, disparities=written.disparities[:, :2]).save(tmp_path / "all.npz")
+    assert "disparities is float32 of shape (3, 2, 7)" in refusal(lambda: load(tmp_path / "all.npz"))

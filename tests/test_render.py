@@ -1,0 +1,254 @@
+"""Rendered views against the scene itself, refocused and all-in-focus images, and their files."""
+
+from __future__ import annotations
+
+import resource
+import signal
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.all_views import ViewsResult, estimate_all_views
+from lfgpu.errors import LightFieldError
+from lfgpu.io.frames import write_frames, write_image
+from lfgpu.lightfield import LightField
+
+SIZE = (80, 96)
+
+
+def psnr(image: np.ndarray, true: np.ndarray) -> float:
+    return float(-10 * np.log10(np.mean((image - true) ** 2)))
+
+
+@cache
+def recorded(name: str = "boxes") -> LightField:
+    return scenes.make(name, grid=(5, 5), size=SIZE, dtype=np.float32)
+
+
+@cache
+def kept(name: str = "boxes") -> LightField:
+    """Every second row and column of the views."""
+    lf = recorded(name)
+    return lf.subset([n for n, (u, v) in enumerate(lf.positions) if u % 2 == 0 and v % 2 == 0])
+
+
+@cache
+def maps(name: str = "boxes") -> ViewsResult:
+    return estimate_all_views(kept(name), disparity_range=(-1.6, 1.7))
+
+
+@cache
+def true_maps() -> ViewsResult:
+    lf, estimated = kept(), maps()
+    disparities = np.stack(
+        [scenes.true_disparity("boxes", int(v), int(u), grid=(5, 5), size=SIZE) for u, v in lf.positions]
+    )
+    return replace(estimated, disparities=disparities.astype(np.float32))
+
+
+# --- new views ---
+
+
+@pytest.mark.parametrize("place", [(1, 1), (2, 1), (3, 4)])
+def test_views_that_were_left_out_are_rendered_better_than_by_their_neighbours(place: tuple[int, int]) -> None:
+    lf, (row, column) = kept(), place
+    true = recorded().image(recorded().index_of(row, column))
+    distance = np.hypot(*(lf.positions - (column, row)).T)
+    neighbours = np.mean([lf.image(n) for n in np.flatnonzero(distance < distance.min() + 1e-6)], axis=0)
+    for known_maps in (maps(), true_maps()):
+        rendered = lfgpu.render_view(lf, known_maps, (column, row))
+        assert rendered.image.dtype == np.float32
+        assert rendered.image.shape == (*SIZE, 3)
+        assert psnr(rendered.image, true) > psnr(neighbours, true) + 3
+        assert rendered.known.mean() > 0.98
+
+
+def test_the_map_of_a_rendered_view_is_near_its_truth() -> None:
+    rendered = lfgpu.render_view(kept(), true_maps(), (1.0, 3.0))
+    truth = scenes.true_disparity("boxes", 3, 1, grid=(5, 5), size=SIZE)
+    assert np.mean(np.abs(rendered.disparity - truth) > 0.07) < 0.05
+    assert rendered.position == (1.0, 3.0)
+
+
+def test_a_recorded_view_is_rendered_as_it_is() -> None:
+    lf = kept()
+    rendered = lfgpu.render_view(lf, maps(), lf.positions[3], sources=1)
+    np.testing.assert_allclose(rendered.image, lf.image(3), atol=1e-4)
+    assert rendered.known.all()
+
+
+def test_beyond_the_grid_there_are_no_holes_and_what_is_filled_is_told() -> None:
+    lf = recorded()
+    inner = [n for n, (u, v) in enumerate(lf.positions) if 1 <= u <= 3 and 1 <= v <= 3]
+    disparities = np.stack([scenes.true_disparity("boxes", n // 5, n % 5, grid=(5, 5), size=SIZE) for n in inner])
+    known = replace(maps(), disparities=disparities.astype(np.float32), positions=lf.positions[inner])
+    for row, column in ((2, 4), (0, 0)):
+        true, nearest = lf.view(row, column), lf.view(np.clip(row, 1, 3), np.clip(column, 1, 3))
+        rendered = lfgpu.render_view(lf.subset(inner), known, (column, row))
+        assert np.isfinite(rendered.image).all()
+        assert rendered.image[~rendered.known].mean() > 0.5 * true.mean()  # filled, not black
+        assert 0.002 < (~rendered.known).mean() < 0.08
+        assert psnr(rendered.image, true) > psnr(nearest, true) + 3
+        assert psnr(rendered.image[rendered.known], true[rendered.known]) > psnr(nearest, true) + 4
+
+
+def test_masked_pixels_are_not_used() -> None:
+    lf = kept()
+    valid = np.ones(lf.views.shape[:3], np.bool_)
+    valid[:, :, :12] = False
+    dark = np.where(valid[..., None], lf.views, 0)
+    masked = replace(lf, views=dark, valid=valid)
+    rendered = lfgpu.render_view(masked, maps(), (2.0, 1.0))
+    unmasked = lfgpu.render_view(lf, maps(), (2.0, 1.0))
+    where = rendered.known & unmasked.known
+    assert 0.7 < where.mean() < 0.95
+    assert psnr(rendered.image[where], unmasked.image[where]) > 35
+    assert not rendered.known[:, :8].any()
+
+
+def test_grey_views_and_rows_of_cameras() -> None:
+    lf = LightField(recorded().views[10:15, ..., :1], recorded().positions[10:15])
+    result = estimate_all_views(lf, config="fast", disparity_range=(-1.6, 1.7))
+    assert lfgpu.render_view(lf, result, (1.5, 2.0)).image.shape == (*SIZE, 1)
+
+
+def test_what_cannot_be_rendered_is_refused() -> None:
+    lf, known = kept(), maps()
+    for maps_, position, words in (
+        (known, (1.0,), "two finite numbers"),
+        (known, (np.nan, 1.0), "two finite numbers"),
+        (known, (100.0, 1.0), "too far away"),
+        (replace(known, disparities=known.disparities[:, 1:]), (1.0, 1.0), "79 x 96 pixels"),
+        (replace(known, positions=known.positions + 1), (1.0, 1.0), "other cameras"),
+    ):
+        with pytest.raises(LightFieldError, match=words):
+            lfgpu.render_view(lf, maps_, position)
+    with pytest.raises(LightFieldError, match="sources"):
+        lfgpu.Renderer(lf, known, sources=0)
+
+
+# --- focus ---
+
+
+def test_what_is_at_the_disparity_is_sharp_and_the_rest_is_not() -> None:
+    views = scenes.make("relief", grid=(5, 5), size=SIZE, disparity_range=(-1.5, 1.5), dtype=np.float32)
+    reference, truth = views.image(views.reference_index), views.truth
+    assert truth is not None
+    inner = np.s_[12:-12, 12:-12]
+    for disparity in (-0.8, 0.7):
+        error = np.abs(lfgpu.refocus(views, disparity) - reference).mean(2)[inner]
+        distance = np.abs(truth.disparity - disparity)[inner]
+        assert error[distance < 0.1].mean() < 0.25 * error[distance > 1].mean()
+
+
+def test_refocus_leaves_out_what_lies_beyond_the_frame_or_is_masked() -> None:
+    views = np.full((3, 3, 20, 24), 0.5, np.float32)
+    valid = np.ones((9, 20, 24), np.bool_)
+    valid[4, 3:6, 3:6] = False
+    views.reshape(9, 20, 24)[~valid] = 0
+    lf = LightField.from_grid(views, valid=valid)
+    np.testing.assert_allclose(lfgpu.refocus(lf, 2.3), 0.5, atol=0.02)
+    nothing = LightField.from_grid(views, valid=np.zeros_like(valid))
+    assert (lfgpu.refocus(nothing, 1.0) == 0).all()
+    with pytest.raises(LightFieldError, match="must be a number"):
+        lfgpu.refocus(lf, float("nan"))
+
+
+def test_all_in_focus_has_less_noise_and_stays_sharp() -> None:
+    noisy = scenes.make("boxes", grid=(5, 5), size=SIZE, dtype=np.float32, noise=0.03)
+    clean = recorded()
+    middle = clean.reference_index
+    assert noisy.truth is not None
+    true = clean.image(middle)
+    result = lfgpu.DisparityMap(noisy.truth.disparity, position=noisy.truth.position)
+    found = lfgpu.all_in_focus(noisy, result)
+    assert psnr(found, true) > psnr(noisy.image(middle), true) + 5
+    with pytest.raises(LightFieldError, match="the map is of the view at row 2, column 2"):
+        lfgpu.all_in_focus(noisy.with_reference(0), result)
+    with pytest.raises(LightFieldError, match="the views have 80 x 96"):
+        lfgpu.all_in_focus(noisy, lfgpu.DisparityMap(np.zeros((3, 3), np.float32)))
+
+
+def test_all_in_focus_where_the_map_or_the_view_knows_nothing() -> None:
+    lf = recorded()
+    assert lf.truth is not None
+    disparity, valid = lf.truth.disparity.copy(), np.ones(lf.views.shape[:3], np.bool_)
+    disparity[30:34, 40:44] = np.nan
+    valid[lf.reference_index, 10:13, 10:13] = False
+    views = np.where(valid[..., None], lf.views, 0)
+    found = lfgpu.all_in_focus(replace(lf, views=views, valid=valid), lfgpu.DisparityMap(disparity))
+    true = lf.image(lf.reference_index)
+    np.testing.assert_allclose(found[31, 41], true[31, 41], atol=1e-4)
+    assert np.abs(found - true)[10:13, 10:13].mean() < 0.05
+
+
+# --- files ---
+
+
+def frames(count: int = 3) -> list[np.ndarray]:
+    y, x = np.mgrid[:33, :48] / 48
+    return [np.stack([x, y, np.full_like(x, n / count)], axis=-1).astype(np.float32) for n in range(count)]
+
+
+def test_images_are_stored_as_they_are(tmp_path: Path) -> None:
+    (image,) = frames(1)
+    for dtype, most in ((np.uint8, 255), (np.uint16, 65535)):
+        write_image(image, tmp_path / "a.png", dtype=dtype)
+        stored, _ = lfgpu.io.images.read_image(tmp_path / "a.png")
+        assert stored.dtype == dtype
+        np.testing.assert_allclose(stored / most, image, atol=0.51 / most)
+    write_image(image, tmp_path / "a.tif")
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "a.tif"), image)
+
+
+def test_films(tmp_path: Path) -> None:
+    write_frames(frames(), tmp_path / "a.gif", fps=10)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert (film.n_frames, film.size, film.info["duration"], film.info["loop"]) == (3, (48, 33), 100, 0)
+        np.testing.assert_allclose(np.asarray(film.convert("RGB")) / 255, frames()[0], atol=0.1)
+    write_frames(frames(), tmp_path / "a.mp4", fps=10)
+    read = imageio_ffmpeg.read_frames(str(tmp_path / "a.mp4"))
+    about = next(read)
+    assert (about["size"], about["fps"]) == ((48, 32), 10)  # H.264 wants even sizes
+    shown = [np.frombuffer(frame, np.uint8).reshape(32, 48, 3) / 255 for frame in read]
+    assert len(shown) == 3
+    np.testing.assert_allclose(shown[2], frames()[2][:32], atol=0.12)
+    write_frames(frames(), tmp_path / "a")
+    assert [file.name for file in sorted((tmp_path / "a").iterdir())] == [f"frame_{n:03d}.png" for n in range(3)]
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.mp4", "a"])
+def test_a_full_disk_leaves_no_film(name: str, tmp_path: Path) -> None:
+    noise = [np.random.default_rng(n).random((100, 100, 3), np.float32) for n in range(6)]
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        with pytest.raises(LightFieldError, match="cannot be written"):
+            write_frames(noise, tmp_path / name)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert not list(tmp_path.iterdir())
+
+
+def test_other_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(LightFieldError, match=r"\.png or \.tif"):
+        write_image(frames(1)[0], tmp_path / "a.jpg")
+    with pytest.raises(LightFieldError, match=r"\.gif or \.mp4"):
+        write_frames(frames(), tmp_path / "a.avi")
+    with pytest.raises(LightFieldError, match="frames per second"):
+        write_frames(frames(), tmp_path / "a.gif", fps=0)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(LightFieldError, match=r"lfgpu\[video\]"):
+        write_frames(frames(), tmp_path / "a.mp4")
+    with pytest.raises(LightFieldError, match=r"lfgpu\[tiff\]"):
+        write_image(frames(1)[0], tmp_path / "a.tif")
