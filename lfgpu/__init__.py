@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from lfgpu.lightfield import GroundTruth, LightField
     from lfgpu.metrics import evaluate
     from lfgpu.result import DepthResult
+    from lfgpu.stream import DepthStream, FrameDroppedError, StreamResult
+    from lfgpu.temporal import TemporalPrior
     from lfgpu.threads import get_threads, set_threads
 
 _HOMES = {
@@ -31,12 +33,16 @@ _HOMES = {
     "Config": "config",
     "DepthPipeline": "depth",
     "DepthResult": "result",
+    "DepthStream": "stream",
+    "FrameDroppedError": "stream",
     "Geometry": "geometry",
     "GroundTruth": "lightfield",
     "LfgpuError": "errors",
     "LightField": "lightfield",
     "LightFieldError": "errors",
     "PRESETS": "config",
+    "StreamResult": "stream",
+    "TemporalPrior": "temporal",
     "ViewsResult": "all_views",
     "describe_backends": "_backends",
     "estimate_all_views": "all_views",
@@ -55,11 +61,15 @@ __all__ = [
     "Config",
     "DepthPipeline",
     "DepthResult",
+    "DepthStream",
+    "FrameDroppedError",
     "Geometry",
     "GroundTruth",
     "LfgpuError",
     "LightField",
     "LightFieldError",
+    "StreamResult",
+    "TemporalPrior",
     "ViewsResult",
     "describe_backends",
     "estimate_all_views",
