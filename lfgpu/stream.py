@@ -230,8 +230,9 @@ class DepthStream:
             self._mask = kernels.field(np.ones(lf.views.shape[:3]), self.device)
             self._present = np.ones(len(lf.views), bool)
             self._set_mask(self._present)
+            self._budget = budget_ms
             self._cold, self._warm = self._prepared(parameters, warm=prior is not None)
-        self._cut, self._budget = cut, budget_ms
+        self._cut = cut
         self._fresh = True  # whether there is no past to start from
         self.on_result = on_result
 
@@ -451,17 +452,19 @@ class DepthStream:
     # --- the work ---
 
     def _prepared(self, config: Config, *, warm: bool) -> tuple[list[_Level], list[_Level]]:
-        """What may be done for a frame, from least to most, run once, captured, and timed."""
+        """What may be done for a frame, from least to most, captured and timed; without a budget only the most."""
         steps, method, views = range(1, config.alignment.iterations + 1), self._method, self._views
         twice = config.sweep.occlusions == "twice"
         cold = [_Level(n, lambda n=n: method.cold(views, n, twice=True)) for n in steps]  # type: ignore[misc]
         if twice:
             cold.insert(0, _Level(1, lambda: method.cold(views, 1, twice=False)))
         levels = [_Level(n, lambda n=n: method.warm(views, n)) for n in steps] if warm else []  # type: ignore[misc]
+        if self._budget is None:
+            cold, levels = cold[-1:], levels[-1:]
         for level in (*cold, *levels):
             level.work()
             level.work = self._transport.captured(level.work)
-        for level in (*cold, *levels):
+        for level in (*cold, *levels) if self._budget is not None else ():
             self._transport.synchronize()
             start = perf_counter()
             level.work()
@@ -471,9 +474,7 @@ class DepthStream:
 
     def _level(self, levels: list[_Level]) -> _Level:
         """The most work that fits into the budget."""
-        if self._budget is None:
-            return levels[-1]
-        fitting = [level for level in levels if level.seconds * 1000 <= self._budget]
+        fitting = [level for level in levels if self._budget is None or level.seconds * 1000 <= self._budget]
         return fitting[-1] if fitting else levels[0]
 
     def _serve(self) -> None:

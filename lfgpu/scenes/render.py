@@ -66,6 +66,21 @@ def disparity(things: list[Thing], frame: Frame, offset: tuple[float, float]) ->
     return frame.far + (frame.near - frame.far) * nearest
 
 
+def motion(
+    things: list[Thing], later: list[Thing], frame: Frame, offset: tuple[float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """[3, y, x], by how much what each pixel shows moves to the right, down (pixels) and in disparity until `later`;
+    and [y, x], which thing that is.
+
+    Both lists hold the same things.
+    """
+    owner = np.concatenate([_cast(things, strip)[1] for strip in _strips(frame.rays(offset, 1), 1)])
+    by = np.array([after.shape.centre - before.shape.centre for before, after in zip(things, later, strict=True)])
+    slope = np.array(frame.slope(offset))
+    moves = np.column_stack([(by[:, :2] - by[:, 2:] * slope) * frame.unit, by[:, 2] * (frame.near - frame.far)])
+    return np.moveaxis(moves[owner], 2, 0), owner
+
+
 def picture(things: list[Thing], frame: Frame, offset: tuple[float, float]) -> NDArray[np.float32]:
     """[c, y, x] in [0, 1], the mean colour over each pixel."""
     strips = []
