@@ -43,8 +43,8 @@ class Row:
     """One preset on one case, warm or cold.
 
     `rate` is maps a second while frames are pushed as fast as they are taken ("block"); the latencies, milliseconds
-    from `push` of a uint8 frame of the host to the float32 map there, are at `pace` frames a second. Errors are means over
-    frames, and `mse_ratio` and `bad_ratio` those of MSE and BadPix(0.07) to a cold `accurate` solve of the same frames.
+    from `push` of a uint8 frame of the host to the float32 map there, are at `pace` frames a second. Errors are means
+    over frames, `mse_ratio` and `bad_ratio` those of MSE and BadPix(0.07) to a cold `accurate` solve of the same.
     """
 
     case: str

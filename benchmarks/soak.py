@@ -18,6 +18,7 @@ from lfgpu import DepthStream, LightField, LightFieldError, StreamResult, scenes
 Say = Callable[[str], None]
 RANGE = (-1.0, 1.0)
 _THREADS = 2  # that push
+_PENDING = 6  # frames that a thread has under way: more than may wait, so that some are dropped
 _LOOKS = 20  # at memory, evenly
 _SETTLED = 0.3  # share of the looks until which memory may grow
 _SLACK = 16 << 20  # bytes: what an allocator may keep
@@ -51,8 +52,8 @@ class Found:
         s = self.stats
         lines = [
             f"{s['frames_pushed']} frames: {s['frames_done']} maps, {s['frames_dropped']} dropped, "
-            f"{s['frames_failed']} failed; {s['scene_cuts']} cuts, {s['frames_with_missing_views']} maps without some views; "
-            f"{s['frames_per_second']:.0f} maps/s at the end."
+            f"{s['frames_failed']} failed; {s['scene_cuts']} cuts, {s['frames_with_missing_views']} maps without some "
+            f"views; {s['frames_per_second']:.0f} maps/s at the end."
         ]
         for name, looks in (("host", self.host_bytes), ("device", self.gpu_bytes)):
             if looks:
@@ -66,7 +67,7 @@ class Found:
 def run(plan: Plan, say: Say) -> Found:
     """Push the frames from several threads, look at memory and counts, and at the end at a map."""
     options: dict[str, Any] = {"grid": plan.grid, "size": plan.size, "disparity_range": RANGE}
-    films = [[scenes.make(name, seed=seed, **options) for seed in range(2)] for name in ("boxes", "planes")]
+    films = [[scenes.make(name, noise=noise, **options) for noise in (0.004, 0.005)] for name in ("boxes", "planes")]
     found = Found({})
     with DepthStream(
         films[0][0], config=plan.preset, disparity_range=RANGE, device=plan.device, policy="queue"
@@ -114,7 +115,7 @@ def _push(stream: DepthStream, films: list[list[LightField]], random: np.random.
         if bad:
             views, there = _spoilt(views, there, lf.reference_index, random)
         pending.append((stream.push(views, valid=there), bad))
-        while len(pending) > 1:
+        while len(pending) > _PENDING:
             problems += _outcome(*pending.pop(0))
     for item in pending:
         problems += _outcome(*item)
