@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import gc
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -457,3 +459,11 @@ def test_wrong_arguments(options: dict[str, Any], sentence: str) -> None:
 def test_wrong_priors(options: dict[str, Any]) -> None:
     with pytest.raises(lfgpu.LightFieldError, match=next(iter(options))):
         lfgpu.TemporalPrior(**options)
+
+
+def test_readme_names_what_is_there() -> None:
+    readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+    for name in re.findall(r"(?<!\w)stream\.(\w+)\(", readme):
+        assert hasattr(lfgpu.DepthStream, name), name
+    for name in re.findall(r"(?<!\w)result\.(\w+)", readme):
+        assert hasattr(lfgpu.StreamResult, name) or name in ("disparity", "npz"), name
