@@ -463,7 +463,12 @@ def test_wrong_priors(options: dict[str, Any]) -> None:
 
 def test_readme_names_what_is_there() -> None:
     readme = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    for name in re.findall(r"(?<!\w)stream\.(\w+)\(", readme):
-        assert hasattr(lfgpu.DepthStream, name), name
-    for name in re.findall(r"(?<!\w)result\.(\w+)", readme):
-        assert hasattr(lfgpu.StreamResult, name) or name in ("disparity", "npz"), name
+    section = readme.split("## Live: ")[1].split("\n## ")[0]
+    for prefix, home in (
+        ("stream", lfgpu.DepthStream),
+        ("result", lfgpu.StreamResult),
+        ("DepthStream", lfgpu.DepthStream),
+    ):
+        names = re.findall(rf"(?<!\w){prefix}\.(\w+)", section)
+        assert names
+        assert all(hasattr(home, name) for name in names), names
