@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from lfgpu.config import PRESETS, Config
     from lfgpu.depth import DepthPipeline, estimate_depth
     from lfgpu.errors import BackendError, LfgpuError, LightFieldError
+    from lfgpu.export import export_pipeline
     from lfgpu.geometry import Geometry
     from lfgpu.io import read
     from lfgpu.lightfield import GroundTruth, LightField
@@ -48,6 +49,7 @@ _HOMES = {
     "estimate_all_views": "all_views",
     "estimate_depth": "depth",
     "evaluate": "metrics",
+    "export_pipeline": "export",
     "get_threads": "threads",
     "list_backends": "_backends",
     "read": "io",
@@ -75,6 +77,7 @@ __all__ = [
     "estimate_all_views",
     "estimate_depth",
     "evaluate",
+    "export_pipeline",
     "get_threads",
     "list_backends",
     "read",

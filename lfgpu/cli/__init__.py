@@ -1,4 +1,4 @@
-"""The command line: `lfgpu depth`, `info`, `scene`, `eval`, `live`, `demo` and `backends`.
+"""The command line: `lfgpu depth`, `info`, `scene`, `eval`, `live`, `export`, `demo` and `backends`.
 
 Commands import what they need when they run, so that help and mistakes answer at once.
 """
@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from lfgpu.cli import backends, demo, depth, evaluate, info, live, scene
+from lfgpu.cli import backends, demo, depth, evaluate, export, info, live, scene
 from lfgpu.cli.failures import Group
 
 app = typer.Typer(
@@ -28,6 +28,7 @@ app.command("info")(info.info)
 app.command("scene")(scene.scene)
 app.command("eval")(evaluate.evaluate)
 app.command("live")(live.live)
+app.command("export")(export.export)
 app.command("demo")(demo.demo)
 app.command("backends")(backends.backends)
 
