@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from lfgpu._backends import DEFAULT
-from lfgpu.config import Config
+from lfgpu.config import Config, preset
 from lfgpu.depth import DepthPipeline
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_folder, check_writable
@@ -37,7 +37,8 @@ It belongs to Warp {version} and to processors like the one it was written on. W
 
 with WARP set to that folder. frames.raw holds frames one after the other, each {frame_bytes} bytes: the views
 [n, y, x, c] = {shape}, {dtype}. For each frame maps.raw gets {map_bytes} bytes of disparity and as many of
-confidence, float32 [y, x]. They have the same bits as those of lfgpu on the same device. On a CPU one thread does it all.
+confidence, float32 [y, x]. They have the same bits as those of lfgpu on the same device. On a CPU one thread does it
+all.
 """
 
 
@@ -68,11 +69,12 @@ def export_pipeline(
         As `DepthPipeline`, if the method is not matching, or if the folder cannot be written.
     """
     check_writable(out)
+    parameters = preset(config) if isinstance(config, str) else config
+    if isinstance(parameters, Config) and parameters.method.name != "matching":
+        raise LightFieldError("what is exported must match: take the preset accurate or fast.")
     exporting = importlib.import_module(f"lfgpu.kernels.{DEFAULT}.export")
     with limited_threads(1):  # what other threads ask for would not be recorded
-        pipeline = DepthPipeline(lf, config=config, disparity_range=disparity_range, device=device)
-        if pipeline.config.method.name != "matching":
-            raise LightFieldError("what is exported must match: take the preset accurate or fast.")
+        pipeline = DepthPipeline(lf, config=parameters, disparity_range=disparity_range, device=device)
         pipeline.run()
         views, maps = pipeline.buffers()
         with atomic_folder(out) as folder:

@@ -75,7 +75,7 @@ public:
             context_ = wp_cuda_device_get_primary_context(0);
             wp_cuda_context_set_current(context_);
             stream_ = wp_cuda_stream_create(context_, 0);
-        } else if (wp_llvm_set_cpu_block_runtime(wp_cpu_block_runtime_get_api()) != 0) {
+        } else if (!wp_llvm_set_cpu_block_runtime(wp_cpu_block_runtime_get_api())) {
             fail("Warp's compiler library is of another version than its runtime.");
         }
         graph_ = wp_apic_load_graph(context_, path.c_str(), on_gpu_ ? 0 : 1);
@@ -155,6 +155,7 @@ int main(int count, char** arguments)
     }
     if (frames.gcount() != 0) fail(std::string(arguments[2]) + " ends in the middle of a frame.");
     if (!maps.flush()) fail(std::string(arguments[3]) + " cannot be written.");
-    if (number > 0) std::fprintf(stderr, "%ld frames, %.2f ms each, at best %.2f ms\n", number, total / (number * repeats), best);
+    if (number > 0)
+        std::fprintf(stderr, "%ld frames, %.2f ms each, at best %.2f ms\n", number, total / (number * repeats), best);
     return 0;
 }
