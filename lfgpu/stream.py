@@ -8,7 +8,7 @@ import queue
 import threading
 import weakref
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
@@ -31,8 +31,8 @@ from lfgpu.types import Float32Array
 
 _USUAL_NOISE = 0.004  # intensity, of cameras that nothing is known about
 _SEEN_CHANGE = 4.0  # noises that make a sample of the reference view another one
-_AT_ONCE = 2**23  # bytes that one thread copies as fast as several
-_MOST_COPIERS = 4
+_AT_ONCE = 2**22  # bytes that one thread copies as fast as several
+_MOST_COPIERS = 8
 _SMOOTHING = 0.1  # weight of the latest frame in the mean time of a level of work
 
 OnResult = Callable[["StreamResult"], None]
@@ -229,7 +229,7 @@ class DepthStream:
             self._base = None if lf.valid is None else kernels.field(lf.valid, self.device)
             self._mask = kernels.field(np.ones(lf.views.shape[:3]), self.device)
             self._present = np.ones(len(lf.views), bool)
-            self._set_mask(self._present)
+            self._set_mask()
             self._budget = budget_ms
             self._cold, self._warm = self._prepared(parameters, warm=prior is not None)
         self._cut = cut
@@ -239,7 +239,8 @@ class DepthStream:
         self._counters = stream_stats.Counters()
         self._index, self._numbering = 0, threading.Lock()
         slots = [self._transport.slot() for _ in range(most + 2)]
-        self._copiers = ThreadPoolExecutor(min(_MOST_COPIERS, get_threads()), thread_name_prefix="lfgpu-copy")
+        self._copying = max(1, min(_MOST_COPIERS, get_threads(), len(self._used)))
+        self._copiers = ThreadPoolExecutor(self._copying, thread_name_prefix="lfgpu-copy")
         self._inbox: Inbox[StreamResult, Any] = Inbox(policy, most, slots, self._drop)
         self._under_way: queue.SimpleQueue[tuple[StreamResult, Any, _Level] | None] = queue.SimpleQueue()
         self._threads = [
@@ -426,7 +427,9 @@ class DepthStream:
 
     def _fill(self, slot: Any, frame: Any, valid: NDArray[np.bool_], *, on_gpu: bool) -> None:
         slot.is_resident = on_gpu
+        slot.present[:] = valid[self._used]
         if on_gpu:
+            self._transport.enter()
             self._transport.take(frame, slot, None if self._all else self._used)
             return
 
@@ -441,13 +444,19 @@ class DepthStream:
                 if not np.isfinite(low + high):
                     raise LightFieldError(f"view {view} holds values that are not finite; say that it is not valid.")
 
-        places = range(len(self._used))
-        if slot.host.nbytes < _AT_ONCE:
+        def copy_some(places: range) -> None:
             for place in places:
                 copy(place)
-        else:
-            for _ in self._copiers.map(copy, places):
-                pass
+
+        count, parts = len(self._used), 1 if slot.host.nbytes < _AT_ONCE else self._copying
+        cuts = [count * part // parts for part in range(parts + 1)]
+        others = [self._copiers.submit(copy_some, range(*cuts[part : part + 2])) for part in range(1, parts)]
+        try:
+            copy_some(range(*cuts[:2]))
+        finally:
+            wait(others)  # the slot must not be given back before
+        for other in others:
+            other.result()
 
     # --- the work ---
 
@@ -479,6 +488,7 @@ class DepthStream:
 
     def _serve(self) -> None:
         """The thread that asks the device."""
+        self._transport.enter()
         while (taken := self._inbox.get()) is not None:
             result, slot = taken
             read = False
@@ -505,17 +515,18 @@ class DepthStream:
         if np.array_equal(present, self._present):
             return None
         self._present = present
-        return lambda: self._set_mask(present)
+        return self._set_mask
 
-    def _set_mask(self, present: NDArray[np.bool_]) -> None:
-        if self.device == "cpu" and self._base is None and present.all():
+    def _set_mask(self) -> None:
+        if self.device == "cpu" and self._base is None and self._present.all():
             self._method.mask(None)  # nothing to look at is quicker; what is captured on a GPU looks anyway
             return
-        self._transporting.mask(self._base, present, self._mask)
+        self._transport.mask(self._base, self._mask)
         self._method.mask(self._mask)
 
     def _deliver(self) -> None:
         """The thread that waits for the device."""
+        self._transport.enter()
         while (item := self._under_way.get()) is not None:
             result, maps, level = item
             try:

@@ -1,14 +1,14 @@
 """Frames on their way to a device, and maps on their way back, while the device works on what lies between.
 
-On a GPU there are three streams: one for frames that come, Warp's own for the work, one for maps that go. Host memory
-is pinned. On a CPU nothing overlaps: it is busy with the work.
+On a GPU there are four streams: one for frames of other libraries there, one for all that come, Warp's own for the
+work, one for maps that go. Host memory is pinned. On a CPU nothing overlaps: it is busy with the work.
 """
 
 import threading
+import time
 import weakref
 from collections import deque
 from collections.abc import Callable
-from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,21 +69,19 @@ def _mask_kernel(base: wp.array3d(dtype=float), present: wp.array(dtype=float), 
     mask_out[n, y, x] = value
 
 
-def mask(base: Any, present: NDArray[np.bool_], mask_out: Any) -> None:
-    """mask [n, y, x] = present [n], times `base` [n, y, x] unless that is None."""
-    there = wp.array(present.astype(np.float32), dtype=float, device=mask_out.device)
-    wp.launch(_mask_kernel, mask_out.shape, [base, there], [mask_out], device=mask_out.device)
-
-
 class Slot:
     """Where a frame waits: host memory, and on the device what comes from other libraries there."""
 
     def __init__(self, views: Any) -> None:
-        self._like = views
-        self.staged = wp.empty(views.shape, dtype=views.dtype, device="cpu", pinned=views.device.is_cuda)
+        self._like, on_gpu = views, views.device.is_cuda
+        self.staged = wp.empty(views.shape, dtype=views.dtype, device="cpu", pinned=on_gpu)
         self.host: NDArray[Any] = self.staged.numpy().reshape(*views.shape, views.dtype._length_)
+        self.presence = wp.ones(len(views), dtype=float, device="cpu", pinned=on_gpu)
+        self.present: NDArray[np.float32] = self.presence.numpy()
+        """Which views are there, 1 or 0, [n]."""
         self._resident: Any = None
         self.is_resident = False
+        self.copied = wp.Event(views.device) if on_gpu else None
 
     @property
     def resident(self) -> Any:
@@ -119,6 +117,13 @@ class Lease:
     def numpy(self, index: int) -> NDArray[np.float32]:
         """The same on the host, a copy."""
         return np.array(self.maps.hosts[index].numpy())
+
+
+def _wait_for(event: Any) -> None:
+    """Warp refuses to wait while anybody captures on the device, which somebody else in the process may do."""
+    while event.device.is_capturing:
+        time.sleep(0.0005)
+    wp.synchronize_event(event)
 
 
 class _Token:
@@ -164,12 +169,13 @@ class Transport:
         self._grid = -(-height // strides[0]), -(-width // strides[1])
         self._looking = [reference, scale, tolerance, *strides]
         self._kernel = _change_kernel(views.dtype._length_, views.dtype._wp_scalar_type_)
+        self._there = wp.ones(len(views), dtype=float, device=self._device)
         self._last = wp.zeros(self._grid, dtype=views.dtype, device=self._device)
         self._changed, self._zero = (wp.zeros(1, dtype=int, device=self._device) for _ in range(2))
         load(self._device, self._kernel, _mask_kernel)
         if self._device.is_cuda:
             self._compute = self._device.stream
-            self._up, self._down = wp.Stream(self._device), wp.Stream(self._device)
+            self._in, self._up, self._down = (wp.Stream(self._device) for _ in range(3))
             self._incoming = wp.empty_like(views)
             self._changed_host = wp.zeros(1, dtype=int, device="cpu", pinned=True)
             self._arrived, self._taken, self._solved = (wp.Event(self._device) for _ in range(3))
@@ -184,14 +190,23 @@ class Transport:
         """Room for one more waiting frame."""
         return Slot(self._views)
 
+    def enter(self) -> None:
+        """Each thread that asks the device, or waits for it, must call this once."""
+        self._device.make_current()
+
+    def mask(self, base: Any, mask_out: Any) -> None:
+        """mask [n, y, x] = whether view n of the frame brought last is there, times `base` unless that is None."""
+        wp.launch(_mask_kernel, mask_out.shape, [base, self._there], [mask_out], device=self._device)
+
     def take(self, values: Any, slot: Slot, views: list[int] | None) -> None:
         """Copy an array of another library on the same GPU into a slot, in the order of that library's stream."""
         with ASKING:
             if views is None:
-                take(values, slot.resident, self._up)
+                take(values, slot.resident, self._in)
             else:
                 for k, n in enumerate(views):
-                    take(values[n], slot.resident[k], self._up)
+                    take(values[n], slot.resident[k], self._in)
+            self._in.record_event(slot.copied)
 
     def bring(self, slot: Slot) -> float:
         """Take a frame to the device, while it may still work on the one before; which share of the samples changed.
@@ -202,6 +217,7 @@ class Transport:
         samples = self._grid[0] * self._grid[1]
         if not self._device.is_cuda:
             wp.copy(self._incoming, source)
+            wp.copy(self._there, slot.presence)
             self._changed.zero_()
             wp.launch(
                 self._kernel, self._grid, [self._incoming, *self._looking, self._last, self._changed], device="cpu"
@@ -210,13 +226,16 @@ class Transport:
         with ASKING:
             up = self._up
             up.wait_event(self._taken)
+            if slot.is_resident:
+                up.wait_event(slot.copied)
             wp.copy(self._incoming, source, stream=up)
+            wp.copy(self._there, slot.presence, stream=up)
             wp.copy(self._changed, self._zero, stream=up)
             arguments = [self._incoming, *self._looking, self._last, self._changed]
             wp.launch(self._kernel, self._grid, arguments, device=self._device, stream=up)
             wp.copy(self._changed_host, self._changed, stream=up)
             up.record_event(self._arrived)
-        wp.synchronize_event(self._arrived)
+        _wait_for(self._arrived)
         return float(self._changed_host.numpy()[0]) / samples
 
     def solve(self, work: Callable[[], None], before: Callable[[], None] | None) -> Maps:
@@ -226,9 +245,9 @@ class Transport:
             with ASKING:
                 if before is not None:
                     before()
-                start = perf_counter()
+                start = time.perf_counter()
                 work()
-                maps.events[0][0] = perf_counter() - start
+                maps.events[0][0] = time.perf_counter() - start
                 self._hand_over(maps)
             return maps
         begin, end, done = maps.events
@@ -236,9 +255,9 @@ class Transport:
             compute, down = self._compute, self._down
             compute.wait_event(self._arrived)
             wp.copy(self._views, self._incoming, stream=compute)
-            compute.record_event(self._taken)
             if before is not None:
                 before()
+            compute.record_event(self._taken)
             compute.record_event(begin)
             work()
             compute.record_event(end)
@@ -254,7 +273,7 @@ class Transport:
         """Wait until maps are on the host: seconds that the device worked on them, and the method's two numbers."""
         if self._device.is_cuda:
             begin, end, done = maps.events
-            wp.synchronize_event(done)
+            _wait_for(done)
             seconds = wp.get_event_elapsed_time(begin, end) / 1000
         else:
             seconds = maps.events[0][0]
@@ -280,7 +299,7 @@ class Transport:
     def synchronize(self) -> None:
         """Wait for all that was asked for."""
         if self._device.is_cuda:
-            for stream in (self._up, self._compute, self._down):
+            for stream in (self._in, self._up, self._compute, self._down):
                 wp.synchronize_stream(stream)
 
     def _hand_over(self, maps: Maps) -> None:
