@@ -230,8 +230,8 @@ def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
     lines = [("maps", frames), ("rate", f"{stats['frames_per_second']:.1f} / s")]
     if stats["frames_done"]:
         lines += [
-            ("latency", f"{times('latency')} ms (median, 95 %, 99 %), from the frame to its map on the host"),
-            ("device", f"{times('work')} ms"),
+            ("latency", f"{times('latency')} ms (median, 95 %, 99 %)"),
+            ("work", f"{times('work')} ms of the device"),
         ]
     return lines
 
@@ -250,7 +250,7 @@ def _show(stream: DepthStream, stats: dict[str, Any], record: Record) -> None:
     console = output()
     low, high = stream.bounds
     lines(console, [("device", stream.device), ("range", f"{low:.3g} to {high:.3g} px per view step")])
-    lines(console, [(label if label != "device" else "of these", text) for label, text in facts(stats)])
+    lines(console, facts(stats))
     for index, sentence in record.failed[:3]:
         remark(console, f"Frame {index}: {sentence}")
     if len(record.failed) > 3:
