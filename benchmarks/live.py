@@ -209,6 +209,6 @@ def show(rows: list[Row]) -> None:
     console.print(table)
     if rows:
         console.print(
-            f"On {rows[0].device}, from a uint8 frame on the host to its float32 map there; latency is the median, 95 % "
-            "and 99 %, of frames that come at a pace."
+            f"On {rows[0].device}, from a uint8 frame on the host to its float32 map there; latency is the median, 95 "
+            "and 99 % of frames that come at a pace."
         )

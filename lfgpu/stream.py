@@ -210,10 +210,10 @@ class DepthStream:
         self._expected, self._grid = (lf.views.shape, lf.views.dtype), lf.grid_shape
         self._used = used_views(lf, parameters.sweep.views)
         self._reference, self._all = lf.reference_index, len(self._used) == len(lf.views)
-        lf = lf if self._all else lf.subset(self._used)
 
         with self._transporting.ASKING:
             self.bounds = bounds or find_disparity_range(lf, parameters.local, kernels, self.device)
+            lf = lf if self._all else lf.subset(self._used)
             self._views = kernels.image(lf.views, self.device)
             self._method = TemporalMatching(
                 lf, self.bounds, parameters, kernels, self.device, prior=prior or TemporalPrior(), live=live

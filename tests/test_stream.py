@@ -82,9 +82,11 @@ def test_without_a_prior_each_map_is_that_of_a_pipeline(config: str) -> None:
             assert (result.index, result.cold, result.cut) == (index, True, False)
 
 
-def test_first_map_is_that_of_estimate_depth() -> None:
-    want = lfgpu.estimate_depth(frames()[0], config="accurate", disparity_range=RANGE, device="cpu")
-    with made(config="accurate") as stream:
+@pytest.mark.parametrize(("config", "bounds"), [("accurate", RANGE), ("fast", None)])
+def test_first_map_is_that_of_estimate_depth(config: str, bounds: tuple[float, float] | None) -> None:
+    want = lfgpu.estimate_depth(frames()[0], config=config, disparity_range=bounds, device="cpu")
+    with made(config=config, disparity_range=bounds) as stream:
+        assert stream.bounds == want.disparity_range
         result = stream.push(frames()[0].views)
         np.testing.assert_array_equal(result.numpy(), want.disparity)
         np.testing.assert_array_equal(result.confidence(), want.confidence)
@@ -393,6 +395,18 @@ def test_failing_block_drops_what_waits() -> None:
             stream._inbox.close(finish=False)
         raise KeyError
     assert all(result.done for result in results)
+
+
+def test_two_streams_at_once() -> None:
+    with made(prior=None) as one, made(config="accurate", prior=None) as other, ThreadPoolExecutor(2) as pool:
+
+        def maps(stream: lfgpu.DepthStream) -> list[np.ndarray]:
+            return [result.numpy() for result in [stream.push(lf.views) for lf in frames()[:3]]]
+
+        found = list(pool.map(maps, (one, other)))
+    for config, results in zip(("fast", "accurate"), found, strict=True):
+        for index, disparity in enumerate(results):
+            np.testing.assert_array_equal(disparity, alone(config, index))
 
 
 # --- numbers ---

@@ -274,7 +274,7 @@ class Transport:
         if self._device.is_cuda:
             begin, end, done = maps.events
             _wait_for(done)
-            seconds = wp.get_event_elapsed_time(begin, end) / 1000
+            seconds = wp.get_event_elapsed_time(begin, end, synchronize=False) / 1000
         else:
             seconds = maps.events[0][0]
         trust, moved = (float(number.numpy()[0]) for number in maps.numbers)
