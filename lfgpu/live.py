@@ -10,13 +10,15 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from lfgpu.errors import LightFieldError
 from lfgpu.lightfield import LightField
-from lfgpu.stream import DepthStream, StreamResult
+
+if TYPE_CHECKING:
+    from lfgpu import DepthStream, StreamResult
 
 Frames = Iterator[Any]
 """A `LightField` first, then light fields of its kind, arrays like its views, or pairs of these and what is valid."""

@@ -16,7 +16,7 @@ from lfgpu.cli.options import Threads
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lfgpu.stream import DepthStream, StreamResult
+    from lfgpu import DepthStream, StreamResult
 
 RECORD_FILE = "live.json"
 _REFRESH = 0.25  # seconds
@@ -75,10 +75,9 @@ def live(
     With -o each map is written as soon as it is there (disparity_000000.pfm, confidence_000000.pfm), at the end
     live.json with what became of every frame.
     """
+    from lfgpu import DepthStream, TemporalPrior
     from lfgpu.io import check_writable
     from lfgpu.live import feed, open_source
-    from lfgpu.stream import DepthStream
-    from lfgpu.temporal import TemporalPrior
 
     if out is not None:
         check_writable(out)
@@ -210,10 +209,9 @@ class Display:
             self._live.update(Text("\n".join(f"{label:<10}{text}" for label, text in facts(stats))), refresh=True)
         if self._metrics is not None:
             from lfgpu.io import atomic_write
-            from lfgpu.stream_stats import prometheus
 
             with atomic_write(self._metrics) as temporary:
-                temporary.write_text(prometheus(stats), encoding="utf-8")
+                temporary.write_text(self._stream.prometheus(), encoding="utf-8")
 
 
 def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
