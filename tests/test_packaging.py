@@ -195,7 +195,7 @@ def test_host_code_loads_no_backend_when_it_is_imported(path: Path) -> None:
 
 @pytest.mark.parametrize("path", HOST, ids=name_of)
 def test_nothing_imports_the_ends_of_the_arrows(path: Path) -> None:
-    """Nothing but themselves, `python -m lfgpu`, and the top, which names them, imports command line, viewer or stream."""
+    """Only themselves, `python -m lfgpu` and the top, which names them, import command line, viewer and stream."""
     parts = path.relative_to(ROOT / "lfgpu").with_suffix("").parts
     for end in ("cli", "viewer", "stream"):
         if parts[0] not in (end, "__init__", "__main__"):
