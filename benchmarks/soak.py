@@ -18,7 +18,6 @@ from lfgpu import DepthStream, LightField, LightFieldError, StreamResult, scenes
 Say = Callable[[str], None]
 RANGE = (-1.0, 1.0)
 _THREADS = 2  # that push
-_PENDING = 6  # frames that a thread has under way: more than may wait, so that some are dropped
 _LOOKS = 20  # at memory, evenly
 _SETTLED = 0.3  # share of the looks until which memory may grow
 _SLACK = 16 << 20  # bytes: what an allocator may keep
@@ -28,7 +27,7 @@ _DROP_OUT, _CUT, _BAD = 0.2, 0.02, 0.05  # shares of the frames
 
 @dataclass(frozen=True)
 class Plan:
-    """How many frames of which size, the preset, the seed and the device."""
+    """How many frames of which size, the preset, the seed and the device; and how many come at once in the mean."""
 
     frames: int
     grid: tuple[int, int]
@@ -36,6 +35,7 @@ class Plan:
     preset: str
     seed: int
     device: str | None
+    burst: int = 4
 
 
 @dataclass
@@ -80,7 +80,9 @@ def run(plan: Plan, say: Say) -> Found:
                 count = min(part, plan.frames - look)
                 shares = [count // _THREADS + (thread < count % _THREADS) for thread in range(_THREADS)]
                 jobs = [
-                    pool.submit(_push, stream, films, np.random.default_rng([plan.seed, look, thread]), share)
+                    pool.submit(
+                        _push, stream, films, np.random.default_rng([plan.seed, look, thread]), share, plan.burst
+                    )
                     for thread, share in enumerate(shares)
                 ]
                 for job in jobs:
@@ -100,8 +102,10 @@ def run(plan: Plan, say: Say) -> Found:
     return found
 
 
-def _push(stream: DepthStream, films: list[list[LightField]], random: np.random.Generator, count: int) -> list[str]:
-    """Push some frames and wait for them; what should not be."""
+def _push(
+    stream: DepthStream, films: list[list[LightField]], random: np.random.Generator, count: int, burst: int
+) -> list[str]:
+    """Push some frames, in bursts, and wait for them; what should not be."""
     pending: list[tuple[StreamResult, bool]] = []
     film, problems = 0, []
     for _ in range(count):
@@ -115,8 +119,9 @@ def _push(stream: DepthStream, films: list[list[LightField]], random: np.random.
         if bad:
             views, there = _spoilt(views, there, lf.reference_index, random)
         pending.append((stream.push(views, valid=there), bad))
-        while len(pending) > _PENDING:
-            problems += _outcome(*pending.pop(0))
+        if random.random() < 1 / burst:
+            problems += [problem for item in pending for problem in _outcome(*item)]
+            pending.clear()
     for item in pending:
         problems += _outcome(*item)
     return problems

@@ -96,8 +96,8 @@ def test_cases_that_are_none() -> None:
 # --- the soak ---
 
 
-def plan(frames: int, seed: int = 0) -> soak.Plan:
-    return soak.Plan(frames, (3, 3), (24, 24), "fast", seed, "cpu")
+def plan(frames: int) -> soak.Plan:
+    return soak.Plan(frames, (3, 3), (24, 24), "fast", 0, "cpu", burst=12)
 
 
 def test_soak() -> None:
