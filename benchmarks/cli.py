@@ -1,11 +1,12 @@
 """The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found.
 
-`ablation` leaves ingredients out, `rendering` renders views that were left out, `gallery` draws the picture of the
-README.
+`ablation` leaves ingredients out, `rendering` renders views that were left out, `live`, `flicker` and `soak` are about
+streams, `gallery` draws the picture of the README.
 """
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -15,14 +16,18 @@ from benchmarks import (
     ablation,
     cases,
     compare,
+    flicker,
     gallery,
+    live,
     merge,
+    moving,
     operations,
     pipelines,
     plot,
     rendering,
     results,
     show,
+    soak,
     suite,
 )
 from benchmarks.errors import BenchmarkError
@@ -137,6 +142,63 @@ def rendering_(
         say=lambda what: typer.echo(what, err=True),
     )
     typer.echo(rendering.markdown(rows), nl=False)
+
+
+Device = Annotated[str | None, typer.Option(metavar="DEVICE", help="cpu or cuda:0; default: the best there is.")]
+Out = Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")]
+
+
+@app.command("flicker")
+def flicker_(
+    case_name: Annotated[str, typer.Option("--case", metavar="ROWSxCOLUMNSxHEIGHTxWIDTH")] = "5x5x128x128",
+    frames: Annotated[int, typer.Option(min=6)] = 24,
+    period: Annotated[int, typer.Option(min=1, help="Frames in which things go round; fewer is faster.")] = 240,
+    noise: Annotated[float, typer.Option(help="Of the views, intensities being 0 to 1.")] = 0.01,
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = "accurate,fast",
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """How much maps of a moving scene change where nothing does, with and without the last map, and their errors."""
+    film = moving.Film(*live.parse_case(case_name), frames, period, noise)
+    rows = flicker.run(film, tuple(_names(presets)), device, lambda what: typer.echo(what, err=True))
+    live.save(out, {"film": asdict(film), "rows": [asdict(row) for row in rows]})
+    flicker.show(rows)
+
+
+@app.command("live")
+def live_(
+    case_names: Annotated[str, typer.Option("--cases", metavar="NAME,...")] = "7x7x375x375,9x9x512x512",
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = "accurate,fast",
+    frames: Annotated[int, typer.Option(min=2, help="How many are cast; they are played to and fro.")] = 8,
+    seconds: Annotated[float, typer.Option(min=0.1, help="How long each way is measured.")] = 10.0,
+    budget: Annotated[float | None, typer.Option(metavar="MS", help="Of the device for a frame.")] = None,
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Frames a second and latency from a frame on the host to its map on the host, and errors of warm maps."""
+    plan = live.Plan(tuple(_names(case_names)), tuple(_names(presets)), frames, seconds, budget, device)
+    rows = live.run(plan, lambda what: typer.echo(what, err=True))
+    live.save(out, {"rows": [asdict(row) for row in rows]})
+    live.show(rows)
+
+
+@app.command("soak")
+def soak_(
+    frames: Annotated[int, typer.Option(min=1)] = 20_000,
+    case_name: Annotated[str, typer.Option("--case", metavar="ROWSxCOLUMNSxHEIGHTxWIDTH")] = "5x5x128x128",
+    preset: Annotated[str, typer.Option(metavar="NAME")] = "accurate",
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Frames with random drop-outs, cuts and errors for a long time; exits with 1 if memory grows or one is lost."""
+    plan = soak.Plan(frames, *live.parse_case(case_name), preset, seed, device)
+    found = soak.run(plan, lambda what: typer.echo(what, err=True))
+    live.save(out, asdict(found))
+    for line in found.lines():
+        typer.echo(line)
+    if found.problems:
+        raise typer.Exit(1)
 
 
 @app.command()

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from lfgpu.config import PRESETS, Config
     from lfgpu.depth import DepthPipeline, estimate_depth
     from lfgpu.errors import BackendError, LfgpuError, LightFieldError
+    from lfgpu.export import export_pipeline
     from lfgpu.geometry import Geometry
     from lfgpu.io import load, read, save
     from lfgpu.lightfield import GroundTruth, LightField
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from lfgpu.refocusing import all_in_focus, refocus
     from lfgpu.render import RenderedView, Renderer, render_view
     from lfgpu.result import DepthResult, DisparityMap
+    from lfgpu.stream import DepthStream, FrameDroppedError, StreamResult
+    from lfgpu.temporal import TemporalPrior
     from lfgpu.threads import get_threads, set_threads
     from lfgpu.viewer import Viewer
 
@@ -35,7 +38,9 @@ _HOMES = {
     "Config": "config",
     "DepthPipeline": "depth",
     "DepthResult": "result",
+    "DepthStream": "stream",
     "DisparityMap": "result",
+    "FrameDroppedError": "stream",
     "Geometry": "geometry",
     "GroundTruth": "lightfield",
     "LfgpuError": "errors",
@@ -45,6 +50,8 @@ _HOMES = {
     "PointCloud": "points",
     "RenderedView": "render",
     "Renderer": "render",
+    "StreamResult": "stream",
+    "TemporalPrior": "temporal",
     "Viewer": "viewer",
     "ViewsResult": "all_views",
     "all_in_focus": "refocusing",
@@ -52,6 +59,7 @@ _HOMES = {
     "estimate_all_views": "all_views",
     "estimate_depth": "depth",
     "evaluate": "metrics",
+    "export_pipeline": "export",
     "get_threads": "threads",
     "list_backends": "_backends",
     "load": "io",
@@ -70,7 +78,9 @@ __all__ = [
     "Config",
     "DepthPipeline",
     "DepthResult",
+    "DepthStream",
     "DisparityMap",
+    "FrameDroppedError",
     "Geometry",
     "GroundTruth",
     "LfgpuError",
@@ -79,6 +89,8 @@ __all__ = [
     "PointCloud",
     "RenderedView",
     "Renderer",
+    "StreamResult",
+    "TemporalPrior",
     "Viewer",
     "ViewsResult",
     "all_in_focus",
@@ -86,6 +98,7 @@ __all__ = [
     "estimate_all_views",
     "estimate_depth",
     "evaluate",
+    "export_pipeline",
     "get_threads",
     "list_backends",
     "load",

@@ -191,8 +191,8 @@ class DepthPipeline:
     def run(self) -> None:
         """Estimate from the views that are there."""
         if self._graph is None and self._runs > 0 and self.config.is_on_device:
-            self._graph = self.kernels.capture(self._work, self.device)
-        (self._graph or self._work)()
+            self._graph = self.kernels.capture(self.work, self.device)
+        (self._graph or self.work)()
         self._runs += 1
 
     @property
@@ -275,7 +275,12 @@ class DepthPipeline:
         """
         return self._method.stages(self._views)
 
-    def _work(self) -> None:
+    def buffers(self) -> tuple[Array, dict[str, Array]]:
+        """What `work` reads, the views, and what it writes, by name: arrays of the backend, for those who record it."""
+        return self._views, {"disparity": self._method.disparity, "confidence": self._method.confidence}
+
+    def work(self) -> None:
+        """Ask for all stages, one operation after the other; `run` does so until it has captured them."""
         for stage in self.stages().values():
             stage(None)
 

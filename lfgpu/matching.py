@@ -90,6 +90,7 @@ class Matching:
         self._curvature, self._slope, self._certainty, self._room = (kernels.zeros(lf.size, device) for _ in range(4))
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
         self._trust, self._size = kernels.scalar(0.0, device), lf.size
+        self._steps = len(self._moves)
 
     def stages(self, views: Array) -> dict[str, Stage]:
         """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
@@ -128,6 +129,11 @@ class Matching:
         )
 
     def _compare(self, views: Array) -> None:
+        self._load(views)
+        self._sweep.apertures(self._volume)
+        self._find_surface(self._swept)
+
+    def _load(self, views: Array) -> None:
         kernels = self._kernels
         if self._chosen is not None:
             kernels.line_of_views(views, self._used, vertical=False, epis_out=self._chosen)
@@ -138,8 +144,6 @@ class Matching:
         self._prior.load(self._image)
         self._sweep.load(self._image, views, self._valid)
         self._align.load(self._image, views, self._valid)
-        self._sweep.apertures(self._volume)
-        self._find_surface(self._swept)
 
     def _compare_seen(self, _: Callback | None) -> None:
         self._hiding(self._swept, self._nearest)
@@ -150,6 +154,7 @@ class Matching:
         """From costs to the map of the best surface through them; both volumes change."""
         matching = self._config.matching
         self._prior.average(self._volume, self._smooth)
+        self._expect(self._smooth)
         self._kernels.semi_global(
             self._smooth,
             self._image,
@@ -165,7 +170,7 @@ class Matching:
         kernels, config, map_, room = self._kernels, self._config.alignment, self.disparity, self._room
         noise, longest = config.robust**2, config.longest_step / self._farthest
         kernels.copy(self._matched if self._twice else self._swept, map_)
-        for iteration, moved in enumerate(self._moves, 1):
+        for iteration, moved in enumerate(self._moves[: self._steps], 1):
             # Beside an edge in another view, what is seen there is mixed with what is nearer: one pixel is left out.
             self._hiding_beside(map_, self._nearest)
             self._align(map_, self._nearest, self._curvature, self._slope)
@@ -181,6 +186,9 @@ class Matching:
             if callback is not None:
                 callback(iteration, math.sqrt(kernels.number(moved) / (self._size[0] * self._size[1])))
         self._judge()
+
+    def _expect(self, costs: Array) -> None:
+        """For those who know something about the surface beforehand: change the costs [l, y, x] of its disparities."""
 
     def _judge(self) -> None:
         """confidence = 1 / (1 + odds), odds = (1 - c)² / 2 + (s / _DOUBT)² being those of a pixel being off.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from lfgpu.errors import LfgpuError
 
@@ -18,6 +20,17 @@ def set_threads(count: int | None) -> None:
     """
     global _chosen
     _chosen = None if count is None else _checked(count, "set_threads")
+
+
+@contextmanager
+def limited_threads(count: int) -> Iterator[None]:
+    """Use at most `count` threads of the CPU while the block runs."""
+    global _chosen
+    before, _chosen = _chosen, count
+    try:
+        yield
+    finally:
+        _chosen = before
 
 
 def get_threads() -> int:

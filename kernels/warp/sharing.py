@@ -56,32 +56,35 @@ def shared(field: Any) -> Shared:
     return Shared(field)
 
 
-def take(values: Any, array_out: Any) -> None:
+def take(values: Any, array_out: Any, own: Any = None) -> None:
     """Copy an array [..., c] of another library on this GPU: after what its library was asked for, before what it will.
 
-    Where that library does not say on which stream it works, the host waits for the copy.
+    The copy takes its turn on the stream `own`, by default Warp's. Where that library does not say on which stream it
+    works, the host waits for the copy.
     """
     device = array_out.device
+    own = own or device.stream
     vector = array_out.dtype is not wp.float32
     scalar = array_out.dtype._wp_scalar_type_ if vector else wp.float32
     shape = (*array_out.shape, array_out.dtype._length_) if vector else array_out.shape
     target = wp.array(ptr=array_out.ptr, dtype=scalar, shape=shape, device=device, copy=False)
     stream = _stream_of(values, device)
     if hasattr(values, "__dlpack__"):
-        source = wp.from_dlpack(values, dtype=scalar)  # makes Warp's stream wait
+        # Given our stream, their library makes it wait; 1 is the default stream, as 0 is not allowed.
+        source = wp.from_dlpack(values.__dlpack__(stream=own.cuda_stream or 1), dtype=scalar)
     else:
         interface = values.__cuda_array_interface__
         if stream is None:
             wp.synchronize_device(device)
         else:
-            device.stream.wait_stream(stream)
+            own.wait_stream(stream)
         place, strides = interface["data"][0], interface.get("strides")
         source = wp.array(ptr=place, dtype=scalar, shape=shape, strides=strides, device=device, copy=False)
-    wp.copy(target, source)
+    wp.copy(target, source, stream=own)
     if stream is None:
-        wp.synchronize_stream(device.stream)
+        wp.synchronize_stream(own)
     else:
-        stream.wait_stream(device.stream)
+        stream.wait_stream(own)
 
 
 def _stream_of(values: Any, device: Any) -> Any:

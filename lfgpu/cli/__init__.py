@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from lfgpu.cli import backends, convert, decode, demo, depth, evaluate, info, render, scene, view
+from lfgpu.cli import backends, convert, decode, demo, depth, evaluate, export, info, live, render, scene, view
 from lfgpu.cli.failures import Group
 
 app = typer.Typer(
@@ -31,6 +31,8 @@ app.command("render")(render.render)
 app.command("scene")(scene.scene)
 app.command("eval")(evaluate.evaluate)
 app.command("view")(view.view)
+app.command("live")(live.live)
+app.command("export")(export.export)
 app.command("demo")(demo.demo)
 app.command("backends")(backends.backends)
 

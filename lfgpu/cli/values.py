@@ -41,6 +41,16 @@ def parse_grid(text: str | None) -> tuple[int, int] | None:
     return None if text is None else parse_size("--grid", text, "ROWSxCOLUMNS such as 9x9")
 
 
+def parse_policy(option: str, text: str) -> tuple[str, int | None]:
+    """ "latest", "block" or "queue:8" as (name, how many wait or None); LightFieldError for anything else."""
+    from lfgpu.stream_inbox import POLICIES
+
+    name, colon, count = text.partition(":")
+    if name not in POLICIES or (colon and not count.isdecimal()):
+        raise LightFieldError(f"{option} must be latest, block or queue:N such as queue:8, not {text!r}.")
+    return name, int(count) if colon else None
+
+
 def numbers(option: str, text: str, separator: str, what: str) -> tuple[float, float]:
     """Two numbers with a separator between them; LightFieldError that says `what` they should be otherwise."""
     try:

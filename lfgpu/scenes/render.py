@@ -23,13 +23,19 @@ class Thing:
     texture: Texture
     path: tuple[float, float, float, float] | None = None
 
+    def place(self, time: float) -> NDArray[np.float64]:
+        """(X, Y, T) from the middle of its ellipse, where it was built, to where it is at that time."""
+        if self.path is None:
+            return np.zeros(3)
+        x, y, t, phase = self.path
+        angle = 2 * np.pi * time + phase
+        return np.array([x * np.cos(angle), y * np.sin(angle), t * np.sin(angle)])
+
     def at(self, time: float, unit: int) -> Thing:
         """The thing as it stands at that time, with `unit` pixels per scene unit."""
         if self.path is None:
             return self
-        x, y, t, phase = self.path
-        angle = 2 * np.pi * time + phase
-        by = np.array([x * np.cos(angle), y * np.sin(angle), t * np.sin(angle)])
+        by = self.place(time)
         return Thing(self.shape.moved(by), self.texture.moved(by[:2] * unit))  # paint sticks to the surface
 
 
@@ -64,6 +70,20 @@ def disparity(things: list[Thing], frame: Frame, offset: tuple[float, float]) ->
     rays = frame.rays(offset, 1)
     nearest = np.concatenate([_cast(things, strip)[0] for strip in _strips(rays, 1)])
     return frame.far + (frame.near - frame.far) * nearest
+
+
+def motion(
+    things: list[Thing], times: tuple[float, float], frame: Frame, offset: tuple[float, float]
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """[3, y, x], by how much what a pixel shows at the first time moves right and down (pixels) and in disparity until
+    the second; and [y, x], which thing that is.
+    """
+    before = [thing.at(times[0], frame.unit) for thing in things]
+    owner = np.concatenate([_cast(before, strip)[1] for strip in _strips(frame.rays(offset, 1), 1)])
+    by = np.array([thing.place(times[1]) - thing.place(times[0]) for thing in things])
+    slope = np.array(frame.slope(offset))
+    moves = np.column_stack([(by[:, :2] - by[:, 2:] * slope) * frame.unit, by[:, 2] * (frame.near - frame.far)])
+    return np.moveaxis(moves[owner], 2, 0), owner
 
 
 def picture(things: list[Thing], frame: Frame, offset: tuple[float, float]) -> NDArray[np.float32]:

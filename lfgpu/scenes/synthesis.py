@@ -154,6 +154,41 @@ def true_disparity(
     return render.disparity(scene.at(_time(name, time)), scene.frame, scene.offset(place))
 
 
+def true_motion(
+    row: int,
+    column: int,
+    times: tuple[float, float],
+    *,
+    seed: int = 0,
+    grid: tuple[int, int] = (9, 9),
+    size: tuple[int, int] = (512, 512),
+    disparity_range: tuple[float, float] = (-1.5, 1.5),
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Where what each pixel of a view of "moving" shows goes from one time to another.
+
+    Parameters
+    ----------
+    times
+        Two times as in `make`.
+    seed, grid, size, disparity_range, row, column
+        As in `true_disparity`.
+
+    Returns
+    -------
+    float64 [3, y, x]: pixels to the right, pixels down, and the change of the disparity in pixels per view step; and
+    int [y, x], which thing the pixel shows at the first time.
+
+    Raises
+    ------
+    LightFieldError
+        If an argument is not what it has to be; the sentence says which.
+    """
+    scene = _scene("moving", seed, grid, size, disparity_range)
+    place = _place((row, column), scene.grid)
+    before, after = (_time("moving", time) for time in times)
+    return render.motion(scene.things, (before, after), scene.frame, scene.offset(place))
+
+
 class _Recording(NamedTuple):
     """How the scene is recorded."""
 
@@ -177,10 +212,10 @@ class _Scene:
 
     def at(self, time: float) -> list[render.Thing]:
         """The things as they stand at that time."""
-        return [thing.at(time, self.frame.unit) for thing in self._things]
+        return [thing.at(time, self.frame.unit) for thing in self.things]
 
     @cached_property
-    def _things(self) -> list[render.Thing]:
+    def things(self) -> list[render.Thing]:
         """Built when first needed: every argument has been checked by then."""
         rng = np.random.default_rng([self.seed, NAMES.index(self.name)])
         return SCENES[self.name](Stage(self.frame, _farthest(self.grid), rng))

@@ -1,0 +1,182 @@
+"""A long time of frames with drop-outs, cuts and errors: nothing may grow, nothing may be lost."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.memory import gpu_used
+from lfgpu import DepthStream, LightField, LightFieldError, StreamResult, scenes
+
+Say = Callable[[str], None]
+RANGE = (-1.0, 1.0)
+_THREADS = 2  # that push
+_LOOKS = 20  # at memory, evenly
+_SETTLED = 0.3  # share of the looks until which memory may grow
+_SLACK = 16 << 20  # bytes: what an allocator may keep
+_DEVICE_SLACK = 64 << 20
+_DROP_OUT, _CUT, _BAD = 0.2, 0.02, 0.05  # shares of the frames
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How many frames of which size, the preset, the seed and the device; and how many come at once in the mean."""
+
+    frames: int
+    grid: tuple[int, int]
+    size: tuple[int, int]
+    preset: str
+    seed: int
+    device: str | None
+    burst: int = 4
+
+
+@dataclass
+class Found:
+    """What happened: `stats` of the stream, bytes of the host and the GPUs at each look, and what should not be."""
+
+    stats: dict[str, Any]
+    host_bytes: list[int] = field(default_factory=list)
+    gpu_bytes: list[int] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+    def lines(self) -> list[str]:
+        """What to say about it."""
+        s = self.stats
+        lines = [
+            f"{s['frames_pushed']} frames: {s['frames_done']} maps, {s['frames_dropped']} dropped, "
+            f"{s['frames_failed']} failed; {s['scene_cuts']} cuts, {s['frames_with_missing_views']} maps without some "
+            f"views; {s['frames_per_second']:.0f} maps/s at the end."
+        ]
+        for name, looks in (("host", self.host_bytes), ("device", self.gpu_bytes)):
+            if looks:
+                settled = looks[int(_SETTLED * len(looks))]
+                lines.append(
+                    f"Memory of the {name}: {settled / 2**20:.0f} MiB, {looks[-1] / 2**20:.0f} MiB at the end."
+                )
+        return lines + (self.problems or ["Nothing grew, nothing was lost."])
+
+
+def run(plan: Plan, say: Say) -> Found:
+    """Push the frames from several threads, look at memory and counts, and at the end at a map."""
+    options: dict[str, Any] = {"grid": plan.grid, "size": plan.size, "disparity_range": RANGE}
+    films = [[scenes.make(name, noise=noise, **options) for noise in (0.004, 0.005)] for name in ("boxes", "planes")]
+    found = Found({})
+    with DepthStream(
+        films[0][0], config=plan.preset, disparity_range=RANGE, device=plan.device, policy="queue"
+    ) as stream:
+        first = stream.push(films[0][0].views).numpy()
+        expected, done = 1, 0
+        part = max(1, plan.frames // _LOOKS)
+        with ThreadPoolExecutor(_THREADS) as pool:
+            for look in range(0, plan.frames, part):
+                count = min(part, plan.frames - look)
+                shares = [count // _THREADS + (thread < count % _THREADS) for thread in range(_THREADS)]
+                jobs = [
+                    pool.submit(
+                        _push, stream, films, np.random.default_rng([plan.seed, look, thread]), share, plan.burst
+                    )
+                    for thread, share in enumerate(shares)
+                ]
+                for job in jobs:
+                    found.problems += job.result()
+                expected, done = expected + count, look + count
+                _look(found)
+                say(f"{done} frames")
+                stats = stream.stats()
+                if stats["frames_pushed"] != expected or stats["frames_in_work"] != 0:
+                    found.problems.append(f"after {done} frames counts are wrong: {stats}")
+        stream.restart()
+        again = stream.push(films[0][0].views).numpy()
+        if not np.array_equal(first, again):
+            found.problems.append("the first frame has another map at the end than at the start.")
+        found.stats = stream.stats()
+    _judge(found)
+    return found
+
+
+def _push(
+    stream: DepthStream, films: list[list[LightField]], random: np.random.Generator, count: int, burst: int
+) -> list[str]:
+    """Push some frames, in bursts, and wait for them; what should not be."""
+    pending: list[tuple[StreamResult, bool]] = []
+    film, problems = 0, []
+    for _ in range(count):
+        if random.random() < _CUT:
+            film = 1 - film
+        lf = films[film][random.integers(len(films[film]))]
+        views, there, bad = lf.views, np.ones(len(lf.views), bool), random.random() < _BAD
+        if random.random() < _DROP_OUT:
+            there[random.integers(len(there), size=random.integers(1, 4))] = False
+            there[lf.reference_index] = True
+        if bad:
+            views, there = _spoilt(views, there, lf.reference_index, random)
+        pending.append((stream.push(views, valid=there), bad))
+        if random.random() < 1 / burst:
+            problems += [problem for item in pending for problem in _outcome(*item)]
+            pending.clear()
+    for item in pending:
+        problems += _outcome(*item)
+    return problems
+
+
+def _spoilt(views: Any, there: Any, reference: int, random: np.random.Generator) -> tuple[Any, Any]:
+    match random.integers(4):
+        case 0:
+            return views[:, 1:], there
+        case 1:
+            return views.astype(np.float32), there
+        case 2:
+            return None, there
+    missing = there.copy()
+    missing[reference] = False
+    return views, missing
+
+
+def _outcome(result: StreamResult, bad: bool) -> list[str]:
+    if not result.wait(60):
+        return [f"frame {result.index} hangs."]
+    if result.dropped:
+        return []
+    if bad:
+        return [] if isinstance(result.error, LightFieldError) else [f"bad frame {result.index} was taken."]
+    if result.error is not None:
+        return [f"frame {result.index} failed: {result.error}"]
+    return [] if np.isfinite(result.numpy()).all() else [f"the map of frame {result.index} is not finite."]
+
+
+def _look(found: Found) -> None:
+    gc.collect()
+    host = _resident()
+    if host is not None:
+        found.host_bytes.append(host)
+    gpu = gpu_used()
+    if gpu is not None:
+        found.gpu_bytes.append(gpu)
+
+
+def _resident() -> int | None:
+    """Resident memory of this process in bytes now; None where the system does not tell."""
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith("VmRSS:"):
+                return 1024 * int(line.split()[1])
+    return None
+
+
+def _judge(found: Found) -> None:
+    for name, looks, slack in (
+        ("host", found.host_bytes, _SLACK),
+        ("device", found.gpu_bytes, _DEVICE_SLACK),
+    ):
+        settled = looks[int(_SETTLED * len(looks)) :]
+        if settled and settled[-1] - settled[0] > slack:
+            grown = (settled[-1] - settled[0]) / 2**20
+            found.problems.append(f"memory of the {name} grew by {grown:.0f} MiB after it should have settled.")

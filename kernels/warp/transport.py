@@ -1,0 +1,322 @@
+"""Frames on their way to a device, and maps on their way back, while the device works on what lies between.
+
+On a GPU there are four streams: one for frames of other libraries there, one for all that come, Warp's own for the
+work, one for maps that go. Host memory is pinned. On a CPU nothing overlaps: it is busy with the work.
+"""
+
+import threading
+import time
+import weakref
+from collections import deque
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from .memory import pixel_type
+from .sharing import Shared, take
+from .threads import load, once
+
+wp.set_module_options({"enable_backward": False})
+
+ASKING = threading.RLock()
+"""Held by whoever asks a device for work: what is captured must not mix with what others ask for."""
+
+_SAMPLES = 64  # along each side of the reference view, that are looked at for cuts
+
+
+@once
+def _change_kernel(channels: int, stored: Any) -> Any:
+    stored_pixel = pixel_type(channels, stored)
+
+    @wp.kernel(module=f"lfgpu_transport_{channels}_{stored.__name__}", enable_backward=False)
+    def change_kernel(
+        views: wp.array3d(dtype=stored_pixel),
+        reference: int,
+        scale: float,
+        tolerance: float,
+        stride_y: int,
+        stride_x: int,
+        last: wp.array2d(dtype=stored_pixel),
+        changed: wp.array(dtype=int),
+    ):
+        """Counts the samples of the reference view that changed since the last frame, and keeps them."""
+        j, i = wp.tid()
+        y = j * stride_y + stride_y / 2
+        x = i * stride_x + stride_x / 2
+        if y >= views.shape[1] or x >= views.shape[2]:
+            return
+        now = views[reference, y, x]
+        before = last[j, i]
+        change = float(0.0)
+        for c in range(wp.static(channels)):
+            change = change + wp.abs(float(now[c]) - float(before[c]))
+        if not (change * scale <= tolerance * float(wp.static(channels))):
+            wp.atomic_add(changed, 0, 1)
+        last[j, i] = now
+
+    return change_kernel
+
+
+@wp.kernel
+def _mask_kernel(base: wp.array3d(dtype=float), present: wp.array(dtype=float), mask_out: wp.array3d(dtype=float)):
+    n, y, x = wp.tid()
+    value = present[n]
+    if base:
+        value = value * base[n, y, x]
+    mask_out[n, y, x] = value
+
+
+class Slot:
+    """Where a frame waits: host memory, and on the device what comes from other libraries there."""
+
+    def __init__(self, views: Any) -> None:
+        self._like, on_gpu = views, views.device.is_cuda
+        self.staged = wp.empty(views.shape, dtype=views.dtype, device="cpu", pinned=on_gpu)
+        self.host: NDArray[Any] = self.staged.numpy().reshape(*views.shape, views.dtype._length_)
+        self.presence = wp.ones(len(views), dtype=float, device="cpu", pinned=on_gpu)
+        self.present: NDArray[np.float32] = self.presence.numpy()
+        """Which views are there, 1 or 0, [n]."""
+        self._resident: Any = None
+        self.is_resident = False
+        self.copied = wp.Event(views.device) if on_gpu else None
+
+    @property
+    def resident(self) -> Any:
+        """The same on the device; allocated with the first frame that comes from there."""
+        if self._resident is None:
+            self._resident = wp.empty_like(self._like)
+        return self._resident
+
+
+class Maps(NamedTuple):
+    """Where maps go: fields on the device and their copies on the host, with what tells when they are there."""
+
+    fields: tuple[Any, Any]
+    hosts: tuple[Any, Any]
+    numbers: tuple[Any, Any]  # as the method left them: trust, and the first step, NaN if something was not finite
+    events: tuple[Any, ...]
+
+
+class Lease:
+    """Maps in somebody's hands; when nobody holds them any more, they are used again."""
+
+    def __init__(self, maps: Maps, give: Callable[[Maps], None]) -> None:
+        token = _Token()
+        weakref.finalize(token, give, maps)
+        # What other libraries take are these, so that they hold the token as long as they hold the memory.
+        self.fields = tuple(_view(field, token) for field in maps.fields)
+        self.maps = maps
+
+    def shared(self, index: int) -> Shared:
+        """Disparity (0) or confidence (1) for other libraries."""
+        return Shared(self.fields[index])
+
+    def numpy(self, index: int) -> NDArray[np.float32]:
+        """The same on the host, a copy."""
+        return np.array(self.maps.hosts[index].numpy())
+
+
+def _wait_for(event: Any) -> None:
+    """Warp refuses to wait while anybody captures on the device, which somebody else in the process may do."""
+    while event.device.is_capturing:
+        time.sleep(0.0005)
+    wp.synchronize_event(event)
+
+
+class _Token:
+    pass
+
+
+def _view(field: Any, token: _Token) -> Any:
+    view = wp.array(ptr=field.ptr, dtype=field.dtype, shape=field.shape, device=field.device, copy=False)
+    view.lfgpu_token = token
+    return view
+
+
+class Transport:
+    """One stream's traffic.
+
+    Parameters
+    ----------
+    views
+        What the method reads, [n, y, x] of pixels as stored.
+    sources
+        Disparity and confidence, fields [y, x], and two numbers of the method.
+    reference, scale, tolerance
+        Index of the reference view; what stored values are multiplied with; mean difference over the channels,
+        intensity, from which on a sample has changed.
+    results
+        How many results there are memory for at first.
+    """
+
+    def __init__(
+        self,
+        views: Any,
+        sources: tuple[Any, Any, Any, Any],
+        *,
+        reference: int,
+        scale: float,
+        tolerance: float,
+        results: int,
+    ) -> None:
+        self._views, self._device = views, views.device
+        self._fields, self._numbers = sources[:2], sources[2:]
+        _, height, width = views.shape
+        strides = max(1, height // _SAMPLES), max(1, width // _SAMPLES)
+        self._grid = -(-height // strides[0]), -(-width // strides[1])
+        self._looking = [reference, scale, tolerance, *strides]
+        self._kernel = _change_kernel(views.dtype._length_, views.dtype._wp_scalar_type_)
+        self._there = wp.ones(len(views), dtype=float, device=self._device)
+        self._last = wp.zeros(self._grid, dtype=views.dtype, device=self._device)
+        self._changed, self._zero = (wp.zeros(1, dtype=int, device=self._device) for _ in range(2))
+        load(self._device, self._kernel, _mask_kernel)
+        if self._device.is_cuda:
+            self._compute = self._device.stream
+            self._in, self._up, self._down = (wp.Stream(self._device) for _ in range(3))
+            self._incoming = wp.empty_like(views)
+            self._changed_host = wp.zeros(1, dtype=int, device="cpu", pinned=True)
+            self._arrived, self._taken, self._solved = (wp.Event(self._device) for _ in range(3))
+            self._compute.record_event(self._taken)
+        else:
+            self._incoming, self._changed_host = views, self._changed
+        self.made = 0
+        """How many results there is memory for."""
+        self._free: deque[Maps] = deque(self._new_maps() for _ in range(results))
+
+    def slot(self) -> Slot:
+        """Room for one more waiting frame."""
+        return Slot(self._views)
+
+    def enter(self) -> None:
+        """Each thread that asks the device, or waits for it, must call this once."""
+        self._device.make_current()
+
+    def mask(self, base: Any, mask_out: Any) -> None:
+        """mask [n, y, x] = whether view n of the frame brought last is there, times `base` unless that is None."""
+        wp.launch(_mask_kernel, mask_out.shape, [base, self._there], [mask_out], device=self._device)
+
+    def take(self, values: Any, slot: Slot, views: list[int] | None) -> None:
+        """Copy an array of another library on the same GPU into a slot, in the order of that library's stream."""
+        with ASKING:
+            if views is None:
+                take(values, slot.resident, self._in)
+            else:
+                for k, n in enumerate(views):
+                    take(values[n], slot.resident[k], self._in)
+            self._in.record_event(slot.copied)
+
+    def bring(self, slot: Slot) -> float:
+        """Take a frame to the device, while it may still work on the one before; which share of the samples changed.
+
+        It returns when the slot may be used again.
+        """
+        source = slot.resident if slot.is_resident else slot.staged
+        samples = self._grid[0] * self._grid[1]
+        if not self._device.is_cuda:
+            wp.copy(self._incoming, source)
+            wp.copy(self._there, slot.presence)
+            self._changed.zero_()
+            wp.launch(
+                self._kernel, self._grid, [self._incoming, *self._looking, self._last, self._changed], device="cpu"
+            )
+            return float(self._changed.numpy()[0]) / samples
+        with ASKING:
+            up = self._up
+            up.wait_event(self._taken)
+            if slot.is_resident:
+                up.wait_event(slot.copied)
+            wp.copy(self._incoming, source, stream=up)
+            wp.copy(self._there, slot.presence, stream=up)
+            wp.copy(self._changed, self._zero, stream=up)
+            arguments = [self._incoming, *self._looking, self._last, self._changed]
+            wp.launch(self._kernel, self._grid, arguments, device=self._device, stream=up)
+            wp.copy(self._changed_host, self._changed, stream=up)
+            up.record_event(self._arrived)
+        _wait_for(self._arrived)
+        return float(self._changed_host.numpy()[0]) / samples
+
+    def solve(self, work: Callable[[], None], before: Callable[[], None] | None) -> Maps:
+        """Ask for a map of the frame that was brought last: `before`, if given, and `work`. The maps come later."""
+        maps = self._free.popleft() if self._free else self._new_maps()
+        if not self._device.is_cuda:
+            with ASKING:
+                if before is not None:
+                    before()
+                start = time.perf_counter()
+                work()
+                maps.events[0][0] = time.perf_counter() - start
+                self._hand_over(maps)
+            return maps
+        begin, end, done = maps.events
+        with ASKING, wp.ScopedStream(self._compute, sync_enter=False):
+            compute, down = self._compute, self._down
+            compute.wait_event(self._arrived)
+            wp.copy(self._views, self._incoming, stream=compute)
+            if before is not None:
+                before()
+            compute.record_event(self._taken)
+            compute.record_event(begin)
+            work()
+            compute.record_event(end)
+            self._hand_over(maps)
+            compute.record_event(self._solved)
+            down.wait_event(self._solved)
+            for host, field in zip(maps.hosts, maps.fields, strict=True):
+                wp.copy(host, field, stream=down)
+            down.record_event(done)
+        return maps
+
+    def wait(self, maps: Maps) -> tuple[float, float, float]:
+        """Wait until maps are on the host: seconds that the device worked on them, and the method's two numbers."""
+        if self._device.is_cuda:
+            begin, end, done = maps.events
+            _wait_for(done)
+            seconds = wp.get_event_elapsed_time(begin, end, synchronize=False) / 1000
+        else:
+            seconds = maps.events[0][0]
+        trust, moved = (float(number.numpy()[0]) for number in maps.numbers)
+        return seconds, trust, moved
+
+    def lease(self, maps: Maps) -> Lease:
+        """Maps for somebody to hold."""
+        return Lease(maps, self._free.append)
+
+    def give(self, maps: Maps) -> None:
+        """Maps that nobody will hold."""
+        self._free.append(maps)
+
+    def captured(self, work: Callable[[], None]) -> Callable[[], None]:
+        """Work as one graph of a GPU; on a CPU as it is. It must have run once before."""
+        if not self._device.is_cuda:
+            return work
+        with ASKING, wp.ScopedCapture(device=self._device, stream=self._compute) as capture:
+            work()
+        return lambda: wp.capture_launch(capture.graph, stream=self._compute)
+
+    def synchronize(self) -> None:
+        """Wait for all that was asked for."""
+        if self._device.is_cuda:
+            for stream in (self._in, self._up, self._compute, self._down):
+                wp.synchronize_stream(stream)
+
+    def _hand_over(self, maps: Maps) -> None:
+        for source, target in zip((*self._fields, *self._numbers), (*maps.fields, *maps.numbers), strict=True):
+            wp.copy(target, source)
+
+    def _new_maps(self) -> Maps:
+        self.made += 1
+        on_gpu = self._device.is_cuda
+        fields = tuple(wp.zeros_like(field) for field in self._fields)
+        hosts = (
+            tuple(wp.zeros(field.shape, dtype=float, device="cpu", pinned=True) for field in fields)
+            if on_gpu
+            else fields
+        )
+        numbers = tuple(wp.zeros(1, dtype=wp.float64, device="cpu", pinned=on_gpu) for _ in self._numbers)
+        events: tuple[Any, ...] = ([0.0],)
+        if on_gpu:
+            events = (*(wp.Event(self._device, enable_timing=True) for _ in range(2)), wp.Event(self._device))
+        return Maps((fields[0], fields[1]), (hosts[0], hosts[1]), (numbers[0], numbers[1]), events)

@@ -1,0 +1,34 @@
+"""`lfgpu export`: a pipeline as files, for programs without Python."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lfgpu.cli import values
+
+
+def export(
+    source: Annotated[Path, typer.Argument(metavar="INPUT", help="A light field of the kind that it is for.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the files go; made if missing.")],
+    preset: Annotated[str, typer.Option(metavar="NAME", help="accurate or fast.")] = "accurate",
+    disparity_range: Annotated[
+        str | None, typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found")
+    ] = None,
+    device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu, or cuda, which is untried.")] = "cpu",
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
+    ] = None,
+) -> None:
+    """Write the estimate for light fields like INPUT as files that a program in C++ replays, and that program."""
+    from lfgpu.export import export_pipeline
+    from lfgpu.io import check_writable, read
+
+    check_writable(out)
+    config = values.configured(preset, settings or ())
+    bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
+    export_pipeline(read(source), out, config=config, disparity_range=bounds, device=device)
+    typer.echo(f"Wrote the pipeline and replay.cpp to {out}; README.txt there says how to build and run it.")

@@ -1,0 +1,257 @@
+"""`lfgpu live`: depth for each frame while they come."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lfgpu.cli import values
+from lfgpu.cli.options import Threads
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lfgpu import DepthStream, StreamResult
+
+RECORD_FILE = "live.json"
+_REFRESH = 0.25  # seconds
+_NAMES = "disparity_{:06d}.pfm", "confidence_{:06d}.pfm"
+
+
+def live(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE", help="A folder of light fields, a scene such as moving, or a grabber as module:function."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="FOLDER", help="Record each map there as it comes, and what happened."),
+    ] = None,
+    preset: Annotated[str, typer.Option(metavar="NAME", help="accurate or fast.")] = "accurate",
+    disparity_range: Annotated[
+        str | None,
+        typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found on the first"),
+    ] = None,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME[:N]",
+            help="Frames that come too fast: latest (a newer one takes the place of the one that waits), block (the "
+            "source waits) or queue:N (N wait).",
+            show_default="latest; block for a folder",
+        ),
+    ] = None,
+    budget: Annotated[
+        float | None, typer.Option(metavar="MS", help="Milliseconds of the device for a frame; does what fits.")
+    ] = None,
+    cold: Annotated[bool, typer.Option("--cold", help="Each frame on its own, not from the last map.")] = False,
+    fps: Annotated[float | None, typer.Option(metavar="RATE", help="Take at most so many frames a second.")] = None,
+    frames: Annotated[int | None, typer.Option(metavar="N", help="End after so many.", min=1)] = None,
+    grid: Annotated[str, typer.Option(metavar="ROWSxCOLUMNS", help="Views of a scene.")] = "7x7",
+    size: Annotated[str, typer.Option(metavar="HEIGHTxWIDTH", help="Pixels of a scene's views.")] = "192x256",
+    noise: Annotated[float, typer.Option(help="Noise of a scene's views, intensities being 0 to 1.")] = 0.005,
+    device: Annotated[
+        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the best there is")
+    ] = None,
+    threads: Threads = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
+    ] = None,
+    metrics: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Keep the numbers there, in the text format of Prometheus.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
+) -> None:
+    """Estimate the disparity of each frame while they come; Ctrl-C ends it.
+
+    With -o each map is written as soon as it is there (disparity_000000.pfm, confidence_000000.pfm), at the end
+    live.json with what became of every frame.
+    """
+    from lfgpu import DepthStream, TemporalPrior
+    from lfgpu.io import check_writable
+    from lfgpu.live import feed, open_source
+
+    if out is not None:
+        check_writable(out)
+    if metrics is not None:
+        check_writable(metrics, folder=False)
+    if fps is not None and not fps > 0:
+        raise typer.BadParameter("the rate must be a number above 0.", param_hint="--fps")
+    config = values.configured(preset, settings or ())
+    bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
+    way, waiting = values.parse_policy("--policy", policy or ("block" if Path(source).is_dir() else "latest"))
+    options = {
+        "grid": values.parse_size("--grid", grid, "ROWSxCOLUMNS such as 7x7"),
+        "size": values.parse_size("--size", size, "HEIGHTxWIDTH such as 192x256"),
+        "noise": noise,
+    }
+    values.use_threads("--threads", threads)
+    first, coming = open_source(source, scene_options=options)
+    record = Record(out)
+    with DepthStream(
+        first,
+        config=config,
+        disparity_range=bounds,
+        device=device,
+        prior=None if cold else TemporalPrior(),
+        policy=way,
+        waiting=waiting,
+        budget_ms=budget,
+    ) as stream:
+        with Display(stream, metrics, quiet=quiet) as display:
+            try:
+                feed(stream, coming, fps=fps, most=frames, on_done=_both(record.add, display.look))
+            except KeyboardInterrupt:
+                stream.close(finish=False)
+        stats = stream.stats()
+    record.finish(stream, stats)
+    if not quiet:
+        _show(stream, stats, record)
+
+
+class Record:
+    """What became of each frame, and the maps in a folder if there is one."""
+
+    def __init__(self, out: Path | None) -> None:
+        self.out, self._frames, self.failed = out, [], []  # type: ignore[var-annotated]
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+
+    def add(self, result: StreamResult) -> None:
+        """A frame has come to its end."""
+        from lfgpu.io import write_pfm
+
+        if result.error is not None:
+            if not result.dropped:
+                self.failed.append((result.index, str(result.error)))
+            if self.out is not None:
+                self._frames.append({"frame": result.index, "error": str(result.error)})
+            return
+        if self.out is None:
+            return
+        for name, values_ in zip(_NAMES, (result.numpy(), result.confidence()), strict=True):
+            write_pfm(self.out / name.format(result.index), values_)
+        self._frames.append(
+            {
+                "frame": result.index,
+                "cold": result.cold,
+                "cut": result.cut,
+                "steps": result.steps,
+                "views": int(result.valid.sum()),
+                "latency_ms": round(result.latency * 1000, 3),
+                "work_ms": round(result.work * 1000, 3),
+            }
+        )
+
+    def finish(self, stream: DepthStream, stats: dict[str, Any]) -> None:
+        """Write what happened."""
+        if self.out is None:
+            return
+        from dataclasses import asdict
+
+        from lfgpu.io import atomic_write
+        from lfgpu.io.about import CONVENTION
+
+        about = {
+            "convention": CONVENTION,
+            "device": stream.device,
+            "disparity_range": list(stream.bounds),
+            "config": asdict(stream.config),
+            "stats": {name: None if math.isnan(value) else value for name, value in stats.items()},
+            "frames": self._frames,
+        }
+        with atomic_write(self.out / RECORD_FILE) as temporary:
+            temporary.write_text(json.dumps(about, indent=1, allow_nan=False), encoding="utf-8")
+
+
+class Display:
+    """Rate and latency on a terminal while frames come, and in a file for those who watch from elsewhere."""
+
+    def __init__(self, stream: DepthStream, metrics: Path | None, *, quiet: bool) -> None:
+        from rich.console import Console
+        from rich.live import Live
+
+        console = Console(stderr=True, highlight=False, markup=False)
+        self._stream, self._metrics, self._next = stream, metrics, 0.0
+        self._live = None
+        if console.is_terminal and not quiet:
+            self._live = Live(console=console, auto_refresh=False, transient=True)
+
+    def __enter__(self) -> Display:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._next = 0.0
+        self.look(None)
+        if self._live is not None:
+            self._live.stop()
+
+    def look(self, _: StreamResult | None) -> None:
+        """Show how it goes, if that is some time ago."""
+        now = time.monotonic()
+        if now < self._next:
+            return
+        self._next = now + _REFRESH
+        stats = self._stream.stats()
+        if self._live is not None:
+            from rich.text import Text
+
+            self._live.update(Text("\n".join(f"{label:<10}{text}" for label, text in facts(stats))), refresh=True)
+        if self._metrics is not None:
+            from lfgpu.io import atomic_write
+
+            with atomic_write(self._metrics) as temporary:
+                temporary.write_text(self._stream.prometheus(), encoding="utf-8")
+
+
+def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
+    """What people want to know of a stream, a label and a text each."""
+
+    def times(what: str) -> str:
+        return " / ".join(f"{stats[f'{what}_p{quantile}_ms']:.1f}" for quantile in (50, 95, 99))
+
+    frames = f"{stats['frames_done']} of {stats['frames_pushed']}"
+    for name, what in (("dropped", "dropped"), ("failed", "failed"), ("cold", "cold")):
+        frames += f", {stats[f'frames_{name}']} {what}"
+    if stats["frames_with_missing_views"]:
+        frames += f", {stats['frames_with_missing_views']} without some views"
+    lines = [("maps", frames), ("rate", f"{stats['frames_per_second']:.1f} / s")]
+    if stats["frames_done"]:
+        lines += [
+            ("latency", f"{times('latency')} ms (median, 95 %, 99 %)"),
+            ("work", f"{times('work')} ms of the device"),
+        ]
+    return lines
+
+
+def _both(*functions: Callable[[StreamResult], None]) -> Callable[[StreamResult], None]:
+    def call(result: StreamResult) -> None:
+        for function in functions:
+            function(result)
+
+    return call
+
+
+def _show(stream: DepthStream, stats: dict[str, Any], record: Record) -> None:
+    from lfgpu.cli.console import lines, output, remark
+
+    console = output()
+    low, high = stream.bounds
+    lines(console, [("device", stream.device), ("range", f"{low:.3g} to {high:.3g} px per view step")])
+    lines(console, facts(stats))
+    for index, sentence in record.failed[:3]:
+        remark(console, f"Frame {index}: {sentence}")
+    if len(record.failed) > 3:
+        remark(console, f"... and {len(record.failed) - 3} more frames failed.")
+    if record.out is not None:
+        lines(console, [("recorded", str(record.out))])

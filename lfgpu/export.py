@@ -1,0 +1,113 @@
+"""A pipeline as files, for programs without Python."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import shutil
+from dataclasses import asdict
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from lfgpu._backends import DEFAULT
+from lfgpu.config import Config, preset
+from lfgpu.depth import DepthPipeline
+from lfgpu.errors import LightFieldError
+from lfgpu.io.about import CONVENTION
+from lfgpu.io.atomic import atomic_folder, check_writable
+from lfgpu.lightfield import LightField
+from lfgpu.threads import limited_threads
+
+_PROGRAM = "replay.cpp"
+
+_README = """\
+What `lfgpu export` wrote: the estimate of disparity for light fields of one kind, to be run without Python.
+
+pipeline.wrp, pipeline_modules/  the recorded work and its compiled kernels, for {device}
+pipeline.json                    shapes, types, cameras, range and parameters
+replay.cpp                       a program that loads it, gives it frames from a file and writes the maps
+
+It belongs to Warp {version} and to processors like the one it was written on. Where Warp's package is installed
+(its folder is {package} here), build and run the program with
+
+    g++ -O2 -std=c++17 replay.cpp -o replay -L"$WARP/bin" -l:warp.so -l:warp-clang.so -Wl,-rpath,"$WARP/bin"
+    ./replay . frames.raw maps.raw
+
+with WARP set to that folder. frames.raw holds frames one after the other, each {frame_bytes} bytes: the views
+[n, y, x, c] = {shape}, {dtype}. For each frame maps.raw gets {map_bytes} bytes of disparity and as many of
+confidence, float32 [y, x]. They have the same bits as those of lfgpu on the same device. On a CPU one thread does it
+all.
+"""
+
+
+def export_pipeline(
+    lf: LightField,
+    out: str | os.PathLike[str],
+    *,
+    config: Config | str = "accurate",
+    disparity_range: tuple[float, float] | None = None,
+    device: str | None = "cpu",
+) -> None:
+    """Write what a `DepthPipeline` does, for programs that replay it through Warp's C interface; whole or not at all.
+
+    Parameters
+    ----------
+    lf
+        A light field of the kind, as for `DepthPipeline`. Its cameras and masks stay what they are.
+    out
+        The folder; README.txt in it says what is there. Files of an older export are written over.
+    config, disparity_range
+        As for `estimate_depth`; the preset must be one that matches.
+    device
+        "cpu" (default) or a GPU, which is untried.
+
+    Raises
+    ------
+    LightFieldError, BackendError
+        As `DepthPipeline`, if the method is not matching, or if the folder cannot be written.
+    """
+    check_writable(out)
+    parameters = preset(config) if isinstance(config, str) else config
+    if isinstance(parameters, Config) and parameters.method.name != "matching":
+        raise LightFieldError("what is exported must match: take the preset accurate or fast.")
+    exporting = importlib.import_module(f"lfgpu.kernels.{DEFAULT}.export")
+    with limited_threads(1):  # what other threads ask for would not be recorded
+        pipeline = DepthPipeline(lf, config=parameters, disparity_range=disparity_range, device=device)
+        pipeline.run()
+        views, maps = pipeline.buffers()
+        with atomic_folder(out) as folder:
+            exporting.save(
+                pipeline.work, folder / "pipeline.wrp", device=pipeline.device, inputs={"views": views}, outputs=maps
+            )
+            _describe(folder, lf, pipeline, exporting)
+
+
+def _describe(folder: Path, lf: LightField, pipeline: DepthPipeline, exporting: Any) -> None:
+    height, width = lf.size
+    about = {
+        "convention": CONVENTION,
+        "device": pipeline.device,
+        "warp": exporting.version(),
+        "views": {"shape": list(lf.views.shape), "dtype": str(lf.views.dtype), "order": "n, y, x, c"},
+        "maps": {"names": ["disparity", "confidence"], "shape": [height, width], "dtype": "float32"},
+        "offsets": lf.offsets.tolist(),
+        "disparity_range": list(pipeline.bounds),
+        "config": asdict(pipeline.config),
+    }
+    readme = _README.format(
+        device=pipeline.device,
+        version=exporting.version(),
+        package=exporting.libraries()[0].parent,
+        frame_bytes=lf.views.nbytes,
+        shape=list(lf.views.shape),
+        dtype=lf.views.dtype,
+        map_bytes=4 * height * width,
+    )
+    (folder / "pipeline.json").write_text(json.dumps(about, indent=1), encoding="utf-8")
+    (folder / "README.txt").write_text(readme, encoding="utf-8")
+    (folder / "device.txt").write_text(pipeline.device + "\n", encoding="utf-8")
+    (folder / "warp-version.txt").write_text(exporting.version() + "\n", encoding="utf-8")
+    with files("lfgpu").joinpath("native", _PROGRAM).open("rb") as source, (folder / _PROGRAM).open("wb") as target:
+        shutil.copyfileobj(source, target)

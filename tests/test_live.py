@@ -1,0 +1,172 @@
+"""Frames from folders, scenes and grabbers become maps in a folder; temporal kernels do what they say."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu._backends import load
+from lfgpu.cli import app
+from lfgpu.io import read_map, write_hci
+from lfgpu.live import feed, open_source
+
+OPTIONS: dict[str, Any] = {"grid": (3, 3), "size": (32, 36), "disparity_range": (-1, 1)}
+RANGE = "--disparity-range=-1,1"
+
+
+def lfgpu_live(*arguments: Any) -> Any:
+    return CliRunner().invoke(app, ["live", *map(str, arguments), "--device=cpu"])
+
+
+@pytest.fixture
+def sequence(tmp_path: Path) -> Path:
+    for index, lf in enumerate(scenes.sequence("moving", frames=12, **OPTIONS)):
+        write_hci(lf, tmp_path / "in" / f"frame_{index}")
+    return tmp_path / "in"
+
+
+@pytest.fixture
+def grabbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "grabber_for_tests.py").write_text(
+        "import numpy as np\n"
+        "from lfgpu import scenes\n"
+        "def frames():\n"
+        "    lf = scenes.make('planes', grid=(3, 3), size=(32, 36), disparity_range=(-1, 1))\n"
+        "    yield lf\n"
+        "    yield lf.views\n"
+        "    yield lf.views[:, :4]\n"
+        "    there = np.ones(9, bool)\n"
+        "    there[2] = False\n"
+        "    yield lf.views, there\n"
+        "def nothing():\n"
+        "    return iter(())\n"
+        "def arrays():\n"
+        "    yield np.zeros((9, 32, 36, 3), np.uint8)\n"
+        "def number():\n"
+        "    return 3\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delitem(sys.modules, "grabber_for_tests", raising=False)
+
+
+def test_folder_in_the_order_of_its_numbers(sequence: Path) -> None:
+    first, frames = open_source(str(sequence))
+    found = [lf.views for lf in frames]
+    want = [lf.views for lf in scenes.sequence("moving", frames=12, **OPTIONS)]
+    np.testing.assert_array_equal(found, want)
+    np.testing.assert_array_equal(first.views, want[0])
+
+
+def test_recording_of_a_folder(sequence: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    outcome = lfgpu_live(sequence, "-o", out, "--preset=fast", RANGE, "--cold", "--frames=3")
+    assert outcome.exit_code == 0, outcome.output
+    assert "3 of 3, 0 dropped, 0 failed, 3 cold" in outcome.stdout
+    about = json.loads((out / "live.json").read_text())
+    assert [frame["frame"] for frame in about["frames"]] == [0, 1, 2]
+    assert about["stats"]["frames_done"] == 3
+    lf = next(iter(scenes.sequence("moving", frames=12, **OPTIONS)))
+    want = lfgpu.estimate_depth(lf, config="fast", disparity_range=(-1, 1), device="cpu")
+    np.testing.assert_array_equal(read_map(out / "disparity_000000.pfm"), want.disparity)
+    np.testing.assert_array_equal(read_map(out / "confidence_000000.pfm"), want.confidence)
+    assert len(list(out.iterdir())) == 3 * 2 + 1
+
+
+def test_grabber_with_a_bad_frame_and_a_missing_camera(grabbers: None, tmp_path: Path) -> None:
+    arguments = ("-o", tmp_path / "out", "--preset=fast", RANGE, "--policy=block", "--metrics", tmp_path / "m.prom")
+    outcome = lfgpu_live("grabber_for_tests:frames", *arguments)
+    assert outcome.exit_code == 0, outcome.output
+    assert "3 of 4, 0 dropped, 1 failed" in outcome.stdout
+    assert "Frame 2: views must be uint8 [9, 32, 36, 3]" in outcome.stdout
+    frames = json.loads((tmp_path / "out" / "live.json").read_text())["frames"]
+    assert [frame.get("views") for frame in frames] == [9, 9, None, 8]
+    assert not (tmp_path / "out" / "disparity_000002.pfm").exists()
+    assert "lfgpu_stream_frames_failed_total 1\n" in (tmp_path / "m.prom").read_text()
+
+
+def test_scene_goes_round() -> None:
+    _, frames = open_source("moving", scene_options=OPTIONS)
+    views = [lf.views for lf, _ in zip(frames, range(26), strict=False)]
+    np.testing.assert_array_equal(views[0], views[24])
+    assert not np.array_equal(views[0], views[12])
+
+
+def test_feed_tells_of_all_frames_in_order() -> None:
+    lf, frames = open_source("planes", scene_options=OPTIONS)
+    seen: list[int] = []
+    with lfgpu.DepthStream(lf, config="fast", disparity_range=(-1, 1), device="cpu") as stream:
+        feed(stream, frames, fps=1000.0, most=7, on_done=lambda result: seen.append(result.index))
+    assert seen == list(range(7))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["nowhere"], "does not exist; give a folder of light fields, a grabber"),
+        (["."], "holds no folders"),
+        (["grabber_for_tests.py"], "is a file; give a folder"),
+        (["grabber_for_tests:nothing"], "gave no frame"),
+        (["grabber_for_tests:arrays"], "must yield a LightField first"),
+        (["grabber_for_tests:number"], "must be a function without arguments that yields frames"),
+        (["grabber_for_tests:missing"], "cannot be loaded"),
+        (["no_such_module:frames"], "cannot be loaded"),
+        (["planes", "--policy=queue:x"], "--policy must be latest, block or queue:N"),
+        (["planes", "--preset=paper", "--size=32x32", "--grid=3x3"], "a stream matches"),
+    ],
+)
+def test_mistakes_are_one_sentence(grabbers: None, arguments: list[str], sentence: str) -> None:
+    outcome = lfgpu_live(*arguments)
+    assert outcome.exit_code == 1
+    assert sentence in outcome.stderr
+    assert len(outcome.stderr.splitlines()) == 1
+
+
+# --- the kernels of the temporal prior, on every device of Warp ---
+
+
+def _warp_devices() -> tuple[str, ...]:
+    return load("warp").devices()
+
+
+@pytest.mark.parametrize("device", _warp_devices())
+def test_sameness(device: str, rng: np.random.Generator) -> None:
+    from lfgpu.kernels.warp import live
+
+    kernels = load("warp")
+    image, last = rng.random((2, 9, 11, 3), np.float32)
+    last[:, 5:] = image[:, 5:] + 0.01
+    out = kernels.zeros((9, 11), device)
+    live.sameness(kernels.image(image, device), kernels.image(last, device), tolerance=0.05, same_out=out)
+    change = np.pad(np.abs(image - last).mean(2), 1, mode="edge")
+    mean = sum(change[y : y + 9, x : x + 11] for y in range(3) for x in range(3)) / 9
+    np.testing.assert_allclose(kernels.numpy(out), 1 / (1 + (mean / 0.05) ** 8), rtol=1e-4, atol=1e-6)
+    assert (kernels.numpy(out)[:, 6:] > 0.99).all()
+
+
+@pytest.mark.parametrize("device", _warp_devices())
+def test_bias_and_blend(device: str, rng: np.random.Generator) -> None:
+    from lfgpu.kernels.warp import live
+
+    kernels = load("warp")
+    past, trust, frames, disparity = rng.random((4, 9, 11), np.float32)
+    costs = rng.random((5, 9, 11), np.float32)
+    volume = kernels.field(costs, device)
+    fields = [kernels.field(values, device) for values in (past, trust, frames, disparity)]
+    live.bias(fields[0], fields[1], volume, first=-0.5, step=0.4, strength=0.3, reach=1.5)
+    labels = -0.5 + 0.4 * np.arange(5)[:, None, None]
+    want = costs + 0.3 * trust * np.minimum(np.abs(labels - past) / 0.4, 1.5) / 1.5
+    np.testing.assert_allclose(kernels.numpy(volume), want, rtol=1e-5, atol=1e-6)
+
+    live.blend(fields[0], fields[1], fields[2], fields[3], persistence=0.7, support=0.3)
+    before = 0.7 * trust * frames / (1 + ((past - disparity) / 0.3) ** 4)
+    np.testing.assert_allclose(kernels.numpy(fields[2]), 1 + before, rtol=1e-5)
+    np.testing.assert_allclose(kernels.numpy(fields[3]), (disparity + before * past) / (1 + before), rtol=1e-5)

@@ -1,0 +1,140 @@
+"""What is said about streams: motion is true, flicker is found, and a soak would notice what goes wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks import flicker, live, moving, soak
+from benchmarks.cli import app
+from lfgpu import scenes
+from lfgpu.stream import DepthStream
+
+FILM = moving.Film((3, 3), (64, 72), 4, period=40)
+SOAK = 2000
+"""Frames: some seconds where there is nothing else to do, as most are dropped."""
+
+
+def quiet(_: str) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def truth() -> list[np.ndarray]:
+    options = FILM.options
+    return [
+        scenes.true_disparity("moving", 1, 1, time=index / FILM.period, **options).astype(np.float32)
+        for index in range(FILM.count)
+    ]
+
+
+def test_truth_does_not_flicker_along_the_true_motion(truth: list[np.ndarray]) -> None:
+    """But for what interpolation between pixels of curved surfaces makes of it."""
+    motions = list(FILM.motions())
+    assert len(motions) == FILM.count - 1
+    for index, motion in enumerate(motions):
+        change = motion.flicker(truth[index], truth[index + 1])
+        still = motion.still()
+        assert 0.05 < still.mean() < 0.95
+        assert change[still].max() < 1e-6
+        assert np.median(change[~still]) < 2e-3
+        assert change.mean() < 3e-3
+        assert np.abs(truth[index + 1] - truth[index])[motion.counts][~still].mean() > 5 * change[~still].mean()
+
+
+def test_flicker_of_maps_that_do(truth: list[np.ndarray]) -> None:
+    motion = next(FILM.motions())
+    change = motion.flicker(truth[0], truth[1] + np.float32(0.25))
+    assert np.median(change) == pytest.approx(0.25, abs=1e-3)
+
+
+def test_motion_in_other_views(truth: list[np.ndarray]) -> None:
+    """What comes nearer moves sideways there, too."""
+    del truth
+    (dx, _, dd), owner = scenes.true_motion(1, 2, (0.0, 0.1), **FILM.options)
+    (there, _, _), middle = scenes.true_motion(1, 1, (0.0, 0.1), **FILM.options)
+    for thing in np.intersect1d(owner, middle):
+        here, other = owner == thing, middle == thing
+        np.testing.assert_allclose(dx[here], there[other][0] - dd[here], atol=1e-9)
+
+
+def test_flicker_command_finds_that_the_past_helps(tmp_path: Path) -> None:
+    out = tmp_path / "flicker.json"
+    arguments = ["flicker", "--case=3x3x64x64", "--frames=8", "--presets=fast", "--device=cpu", "-o", str(out)]
+    outcome = CliRunner().invoke(app, arguments)
+    assert outcome.exit_code == 0, outcome.output
+    rows = {row["past"]: row for row in json.loads(out.read_text())["rows"]}
+    assert list(rows) == list(flicker.PASTS)
+    assert rows["whole"]["flicker_median"] < 0.7 * rows["none"]["flicker_median"]
+    assert "flicker" in outcome.stdout
+
+
+def test_live_command(tmp_path: Path) -> None:
+    out = tmp_path / "live.json"
+    arguments = ["live", "--cases=3x3x48x48", "--presets=fast", "--frames=2", "--seconds=0.2", "--device=cpu"]
+    outcome = CliRunner().invoke(app, [*arguments, "-o", str(out)])
+    assert outcome.exit_code == 0, outcome.output
+    rows = json.loads(out.read_text())["rows"]
+    assert [row["warm"] for row in rows] == [True, False]
+    for row in rows:
+        assert 0 < row["latency_p50"] <= row["latency_p95"] <= row["latency_p99"]
+        assert row["rate"] > 0
+        assert np.isfinite(row["mse_ratio"])
+
+
+def test_cases_that_are_none() -> None:
+    outcome = CliRunner().invoke(app, ["live", "--cases=7x7x375"])
+    assert outcome.exit_code == 1
+    assert "ROWSxCOLUMNSxHEIGHTxWIDTH" in outcome.stderr
+
+
+# --- the soak ---
+
+
+def plan(frames: int) -> soak.Plan:
+    return soak.Plan(frames, (3, 3), (24, 24), "fast", 0, "cpu", burst=12)
+
+
+def test_soak() -> None:
+    found = soak.run(plan(SOAK), quiet)
+    assert found.problems == []
+    stats = found.stats
+    assert stats["frames_pushed"] == SOAK + 2
+    assert stats["frames_pushed"] == stats["frames_done"] + stats["frames_dropped"] + stats["frames_failed"]
+    for name in ("frames_done", "frames_failed", "scene_cuts", "frames_with_missing_views"):
+        assert stats[name] > SOAK / 500
+
+
+def test_soak_notices_a_lost_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(DepthStream, "_fail", lambda self, result, error: result._fail(error))
+    assert any("counts are wrong" in problem for problem in soak.run(plan(40), quiet).problems)
+
+
+def test_soak_notices_a_bad_frame_that_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(DepthStream, "_checked_valid", lambda self, valid: np.ones(9, bool))
+    assert any("was taken" in problem for problem in soak.run(plan(100), quiet).problems)
+
+
+def test_soak_notices_memory_that_grows() -> None:
+    steady = soak.Found({}, host_bytes=[50 << 20, *[100 << 20] * 19])
+    growing = soak.Found({}, host_bytes=[(100 + 3 * look) << 20 for look in range(20)])
+    for found, problems in ((steady, 0), (growing, 1)):
+        soak._judge(found)
+        assert len(found.problems) == problems
+
+
+def test_soak_notices_another_map_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As there is if it still starts from the last one."""
+    monkeypatch.setattr(DepthStream, "restart", lambda self: None)
+    monkeypatch.setattr(soak, "_CUT", 0.0)
+    assert any("another map" in problem for problem in soak.run(plan(40), quiet).problems)
+
+
+def test_parse_case() -> None:
+    found: Any = live.parse_case("7x9x375x400")
+    assert found == ((7, 9), (375, 400))
