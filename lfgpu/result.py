@@ -35,8 +35,8 @@ class DepthResult:
         Synthesis (the preset "paper"): the coherence of the local estimates that a pixel rests on, averaged likewise.
         It orders pixels and is no share; 0 means that a pixel was filled in from elsewhere.
     stages
-        The map after each stage. Matching: `swept`, `matched` (if occlusions are looked at twice) and `aligned`;
-        synthesis: `local` (NaN where undefined), `propagated` and `refined`.
+        The map after each stage. Matching: `swept`, `matched` (if occlusions are looked at twice), `aligned`
+        and `settled`; synthesis: `local` (NaN where undefined), `propagated` and `refined`.
     position
         (u, v) of the reference view, as in `LightField.positions`.
     disparity_range

@@ -45,8 +45,20 @@ def test_a_wide_range_makes_the_steps_longer_and_a_narrow_one_still_has_three() 
     assert labels((0.0, 1e-3), grid(3, 3), SweepConfig())[2] == 3
 
 
-def test_apertures_are_all_views_and_the_halves_around_the_reference() -> None:
-    found = apertures(grid(5, 5))
+def test_apertures_are_all_views_and_the_quarters_around_the_reference() -> None:
+    found = apertures(grid(5, 5), 90)
+    assert found.shape == (9, 25)
+    assert found[0].all()
+    offsets = grid(5, 5)
+    upper_left = (offsets <= 0).all(1)
+    rightmost = offsets[:, 0] >= np.abs(offsets[:, 1])
+    for quarter in (upper_left, rightmost):
+        assert (found == quarter).all(1).sum() == 1
+    assert (found[1:, 12] == 1).all()
+
+
+def test_apertures_of_half_the_views_lie_on_one_side() -> None:
+    found = apertures(grid(5, 5), 180)
     assert found.shape == (9, 25)
     assert found[0].all()
     offsets = grid(5, 5)
@@ -60,13 +72,13 @@ def test_apertures_are_all_views_and_the_halves_around_the_reference() -> None:
 
 
 def test_apertures_of_a_row_of_views_are_its_two_sides() -> None:
-    found = apertures(grid(1, 5))
+    found = apertures(grid(1, 5), 90)
     np.testing.assert_array_equal(found, [[1, 1, 1, 1, 1], [0, 0, 1, 1, 1], [1, 1, 1, 0, 0]])
 
 
 def test_a_reference_at_the_end_of_a_row_has_one_aperture() -> None:
     offsets = np.array([[0.0, 0], [1, 0], [2, 0]])
-    assert apertures(offsets).shape == (1, 3)
+    assert apertures(offsets, 90).shape == (1, 3)
 
 
 @pytest.mark.parametrize(("pattern", "count"), [("full", 25), ("star", 17), ("cross", 9)])
@@ -109,11 +121,12 @@ def test_occlusions_are_where_it_is_better_than_the_synthesis() -> None:
 
 def test_fast_has_no_second_look() -> None:
     result = estimate_depth(scene("planes", size=48), disparity_range=RANGE, config="fast")
-    assert list(result.stages) == ["swept", "aligned"]
+    assert list(result.stages) == ["swept", "aligned", "settled"]
     assert list(estimate_depth(scene("planes", size=48), disparity_range=RANGE, config="accurate").stages) == [
         "swept",
         "matched",
         "aligned",
+        "settled",
     ]
 
 
