@@ -210,31 +210,29 @@ class Matching:
         self._judge()
 
     def _judge(self) -> None:
-        """confidence = 1 / (1 + odds), odds = (1 - c)² / 2 + (s / _DOUBT)² being those of a pixel being off.
+        """confidence = 1 / (1 + odds), odds = (1 - c) / 2 + (s / _DOUBT)² being those of a pixel being off.
 
         c is the mean certainty of the pixel's window, so that odds are 1 to 2 where it has no texture. s² is the mean
-        of (swept_q - disparity_p)² over the window: edges of depth between pixels that look alike, what the sweep was
-        torn about, and what later stages had to move all make it large.
+        of (matched_q - disparity_p)² over the window: edges of depth between pixels that look alike, and what later
+        stages had to move, make it large.
         """
         kernels, prior, ones, room = self._kernels, self._prior, self._prior.ones, self._room
-        unseen, swept, spread = self._certainty, self._slope, self._curvature
+        seen, matched, spread = self._certainty, self._slope, self._curvature
         kernels.axpby(1.0, self._certainty, -_STILL, ones, room)
-        prior.mean(room, unseen)
-        kernels.axpby(1.0, ones, -1.0, unseen, unseen)
-        kernels.multiply(unseen, unseen, unseen)
+        prior.mean(room, seen)
 
         middle = sum(self._bounds) / 2  # squares of small numbers lose less in their difference
-        kernels.axpby(1.0, self._swept, -middle, ones, room)
-        prior.mean(room, swept)
+        kernels.axpby(1.0, self._matched, -middle, ones, room)
+        prior.mean(room, matched)
         kernels.multiply(room, room, room)
         prior.mean(room, spread)
         kernels.axpby(1.0, self.disparity, -middle, ones, room)
-        kernels.axpby(1.0, room, -2.0, swept, swept)
-        kernels.multiply(room, swept, swept)
-        kernels.axpby(1.0, spread, 1.0, swept, spread)
+        kernels.axpby(1.0, room, -2.0, matched, matched)
+        kernels.multiply(room, matched, matched)
+        kernels.axpby(1.0, spread, 1.0, matched, spread)
 
-        kernels.axpby(0.5, unseen, 1 / _DOUBT**2, spread, spread)
-        kernels.axpby(1.0, ones, 1.0, spread, spread)
+        kernels.axpby(-0.5, seen, 1 / _DOUBT**2, spread, spread)
+        kernels.axpby(1.0, spread, 1.5, ones, spread)
         kernels.divide(ones, spread, self.confidence)
         kernels.clamp(self.confidence, 0.0, 1.0, self.confidence)  # where rounding made s² negative
 

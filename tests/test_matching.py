@@ -119,6 +119,27 @@ def test_occlusions_are_where_it_is_better_than_the_synthesis() -> None:
     assert matching.badpix_07 < 0.7 * synthesis.badpix_07
 
 
+@pytest.mark.parametrize("name", ["boxes", "planes", "textureless", "bars"])
+def test_outlines_and_filling_bring_the_map_nearer(name: str) -> None:
+    lf = scene(name, size=128)
+    found = scores(lf, estimate_depth(lf, disparity_range=RANGE, config="accurate"))
+    assert found["settled"].mse_100 < found["aligned"].mse_100
+    assert found["settled"].badpix_07 < found["aligned"].badpix_07
+
+
+def test_surfaces_without_texture_are_filled_from_their_outlines() -> None:
+    """A slanted disc of one colour before a wall with texture."""
+    lf = scene("textureless", size=128)
+    filled, left = (
+        estimate_depth(
+            lf, disparity_range=RANGE, config=PRESETS["accurate"].with_values({"filling.max_iterations": most})
+        ).disparity
+        for most in (60, 0)
+    )
+    assert lf.truth is not None
+    assert evaluate(filled, lf.truth.disparity).badpix_07 < 0.7 * evaluate(left, lf.truth.disparity).badpix_07
+
+
 def test_fast_has_no_second_look() -> None:
     result = estimate_depth(scene("planes", size=48), disparity_range=RANGE, config="fast")
     assert list(result.stages) == ["swept", "aligned", "settled"]
@@ -130,8 +151,10 @@ def test_fast_has_no_second_look() -> None:
     ]
 
 
-@pytest.mark.parametrize("preset", ["accurate", "fast"])
-@pytest.mark.parametrize(("name", "most"), [("boxes", 0.12), ("textureless", 0.45)])
+@pytest.mark.parametrize(
+    ("preset", "name", "most"),
+    [("accurate", "boxes", 0.1), ("fast", "boxes", 0.1), ("accurate", "textureless", 0.45), ("fast", "textureless", 0.3)],
+)
 def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> None:
     """The fewer of the most confident pixels are kept, the fewer of them are wrong."""
     lf = scene(name, size=128)
@@ -140,7 +163,7 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> 
     assert ((result.confidence > 0) & (result.confidence <= 1)).all()
     curve = sparsification(result.disparity, result.confidence, lf.truth.disparity)
     assert curve.ause < most
-    assert np.diff(curve.bad).max() < 1  # per cent: a handful of pixels among the few that are left last
+    assert np.diff(curve.bad).max() < 0.6  # per cent: a handful of pixels among the few that are left last
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
@@ -159,14 +182,14 @@ def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.0)):
         there = (confidence > low) & (confidence <= high)
         assert there.sum() > 250
-        assert abs(good[there].mean() - confidence[there].mean()) < (0.1 if low == 0.9 else 0.35)
+        assert abs(good[there].mean() - confidence[there].mean()) < (0.03 if low == 0.9 else 0.3)
 
 
-def test_confidence_is_low_where_the_map_differs_from_the_sweep() -> None:
+def test_confidence_is_low_where_the_map_differs_from_the_matches() -> None:
     """At edges of depth between pixels that look alike, and little where all agree."""
     lf = scene("bars", size=96)
     result = estimate_depth(lf, disparity_range=RANGE, config="accurate")
-    apart = np.abs(result.stages["swept"] - result.disparity)
+    apart = np.abs(result.stages["matched"] - result.disparity)
     assert result.confidence[apart > 0.5].max() < 0.95
     assert result.confidence[apart < 0.02].mean() > result.confidence[apart > 0.2].mean() + 0.15
 
