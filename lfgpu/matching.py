@@ -72,6 +72,8 @@ class Matching:
         shape, image = (len(lf.views), *lf.size, lf.channels), (*lf.size, lf.channels)
         self._offsets = kernels.field(lf.offsets, device)
         self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
+        self._known = None if lf.valid is None else kernels.field(lf.valid[lf.reference_index], device)
+        self._far = None if lf.valid is None else kernels.field(np.full(lf.size, bounds[0]), device)
         self._image = kernels.zeros_image(image, device)
         self._prior = NonLocalMeans(image, config.prior, kernels, device)
         self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
@@ -165,6 +167,8 @@ class Matching:
             sum_out=self._volume,
         )
         self._kernels.lowest(self._volume, first=self._first, step=self._step, disparity_out=disparity_out)
+        if self._known is not None:  # what the reference did not record hides nothing
+            self._kernels.choose(self._known, disparity_out, self._far, disparity_out)
 
     def _improve(self, callback: Callback | None) -> None:
         """Gauss-Newton steps on the sums over each pixel's surface around it, and then its mean."""
@@ -235,6 +239,8 @@ class Matching:
         kernels.axpby(1.0, spread, 1.5, ones, spread)
         kernels.divide(ones, spread, self.confidence)
         kernels.clamp(self.confidence, 0.0, 1.0, self.confidence)  # where rounding made s² negative
+        if self._known is not None:
+            kernels.multiply(self.confidence, self._known, self.confidence)
 
     def _weigh_texture(self, stiffness: float) -> None:
         """certainty = curvature / (curvature + stiffness) + a little, so that where nothing is certain means exist."""

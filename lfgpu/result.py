@@ -29,7 +29,7 @@ class DepthResult:
         is the root mean square distance of its disparity from what the sweep had found, pixels per view step; both are
         taken over its window with the weights of the prior. So it is low at edges of depth between alike colours, where
         something is hidden, and where later stages disagree with the first. Without texture it is at most 2/3: such
-        pixels are filled in from around them. Form and numbers were chosen on synthetic scenes and one of the HCI
+        pixels are filled in from around them. Where the reference view is not valid it is 0, and the map says nothing. Form and numbers were chosen on synthetic scenes and one of the HCI
         benchmark: on other scenes the share may be another, so trust the order more than the value.
 
         Synthesis (the preset "paper"): the coherence of the local estimates that a pixel rests on, averaged likewise.

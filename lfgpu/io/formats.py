@@ -12,6 +12,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import hci, named_views
 from lfgpu.io.folders import entries, listed
 from lfgpu.lightfield import LightField
+from lfgpu.vignette import without_black_corners
 
 
 class Reader(Protocol):
@@ -70,7 +71,8 @@ def read(
 
     Returns
     -------
-    The light field. Views are uint8, uint16 or float32 as in the files; `notes` says what was noticed about them.
+    The light field. Views are uint8, uint16 or float32 as in the files; `notes` says what was noticed about them. Where
+    all four corners of all views are black, as a lens array leaves them, `valid` leaves these out.
 
     Raises
     ------
@@ -80,7 +82,7 @@ def read(
     path = Path(path)
     chosen = recognise(path)[0] if format is None else _named(format)
     _check_exists(path)
-    return chosen.read(path, allow_missing=allow_missing)
+    return without_black_corners(chosen.read(path, allow_missing=allow_missing))
 
 
 def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
