@@ -45,9 +45,7 @@ class Filling:
         k, prior, ones = self._kernels, self._prior, self._prior.ones
         k.axpby(1 / (self._config.stiffness * noise), curvature, 0.0, curvature, self._certainty)
         k.clamp(self._certainty, _LEAST, _MOST, self._certainty)
-        k.nlm_on_surface(
-            prior.weights, disparity, window=prior.window, support=support, weights_out=self._weights
-        )
+        k.nlm_on_surface(prior.weights, disparity, window=prior.window, support=support, weights_out=self._weights)
         k.nlm_neighbors(self._weights, ones, window=prior.window, sums_out=self._inverse)
         k.axpby(1.0, self._inverse, -1.0, ones, self._inverse)  # a pixel is not its own neighbour
         k.axpby(1.0, self._inverse, 1.0, self._certainty, self._inverse)

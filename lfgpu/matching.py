@@ -3,8 +3,8 @@
 Four stages. `sweep` compares the views with the reference at a row of disparities, by apertures that see past
 occluders, and finds the best surface through these costs. `match` compares again, now only with views that see a pixel
 past the surface that has been found. `align` leaves the row of disparities behind: Gauss-Newton steps on what the views
-that see a pixel have in common, taken together over pixels that look alike and lie on one surface. `settle` gives pixels at
-outlines to the side that they show more of, and carries what is known into surfaces without texture.
+that see a pixel have in common, taken together over pixels that look alike and lie on one surface. `settle` gives
+pixels at outlines to the side that they show more of, and carries what is known into surfaces without texture.
 """
 
 from __future__ import annotations

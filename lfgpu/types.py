@@ -486,9 +486,7 @@ class KernelSet(Protocol):
         denominator + floor > 0 everywhere; `ratio_out` is none of the inputs.
         """
 
-    def nlm_on_surface(
-        self, weights: Array, guide: Array, *, window: int, support: float, weights_out: Array
-    ) -> None:
+    def nlm_on_surface(self, weights: Array, guide: Array, *, window: int, support: float, weights_out: Array) -> None:
         """v_pq of `nlm_ratio` as weights [k, y, x]; `weights_out` is not `weights`."""
 
     # --- outlines ---

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +25,11 @@ def without_black_corners(lf: LightField) -> LightField:
     """
     corners = (0, 0, -1, -1), (0, -1, 0, -1)
     threshold = _BLACK / lf.scale
-    if lf.valid is not None or (lf.views[(slice(None), *corners)] > threshold).any():
+    if lf.valid is not None or np.any(lf.views[(slice(None), *corners)] > threshold):
         return lf
     from scipy.ndimage import binary_dilation, label  # takes long to import, and most light fields have no such corners
 
-    black = (lf.views <= threshold).all(3)
+    black = np.all(np.asarray(lf.views) <= threshold, axis=3)
     always = _connected(label(black.all(0))[0], corners)
     if not _LEAST <= always.mean() <= _MOST:
         return lf
@@ -38,7 +39,7 @@ def without_black_corners(lf: LightField) -> LightField:
     return replace(lf, valid=valid, notes=(*lf.notes, note))
 
 
-def _connected(labels: NDArray[np.int32], seeds: tuple[object, ...]) -> NDArray[np.bool_]:
+def _connected(labels: NDArray[np.int32], seeds: Any) -> NDArray[np.bool_]:
     """The regions of some pixels."""
     found = np.unique(labels[seeds])
     return np.isin(labels, found[found > 0])

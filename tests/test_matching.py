@@ -153,7 +153,12 @@ def test_fast_has_no_second_look() -> None:
 
 @pytest.mark.parametrize(
     ("preset", "name", "most"),
-    [("accurate", "boxes", 0.1), ("fast", "boxes", 0.1), ("accurate", "textureless", 0.45), ("fast", "textureless", 0.3)],
+    [
+        ("accurate", "boxes", 0.1),
+        ("fast", "boxes", 0.1),
+        ("accurate", "textureless", 0.45),
+        ("fast", "textureless", 0.3),
+    ],
 )
 def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> None:
     """The fewer of the most confident pixels are kept, the fewer of them are wrong."""

@@ -1,4 +1,4 @@
-"""The cases of what comes near in each view, of the alignment, of ratios by weights and of outlines, and their inputs."""
+"""The cases of what comes near in each view, of the alignment, of ratios and of outlines, as data, and their inputs."""
 
 from __future__ import annotations
 

@@ -204,9 +204,7 @@ def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
         plan(inputs["disparity"], nearest, curvature, slope)
         fields = weights, inputs["disparity"], slope, curvature
         kernels.nlm_ratio(*fields, window=5, support=0.5, floor=1e-3, ratio_out=step)
-        kernels.unmix(
-            inputs["image"], inputs["disparity"], step=0.25, contrast=0.01, share=0.4, disparity_out=unmixed
-        )
+        kernels.unmix(inputs["image"], inputs["disparity"], step=0.25, contrast=0.01, share=0.4, disparity_out=unmixed)
         kernels.nlm_on_surface(weights, unmixed, window=5, support=0.5, weights_out=on_surface)
 
     outputs = {"curvature": curvature, "slope": slope, "step": step, "on_surface": on_surface}

@@ -1,4 +1,4 @@
-"""The checks of alignment, nearest surfaces, ratios and outlines can fail: the reference with one single fault is caught."""
+"""The checks of alignment, nearest surfaces, ratios and outlines can fail: the reference with one fault is caught."""
 
 from __future__ import annotations
 

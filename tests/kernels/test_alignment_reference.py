@@ -1,4 +1,4 @@
-"""Alignment, nearest surfaces, ratios and outlines in the reference backend against the formulas of the contract as loops."""
+"""Alignment, nearest surfaces, ratios and outlines in the reference against the formulas of the contract, as loops."""
 
 from __future__ import annotations
 
