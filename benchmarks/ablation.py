@@ -91,6 +91,7 @@ VARIANTS = (
     Variant("views of rows, columns, diagonals only", {"sweep.views": "star"}),
     Variant("views of row and column only", {"sweep.views": "cross"}),
     Variant("no apertures", {"sweep.preference": 10}),
+    Variant("apertures of half the views", {"sweep.aperture": 180}),
     Variant("apertures not held back", {"sweep.preference": 0}),
     Variant("no second sweep", {"sweep.occlusions": "once"}),
     Variant("no apertures, no second sweep", {"sweep.preference": 10, "sweep.occlusions": "once"}),
@@ -104,7 +105,8 @@ VARIANTS = (
     Variant("sweep: twice the step", {"sweep.step": 0.8}),
     Variant("noise not measured", {"sweep.noise": 0.004}),
     Variant("no semi-global matching", {"matching.small_step": 0, "matching.large_step": 0}),
-    Variant("steps as dear at edges of the image", {"matching.contrast": 2}),
+    Variant("steps twice as dear", {"matching.small_step": 0.0005, "matching.large_step": 0.01}),
+    Variant("steps cheaper at edges of the image", {"matching.contrast": 0.05}),
     Variant("window of 3", {"prior.window": 3}),
     Variant("means over the window, like or not", {"prior.sigma_color": 2}),
     Variant("pixels compared, not patches", {"prior.patch": 1}),
@@ -112,14 +114,16 @@ VARIANTS = (
     Variant("alignment: one step", {"alignment.iterations": 1}),
     Variant("alignment: four steps", {"alignment.iterations": 4}),
     Variant("alignment: no gradients", {"alignment.gradient_weight": 0}),
-    # Damping and stiffness are in units of the curvature over robust²: they stay what they are in absolute terms.
+    # Stiffness is in units of the curvature over robust²: it stays what it is in absolute terms.
     Variant(
         "alignment: not robust",
-        {"alignment.robust": 0.5, "alignment.damping": 0.05 / 100**2, "alignment.stiffness": 0.1 / 100**2},
+        {"alignment.robust": 0.5, "alignment.stiffness": 0.1 / 100**2, "filling.stiffness": 0.01 / 100**2},
     ),
     Variant("alignment: across surfaces", {"alignment.support": 100}),
-    Variant("alignment: no damping", {"alignment.damping": 0}),
     Variant("alignment: no stiffness", {"alignment.stiffness": 0}),
+    Variant("outlines left as they are", {"outlines.contrast": 2}),
+    Variant("nothing filled", {"filling.max_iterations": 0}),
+    Variant("outlines left, nothing filled", {"outlines.contrast": 2, "filling.max_iterations": 0}),
 )
 
 

@@ -119,7 +119,7 @@ class MethodConfig(_Checked):
 
     name: str = _choice(
         "synthesis", ("synthesis", "matching"), "synthesis as in the paper (local, propagation, refinement), or "
-        "matching with occlusions (sweep, matching, alignment)"
+        "matching with occlusions (sweep, matching, alignment, outlines, filling)"
     )  # fmt: skip
 
 
@@ -143,8 +143,11 @@ class SweepConfig(_Checked):
     truncation: float = _number(0.1, 1e-3, 10.0, "difference in intensity beyond which views just differ")
     gradient_weight: float = _number(1.0, 0.0, 100.0, "weight of image gradients against intensities")
     gradient_truncation: float = _number(0.04, 1e-4, 10.0, "the same for image gradients, intensity per pixel")
+    aperture: float = _number(
+        90.0, 10.0, 180.0, "angle around the reference of the views that may see past an occluder, degrees"
+    )  # fmt: skip
     preference: float = _number(
-        0.2, 0.0, 10.0, "share by which half of the views must agree better than all of them to be believed"
+        0.2, 0.0, 10.0, "share by which the views of such an angle must agree better than all of them to be believed"
     )  # fmt: skip
     tolerance: float = _number(
         1.2, 0.0, 100.0, "what is nearer by less than this hides nothing, pixels in the farthest view"
@@ -158,9 +161,9 @@ class SweepConfig(_Checked):
 class MatchingConfig(_Checked):
     """Matching: the best surface through the costs (semi-global matching, Hirschmüller 2008)."""
 
-    small_step: float = _number(0.0005, 0.0, 10.0, "cost of a change by one of the disparities", symbol="P1")
-    large_step: float = _number(0.01, 0.0, 10.0, "cost of a larger change", symbol="P2")
-    contrast: float = _number(0.05, 1e-3, 10.0, "difference in intensity that lowers both to 1/e")
+    small_step: float = _number(0.00025, 0.0, 10.0, "cost of a change by one of the disparities", symbol="P1")
+    large_step: float = _number(0.005, 0.0, 10.0, "cost of a larger change", symbol="P2")
+    contrast: float = _number(2.0, 1e-3, 10.0, "difference in intensity that lowers both to 1/e")
 
 
 @dataclass(frozen=True)
@@ -173,9 +176,31 @@ class AlignmentConfig(_Checked):
     support: float = _number(
         0.4, 1e-3, 100.0, "difference in disparity that halves the weight of a neighbour, pixels in the farthest view"
     )  # fmt: skip
-    damping: float = _number(0.05, 0.0, 100.0, "curvature over robust², 1 / pixel², below which steps shrink")
-    stiffness: float = _number(0.1, 0.0, 100.0, "the same, below which a pixel follows those around it")
+    stiffness: float = _number(
+        0.1, 0.0, 100.0, "curvature over robust², 1 / pixel², below which a pixel follows those around it"
+    )  # fmt: skip
     longest_step: float = _number(0.4, 1e-3, 10.0, "longest step, pixels in the farthest view")
+
+
+@dataclass(frozen=True)
+class OutlinesConfig(_Checked):
+    """Matching: pixels at outlines that are mixtures of what is nearer and what is behind it."""
+
+    share: float = _number(
+        0.4, 0.0, 1.0, "share of what is nearer in a pixel's colour below which it belongs to what is behind"
+    )  # fmt: skip
+    contrast: float = _number(0.02, 1e-4, 10.0, "difference in intensity of both sides that tells them apart")
+
+
+@dataclass(frozen=True)
+class FillingConfig(_Checked):
+    """Matching: surfaces without texture between those that have some; a quadratic problem."""
+
+    stiffness: float = _number(
+        0.01, 1e-6, 100.0, "curvature over robust², 1 / pixel², that holds a pixel as a neighbour does that looks alike"
+    )  # fmt: skip
+    tolerance: float = _number(1e-6, 1e-8, 1e-1, "stop at this residual")
+    max_iterations: int = _number(60, 0, 10000, "stop after as many iterations")
 
 
 @dataclass(frozen=True)
@@ -190,6 +215,8 @@ class Config:
     sweep: SweepConfig = SweepConfig()
     matching: MatchingConfig = MatchingConfig()
     alignment: AlignmentConfig = AlignmentConfig()
+    outlines: OutlinesConfig = OutlinesConfig()
+    filling: FillingConfig = FillingConfig()
 
     @property
     def is_on_device(self) -> bool:
@@ -229,7 +256,7 @@ PRESETS = {
     "fast": Config(
         method=MethodConfig(name="matching"),
         prior=_LIKE,
-        sweep=SweepConfig(views="cross", occlusions="once"),
+        sweep=SweepConfig(views="cross", occlusions="once", aperture=180.0),
         alignment=AlignmentConfig(iterations=1),
     ),
     "paper": Config(),

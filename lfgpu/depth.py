@@ -269,9 +269,9 @@ class DepthPipeline:
     def stages(self) -> dict[str, Stage]:
         """What a run asks for, by name and in order; each stage needs those before it.
 
-        They are `local`, `propagate` and `refine` for the paper's method, `sweep`, `match` and `align` for matching. A
-        stage is called with what to call as callback(iteration, value) after each iteration, or None; only with None
-        can it be captured. `run` and `estimate` do all of them.
+        They are `local`, `propagate` and `refine` for the paper's method, `sweep`, `match`, `align` and `settle` for
+        matching. A stage is called with what to call as callback(iteration, value) after each iteration, or None; only
+        with None can it be captured. `run` and `estimate` do all of them.
         """
         return self._method.stages(self._views)
 

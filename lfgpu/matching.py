@@ -1,9 +1,10 @@
 """Matching: what every pixel of the reference view looks most like in the other views, with occlusions.
 
-Three stages. `sweep` compares the views with the reference at a row of disparities, by apertures that see past
+Four stages. `sweep` compares the views with the reference at a row of disparities, by apertures that see past
 occluders, and finds the best surface through these costs. `match` compares again, now only with views that see a pixel
 past the surface that has been found. `align` leaves the row of disparities behind: Gauss-Newton steps on what the views
-that see a pixel have in common, taken together over pixels that look alike and lie on one surface.
+that see a pixel have in common, taken together over pixels that look alike and lie on one surface. `settle` gives
+pixels at outlines to the side that they show more of, and carries what is known into surfaces without texture.
 """
 
 from __future__ import annotations
@@ -14,17 +15,19 @@ from typing import TypeVar
 
 import numpy as np
 
-from lfgpu.config import AlignmentConfig, Config, MatchingConfig, PriorConfig, SweepConfig
+from lfgpu.config import AlignmentConfig, Config, MatchingConfig, OutlinesConfig, PriorConfig, SweepConfig
 from lfgpu.errors import LightFieldError
+from lfgpu.filling import Filling
 from lfgpu.lightfield import LightField
 from lfgpu.method import Callback, Stage
 from lfgpu.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.solvers.solution import Solution
 from lfgpu.types import Array, Float32Array, Float64Array, KernelSet, PlaneSweep
 
-_Stage = TypeVar("_Stage", SweepConfig, MatchingConfig, AlignmentConfig, PriorConfig)
+_Stage = TypeVar("_Stage", SweepConfig, MatchingConfig, AlignmentConfig, OutlinesConfig, PriorConfig)
 
-_DIRECTIONS = 8  # of the half planes of views
+_DIRECTIONS = 8  # in which some of the views lie
+_LEAST_CURVATURE = 1e-3  # over robust²: no division by 0 where there is no texture
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
 
 _FEWEST = 4  # views beside the reference that a pattern must have
@@ -47,7 +50,7 @@ class Matching:
     bounds
         (low, high) of the disparities, pixels per view step.
     config
-        `prior`, `sweep`, `matching` and `alignment` count.
+        `prior`, `sweep`, `matching`, `alignment`, `outlines` and `filling` count.
     kernels, device
         Where it is done; it takes two volumes of one float a pixel and disparity, and what the kernels keep.
     """
@@ -69,13 +72,15 @@ class Matching:
         shape, image = (len(lf.views), *lf.size, lf.channels), (*lf.size, lf.channels)
         self._offsets = kernels.field(lf.offsets, device)
         self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
+        self._known = None if lf.valid is None else kernels.field(lf.valid[lf.reference_index], device)
+        self._far = None if lf.valid is None else kernels.field(np.full(lf.size, bounds[0]), device)
         self._image = kernels.zeros_image(image, device)
         self._prior = NonLocalMeans(image, config.prior, kernels, device)
         self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
         self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
         self._nearest = kernels.zeros(shape[:3], device)
         self._sweep = _planned_sweep(lf, (self._first, self._step, count), config.sweep, kernels, device)
-        self._hiding = kernels.nearest_surface(shape, self._offsets, reach=0)
+        self._hiding = kernels.nearest_surface(shape, self._offsets, reach=0) if self._twice else None
         self._hiding_beside = kernels.nearest_surface(shape, self._offsets, reach=1)
         self._align = kernels.alignment(
             shape,
@@ -85,8 +90,10 @@ class Matching:
             robust=config.alignment.robust,
             tolerance=config.sweep.tolerance / self._farthest,
         )
-        self._swept, self._matched, self.disparity, self.confidence = (kernels.zeros(lf.size, device) for _ in range(4))
+        self._swept, self._aligned, self.disparity, self.confidence = (kernels.zeros(lf.size, device) for _ in range(4))
         """`disparity` and `confidence` are the results, fields [y, x]."""
+        self._matched = kernels.zeros(lf.size, device) if self._twice else self._swept
+        self._filling = Filling(lf.size, self._prior, config.filling)
         self._curvature, self._slope, self._certainty, self._room = (kernels.zeros(lf.size, device) for _ in range(4))
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
         self._trust, self._size = kernels.scalar(0.0, device), lf.size
@@ -95,7 +102,7 @@ class Matching:
     def stages(self, views: Array) -> dict[str, Stage]:
         """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
         match: dict[str, Stage] = {"match": self._compare_seen} if self._twice else {}
-        return {"sweep": lambda _: self._compare(views), **match, "align": self._improve}
+        return {"sweep": lambda _: self._compare(views), **match, "align": self._improve, "settle": self._settle}
 
     def check(self, name: str) -> None:
         """LightFieldError, with the light field's name, if nothing came of the last run; waits for the device."""
@@ -112,7 +119,7 @@ class Matching:
     def maps(self) -> dict[str, Float32Array]:
         """The map after each stage, float32 [y, x]; waits for the device."""
         matched = {"matched": self._matched} if self._twice else {}
-        kept = {"swept": self._swept, **matched, "aligned": self.disparity}
+        kept = {"swept": self._swept, **matched, "aligned": self._aligned, "settled": self.disparity}
         return {name: self._kernels.numpy(field).astype(np.float32) for name, field in kept.items()}
 
     def solution(self) -> Solution:
@@ -146,6 +153,7 @@ class Matching:
         self._align.load(self._image, views, self._valid)
 
     def _compare_seen(self, _: Callback | None) -> None:
+        assert self._hiding is not None  # there is no such stage otherwise
         self._hiding(self._swept, self._nearest)
         self._sweep.seen(self._nearest, self._volume)
         self._find_surface(self._matched)
@@ -164,61 +172,83 @@ class Matching:
             sum_out=self._volume,
         )
         self._kernels.lowest(self._volume, first=self._first, step=self._step, disparity_out=disparity_out)
+        if self._known is not None:  # what the reference did not record hides nothing
+            self._kernels.choose(self._known, disparity_out, self._far, disparity_out)
 
     def _improve(self, callback: Callback | None) -> None:
         """Gauss-Newton steps on the sums over each pixel's surface around it, and then its mean."""
-        kernels, config, map_, room = self._kernels, self._config.alignment, self.disparity, self._room
-        noise, longest = config.robust**2, config.longest_step / self._farthest
-        kernels.copy(self._matched if self._twice else self._swept, map_)
+        kernels, config, map_, room = self._kernels, self._config.alignment, self._aligned, self._room
+        longest = config.longest_step / self._farthest
+        kernels.copy(self._matched, map_)
         for iteration, moved in enumerate(self._moves[: self._steps], 1):
             # Beside an edge in another view, what is seen there is mixed with what is nearer: one pixel is left out.
             self._hiding_beside(map_, self._nearest)
             self._align(map_, self._nearest, self._curvature, self._slope)
-            self._on_surface(self._slope, self._curvature, config.damping * noise, room)
+            self._on_surface(self._slope, self._curvature, _LEAST_CURVATURE * config.robust**2, room)
             kernels.clamp(room, -longest, longest, room)
             kernels.dot(room, room, moved)
             kernels.axpby(1.0, map_, 1.0, room, map_)
             kernels.clamp(map_, *self._bounds, map_)
-            self._weigh_texture(config.stiffness * noise)
+            self._weigh_texture(config.stiffness * config.robust**2)
             kernels.multiply(map_, self._certainty, room)
             self._on_surface(room, self._certainty, 0.0, self._slope)
             kernels.copy(self._slope, map_)
             if callback is not None:
                 callback(iteration, math.sqrt(kernels.number(moved) / (self._size[0] * self._size[1])))
+        kernels.axpby(1.0, self._certainty, -_STILL, self._prior.ones, room)
+        kernels.dot(room, self._prior.ones, self._trust)
+
+    def _settle(self, _: Callback | None) -> None:
+        """Outlines where the colours have them, and surfaces without texture as what is around them goes on."""
+        config = self._config
+        self._kernels.unmix(
+            self._image,
+            self._aligned,
+            step=config.sweep.tolerance / self._farthest,
+            contrast=config.outlines.contrast,
+            share=config.outlines.share,
+            disparity_out=self.disparity,
+        )
+        self._filling.run(
+            self.disparity,
+            self._curvature,
+            noise=config.alignment.robust**2,
+            support=config.alignment.support / self._farthest,
+        )
+        self._kernels.clamp(self.disparity, *self._bounds, self.disparity)
         self._judge()
 
     def _expect(self, costs: Array) -> None:
         """For those who know something about the surface beforehand: change the costs [l, y, x] of its disparities."""
 
     def _judge(self) -> None:
-        """confidence = 1 / (1 + odds), odds = (1 - c)² / 2 + (s / _DOUBT)² being those of a pixel being off.
+        """confidence = 1 / (1 + odds), odds = (1 - c) / 2 + (s / _DOUBT)² being those of a pixel being off.
 
         c is the mean certainty of the pixel's window, so that odds are 1 to 2 where it has no texture. s² is the mean
-        of (swept_q - disparity_p)² over the window: edges of depth between pixels that look alike, what the sweep was
-        torn about, and what later stages had to move all make it large.
+        of (matched_q - disparity_p)² over the window: edges of depth between pixels that look alike, and what later
+        stages had to move, make it large.
         """
         kernels, prior, ones, room = self._kernels, self._prior, self._prior.ones, self._room
-        unseen, swept, spread = self._certainty, self._slope, self._curvature
+        seen, matched, spread = self._certainty, self._slope, self._curvature
         kernels.axpby(1.0, self._certainty, -_STILL, ones, room)
-        kernels.dot(room, ones, self._trust)
-        prior.mean(room, unseen)
-        kernels.axpby(1.0, ones, -1.0, unseen, unseen)
-        kernels.multiply(unseen, unseen, unseen)
+        prior.mean(room, seen)
 
         middle = sum(self._bounds) / 2  # squares of small numbers lose less in their difference
-        kernels.axpby(1.0, self._swept, -middle, ones, room)
-        prior.mean(room, swept)
+        kernels.axpby(1.0, self._matched, -middle, ones, room)
+        prior.mean(room, matched)
         kernels.multiply(room, room, room)
         prior.mean(room, spread)
         kernels.axpby(1.0, self.disparity, -middle, ones, room)
-        kernels.axpby(1.0, room, -2.0, swept, swept)
-        kernels.multiply(room, swept, swept)
-        kernels.axpby(1.0, spread, 1.0, swept, spread)
+        kernels.axpby(1.0, room, -2.0, matched, matched)
+        kernels.multiply(room, matched, matched)
+        kernels.axpby(1.0, spread, 1.0, matched, spread)
 
-        kernels.axpby(0.5, unseen, 1 / _DOUBT**2, spread, spread)
-        kernels.axpby(1.0, ones, 1.0, spread, spread)
+        kernels.axpby(-0.5, seen, 1 / _DOUBT**2, spread, spread)
+        kernels.axpby(1.0, spread, 1.5, ones, spread)
         kernels.divide(ones, spread, self.confidence)
         kernels.clamp(self.confidence, 0.0, 1.0, self.confidence)  # where rounding made s² negative
+        if self._known is not None:
+            kernels.multiply(self.confidence, self._known, self.confidence)
 
     def _weigh_texture(self, stiffness: float) -> None:
         """certainty = curvature / (curvature + stiffness) + a little, so that where nothing is certain means exist."""
@@ -229,7 +259,7 @@ class Matching:
 
     def _on_surface(self, numerator: Array, denominator: Array, floor: float, ratio_out: Array) -> None:
         self._prior.ratio(
-            self.disparity,
+            self._aligned,
             numerator,
             denominator,
             support=self._config.alignment.support / self._farthest,
@@ -271,6 +301,7 @@ def in_units_of(noise: float, config: Config) -> Config:
         ),
         matching=_times(times, config.matching, "small_step", "large_step", "contrast"),
         alignment=_times(times, config.alignment, "robust"),
+        outlines=_times(times, config.outlines, "contrast"),
         prior=_times(times, config.prior, "sigma_color"),
     )
 
@@ -291,7 +322,7 @@ def _planned_sweep(
     return kernels.plane_sweep(
         (len(lf.views), *lf.size, lf.channels),
         kernels.field(lf.offsets, device),
-        kernels.field(apertures(lf.offsets), device),
+        kernels.field(apertures(lf.offsets, config.aperture), device),
         first=first,
         step=step,
         count=count,
@@ -327,12 +358,13 @@ def labels(bounds: tuple[float, float], offsets: Float64Array, config: SweepConf
     return low, (high - low) / (count - 1), count
 
 
-def apertures(offsets: Float64Array) -> Float64Array:
-    """Which views belong together, [m, n] of 1 and 0: first all, then the halves on either side of lines through the
-    reference, each with the views on the line itself; those that repeat others or are empty left out.
+def apertures(offsets: Float64Array, angle: float) -> Float64Array:
+    """Which views belong together, [m, n] of 1 and 0: first all, then those within an angle (degrees) around the
+    reference, each with the views on its borders; those that repeat others or are empty left out.
     """
-    angles = 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
-    ahead = np.cos(angles)[:, None] * offsets[:, 0] + np.sin(angles)[:, None] * offsets[:, 1] > -_ON_LINE
+    turns = 2 * np.pi * np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS
+    along = np.cos(turns) * offsets[:, 0] + np.sin(turns) * offsets[:, 1]
+    ahead = along - math.cos(math.radians(angle) / 2) * np.hypot(*offsets.T) > -_ON_LINE
     others = np.abs(offsets).max(1) > _ON_LINE
     found: dict[bytes, Float64Array] = {}
     for aperture in (np.ones(len(offsets), bool), *ahead):

@@ -26,7 +26,8 @@ class NonLocalMeans:
 
     def __init__(self, shape: Sequence[int], config: PriorConfig, kernels: KernelSet, device: str) -> None:
         self.kernels, self.device, self.window = kernels, device, config.window
-        self._weights = kernels.zeros((len(half_window(config.window)), *shape[:2]), device)
+        self.weights = kernels.zeros((len(half_window(config.window)), *shape[:2]), device)
+        """[k, y, x] in the order of `half_window`."""
         self._weigh = kernels.nlm_weights(
             shape,
             device,
@@ -41,13 +42,13 @@ class NonLocalMeans:
 
     def load(self, image: Array) -> None:
         """Take another reference image, float32 [y, x, c] in [0, 1], or UNLIKE_ANY where it is not valid."""
-        self._weigh(image, self._weights)
+        self._weigh(image, self.weights)
         self.kernels.fill(1.0, self.ones)
         self.neighbors(self.ones, self.degree)
 
     def neighbors(self, values: Array, sums_out: Array) -> None:
         """W v: the weighted sum over each pixel's window, itself included."""
-        self.kernels.nlm_neighbors(self._weights, values, window=self.window, sums_out=sums_out)
+        self.kernels.nlm_neighbors(self.weights, values, window=self.window, sums_out=sums_out)
 
     def mean(self, values: Array, means_out: Array) -> None:
         """W v / W 1: the weighted mean over each pixel's window."""
@@ -56,7 +57,7 @@ class NonLocalMeans:
 
     def laplacian(self, values: Array, laplacian_out: Array) -> None:
         """L v, with R(v) = Σ_p Σ_{q∈N(p)} w_pq (v_p - v_q)² = 2 vᵀ L v and ∇R = 4 L v."""
-        self.kernels.nlm_laplacian(self._weights, values, window=self.window, laplacian_out=laplacian_out)
+        self.kernels.nlm_laplacian(self.weights, values, window=self.window, laplacian_out=laplacian_out)
 
     def half(self, values: Array, laplacian_out: Array, half_out: Scalar) -> None:
         """L v, and R(v) / 2 = vᵀ L v."""
@@ -65,14 +66,14 @@ class NonLocalMeans:
 
     def average(self, volume: Array, average_out: Array) -> None:
         """W v / W 1 of each slice of a volume [l, y, x]."""
-        self.kernels.nlm_average(self._weights, volume, window=self.window, average_out=average_out)
+        self.kernels.nlm_average(self.weights, volume, window=self.window, average_out=average_out)
 
     def ratio(
         self, guide: Array, numerator: Array, denominator: Array, *, support: float, floor: float, ratio_out: Array
     ) -> None:
         """W' numerator / W' (denominator + floor), W' being the weights of pixels on the same surface of the guide."""
         self.kernels.nlm_ratio(
-            self._weights,
+            self.weights,
             guide,
             numerator,
             denominator,

@@ -26,18 +26,19 @@ class DepthResult:
         float32 [y, x], 0 to 1, larger is surer; what it means depends on the method.
 
         Matching: about the share of such pixels that are within 0.07 pixels per view step of the truth. It is
-        1 / (1 + (1 - c)² / 2 + (s / 0.28)²). c, 0 to 1, is how far texture decided, in the views that see the pixel; s
-        is the root mean square distance of its disparity from what the sweep had found, pixels per view step; both are
+        1 / (1 + (1 - c) / 2 + (s / 0.28)²). c, 0 to 1, is how far texture decided, in the views that see the pixel; s
+        is the root mean square distance of its disparity from what the matches had been, pixels per view step; both are
         taken over its window with the weights of the prior. So it is low at edges of depth between alike colours, where
         something is hidden, and where later stages disagree with the first. Without texture it is at most 2/3: such
-        pixels are filled in from around them. Form and numbers were chosen on synthetic scenes and one of the HCI
-        benchmark: on other scenes the share may be another, so trust the order more than the value.
+        pixels are filled in from around them. Where the reference is not valid it is 0, and the map says nothing.
+        Form and numbers were chosen on synthetic scenes: on others the share may be another, so trust the order more
+        than the value.
 
         Synthesis (the preset "paper"): the coherence of the local estimates that a pixel rests on, averaged likewise.
         It orders pixels and is no share; 0 means that a pixel was filled in from elsewhere.
     stages
-        The map after each stage. Matching: `swept`, `matched` (if occlusions are looked at twice) and `aligned`;
-        synthesis: `local` (NaN where undefined), `propagated` and `refined`.
+        The map after each stage. Matching: `swept`, `matched` (if occlusions are looked at twice), `aligned`
+        and `settled`; synthesis: `local` (NaN where undefined), `propagated` and `refined`.
     position
         (u, v) of the reference view, as in `LightField.positions`.
     disparity_range

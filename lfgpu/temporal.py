@@ -96,6 +96,9 @@ class TemporalMatching(Matching):
         live: Any,
     ) -> None:
         super().__init__(lf, bounds, config, kernels, device)
+        # What compares only once has no use for it otherwise.
+        shape = (*self._nearest.shape, lf.channels)
+        self._past_hiding = self._hiding or kernels.nearest_surface(shape, self._offsets, reach=0)
         self._temporal, self._live, self._is_warm = prior, live, False
         self._past, self._frames, self._same, self._believed = (kernels.zeros(lf.size, device) for _ in range(4))
         self._last_image = kernels.zeros_image((*lf.size, lf.channels), device)
@@ -123,6 +126,7 @@ class TemporalMatching(Matching):
         elif self._twice:
             self._kernels.copy(self._swept, self._matched)
         self._improve(None)
+        self._settle(None)
         self._remember()
 
     def warm(self, views: Array, steps: int) -> None:
@@ -133,12 +137,13 @@ class TemporalMatching(Matching):
         tolerance = self._temporal.tolerance * self.noise
         self._live.sameness(self._image, self._last_image, tolerance=tolerance, same_out=self._same)
         kernels.multiply(self._same, self.confidence, self._believed)
-        self._hiding(self._past, self._nearest)
+        self._past_hiding(self._past, self._nearest)
         self._sweep.seen(self._nearest, self._volume)
         self._find_surface(self._swept)
         if self._twice:
             kernels.copy(self._swept, self._matched)
         self._improve(None)
+        self._settle(None)
         self._remember()
 
     def _remember(self) -> None:

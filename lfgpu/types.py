@@ -27,6 +27,10 @@ Scalar: TypeAlias = Any
 """One float64 number on a device; `KernelSet.number` waits for it."""
 
 
+REACH = 2
+"""Rows and columns from a pixel to the farthest ones that `KernelSet.unmix` looks at."""
+
+
 class DataTerm(Protocol):
     """How far the predicted views are from the recorded ones, planned for light fields of one kind."""
 
@@ -117,8 +121,8 @@ class PlaneSweep(Protocol):
         """volume [l, y, x]: the least over the apertures of the mean of c_n over the views of the aperture that take
         part; that of the first aperture as it is, of the others times (1 + preference), plus 1e-4.
 
-        Where something nearer hides p from some views, an aperture without these still sees it (half of the views on
-        one side of a line through the reference). The preference keeps noise from choosing.
+        Where something nearer hides p from some views, an aperture without these still sees it (those on one side
+        of the reference). The preference keeps noise from choosing.
         """
 
     def seen(self, nearest: Array, volume_out: Array) -> None:
@@ -480,6 +484,27 @@ class KernelSet(Protocol):
         v_pq = w_pq / (1 + (guide_q - guide_p)^2 / support^2), and 1 for the pixel itself: only what lies on the same
         surface of the `guide`, a disparity map, is taken together. `support` is in the guide's unit, > 0, and
         denominator + floor > 0 everywhere; `ratio_out` is none of the inputs.
+        """
+
+    def nlm_on_surface(self, weights: Array, guide: Array, *, window: int, support: float, weights_out: Array) -> None:
+        """v_pq of `nlm_ratio` as weights [k, y, x]; `weights_out` is not `weights`."""
+
+    # --- outlines ---
+
+    def unmix(
+        self, image: Array, disparity: Array, *, step: float, contrast: float, share: float, disparity_out: Array
+    ) -> None:
+        """Give pixels that show little of what is nearer to what is behind it; `image` is float32 [y, x, c].
+
+        Of the pixels q at most REACH rows and columns from p, other than p, those are in front whose disparity differs
+        from d_p by at most `step` and beside which, in 3 x 3 pixels, none is farther by more than `step`; those are
+        behind for which d_q < d_p - step. With weights exp(-|q - p|^2 / 0.7) the first give the mean colour F, and the
+        second the mean colour B and the mean disparity D; of these, q beside which there is something nearer by more
+        than `step` count a thousandth, as they may be mixtures too.
+
+        p becomes D if something beside it is farther by more than `step`, there are pixels of both kinds, and
+        (I_p - B) . (F - B) < share |F - B|^2 with |F - B|^2 > c contrast^2 (sums over c channels); all else stays.
+        `disparity_out` is not `disparity`.
         """
 
     # --- the local estimate ---

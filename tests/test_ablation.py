@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,18 +11,22 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks import ablation, results, show
-from benchmarks.ablation import SCENES, VARIANTS, Plan, Scene, Variant
+from benchmarks.ablation import ALL, SCENES, VARIANTS, Plan, Scene, Variant
 from benchmarks.cli import app
 from benchmarks.clock import spread
 from benchmarks.results import Record, Run
 from benchmarks.tables import NONE, tables
 from lfgpu import GroundTruth, estimate_depth, evaluate, scenes
-from lfgpu.config import PRESETS
+from lfgpu.config import PRESETS, Config, parameters
 from lfgpu.io import write_hci
 from lfgpu.matching import in_units_of
 
 ROOT = Path(__file__).parents[1]
 SIZE = 48
+SCALED = (
+    *("sweep.truncation", "sweep.gradient_truncation", "prior.sigma_color", "alignment.robust", "outlines.contrast"),
+    *("matching.small_step", "matching.large_step", "matching.contrast"),
+)
 FEW = (VARIANTS[0], next(v for v in VARIANTS if v.values.get("sweep.views") == "cross"))
 
 
@@ -53,16 +58,37 @@ def test_variants_differ_from_accurate_and_from_each_other() -> None:
 
 @pytest.mark.parametrize("noise", [1e-6, 1.0])
 def test_variants_stay_within_the_ranges_whatever_the_noise(noise: float) -> None:
+    """What is 0.004 noise's is multiplied by the same factor in each of them: no range cuts it off."""
+    whole = PRESETS[ALL]
+    factor = in_units_of(noise, whole).sweep.truncation / whole.sweep.truncation
+    assert factor != 1
     for variant in VARIANTS:
-        in_units_of(noise, variant.config())  # raises where a parameter leaves its range
+        before, after = variant.config(), in_units_of(noise, variant.config())
+        if before.sweep.noise:
+            continue
+        for name in SCALED:
+            stage, parameter = name.split(".")
+            values = [getattr(getattr(config, stage), parameter) for config in (before, after)]
+            assert values[1] == pytest.approx(factor * values[0]), f"{variant.name}: {name} is cut off by its range"
 
 
-def test_what_is_not_robust_is_damped_as_much_as_what_is() -> None:
-    whole = PRESETS["accurate"].alignment
-    loose = next(v for v in VARIANTS if "alignment.robust" in v.values).config().alignment
-    assert loose.robust == 100 * whole.robust
-    for name in ("damping", "stiffness"):
-        assert getattr(loose, name) * loose.robust**2 == pytest.approx(getattr(whole, name) * whole.robust**2)
+def test_every_parameter_that_goes_with_the_noise_is_looked_at() -> None:
+    before, after = (dict(_values(config)) for config in (PRESETS[ALL], in_units_of(1.0, PRESETS[ALL])))
+    assert {name for name in before if before[name] != after[name]} == {*SCALED, "sweep.noise"}
+
+
+def _values(config: Config) -> Iterator[tuple[str, object]]:
+    for name, _ in parameters(config):
+        stage, parameter = name.split(".")
+        yield name, getattr(getattr(config, stage), parameter)
+
+
+def test_what_is_not_robust_is_as_stiff_as_what_is() -> None:
+    configs = next(v for v in VARIANTS if "alignment.robust" in v.values).config(), PRESETS[ALL]
+    assert configs[0].alignment.robust == 100 * configs[1].alignment.robust
+    for stage in ("alignment", "filling"):
+        loose, whole = (getattr(config, stage).stiffness * config.alignment.robust**2 for config in configs)
+        assert loose == pytest.approx(whole)
 
 
 # --- a run ---

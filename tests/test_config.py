@@ -11,9 +11,11 @@ from lfgpu.config import (
     PRESETS,
     AlignmentConfig,
     Config,
+    FillingConfig,
     LocalConfig,
     MatchingConfig,
     MethodConfig,
+    OutlinesConfig,
     PriorConfig,
     PropagationConfig,
     RefinementConfig,
@@ -32,6 +34,8 @@ STAGES = (
     SweepConfig,
     MatchingConfig,
     AlignmentConfig,
+    OutlinesConfig,
+    FillingConfig,
 )
 ALL = list(parameters(Config()))
 NUMBERS = [(name, f) for name, f in ALL if "choices" not in f.metadata]

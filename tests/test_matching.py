@@ -45,8 +45,20 @@ def test_a_wide_range_makes_the_steps_longer_and_a_narrow_one_still_has_three() 
     assert labels((0.0, 1e-3), grid(3, 3), SweepConfig())[2] == 3
 
 
-def test_apertures_are_all_views_and_the_halves_around_the_reference() -> None:
-    found = apertures(grid(5, 5))
+def test_apertures_are_all_views_and_the_quarters_around_the_reference() -> None:
+    found = apertures(grid(5, 5), 90)
+    assert found.shape == (9, 25)
+    assert found[0].all()
+    offsets = grid(5, 5)
+    upper_left = (offsets <= 0).all(1)
+    rightmost = offsets[:, 0] >= np.abs(offsets[:, 1])
+    for quarter in (upper_left, rightmost):
+        assert (found == quarter).all(1).sum() == 1
+    assert (found[1:, 12] == 1).all()
+
+
+def test_apertures_of_half_the_views_lie_on_one_side() -> None:
+    found = apertures(grid(5, 5), 180)
     assert found.shape == (9, 25)
     assert found[0].all()
     offsets = grid(5, 5)
@@ -60,13 +72,13 @@ def test_apertures_are_all_views_and_the_halves_around_the_reference() -> None:
 
 
 def test_apertures_of_a_row_of_views_are_its_two_sides() -> None:
-    found = apertures(grid(1, 5))
+    found = apertures(grid(1, 5), 90)
     np.testing.assert_array_equal(found, [[1, 1, 1, 1, 1], [0, 0, 1, 1, 1], [1, 1, 1, 0, 0]])
 
 
 def test_a_reference_at_the_end_of_a_row_has_one_aperture() -> None:
     offsets = np.array([[0.0, 0], [1, 0], [2, 0]])
-    assert apertures(offsets).shape == (1, 3)
+    assert apertures(offsets, 90).shape == (1, 3)
 
 
 @pytest.mark.parametrize(("pattern", "count"), [("full", 25), ("star", 17), ("cross", 9)])
@@ -107,18 +119,47 @@ def test_occlusions_are_where_it_is_better_than_the_synthesis() -> None:
     assert matching.badpix_07 < 0.7 * synthesis.badpix_07
 
 
+@pytest.mark.parametrize("name", ["boxes", "planes", "textureless", "bars"])
+def test_outlines_and_filling_bring_the_map_nearer(name: str) -> None:
+    lf = scene(name, size=128)
+    found = scores(lf, estimate_depth(lf, disparity_range=RANGE, config="accurate"))
+    assert found["settled"].mse_100 < found["aligned"].mse_100
+    assert found["settled"].badpix_07 < found["aligned"].badpix_07
+
+
+def test_surfaces_without_texture_are_filled_from_their_outlines() -> None:
+    """A slanted disc of one colour before a wall with texture."""
+    lf = scene("textureless", size=128)
+    filled, left = (
+        estimate_depth(
+            lf, disparity_range=RANGE, config=PRESETS["accurate"].with_values({"filling.max_iterations": most})
+        ).disparity
+        for most in (60, 0)
+    )
+    assert lf.truth is not None
+    assert evaluate(filled, lf.truth.disparity).badpix_07 < 0.7 * evaluate(left, lf.truth.disparity).badpix_07
+
+
 def test_fast_has_no_second_look() -> None:
     result = estimate_depth(scene("planes", size=48), disparity_range=RANGE, config="fast")
-    assert list(result.stages) == ["swept", "aligned"]
+    assert list(result.stages) == ["swept", "aligned", "settled"]
     assert list(estimate_depth(scene("planes", size=48), disparity_range=RANGE, config="accurate").stages) == [
         "swept",
         "matched",
         "aligned",
+        "settled",
     ]
 
 
-@pytest.mark.parametrize("preset", ["accurate", "fast"])
-@pytest.mark.parametrize(("name", "most"), [("boxes", 0.12), ("textureless", 0.45)])
+@pytest.mark.parametrize(
+    ("preset", "name", "most"),
+    [
+        ("accurate", "boxes", 0.1),
+        ("fast", "boxes", 0.1),
+        ("accurate", "textureless", 0.45),
+        ("fast", "textureless", 0.3),
+    ],
+)
 def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> None:
     """The fewer of the most confident pixels are kept, the fewer of them are wrong."""
     lf = scene(name, size=128)
@@ -127,7 +168,7 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> 
     assert ((result.confidence > 0) & (result.confidence <= 1)).all()
     curve = sparsification(result.disparity, result.confidence, lf.truth.disparity)
     assert curve.ause < most
-    assert np.diff(curve.bad).max() < 1  # per cent: a handful of pixels among the few that are left last
+    assert np.diff(curve.bad).max() < 0.6  # per cent: a handful of pixels among the few that are left last
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
@@ -146,14 +187,14 @@ def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.0)):
         there = (confidence > low) & (confidence <= high)
         assert there.sum() > 250
-        assert abs(good[there].mean() - confidence[there].mean()) < (0.1 if low == 0.9 else 0.35)
+        assert abs(good[there].mean() - confidence[there].mean()) < (0.03 if low == 0.9 else 0.3)
 
 
-def test_confidence_is_low_where_the_map_differs_from_the_sweep() -> None:
+def test_confidence_is_low_where_the_map_differs_from_the_matches() -> None:
     """At edges of depth between pixels that look alike, and little where all agree."""
     lf = scene("bars", size=96)
     result = estimate_depth(lf, disparity_range=RANGE, config="accurate")
-    apart = np.abs(result.stages["swept"] - result.disparity)
+    apart = np.abs(result.stages["matched"] - result.disparity)
     assert result.confidence[apart > 0.5].max() < 0.95
     assert result.confidence[apart < 0.02].mean() > result.confidence[apart > 0.2].mean() + 0.15
 

@@ -107,3 +107,10 @@ def nlm_ratio(
             above[p] += shared * numerator[q]
             below[p] += shared * (denominator[q] + floor)
     ratio_out[:] = above / below
+
+
+def nlm_on_surface(weights: Array, guide: Array, *, window: int, support: float, weights_out: Array) -> None:
+    for w, out, (dy, dx) in zip(weights, weights_out, half_window(window), strict=True):
+        here, there = overlap(guide.shape, dy, dx)
+        out[:] = 0
+        out[here] = w[here] / (1 + ((guide[there] - guide[here]) / support) ** 2)

@@ -251,3 +251,24 @@ def nlm_ratio(
 ) -> None:
     fields = weights.values, guide.values, numerator.values, denominator.values
     run(_ratio_kernel, *fields, *guide.shape, window // 2, support, floor, ratio_out.values)
+
+
+@ti.kernel
+def _on_surface_kernel(
+    weights: flat(), guide: flat(), height: int, width: int, radius: int, support: float, weights_out: flat()
+):
+    size = height * width
+    for i in range(weights_out.shape[0]):
+        k = i // size
+        p = i - k * size
+        step = step_of(k, radius)
+        weight = 0.0
+        if inside(p % width + step[0], p // width + step[1], height, width):
+            weight = _shared(weights[i], guide[p + step[1] * width + step[0]] - guide[p], support)
+        weights_out[i] = weight
+
+
+def nlm_on_surface(
+    weights: DeviceArray, guide: DeviceArray, *, window: int, support: float, weights_out: DeviceArray
+) -> None:
+    run(_on_surface_kernel, weights.values, guide.values, *guide.shape, window // 2, support, weights_out.values)

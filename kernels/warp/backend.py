@@ -7,8 +7,9 @@ from .control import capture, is_deterministic, repeat
 from .cost_volume import lowest, nlm_average
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, upload, zeros, zeros_image
-from .nlm import nlm_laplacian, nlm_neighbors, nlm_ratio, nlm_weights
+from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_ratio, nlm_weights
 from .occlusion import occluding_data_term, splat_occluding, visible
+from .outlines import unmix
 from .plane_sweep import plane_sweep
 from .residuals import residuals
 from .semi_global import semi_global
@@ -49,6 +50,7 @@ __all__ = [
     "nlm_average",
     "nlm_laplacian",
     "nlm_neighbors",
+    "nlm_on_surface",
     "nlm_ratio",
     "nlm_weights",
     "normalization",
@@ -69,6 +71,7 @@ __all__ = [
     "splat_transpose",
     "splat_vjp",
     "structure_tensor",
+    "unmix",
     "upload",
     "visible",
     "zeros",

@@ -457,3 +457,33 @@ def nlm_ratio(
         launch_rows(_ratio_kernel, [*fields, _half_window(window, device.alias), support, floor], ratio_out)
     else:
         _launch_pixels(_gpu_ratio(window // 2), [*fields, support, floor], window, ratio_out)
+
+
+@wp.kernel
+def _on_surface_kernel(
+    weights: wp.array3d(dtype=float),
+    guide: wp.array2d(dtype=float),
+    half_window: wp.array(dtype=wp.vec2i),
+    weaken: float,
+    row: int,
+    lanes: int,
+    weights_out: wp.array3d(dtype=float),
+):
+    i = wp.tid()
+    y = row + i / lanes
+    lane = i % lanes
+    for k in range(weights.shape[0]):
+        step = half_window[k]
+        for x in range(lane, guide.shape[1], lanes):
+            qy = y + step[0]
+            qx = x + step[1]
+            weight = float(0.0)
+            if qy < guide.shape[0] and qx >= 0 and qx < guide.shape[1]:
+                apart = guide[qy, qx] - guide[y, x]
+                weight = weights[k, y, x] / (1.0 + apart * apart * weaken)
+            weights_out[k, y, x] = weight
+
+
+def nlm_on_surface(weights: Any, guide: Any, *, window: int, support: float, weights_out: Any) -> None:
+    steps = _half_window(window, guide.device.alias)
+    launch_rows(_on_surface_kernel, [weights, guide, steps, 1 / support**2], weights_out)

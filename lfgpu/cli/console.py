@@ -31,6 +31,7 @@ _WHAT = {
     "sweep": "plane sweep",
     "match": "matching",
     "align": "alignment",
+    "settle": "outlines",
     "keys": "key views",
     "join": "all views",
 }

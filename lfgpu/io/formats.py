@@ -32,6 +32,7 @@ from lfgpu.io.folders import entries, head, listed
 from lfgpu.io.images import IMAGE_SUFFIXES
 from lfgpu.io.parallax import axes_agree
 from lfgpu.lightfield import LightField
+from lfgpu.vignette import without_black_corners
 
 
 @dataclass(frozen=True)
@@ -188,7 +189,8 @@ def read(
 
     Returns
     -------
-    The light field. Views are uint8, uint16 or float32 as in the files; `notes` says what was noticed about them.
+    The light field. Views are uint8, uint16 or float32 as in the files; `notes` says what was noticed about them. Where
+    all four corners of all views are black, as a lens array leaves them, `valid` leaves these out.
 
     Raises
     ------
@@ -208,7 +210,8 @@ def read(
     for name in options:
         if name not in chosen.takes:
             raise LightFieldError(f"{path} is read as {chosen.name}, for which {name} means nothing; leave it out.")
-    return _checked(flipped(chosen.read(path, allow_missing=allow_missing, **options), flip))
+    found = flipped(chosen.read(path, allow_missing=allow_missing, **options), flip)
+    return _checked(without_black_corners(found))
 
 
 def _checked(light_field: LightField) -> LightField:

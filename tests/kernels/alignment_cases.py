@@ -1,4 +1,4 @@
-"""The cases of what comes near in each view, of the alignment and of ratios by weights, as data, and their inputs."""
+"""The cases of what comes near in each view, of the alignment, of ratios and of outlines, as data, and their inputs."""
 
 from __future__ import annotations
 
@@ -97,3 +97,51 @@ def ratio_inputs(case: RatioCase, rng: np.random.Generator) -> SimpleNamespace:
     i.denominator = denominator.astype(np.float32)
     i.options = {"window": case.window, "support": case.support, "floor": case.least}
     return i
+
+
+@dataclass(frozen=True)
+class OutlineCase:
+    """An image size, and what tells surfaces and their colours apart."""
+
+    name: str
+    size: tuple[int, int] = (13, 14)
+    channels: int = 3
+    step: float = 0.3125
+    contrast: float = 0.0625
+    share: float = 0.4
+    tolerance: float = 1e-5
+
+    def __str__(self) -> str:
+        return self.name
+
+
+OUTLINE_CASES = (
+    OutlineCase("colour"),
+    OutlineCase("grey", channels=1),
+    OutlineCase("hardly any step", step=2.0**-6),
+    OutlineCase("large step", step=0.8125, size=(17, 19)),
+    OutlineCase("any contrast", contrast=1e-4, share=0.9),
+    OutlineCase("much contrast", contrast=0.4),
+    OutlineCase("no share", share=0.0, channels=1),
+    OutlineCase("one pixel wide", size=(23, 1)),
+    OutlineCase("one pixel high", size=(1, 23), channels=1),
+    OutlineCase("one pixel", size=(1, 1)),
+    OutlineCase("work for several threads", size=(61, 53)),
+)
+
+
+def outline_inputs(case: OutlineCase, rng: np.random.Generator) -> SimpleNamespace:
+    """Surfaces that are larger than a window here and there, in front of each other, and random colours.
+
+    Disparities are whole multiples of 2⁻⁴, so that no rounding decides which surface a pixel is of.
+    """
+    height, width = case.size
+    coarse = rng.integers(-2, 3, (-(-height // 5), -(-width // 5)))
+    surfaces = np.kron(coarse, np.ones((5, 5)))[:height, :width] / 2
+    moved = (rng.random(case.size) < 0.1) * rng.integers(-8, 9, case.size) / 16
+    image = rng.random((*case.size, case.channels)) * 0.5 + 0.25 * (surfaces[..., None] + 1)
+    return SimpleNamespace(
+        image=image.astype(np.float32),
+        disparity=(surfaces + moved).astype(np.float32),
+        options={"step": case.step, "contrast": case.contrast, "share": case.share},
+    )

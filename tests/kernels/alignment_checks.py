@@ -1,14 +1,18 @@
-"""The checks of what comes near in each view, of the alignment and of ratios by weights."""
+"""The checks of what comes near in each view, of the alignment, of ratios by weights and of outlines."""
 
 from __future__ import annotations
 
+import itertools
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from checks import Desk, Operation, Outputs, Program, Values, compute, largest_error, relative_to_terms, size
+from lfgpu.kernels import reference as reference_package
 
 from lfgpu.types import KernelSet
+
+reference = reference_package.KERNELS
 
 CLEAR = 1e-4
 """Pixels: what is decided by less is left out of comparisons."""
@@ -49,6 +53,19 @@ def nlm_ratio(desk: Desk, i: SimpleNamespace) -> Outputs:
     fields = (desk.field(values) for values in (i.weights, i.guide, i.values, i.denominator))
     desk.kernels.nlm_ratio(*fields, **i.options, ratio_out=out)
     return {"ratio": out}
+
+
+def nlm_on_surface(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = desk.out(i.weights.shape)
+    options = {name: i.options[name] for name in ("window", "support")}
+    desk.kernels.nlm_on_surface(desk.field(i.weights), desk.field(i.guide), **options, weights_out=out)
+    return {"weights": out}
+
+
+def unmix(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = desk.out(i.disparity.shape)
+    desk.kernels.unmix(desk.image(i.image), desk.field(i.disparity), **i.options, disparity_out=out)
+    return {"disparity": out}
 
 
 # --- which decisions are near: places as the contract says, in float64 ---
@@ -102,12 +119,26 @@ def alignment_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleN
     return {name: largest_error(got[name][clear], want[name][clear], least[name]) for name in want}
 
 
+def unmix_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
+    """Relative to the largest, where a little more or less of share and contrast makes no difference."""
+    clear = np.ones(i.disparity.shape, np.bool_)
+    for name, factor in itertools.product(("share", "contrast"), (1 - CLEAR, 1 + CLEAR)):
+        other = np.empty_like(i.disparity, np.float64)
+        options = i.options | {name: i.options[name] * factor + (factor - 1) * CLEAR * (name == "share")}
+        reference.unmix(i.image.astype(np.float64), i.disparity.astype(np.float64), **options, disparity_out=other)
+        clear &= np.abs(other - want["disparity"]) < CLEAR
+    assert clear.mean() > 0.95, "too much is undecided: the check says little"
+    return {"disparity": largest_error(got["disparity"][clear], want["disparity"][clear])}
+
+
 OPERATIONS = (
     Operation(nearest_surface, "alignment", nearest_errors),
     Operation(alignment, "alignment", alignment_errors),
     Operation(nlm_ratio, "ratio", relative_to_terms(ratio=lambda i: size(i.values) / i.options["floor"])),
+    Operation(nlm_on_surface, "ratio"),
+    Operation(unmix, "outline", unmix_errors),
 )
-NEAREST, ALIGNMENT, RATIO = OPERATIONS
+NEAREST, ALIGNMENT, RATIO, ON_SURFACE, UNMIX = OPERATIONS
 
 
 # --- checks that know no truth of the reference ---
@@ -164,7 +195,8 @@ def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
     surface = kernels.nearest_surface(views.shape, offsets, reach=1)
     plan = kernels.alignment(views.shape, offsets, scale=1.0, gradient_weight=2.0, robust=0.25, tolerance=0.30078125)
     nearest = kernels.zeros(views.shape[:3], device)
-    curvature, slope, step = (kernels.zeros(views.shape[1:3], device) for _ in range(3))
+    curvature, slope, step, unmixed = (kernels.zeros(views.shape[1:3], device) for _ in range(4))
+    on_surface = kernels.zeros((12, *views.shape[1:3]), device)
 
     def work() -> None:
         plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
@@ -172,5 +204,8 @@ def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
         plan(inputs["disparity"], nearest, curvature, slope)
         fields = weights, inputs["disparity"], slope, curvature
         kernels.nlm_ratio(*fields, window=5, support=0.5, floor=1e-3, ratio_out=step)
+        kernels.unmix(inputs["image"], inputs["disparity"], step=0.25, contrast=0.01, share=0.4, disparity_out=unmixed)
+        kernels.nlm_on_surface(weights, unmixed, window=5, support=0.5, weights_out=on_surface)
 
-    return Program(inputs, work, {"curvature": curvature, "slope": slope, "step": step})
+    outputs = {"curvature": curvature, "slope": slope, "step": step, "on_surface": on_surface}
+    return Program(inputs, work, outputs)

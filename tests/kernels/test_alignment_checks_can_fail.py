@@ -1,4 +1,4 @@
-"""The checks of alignment, nearest surfaces and ratios can fail: the reference with one single fault is caught."""
+"""The checks of alignment, nearest surfaces, ratios and outlines can fail: the reference with one fault is caught."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import alignment_checks
 import checks
 import numpy as np
 import pytest
-from alignment_cases import AlignmentCase, RatioCase, alignment_inputs, ratio_inputs
+from alignment_cases import AlignmentCase, OutlineCase, RatioCase, alignment_inputs, outline_inputs, ratio_inputs
 from cases import IRREGULAR
-from lfgpu.kernels.reference import alignment
+from lfgpu.kernels.reference import alignment, outlines
 from test_checks_can_fail import (
     NO_MASK,
     REFERENCE,
@@ -48,6 +48,30 @@ def value_of(operation: checks.Operation, case: AlignmentCase = CASE) -> Check:
 def RATIO(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
     inputs = ratio_inputs(RatioCase("any", size=(17, 19)), rng)
     checks.check_value(kernels, "cpu", alignment_checks.RATIO, inputs, 1e-5)
+
+
+def ON_SURFACE(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
+    inputs = ratio_inputs(RatioCase("any", size=(17, 19)), rng)
+    checks.check_value(kernels, "cpu", alignment_checks.ON_SURFACE, inputs, 1e-5)
+
+
+def UNMIX(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
+    inputs = outline_inputs(OutlineCase("any", size=(31, 33)), rng)
+    checks.check_value(kernels, "cpu", alignment_checks.UNMIX, inputs, 1e-5)
+
+
+def with_constant(name: str, value: float) -> Callable[..., Any]:
+    """Another number under a name of the reference's module."""
+
+    def broken(_: Callable[..., Any]) -> Callable[..., Any]:
+        def wrong(*args: Any, **options: Any) -> None:
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(outlines, name, value)
+                outlines.unmix(*args, **options)
+
+        return wrong
+
+    return broken
 
 
 def STEP(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
@@ -242,6 +266,23 @@ FAULTS = (
     Fault("adds to its output", "nlm_ratio", accumulating("ratio_out"), RATIO),
     Fault("one pixel off", "nlm_ratio", after(one_off, "ratio_out"), RATIO),
     Fault("no smoothing, seen in a program", "nlm_ratio", option("support", lambda _: 1e-6), PROGRAM),
+    Fault("support a little larger", "nlm_on_surface", option("support", lambda s: 1.01 * s), ON_SURFACE),
+    Fault("weights skewed", "nlm_on_surface", argument(0, lambda w: np.roll(w, 1, axis=2)), ON_SURFACE),
+    Fault("last neighbour left out", "nlm_on_surface", after(zeroed(-1), "weights_out"), ON_SURFACE),
+    Fault("adds to its output", "nlm_on_surface", accumulating("weights_out"), ON_SURFACE),
+    Fault("support ignored, seen in a program", "nlm_on_surface", option("support", lambda _: 1e6), PROGRAM),
+    Fault("nothing done", "unmix", option("share", lambda _: -1e6), UNMIX),
+    Fault("share a little larger", "unmix", option("share", lambda s: 1.2 * s), UNMIX),
+    Fault("contrast ignored", "unmix", option("contrast", lambda _: 0.0), UNMIX),
+    Fault("step larger", "unmix", option("step", lambda s: 1.5 * s), UNMIX),
+    Fault("one channel only", "unmix", argument(0, lambda image: image[..., :1]), UNMIX),
+    Fault("what is in front is behind", "unmix", argument(1, lambda d: -d), UNMIX),
+    Fault("mixtures count in full", "unmix", with_constant("BESIDE", 1.0), UNMIX),
+    Fault("distant pixels count as much", "unmix", with_constant("SPREAD", 1e6), UNMIX),
+    Fault("only what touches", "unmix", with_constant("REACH", 1), UNMIX),
+    Fault("adds to its output", "unmix", accumulating("disparity_out"), UNMIX),
+    Fault("one pixel off", "unmix", after(one_off, "disparity_out"), UNMIX),
+    Fault("nothing done, seen in a program", "unmix", option("share", lambda _: -1e6), PROGRAM),
 )
 
 

@@ -1,4 +1,4 @@
-"""Alignment, nearest surfaces and ratios in the reference backend against the formulas of the contract as loops."""
+"""Alignment, nearest surfaces, ratios and outlines in the reference against the formulas of the contract, as loops."""
 
 from __future__ import annotations
 
@@ -10,7 +10,17 @@ from types import SimpleNamespace
 import alignment_checks
 import numpy as np
 import pytest
-from alignment_cases import ALIGNMENT_CASES, RATIO_CASES, AlignmentCase, RatioCase, alignment_inputs, ratio_inputs
+from alignment_cases import (
+    ALIGNMENT_CASES,
+    OUTLINE_CASES,
+    RATIO_CASES,
+    AlignmentCase,
+    OutlineCase,
+    RatioCase,
+    alignment_inputs,
+    outline_inputs,
+    ratio_inputs,
+)
 from checks import Operation, compute
 from test_reference import REFERENCE
 
@@ -124,3 +134,66 @@ def test_nlm_ratio_is_the_formula(case: RatioCase, rng: np.random.Generator) -> 
                 below += v * (float(i.denominator[q]) + case.least)
         want[y, x] = above / below
     np.testing.assert_allclose(run(alignment_checks.RATIO, i)["ratio"], want, rtol=0, atol=1e-12 * np.abs(want).max())
+
+
+@pytest.mark.parametrize("case", RATIO_CASES[:-1], ids=str)
+def test_weights_on_a_surface_are_those_of_the_ratio(case: RatioCase, rng: np.random.Generator) -> None:
+    """The ratio with a numerator of 1 at one pixel and denominators that make all pixels count alike."""
+    i = ratio_inputs(case, rng)
+    got = run(alignment_checks.ON_SURFACE, i)["weights"]
+    guide, (height, width) = i.guide.astype(float), case.size
+    for y, x in np.ndindex(height, width):
+        for k, (dy, dx) in enumerate(half_window(case.window)):
+            qy, qx = y + dy, x + dx
+            want = 0.0
+            if 0 <= qy < height and 0 <= qx < width:
+                want = float(i.weights[k, y, x]) / (1 + ((guide[qy, qx] - guide[y, x]) / case.support) ** 2)
+            assert got[k, y, x] == pytest.approx(want, rel=1e-12)
+
+
+@pytest.mark.parametrize("case", [case for case in OUTLINE_CASES if math.prod(case.size) < 400], ids=str)
+def test_outlines_are_what_looking_at_each_pixel_says(case: OutlineCase, rng: np.random.Generator) -> None:
+    i = outline_inputs(case, rng)
+    got = run(alignment_checks.UNMIX, i)["disparity"]
+    image, d, (height, width) = i.image.astype(float), i.disparity.astype(float), case.size
+
+    def around(y: int, x: int, reach: int) -> list[tuple[int, int]]:
+        rows, columns = range(max(0, y - reach), y + reach + 1), range(max(0, x - reach), x + reach + 1)
+        return [(qy, qx) for qy, qx in product(rows, columns) if qy < height and qx < width and (qy, qx) != (y, x)]
+
+    for y, x in np.ndindex(height, width):
+        front: list[tuple[float, np.ndarray]] = []
+        behind: list[tuple[float, np.ndarray, float]] = []
+        for q in around(y, x, 2):
+            weight = math.exp(-((q[0] - y) ** 2 + (q[1] - x) ** 2) / 0.7)
+            if abs(d[q] - d[y, x]) <= case.step and all(d[q] - d[r] <= case.step for r in around(*q, 1)):
+                front.append((weight, image[q]))
+            if d[q] < d[y, x] - case.step:
+                beside = any(d[r] - d[q] > case.step for r in around(*q, 1))
+                behind.append((weight * (1e-3 if beside else 1), image[q], d[q]))
+        want = d[y, x]
+        if front and behind and any(d[y, x] - d[r] > case.step for r in around(y, x, 1)):
+            total = sum(b[0] for b in behind)
+            nearer = sum(w * color for w, color in front) / sum(w for w, _ in front)
+            back = sum(b[0] * b[1] for b in behind) / total
+            square = ((nearer - back) ** 2).sum()
+            little = (image[y, x] - back) @ (nearer - back) < case.share * square
+            if little and square > case.channels * case.contrast**2:
+                want = sum(b[0] * b[2] for b in behind) / total
+        assert got[y, x] == pytest.approx(want, abs=1e-9)
+
+
+def test_a_pixel_that_shows_little_of_what_is_nearer_belongs_to_what_is_behind() -> None:
+    """A column of mixtures between two surfaces, estimated as what is nearer: it goes by how much of that it shows."""
+    shares = np.linspace(0, 1, 11)
+    image = np.zeros((11, 9, 1), np.float32)
+    image[:, 5:] = 1
+    image[:, 4, 0] = shares
+    disparity = np.where(np.arange(9) >= 4, 1.0, -1.0) * np.ones((11, 1))
+    i = SimpleNamespace(
+        image=image, disparity=disparity.astype(np.float32), options={"step": 0.5, "contrast": 0.1, "share": 0.45}
+    )
+    got = run(alignment_checks.UNMIX, i)["disparity"]
+    np.testing.assert_allclose(got[:, 4], np.where(shares < 0.45, -1, 1), atol=1e-9)
+    rest = np.arange(9) != 4
+    np.testing.assert_array_equal(got[:, rest], disparity[:, rest])
