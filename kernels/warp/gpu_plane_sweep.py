@@ -15,7 +15,7 @@ from .threads import once
 wp.set_module_options({"enable_backward": False})
 
 BLOCK = 128
-_STRIP = 4  # rows
+_STRIPS = {False: 7, True: 2}  # rows, of a sweep by apertures and of one of the views that see a pixel: as measured
 _WARP = 32
 _COLUMNS = _WARP - 2
 _NAMES = {
@@ -93,6 +93,9 @@ _SWEEP_STRIP = """
             if (r >= 2) {
                 const int row = y + r - 2;
                 const bool first = r == 2 && row == 0, last = row == height - 1;
+                bool takes = part && inside && (unsigned)(row + dy) < rows_inside;
+                float front = 0.f;  // asked for before there is something else to do
+                if (SEEN && takes) front = nearest.data[n * plane + (row + dy + down) * width + x + dx + right];
                 float size = 0.f, slope = 0.f, along = 0.f;
                 for (int c = 0; c < CHANNELS; ++c) {
                     along += fabsf(__shfl_down_sync(~0u, here[c], 2) - here[c]);  // of the column to the right
@@ -102,9 +105,7 @@ _SWEEP_STRIP = """
                 slope += __shfl_up_sync(~0u, along, 1);
                 const float robust = fminf(size * (1.f / CHANNELS), truncation)
                     + gradient_weight * fminf(slope * (0.25f / CHANNELS), gradient_truncation);
-                bool takes = part && inside && (unsigned)(row + dy) < rows_inside;
-                if (SEEN && takes)
-                    takes = nearest.data[n * plane + (row + dy + down) * width + x + dx + right] <= deepest;
+                if (SEEN) takes = takes && front <= deepest;
                 if (takes) {
                     cost[r - 2] += robust;
                     number[r - 2] += 1.f;
@@ -146,9 +147,9 @@ _SWEEP_STRIP = """
 """
 
 
-def threads_of(labels: int, height: int, width: int) -> int:
+def threads_of(labels: int, height: int, width: int, *, seen: bool) -> int:
     """How many threads a sweep is launched with."""
-    return labels * -(-height // _STRIP) * -(-width // _COLUMNS) * _WARP
+    return labels * -(-height // _STRIPS[seen]) * -(-width // _COLUMNS) * _WARP
 
 
 def kept_type(channels: int, stored: Any) -> Any:
@@ -189,7 +190,7 @@ def sweep_kernel(channels: int, stored: Any, apertures: int, seen: bool, penalty
         ("CHANNELS", channels),
         ("APERTURES", apertures),
         ("COLUMNS", _COLUMNS),
-        ("STRIP", _STRIP),
+        ("STRIP", _STRIPS[seen]),
         ("PENALTY", f"{penalty}f"),
         ("SEEN", str(seen).lower()),
         ("BYTES", int(stored is wp.uint8)),

@@ -337,7 +337,8 @@ class _PlaneSweep:
         _, height, width, _ = self._shape
         planned = [nearest, self._order, members, self._shifts, self._deepest]
         if not self._device.is_cpu:
-            kernel, dim = self._kernel[nearest is not None], threads_of(self._count, height, width)
+            seen = nearest is not None
+            kernel, dim = self._kernel[seen], threads_of(self._count, height, width, seen=seen)
             inputs = [self._views, self._image, *planned, *self._numbers, least]
             wp.launch(kernel, dim, inputs, [volume_out], device=self._device, block_dim=BLOCK)
             return
