@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -110,9 +111,8 @@ def _measured(
         rate = _rate(stream, views, plan.seconds)
     with DepthStream(frames[0], policy="latest", **options) as stream:
         pace = _PACE * rate
-        results = _paced(stream, views, pace, plan.seconds)
-    latencies = np.array([result.latency for result in results if not result.dropped]) * 1000
-    work = np.array([result.work for result in results if not result.dropped]) * 1000
+        seen, dropped = _paced(stream, views, pace, plan.seconds)
+    latencies, work = (np.array(times) * 1000 for times in zip(*seen, strict=True))
     p50, p95, p99 = (float(value) for value in np.percentile(latencies, (50, 95, 99)))
     return Row(
         case,
@@ -125,7 +125,7 @@ def _measured(
         p95,
         p99,
         float(np.median(work)),
-        sum(result.dropped for result in results),
+        dropped,
         *scored,
         scored[0] / cold[0],
         scored[1] / cold[1],
@@ -170,17 +170,28 @@ def _rate(stream: DepthStream, views: list[Any], seconds: float) -> float:
     return count / (time.perf_counter() - start)
 
 
-def _paced(stream: DepthStream, views: list[Any], pace: float, seconds: float) -> list[StreamResult]:
-    """Results of frames that come at that rate, and are asked for as a user would: at once, and then let go."""
-    coming, results = to_and_fro(views), []
+def _paced(stream: DepthStream, views: list[Any], pace: float, seconds: float) -> tuple[list[tuple[float, float]], int]:
+    """Latency and work of frames that come at that rate, and how many were dropped; each map is let go once it is seen.
+
+    Results that are held keep their memory, and the stream would take more for each frame.
+    """
+    coming, pending, seen, dropped = to_and_fro(views), deque[StreamResult](), [], 0
     count = max(_WARM_UP, round(seconds * pace))
     start = time.perf_counter()
-    for index in range(_WARM_UP + count):
-        time.sleep(max(0.0, start + index / pace - time.perf_counter()))
-        results.append(stream.push(next(coming)))
-    for result in results:
-        result.wait()
-    return results[_WARM_UP:]
+    for index in range(_WARM_UP + count + 1):
+        if index < _WARM_UP + count:
+            time.sleep(max(0.0, start + index / pace - time.perf_counter()))
+            pending.append(stream.push(next(coming)))
+        while pending and (pending[0].done or index == _WARM_UP + count):
+            result = pending.popleft()
+            result.wait()
+            if result.index < _WARM_UP:
+                continue
+            if result.dropped:
+                dropped += 1
+            else:
+                seen.append((result.latency, result.work))
+    return seen, dropped
 
 
 def show(rows: list[Row]) -> None:
