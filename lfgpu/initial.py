@@ -181,6 +181,7 @@ def find_disparity_range(lf: LightField, config: LocalConfig, kernels: KernelSet
     views. LightFieldError where no structure is coherent or disparities reach the end of what is searched.
     """
     lines = [(lf.row(), 0), (lf.column(), 1)]
+    in_line = lf.subset(np.union1d(lf.row(), lf.column()).tolist())  # no others are looked at
     spacing = max((_spacing(lf.offsets[line, axis]) for line, axis in lines if len(line) > 1), default=1.0)
     reach = _RANGE_REACH / spacing
     found: dict[int, Float32Array] = {}
@@ -188,7 +189,7 @@ def find_disparity_range(lf: LightField, config: LocalConfig, kernels: KernelSet
     for level in _RANGE_LEVELS:
         if level == _RANGE_LEVELS[0] or min(lf.size) // level >= _RANGE_LEAST:
             level = max(1, min(level, min(lf.size) // _RANGE_LEAST))
-            shrunk = lf.downsampled(level)
+            shrunk = in_line.downsampled(level)
             coarse = LocalEstimator(shrunk, (-reach, reach), config, kernels, device)
             coarse.run(kernels.image(shrunk.views, device))
             found[level] = _without_outliers(kernels.numpy(coarse.disparity), kernels.numpy(coarse.coherence))
@@ -212,8 +213,10 @@ def find_disparity_range(lf: LightField, config: LocalConfig, kernels: KernelSet
 def _without_outliers(disparity: Float32Array, coherence: Float32Array) -> Float32Array:
     """The defined disparities as medians of the defined ones around them."""
     padded = np.pad(np.where(coherence > 0, disparity, np.nan), 1, constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))[coherence > 0]
-    return np.asarray(np.nanmedian(windows, axis=(1, 2)), np.float32)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))[coherence > 0].reshape(-1, 9)
+    windows, defined = np.sort(windows, axis=1), np.isfinite(windows).sum(1)  # NaN are sorted to the end
+    middle = np.take_along_axis(windows, np.stack([(defined - 1) // 2, defined // 2], axis=1), axis=1)
+    return np.asarray(middle.mean(1), np.float32)
 
 
 def _rests_on_valid(
