@@ -72,9 +72,7 @@ def plan_tiles(size: tuple[int, int], halo: tuple[int, int], needed: Footprint, 
             f"that they need, take {least / 2**30:.2f} GiB; give more, fewer views, or a narrower disparity range."
         )
     _, tile, counts = min(plans)
-    starts = [
-        _places(length, side, count) for length, side, count in zip(size, tile, counts, strict=True)
-    ]
+    starts = [_places(length, side, count) for length, side, count in zip(size, tile, counts, strict=True)]
     return Plan(tile, tuple(itertools.product(*starts)), halo, needed.bytes(*tile))
 
 
@@ -129,9 +127,7 @@ def estimate_in_tiles(
     }
     results = _estimate_all(lf, plan, devices, options, on_progress)
     joined = _joined(lf, plan, results)
-    timings = {
-        name: sum(result.timings[name] for result in results if result is not None) for name in joined.timings
-    }
+    timings = {name: sum(result.timings[name] for result in results if result is not None) for name in joined.timings}
     return replace(joined, timings={**timings, "total": perf_counter() - start})
 
 

@@ -33,8 +33,16 @@ _WHAT = {
     "align": "alignment",
     "keys": "key views",
     "join": "all views",
+    "tiles": "tiles",
 }
-_VALUE = {"propagate": "residual", "refine": "energy", "align": "step", "keys": "share", "join": "share"}
+_VALUE = {
+    "propagate": "residual",
+    "refine": "energy",
+    "align": "step",
+    "keys": "share",
+    "join": "share",
+    "tiles": "share",
+}
 
 
 def output() -> Console:
