@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,10 +33,14 @@ from lfgpu.matching import farthest, measured_noise, used_views
 from lfgpu.result import DepthResult
 from lfgpu.types import KernelSet
 
+if TYPE_CHECKING:
+    from lfgpu.depth import DepthPipeline
+
 _CONTEXT = 32  # pixels at the edge of a tile from which semi-global matching learns where its paths come from
 _RAMP = 16  # pixels over which one tile passes into the next
 _LEAST_STRIDE = 16  # pixels from a tile to the next: below that, all is halo
 _NOISE_WINDOW = 256  # pixels, side of what the noise is measured in
+_LOOKED_AT = 2**26  # bytes of views on disk that are forgotten together
 _SAME = 0.4  # pixels in the farthest view: estimates that differ by more are of two surfaces, and have no mean
 
 Progress = Callable[[str, int, float], None]
@@ -72,8 +76,8 @@ def plan_tiles(size: tuple[int, int], halo: tuple[int, int], needed: Footprint, 
             f"that they need, take {least / 2**30:.2f} GiB; give more, fewer views, or a narrower disparity range."
         )
     _, tile, counts = min(plans)
-    starts = [_places(length, side, count) for length, side, count in zip(size, tile, counts, strict=True)]
-    return Plan(tile, tuple(itertools.product(*starts)), halo, needed.bytes(*tile))
+    rows, columns = (_places(length, side, count) for length, side, count in zip(size, tile, counts, strict=True))
+    return Plan(tile, tuple(itertools.product(rows, columns)), halo, needed.bytes(*tile))
 
 
 def halo(lf: LightField, bounds: tuple[float, float], config: Config) -> tuple[int, int]:
@@ -205,15 +209,15 @@ class _Estimator:
     """Estimates tiles of one size on one device, in one pipeline as long as masks allow it."""
 
     def __init__(self, device: str, options: dict[str, Any]) -> None:
-        from lfgpu.depth import DepthPipeline
-
-        self._make = lambda tile: DepthPipeline(tile, device=device, **options)
+        self._options = {**options, "device": device}
         self._pipeline: DepthPipeline | None = None
 
     def __call__(self, tile: LightField) -> DepthResult:
+        from lfgpu.depth import DepthPipeline
+
         if self._pipeline is None or tile.valid is not None:
             self._pipeline = None  # its memory first
-            self._pipeline = self._make(tile)
+            self._pipeline = DepthPipeline(tile, **self._options)
         else:
             self._pipeline.upload(tile.views)
         # Stage by stage: a capture of all stages concerns all threads of the process, and others may be at work.
@@ -222,10 +226,22 @@ class _Estimator:
 
 def _tile(lf: LightField, used: Sequence[int], start: tuple[int, int], size: tuple[int, int]) -> LightField:
     y, x = (slice(first, first + side) for first, side in zip(start, size, strict=True))
-    window = lf.crop(y, x)
-    if len(used) < len(lf.views):
-        return window.subset(list(used))
-    return replace(window, views=np.array(window.views))
+    window, chosen = lf.crop(y, x), list(used)
+    views, looked_at = np.empty((len(chosen), *window.views.shape[1:]), window.views.dtype), 0
+    for view, index in zip(views, chosen, strict=True):
+        view[...] = window.views[index]
+        looked_at += lf.views[index].nbytes
+        if looked_at > _LOOKED_AT:  # what was read of a file counts as memory of the process
+            forget(lf.views)
+            looked_at = 0
+    return replace(
+        window,
+        views=views,
+        positions=lf.positions[chosen],
+        reference=chosen.index(lf.reference_index),
+        valid=None if window.valid is None else window.valid[chosen],
+        grid_shape=None,
+    )
 
 
 def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None]) -> DepthResult:

@@ -232,18 +232,18 @@ class Cluster:
         if future.status != "error":
             return self._again(task, "the scheduler was lost")
         try:
-            error = future.exception(timeout=_CONNECTING)
-        except Exception as lost:
-            return self._again(task, f"{type(lost).__name__}")
-        if isinstance(error, OutOfMemory):
-            return self._again(task, str(error).rstrip("."))
-        if isinstance(error, KilledWorker):
+            raised = future.exception(timeout=_CONNECTING)
+        except Exception as error:
+            return self._again(task, f"{type(error).__name__}")
+        if isinstance(raised, OutOfMemory):
+            return self._again(task, str(raised).rstrip("."))
+        if isinstance(raised, KilledWorker):
             task.errors.append("its worker was killed, by a signal or for the memory that it took")
             if task.alone:
                 return self._failed(task)
             task.alone, task.attempts = True, 0
             return None
-        task.errors.append(f"{type(error).__name__}: {' '.join(str(error).split())[:300]}")
+        task.errors.append(f"{type(raised).__name__}: {' '.join(str(raised).split())[:300]}")
         return self._failed(task)
 
     def _again(self, task: _Task, reason: str) -> Entry | None:

@@ -184,7 +184,8 @@ def _display(*, quiet: bool) -> Iterator[Callable[[Progress], None]]:
             ended = summary.computed + len(summary.failed)
             bar.update(task, total=progress.todo, completed=ended)
             lines = [
-                f"{summary.computed} done, {len(summary.failed)} failed, {summary.kept} kept; {progress.workers} workers"
+                f"{summary.computed} done, {len(summary.failed)} failed, {summary.kept} kept, "
+                f"{progress.workers} workers"
             ]
             means = mean_scores(list(summary.entries.values())[-1000:])
             if means:

@@ -36,9 +36,10 @@ def load_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
 def _file(path: Path) -> NDArray[Any]:
     with path.open("rb") as file:
         shape, dtype, fortran = _header(path, file)
-        if wanted_on_disk() and math.prod(shape):
+        size = dtype.itemsize * math.prod(int(side) for side in shape)
+        if wanted_on_disk() and size > 0:
             check_claim(path, shape, dtype, in_memory=False)
-            if math.prod(shape) * dtype.itemsize > path.stat().st_size - file.tell():
+            if size > path.stat().st_size - file.tell():
                 raise ValueError("it ends too early")
             return mapped(file, shape, dtype, offset=file.tell(), fortran=fortran)
         check_claim(path, shape, dtype)
