@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import importlib.util
 import logging
+import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any
@@ -167,8 +168,8 @@ class Cluster:
         from distributed.system import MEMORY_LIMIT
 
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
-        cluster = self._stack.enter_context(
-            LocalCluster(
+        with _ctrl_c_for_nobody():  # until the workers have begun
+            cluster = LocalCluster(
                 n_workers=self._workers,
                 threads_per_worker=1,
                 processes=True,
@@ -176,8 +177,9 @@ class Cluster:
                 dashboard_address="127.0.0.1:0",
                 memory_limit=MEMORY_LIMIT // self._workers,
                 silence_logs=logging.CRITICAL,
+                preload=["lfgpu.batch.worker_process"],
             )
-        )
+        self._stack.enter_context(cluster)
         self._client = self._stack.enter_context(Client(cluster))
 
     def _connect(self) -> None:
@@ -264,6 +266,19 @@ class Cluster:
             "seconds": 0.0,
             "attempts": self._retries + 1,
         }
+
+
+@contextmanager
+def _ctrl_c_for_nobody() -> Iterator[None]:
+    """Processes that are started meanwhile ignore it too."""
+    if threading.current_thread() is not threading.main_thread():  # the only one that may decide about signals
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _on_worker(job: Job, devices: tuple[str, ...], threads: int | None) -> tuple[str, Entry]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.folders import entries, image_files, sub_folders
+from lfgpu.io.folders import entries, image_files
 from lfgpu.io.formats import recognise
 
 _LOOK_BELOW = ("camera-row", "named-views")  # formats
@@ -120,12 +120,10 @@ def _inside(folder: Path, excluded: Path | None, barren: list[Path]) -> Iterable
 def _is_light_field(path: Path) -> bool:
     try:
         found, _ = recognise(path)
-        # Their readers look for the views in a sub-folder, too: several of them are several light fields.
-        if found.name in _LOOK_BELOW and path.is_dir() and not image_files(path):
-            return sum(map(_is_light_field, sub_folders(path))) < 2
+        # Their readers look for views in a sub-folder, too, and would take any light field there for one of their own.
+        return found.name not in _LOOK_BELOW or not path.is_dir() or bool(image_files(path))
     except LightFieldError:
         return False
-    return True
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
