@@ -274,6 +274,25 @@ def test_a_report_shows_all_items(recorded: Path, undisturbed: Path) -> None:
         assert (undisturbed / target).exists(), target
 
 
+def test_a_batch_is_scored_per_item_and_in_total(undisturbed: Path, recorded: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    with Manifest(other) as manifest:
+        manifest.add(work(job, "cpu") for job in jobs(recorded, other)[:2])
+    outcome = lfgpu("eval", undisturbed, other, "-o", tmp_path / "tables")
+    assert outcome.exit_code == 0, outcome.output
+    assert "1 items failed or have no ground truth" in outcome.stdout
+    lines = (tmp_path / "tables" / "table.csv").read_text().splitlines()
+    assert lines[0] == f"scene,metric,{undisturbed.name},other"
+    found = {tuple(line.split(",")[:2]): line.split(",")[2:] for line in lines[1:]}
+    scores = [read_manifest(undisturbed)[f"scene_{index}"]["metrics"]["mse_100"] for index in (0, 1)]
+    assert [float(found[f"scene_{index}", "MSE x100"][0]) for index in (0, 1)] == scores
+    assert float(found["average of 2", "MSE x100"][0]) == pytest.approx(np.mean(scores))
+    assert found["scene_3", "MSE x100"][1] == ""
+    assert "\\toprule" in (tmp_path / "tables" / "table.tex").read_text()
+    assert lfgpu("eval", undisturbed, "--border", "3").exit_code == 1
+    assert lfgpu("eval", undisturbed).exit_code == 0
+
+
 # --- real processes ---
 
 
