@@ -1,5 +1,5 @@
-"""The command line: `python -m benchmarks [options]` measures; `ablation` leaves ingredients out, `gallery` draws
-the picture of the README, and `table`, `plot` and `compare` look at what was found.
+"""The command line: `python -m benchmarks [options]` measures; `ablation` leaves ingredients out, `scaling` takes
+several GPUs, `gallery` draws the picture of the README, and `table`, `plot` and `compare` look at what was found.
 """
 
 from __future__ import annotations
@@ -9,7 +9,20 @@ from typing import Annotated
 
 import typer
 
-from benchmarks import ablation, cases, compare, gallery, merge, operations, pipelines, plot, results, show, suite
+from benchmarks import (
+    ablation,
+    cases,
+    compare,
+    gallery,
+    merge,
+    operations,
+    pipelines,
+    plot,
+    results,
+    scaling,
+    show,
+    suite,
+)
 from benchmarks.errors import BenchmarkError
 from lfgpu._backends import list_backends
 from lfgpu.cli.failures import Group
@@ -100,6 +113,34 @@ def ablation_(
     if out is not None:
         check_writable(out, folder=False)
     _finish(ablation.run(plan, lambda what: typer.echo(what, err=True)), out)
+
+
+@app.command("scaling")
+def scaling_(
+    case_names: Annotated[str, typer.Option("--cases", metavar="NAME,...")] = "7x7x375x375,9x9x512x512",
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = "fast,accurate",
+    devices: Annotated[str, typer.Option(metavar="NAME,...", help="Default: all GPUs, or the CPU.")] = "",
+    counts: Annotated[str, typer.Option(metavar="N,...", help="On how many of them; default: 1, 2, 4 and all.")] = "",
+    how: Annotated[str, typer.Option(metavar="KIND", help=f"{' or '.join(scaling.KINDS)}, one for each device.")] = (
+        scaling.KINDS[0]
+    ),
+    seconds: Annotated[float, typer.Option(min=0, help="For each measurement.")] = 5,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = None,
+) -> None:
+    """Measure light fields in a second on 1, 2, 4 .. GPUs of this machine."""
+    names = tuple("cuda:0" if n == "cuda" else n for n in _names(devices)) or scaling.devices_here()
+    wanted = tuple(int(n) for n in _names(counts)) or tuple(
+        sorted({1, *(n for n in (2, 4) if n <= len(names)), len(names)})
+    )
+    if out is not None:
+        check_writable(out, folder=False)
+    plan = scaling.Plan(
+        tuple(cases.find(n) for n in _names(case_names)), tuple(_names(presets)), names, wanted, how, seconds
+    )
+    rows = scaling.run(plan, lambda what: typer.echo(what, err=True))
+    if out is not None:
+        scaling.save(rows, out)
+    typer.echo(scaling.table(rows), nl=False)
 
 
 @app.command()
