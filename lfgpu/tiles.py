@@ -262,7 +262,12 @@ def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None]) -
         for name in names:
             join[name].add(result.stages[name], weight, start)
     height, width = plan.size
-    status = f"{len(plan.starts)} tiles of {width} x {height} pixels, of the first one: {first.status}"
+    what = (
+        "In one piece"
+        if len(plan.starts) == 1
+        else f"{len(plan.starts)} tiles of {width} x {height} pixels, of the first"
+    )
+    status = f"{what}: {first.status}"
     if len(there) < len(results):
         status += f" {len(results) - len(there)} tiles show nothing that other views show as well."
     return replace(

@@ -101,7 +101,21 @@ class Batch:
                 f"the disk has no room for the manifest in {out}: {len(manifest.unwritten)} items that are done are "
                 "not in it, and will be done again; make room, and run the same command again."
             )
+        self._check_there()
         return self.summary
+
+    def _check_there(self) -> None:
+        """Workers of another machine may have written where only they can see it."""
+        away = [
+            name
+            for name, entry in self.summary.entries.items()
+            if not all((self._out / name / file).is_file() for file in entry.get("files", ()))
+        ]
+        if away:
+            raise BatchError(
+                f"{len(away)} items are done, such as {away[0]}, but are not in {self._out}: workers and this machine "
+                "need one file system, with the same paths."
+            )
 
     def _todo(self, known: Mapping[str, Entry]) -> list[Job]:
         todo = []
