@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from lfgpu.lightfield import LightField
     from lfgpu.result import DepthResult
 
+DISPARITY_FILE, RESULT_FILE = "disparity.pfm", "result.npz"  # as `lfgpu depth` calls them
 PREVIEW_FILE = "preview.png"
 DEPTH_FILE = "depth.pfm"
 
@@ -219,7 +220,6 @@ def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | No
 
 def _write(folder: Path, result: DepthResult) -> list[str]:
     """Write a result into a folder that exists; the names of the files."""
-    from lfgpu.cli.outputs import DISPARITY_FILE, RESULT_FILE
     from lfgpu.frames import LOOKS, colour, fitted
     from lfgpu.io import write_pfm, write_result
     from lfgpu.pictures import scale_limits
