@@ -1,5 +1,6 @@
 """The command line: `python -m benchmarks [options]` measures; `ablation` leaves ingredients out, `scaling` takes
-several GPUs, `gallery` draws the picture of the README, and `table`, `plot` and `compare` look at what was found.
+several GPUs, `tiles` limits the memory, `gallery` draws the picture of the README, and `table`, `plot` and `compare`
+look at what was found.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from benchmarks import (
     scaling,
     show,
     suite,
+    tiles,
 )
 from benchmarks.errors import BenchmarkError
 from lfgpu._backends import list_backends
@@ -141,6 +143,19 @@ def scaling_(
     if out is not None:
         scaling.save(rows, out)
     typer.echo(scaling.table(rows), nl=False)
+
+
+@app.command("tiles")
+def tiles_(
+    case_name: Annotated[str, typer.Option("--case", metavar="NAME")] = "17x17x960x1280",
+    preset: Annotated[str, typer.Option(metavar="NAME")] = "accurate",
+    device: Annotated[str | None, typer.Option(metavar="NAME", help="Default: all GPUs, or the CPU.")] = None,
+    max_memory: Annotated[str | None, typer.Option(metavar="SIZE", help='"none" for no limit and no tiles.')] = "8GiB",
+) -> None:
+    """Estimate a light field of planes within a given memory; say what it took in time and memory."""
+    limit = None if max_memory == "none" else max_memory
+    for name, value in tiles.measure(cases.find(case_name), preset, device, limit).items():
+        typer.echo(f"{name:<12} {value}")
 
 
 @app.command()

@@ -58,14 +58,14 @@ class Plan:
     """What a pipeline for one tile takes."""
 
 
-def plan_tiles(size: tuple[int, int], halo: tuple[int, int], needed: Footprint, limit: int) -> Plan:
-    """The tiles that cover views of `size` (height, width), fit into `limit` bytes each, and have the fewest pixels.
+def plan_tiles(size: tuple[int, int], halo: tuple[int, int], needed: Footprint, limit: int, devices: int = 1) -> Plan:
+    """The tiles that cover views of `size` (height, width), fit into `limit` bytes each, and are done the soonest.
 
-    LightFieldError if none do.
+    That is with the fewest pixels on the device that has most of them. LightFieldError if none fit.
     """
     along = [_cuts(length, edge) for length, edge in zip(size, halo, strict=True)]
     plans = [
-        (rows * columns * height * width, (height, width), (rows, columns))
+        (math.ceil(rows * columns / devices) * height * width, rows * columns, (height, width), (rows, columns))
         for (rows, height), (columns, width) in itertools.product(*along)
         if needed.bytes(height, width) <= limit
     ]
@@ -75,7 +75,7 @@ def plan_tiles(size: tuple[int, int], halo: tuple[int, int], needed: Footprint, 
             f"max_memory of {limit / 2**30:.2f} GiB does not suffice: the smallest tiles, with the pixels around them "
             f"that they need, take {least / 2**30:.2f} GiB; give more, fewer views, or a narrower disparity range."
         )
-    _, tile, counts = min(plans)
+    *_, tile, counts = min(plans)
     rows, columns = (_places(length, side, count) for length, side, count in zip(size, tile, counts, strict=True))
     return Plan(tile, tuple(itertools.product(rows, columns)), halo, needed.bytes(*tile))
 
@@ -122,7 +122,7 @@ def estimate_in_tiles(
     kept = 4 * 8 * lf.size[0] * lf.size[1]  # maps of all tiles, and joined
     needed = footprint(lf, bounds, config, on_gpu=on_gpu)
     limit = max_memory - in_memory - (0 if on_gpu else kept)
-    plan = plan_tiles(lf.size, halo(lf, bounds, config), needed, limit)
+    plan = plan_tiles(lf.size, halo(lf, bounds, config), needed, limit, len(devices))
     options = {
         "config": config,
         "disparity_range": bounds,
@@ -143,7 +143,8 @@ def whole_light_field(
     device: str,
 ) -> tuple[tuple[float, float], Config]:
     """What is measured on a light field as a whole, if it is not given: its range of disparities and its noise."""
-    bounds = disparity_range or find_disparity_range(lf.subset("cross"), config.local, kernels, device)
+    looked_at = lf.subset("cross") if lf.pattern("cross").sum() > 1 else lf  # which is refused, with the reason
+    bounds = disparity_range or find_disparity_range(looked_at, config.local, kernels, device)
     if config.method.name == "matching" and not config.sweep.noise:
         middle = (slice(max(0, (side - _NOISE_WINDOW) // 2), (side + _NOISE_WINDOW) // 2) for side in lf.size)
         noise = measured_noise(lf.crop(*middle), bounds, config.sweep, kernels, device)

@@ -153,6 +153,13 @@ def test_every_pixel_is_in_a_tile_beyond_its_halo(size: tuple[int, int], edge: t
     assert total.min() > 0
 
 
+def test_several_devices_share_what_would_fit_on_one() -> None:
+    needed = Footprint(1 / 1.1, 0)
+    assert len(tiles.plan_tiles((960, 1280), (40, 40), needed, 960 * 1280).starts) == 1
+    assert len(tiles.plan_tiles((960, 1280), (40, 40), needed, 960 * 1280, devices=4).starts) == 4
+    assert len(tiles.plan_tiles((100, 100), (40, 40), needed, 960 * 1280, devices=4).starts) == 1
+
+
 def test_estimates_that_agree_are_mixed_and_others_are_not() -> None:
     join, ones = tiles._Join((1, 4), 0.1), np.ones((1, 4), np.float32)
     join.add(1.0 * ones, 0.75 * ones, (0, 0))
