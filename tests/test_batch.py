@@ -337,21 +337,42 @@ def test_a_worker_that_is_killed_in_the_middle_costs_nothing(recorded: Path, und
 
 
 def test_an_item_that_kills_its_worker_is_given_up_and_the_rest_goes_on(recorded: Path, tmp_path: Path) -> None:
-    """Its neighbours are not taken for the culprit."""
+    """Its neighbours are not taken for the culprit; what found no memory is tried again."""
+    tried = tmp_path / "tried"
+    good = recorded / "scene_0"
 
     class Deadly:
         def __fspath__(self) -> str:
             os.kill(os.getpid(), signal.SIGKILL)
             return ""
 
+    class Scarce:
+        def __init__(self, times: int) -> None:
+            self.times = times
+
+        def __fspath__(self) -> str:
+            with tried.open("a") as file:
+                file.write(f"{self.times}\n")
+            if tried.read_text().count(f"{self.times}\n") <= self.times:
+                raise MemoryError
+            return str(good)
+
+        def __str__(self) -> str:
+            return str(good)
+
     todo = jobs(recorded, tmp_path)
-    entries: list[dict[str, Any]] = []
-    poisoned = [replace(todo[0], item=Item("deadly", Deadly())), todo[0], todo[1]]
+    sources = {"deadly": Deadly(), "scarce": Scarce(1), "too scarce": Scarce(99)}
+    special = [replace(todo[0], item=Item(name, source)) for name, source in sources.items()]  # type: ignore[arg-type]
+    entries: dict[str, dict[str, Any]] = {}
     with local(retries=1) as cluster:
-        cluster.run([[job] for job in poisoned], entries.append)
-    assert {entry["item"]: entry["status"] for entry in entries} == {"deadly": FAILED, "scene_0": DONE, "scene_1": DONE}
-    (deadly,) = (entry for entry in entries if entry["item"] == "deadly")
-    assert "its worker was killed" in deadly["error"]
+        cluster.run([[job] for job in (*special, *todo[:2])], lambda entry: entries.update({entry["item"]: entry}))
+    assert {name: entry["status"] for name, entry in entries.items()} == {
+        **{"deadly": FAILED, "too scarce": FAILED},
+        **{"scarce": DONE, "scene_0": DONE, "scene_1": DONE},
+    }
+    assert "its worker was killed" in entries["deadly"]["error"]
+    assert re.match(r"the memory does not suffice.*, tried 2 times\.", entries["too scarce"]["error"])
+    assert entries["scarce"]["attempts"] == 2
 
 
 @contextlib.contextmanager

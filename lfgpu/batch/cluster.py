@@ -26,6 +26,7 @@ from lfgpu.threads import set_threads
 
 _CONNECTING = 30.0  # seconds
 _PATIENCE = 300.0  # seconds in which a lost scheduler may come back
+_REPLACED = 60.0  # seconds after which a worker that died and does not come back is replaced
 _LOOK = 0.2  # seconds between two looks where nothing happens
 
 Entry = dict[str, Any]
@@ -84,6 +85,9 @@ class Cluster:
         self._retries = retries
         self._stack = ExitStack()
         self._client: Any = None
+        self._cluster: Any = None
+        self._complete = time.monotonic()
+        """When all workers were last there."""
         self._running: dict[Any, _Task] = {}
         self._woken = threading.Event()
 
@@ -95,6 +99,7 @@ class Cluster:
             "distributed.scheduler.allowed-failures": self._retries,
             "distributed.scheduler.worker-saturation": 1.0,  # no job waits on a worker that another one may kill
             "distributed.worker.daemon": True,
+            "distributed.deploy.lost-worker-timeout": "1 hour",  # a busy machine takes long to start another one
         }
         self._stack.enter_context(dask.config.set(settings))
         if self._scheduler is None:
@@ -109,6 +114,7 @@ class Cluster:
         with suppress(Exception):  # what is lost with a cluster that is gone is in no manifest, and done again
             self._client.cancel(list(self._running), force=True)
         self._running.clear()
+        self._cluster = None
         self._stack.close()
 
     @property
@@ -146,6 +152,7 @@ class Cluster:
         while waiting or suspects or self._running:
             if self._is_there():
                 size = self.size
+                self._replace_lost(size)
                 tick(size)
                 while waiting and len(self._running) < size:
                     self._submit(waiting.popleft())
@@ -179,7 +186,7 @@ class Cluster:
                 silence_logs=logging.CRITICAL,
                 preload=["lfgpu.batch.worker_process"],
             )
-        self._stack.enter_context(cluster)
+        self._cluster = self._stack.enter_context(cluster)
         self._client = self._stack.enter_context(Client(cluster))
 
     def _connect(self) -> None:
@@ -214,6 +221,15 @@ class Cluster:
             f"the scheduler {self._scheduler} was lost and has not come back in {_PATIENCE:g} s; run the same command "
             "again to go on with what is left."
         )
+
+    def _replace_lost(self, size: int) -> None:
+        """Start workers of a local cluster anew that have not come back for long."""
+        now = time.monotonic()
+        if self._cluster is None or size >= self._workers:
+            self._complete = now
+        elif now - self._complete > _REPLACED:
+            self._cluster.scale(self._workers)
+            self._complete = now
 
     def _submit(self, task: _Task) -> None:
         there = {} if task.worker is None else {"workers": [task.worker], "allow_other_workers": True}

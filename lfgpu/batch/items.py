@@ -61,7 +61,7 @@ def find_items(
     everything: list[Path] = []
     barren: list[Path] = []
     excluded = None if leave_out is None else leave_out.resolve()
-    for path in (path for text in inputs for path in _matches(text)):
+    for path in (path for text in inputs for path in _matches(text) if path.resolve() != excluded):
         if format_name is not None or not path.is_dir() or _is_light_field(path):
             everything.append(path)
             continue

@@ -111,6 +111,7 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
     clock.lap("estimate")
     scores = _scores(lf, result)
     out = Path(job.out, job.item.name)
+    out.parent.mkdir(parents=True, exist_ok=True)  # others make it at the same time
     with atomic_folder(out) as folder:
         files = _write(folder, result)
     clock.lap("write")
