@@ -1,7 +1,7 @@
 """The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found.
 
 `ablation` leaves ingredients out, `rendering` renders views that were left out, `live`, `flicker` and `soak` are about
-streams, `gallery` draws the picture of the README.
+streams, `scaling` takes several GPUs, `tiles` limits the memory, `gallery` draws the picture of the README.
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ from benchmarks import (
     plot,
     rendering,
     results,
+    scaling,
     show,
     soak,
     suite,
+    tiles,
 )
 from benchmarks.errors import BenchmarkError
 from lfgpu._backends import list_backends
@@ -199,6 +201,47 @@ def soak_(
         typer.echo(line)
     if found.problems:
         raise typer.Exit(1)
+
+
+@app.command("scaling")
+def scaling_(
+    case_names: Annotated[str, typer.Option("--cases", metavar="NAME,...")] = "7x7x375x375,9x9x512x512",
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = "fast,accurate",
+    devices: Annotated[str, typer.Option(metavar="NAME,...", help="Default: all GPUs, or the CPU.")] = "",
+    counts: Annotated[str, typer.Option(metavar="N,...", help="On how many of them; default: 1, 2, 4 and all.")] = "",
+    how: Annotated[str, typer.Option(metavar="KIND", help=f"{' or '.join(scaling.KINDS)}, one for each device.")] = (
+        scaling.KINDS[0]
+    ),
+    seconds: Annotated[float, typer.Option(min=0, help="For each measurement.")] = 5,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = None,
+) -> None:
+    """Measure light fields in a second on 1, 2, 4 .. GPUs of this machine."""
+    names = tuple("cuda:0" if n == "cuda" else n for n in _names(devices)) or scaling.devices_here()
+    wanted = tuple(int(n) for n in _names(counts)) or tuple(
+        sorted({1, *(n for n in (2, 4) if n <= len(names)), len(names)})
+    )
+    if out is not None:
+        check_writable(out, folder=False)
+    plan = scaling.Plan(
+        tuple(cases.find(n) for n in _names(case_names)), tuple(_names(presets)), names, wanted, how, seconds
+    )
+    rows = scaling.run(plan, lambda what: typer.echo(what, err=True))
+    if out is not None:
+        scaling.save(rows, out)
+    typer.echo(scaling.table(rows), nl=False)
+
+
+@app.command("tiles")
+def tiles_(
+    case_name: Annotated[str, typer.Option("--case", metavar="NAME")] = "17x17x960x1280",
+    preset: Annotated[str, typer.Option(metavar="NAME")] = "accurate",
+    device: Annotated[str | None, typer.Option(metavar="NAME", help="Default: all GPUs, or the CPU.")] = None,
+    max_memory: Annotated[str | None, typer.Option(metavar="SIZE", help='"none" for no limit and no tiles.')] = "8GiB",
+) -> None:
+    """Estimate a light field of planes within a given memory; say what it took in time and memory."""
+    limit = None if max_memory == "none" else max_memory
+    for name, value in tiles.measure(cases.find(case_name), preset, device, limit).items():
+        typer.echo(f"{name:<12} {value}")
 
 
 @app.command()

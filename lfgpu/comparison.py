@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -117,10 +117,14 @@ def table(scenes: Sequence[Scene]) -> Table:
     LightFieldError
         If there is no scene, or a map does not fit its truth.
     """
-    if not scenes:
-        raise LightFieldError("there is nothing to compare: give at least one scene.")
     methods = tuple(dict.fromkeys(method for scene in scenes for method in scene.maps))
-    scores = {scene.name: scene.scores() for scene in scenes}
+    return table_of(methods, {scene.name: scene.scores() for scene in scenes})
+
+
+def table_of(methods: tuple[str, ...], scores: Mapping[str, Mapping[str, Metrics]]) -> Table:
+    """The same from the scores of each scene, by method. LightFieldError if there is no scene."""
+    if not scores:
+        raise LightFieldError("there is nothing to compare: give at least one scene.")
     rows = [
         Row(scene, metric, tuple(_score(of, method, attribute) for method in methods))
         for scene, of in scores.items()
@@ -140,7 +144,7 @@ def error_map(values: ArrayLike, truth: ArrayLike) -> NDArray[np.float32]:
     return np.where(np.isfinite(found), found, np.float32(np.nan))
 
 
-def _score(scores: dict[str, Metrics], method: str, attribute: str) -> float:
+def _score(scores: Mapping[str, Metrics], method: str, attribute: str) -> float:
     return float(getattr(scores[method], attribute)) if method in scores else float("nan")
 
 

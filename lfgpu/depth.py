@@ -38,6 +38,7 @@ def estimate_depth(
     backend: str = DEFAULT,
     device: str | None = None,
     deterministic: bool = False,
+    max_memory: str | int | None = None,
     on_progress: Progress | None = None,
 ) -> DepthResult:
     """Estimate the disparity of the reference view of a light field.
@@ -61,6 +62,10 @@ def estimate_depth(
     deterministic
         Whether the map must have the same bits each time on the same device, whatever the number of threads. So it has
         with "warp" and "reference" anyway, and with "taichi" on a CPU; elsewhere BackendError. Default False.
+    max_memory
+        What the estimate may take, as "8GiB", "500MB" or bytes: of the process on a CPU, of each GPU there. Light
+        fields that do not fit are estimated in tiles that overlap (`lfgpu/tiles.py`), without `device` on all GPUs;
+        read them with `lfgpu.read(..., lazy=True)`. Default None: in one piece.
     on_progress
         Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
         iteration of those that have some: value is the relative residual (propagate), the energy (refine) or the root
@@ -78,6 +83,20 @@ def estimate_depth(
     BackendError
         If the backend or the device is not there, or is not deterministic when it must be.
     """
+    if max_memory is not None:
+        from lfgpu.footprint import parse_memory
+        from lfgpu.tiles import estimate_in_tiles
+
+        return estimate_in_tiles(
+            lf,
+            config=_parameters(config),
+            disparity_range=None if disparity_range is None else _checked_range(disparity_range, lf),
+            backend=backend,
+            device=device,
+            deterministic=deterministic,
+            on_progress=on_progress,
+            max_memory=parse_memory(max_memory),
+        )
     pipeline = DepthPipeline(
         lf,
         config=config,
@@ -124,9 +143,7 @@ class DepthPipeline:
         device: str | None = None,
         deterministic: bool = False,
     ) -> None:
-        parameters = preset(config) if isinstance(config, str) else config
-        if not isinstance(parameters, Config):
-            raise LightFieldError(f"config must be a Config or the name of a preset, not {type(config).__name__}.")
+        parameters = _parameters(config)
         bounds = None if disparity_range is None else _checked_range(disparity_range, lf)
         self.kernels = load(backend)
         self.device = pick_device(self.kernels, device)
@@ -303,6 +320,13 @@ class DepthPipeline:
 
 def _of_stage(on_progress: Progress, stage: str) -> Callback:
     return lambda iteration, value: on_progress(stage, iteration, value)
+
+
+def _parameters(config: Config | str) -> Config:
+    parameters = preset(config) if isinstance(config, str) else config
+    if not isinstance(parameters, Config):
+        raise LightFieldError(f"config must be a Config or the name of a preset, not {type(config).__name__}.")
+    return parameters
 
 
 def _checked_range(disparity_range: tuple[float, float], lf: LightField) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The command line: `lfgpu depth`, `info`, `decode`, `convert`, `render`, `scene`, `eval` and others.
+"""The command line: `lfgpu depth`, `batch`, `info`, `decode`, `convert`, `render`, `scene`, `eval` and others.
 
 Commands import what they need when they run, so that help and mistakes answer at once.
 """
@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from lfgpu.cli import backends, convert, decode, demo, depth, evaluate, export, info, live, render, scene, view
+from lfgpu.cli import backends, batch, convert, decode, demo, depth, evaluate, export, info, live, render, scene, view
 from lfgpu.cli.failures import Group
 
 app = typer.Typer(
@@ -24,6 +24,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("depth")(depth.depth)
+app.command("batch")(batch.batch)
 app.command("info")(info.info)
 app.command("decode")(decode.decode)
 app.command("convert")(convert.convert)

@@ -1,4 +1,4 @@
-"""`lfgpu eval --scene`: several methods on several scenes, as a table and as error maps."""
+"""`lfgpu eval --scene`: several methods on several scenes, as a table and as error maps; or whole batches."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from lfgpu.comparison import Scene, Table
     from lfgpu.lightfield import LightField
+    from lfgpu.metrics import Metrics
 
 _IN_FOLDER = ("result.npz", "disparity.pfm")
 _SUFFIXES = (".pfm", ".npz", ".npy", ".tif", ".tiff")
@@ -53,18 +54,74 @@ def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: i
         show_outputs(console, out, list(_FILES.items()))
 
 
+def are_batches(folders: list[Path]) -> bool:
+    """Whether all folders are outputs of `lfgpu batch`."""
+    from lfgpu.batch.manifest import MANIFEST_FILE
+
+    return all((folder / MANIFEST_FILE).is_file() for folder in folders)
+
+
+def compare_batches(folders: list[Path], out: Path | None) -> None:
+    """The scores that batches have found, of each item with ground truth and on average; LightFieldError if of none."""
+    from lfgpu.batch.manifest import DONE, read_manifest
+    from lfgpu.cli.console import comparison, output, remark
+    from lfgpu.cli.summary import show_outputs
+    from lfgpu.comparison import table_of
+    from lfgpu.io import check_writable
+    from lfgpu.metrics import BORDER
+
+    if out is not None:
+        check_writable(out)
+    names = [folder.resolve().name for folder in folders]
+    if len(set(names)) < len(names):
+        raise LightFieldError("two batches have the same name; columns are called as their folders are: rename one.")
+    scores: dict[str, dict[str, Metrics]] = {}
+    unscored = 0
+    for name, folder in zip(names, folders, strict=True):
+        for item, entry in sorted(read_manifest(folder).items()):
+            if entry.get("status") == DONE and entry.get("metrics"):
+                scores.setdefault(item, {})[name] = _metrics(entry["metrics"], folder)
+            else:
+                unscored += 1
+    if not scores:
+        raise LightFieldError(f"no item in {', '.join(map(str, folders))} has ground truth; there is nothing to score.")
+    scored = table_of(tuple(names), scores)
+    console = output()
+    comparison(console, scored)
+    remark(console, f"Smaller is better; a border of {BORDER} left out. BadPix in percent, undefined pixels are bad.")
+    if unscored:
+        remark(console, f"{unscored} items failed or have no ground truth.")
+    if out is not None:
+        from lfgpu.io import atomic_folder
+
+        with atomic_folder(out) as folder:
+            _write_tables(folder, scored)
+        show_outputs(console, out, [(name, what) for name, what in _FILES.items() if name.startswith("table")])
+
+
+def _metrics(found: dict[str, float | None], folder: Path) -> Metrics:
+    from lfgpu.metrics import Metrics
+
+    try:
+        return Metrics(**{name: float("nan") if value is None else value for name, value in found.items()})  # type: ignore[arg-type]
+    except TypeError as error:
+        raise LightFieldError(
+            f"{folder} was written by a version of lfgpu with other metrics; run it again."
+        ) from error
+
+
 def _write(out: Path, scenes: list[Scene], scored: Table) -> None:
     from lfgpu.io import atomic_folder
     from lfgpu.pictures import comparison_figure, save_png
 
     with atomic_folder(out) as folder:
-        for name, text in (
-            ("table.md", scored.markdown()),
-            ("table.tex", scored.latex()),
-            ("table.csv", scored.csv()),
-        ):
-            (folder / name).write_text(text, encoding="utf-8")
+        _write_tables(folder, scored)
         save_png(comparison_figure(scenes), folder / "errors.png")
+
+
+def _write_tables(folder: Path, scored: Table) -> None:
+    for name, text in (("table.md", scored.markdown()), ("table.tex", scored.latex()), ("table.csv", scored.csv())):
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scene:

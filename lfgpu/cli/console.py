@@ -34,8 +34,16 @@ _WHAT = {
     "settle": "outlines",
     "keys": "key views",
     "join": "all views",
+    "tiles": "tiles",
 }
-_VALUE = {"propagate": "residual", "refine": "energy", "align": "step", "keys": "share", "join": "share"}
+_VALUE = {
+    "propagate": "residual",
+    "refine": "energy",
+    "align": "step",
+    "keys": "share",
+    "join": "share",
+    "tiles": "share",
+}
 
 
 def output() -> Console:

@@ -11,6 +11,7 @@ import typer
 from lfgpu._backends import DEFAULT, list_backends
 from lfgpu.cli import values
 from lfgpu.cli.options import Every, Flip, Grid, Threads
+from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
     from lfgpu.all_views import ViewsResult
@@ -28,6 +29,7 @@ class Estimation:
     backend: str = DEFAULT
     device: str | None = None
     deterministic: bool = False
+    max_memory: str | None = None
 
     def check_device(self) -> None:
         """BackendError if the backend or the device is not there."""
@@ -49,7 +51,8 @@ class Estimation:
         from lfgpu.cli.console import progress
 
         with progress(self.config, quiet=quiet) as on_progress:
-            return estimate_all_views(lf, on_progress=on_progress, **self._options)
+            options = {name: value for name, value in self._options.items() if name != "max_memory"}
+            return estimate_all_views(lf, on_progress=on_progress, **options)
 
     @property
     def _options(self) -> dict[str, Any]:
@@ -93,6 +96,12 @@ def depth(
         bool,
         typer.Option("--deterministic", help="Refuse backends whose maps differ from run to run by their last bits."),
     ] = False,
+    max_memory: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SIZE", help="Estimate in tiles that take no more, such as 8GiB.", show_default="no limit"
+        ),
+    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
@@ -117,6 +126,7 @@ def depth(
     from lfgpu.cli import summary
     from lfgpu.cli.console import output
     from lfgpu.cli.outputs import check_names, write_outputs, write_page, write_saved, write_view_maps
+    from lfgpu.footprint import parse_memory
     from lfgpu.io import atomic_folder, check_writable, read
 
     check_writable(out)
@@ -127,7 +137,12 @@ def depth(
         backend,
         device,
         deterministic,
+        max_memory,
     )
+    if max_memory is not None:
+        parse_memory(max_memory)
+        if all_views:
+            raise LightFieldError("--max-memory is for the map of one view; leave it or --all-views out.")
     place = None if reference_view is None else values.parse_place("--reference-view", reference_view)
     values.check_pattern("--views", pattern)
     values.use_threads("--threads", threads)
@@ -140,6 +155,7 @@ def depth(
         grid=values.parse_grid(grid),
         every=every,
         flip=flip,
+        lazy=max_memory is not None,
     )
     lf = _chosen(lf, place, pattern)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None

@@ -22,9 +22,9 @@ def evaluate(
     paths: Annotated[
         list[Path],
         typer.Argument(
-            metavar="RESULT TRUTH | METHOD...",
+            metavar="RESULT TRUTH | METHOD... | BATCH...",
             help="A map (.pfm, .npz, .tif, .exr, ...) or a folder that depth wrote, and the truth: a map, or a light "
-            "field folder that holds it. With --scene: folders of such results.",
+            "field folder that holds it. With --scene: folders of such results. Or folders that batch wrote.",
         ),
     ],
     scenes: Annotated[
@@ -48,7 +48,8 @@ def evaluate(
     """Score a disparity map with the metrics of the HCI 4D Light Field Benchmark; smaller is better throughout.
 
     For what depth wrote, also the share of bad pixels among the most confident ones. Several methods on several scenes
-    give one table, and with -o files: table.md, table.tex, table.csv and errors.png.
+    give one table, and with -o files: table.md, table.tex, table.csv and errors.png. So do whole batches, but for the
+    picture: all their items that have ground truth, and the averages.
     """
     if scenes:
         if mask is not None:
@@ -56,6 +57,13 @@ def evaluate(
         from lfgpu.cli.compare import compare
 
         compare(paths, scenes, out, border)
+        return
+    from lfgpu.cli.compare import are_batches, compare_batches
+
+    if are_batches(paths):
+        if mask is not None or border is not None:
+            raise LightFieldError("batches were scored when they ran; for --mask or --border, give --scene as well.")
+        compare_batches(paths, out)
         return
     if len(paths) != 2:
         raise typer.BadParameter("give one RESULT and its TRUTH, or methods and --scene.")

@@ -54,8 +54,13 @@ def atomic_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
         yield temporary
         if exists:
             _move_files(temporary, target)
-        else:
+            return
+        try:
             temporary.rename(target)
+        except OSError:
+            if not target.is_dir():
+                raise
+            _move_files(temporary, target)  # another process has made it meanwhile
 
 
 def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:
@@ -93,8 +98,9 @@ def _staged(target: Path, place: Path) -> Iterator[Path]:
     temporary = place / f".lfgpu-{secrets.token_hex(8)}{target.suffix}"
     try:
         for parent in reversed([folder for folder in (place, *place.parents) if not folder.exists()]):
-            parent.mkdir()
-            made.append(parent)
+            with suppress(FileExistsError):  # another process was quicker
+                parent.mkdir()
+                made.append(parent)
         yield temporary
     except BaseException as error:
         _remove(temporary)

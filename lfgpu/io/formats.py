@@ -27,6 +27,7 @@ from lfgpu.io import (
     tiff_stack,
     video,
 )
+from lfgpu.io.disk import on_disk, wanted_on_disk
 from lfgpu.io.flips import check_flip, flipped
 from lfgpu.io.folders import entries, head, listed
 from lfgpu.io.images import IMAGE_SUFFIXES
@@ -57,7 +58,7 @@ class Format:
 
 def _read_source(path: Path, **options: Any) -> LightField:
     """What a description reads its source with: this very table."""
-    return read(path, **options)
+    return read(path, lazy=wanted_on_disk(), **options)
 
 
 FORMATS: tuple[Format, ...] = (
@@ -166,6 +167,7 @@ def read(
     grid: tuple[int, int] | None = None,
     every: int | None = None,
     flip: str = "",
+    lazy: bool = False,
 ) -> LightField:
     """Read a light field from files.
 
@@ -186,6 +188,10 @@ def read(
     flip
         Axes along which the cameras are counted the other way round: "u" (columns, from the right), "v" (rows, from
         below), "uv", or "" as a rule. Wrong directions turn near into far.
+    lazy
+        Whether views stay on disk: `views` is mapped from a file, and takes memory only for what is looked at. Folders
+        of images are unpacked into a temporary file (in `TMPDIR`), .npy files are mapped as they are; other formats
+        are read into memory as ever.
 
     Returns
     -------
@@ -210,8 +216,9 @@ def read(
     for name in options:
         if name not in chosen.takes:
             raise LightFieldError(f"{path} is read as {chosen.name}, for which {name} means nothing; leave it out.")
-    found = flipped(chosen.read(path, allow_missing=allow_missing, **options), flip)
-    return _checked(without_black_corners(found))
+    with on_disk(lazy):
+        found = flipped(chosen.read(path, allow_missing=allow_missing, **options), flip)
+        return _checked(without_black_corners(found))
 
 
 def _checked(light_field: LightField) -> LightField:

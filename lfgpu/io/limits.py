@@ -16,7 +16,14 @@ _BEST_RATIO = 2000  # deflate reaches 1032; no picture of a scene comes near wha
 _ALWAYS_FINE = 1 << 24  # bytes: so much may be claimed by the smallest file
 
 
-def check_claim(path: Path, shape: Sequence[int], dtype: Any, *, advice: str = "read fewer or smaller views") -> None:
+def check_claim(
+    path: Path,
+    shape: Sequence[int],
+    dtype: Any,
+    *,
+    advice: str = "read fewer or smaller views",
+    in_memory: bool = True,
+) -> None:
     """LightFieldError if an array that a file claims to hold can neither be in the file nor in the memory.
 
     Parameters
@@ -27,6 +34,8 @@ def check_claim(path: Path, shape: Sequence[int], dtype: Any, *, advice: str = "
         What its header says of the array.
     advice
         What to do if the array is honest, but too large.
+    in_memory
+        Whether memory will be taken for it.
     """
     if any(side < 0 for side in shape):
         raise LightFieldError(f"{path} is damaged: it claims an array of shape {tuple(shape)}.")
@@ -36,7 +45,8 @@ def check_claim(path: Path, shape: Sequence[int], dtype: Any, *, advice: str = "
         raise LightFieldError(
             f"{path} is damaged: it claims {claimed} bytes of pixels, which a file of {stored} bytes cannot hold."
         )
-    check_memory(path, claimed, advice=advice)
+    if in_memory:
+        check_memory(path, claimed, advice=advice)
 
 
 def check_memory(path: Path, needed: int, *, advice: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.disk import mapped, wanted_on_disk
 from lfgpu.io.folders import head
 from lfgpu.io.limits import check_claim
 
@@ -33,7 +35,14 @@ def load_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
 
 def _file(path: Path) -> NDArray[Any]:
     with path.open("rb") as file:
-        check_claim(path, *_header(path, file))
+        shape, dtype, fortran = _header(path, file)
+        size = dtype.itemsize * math.prod(int(side) for side in shape)
+        if wanted_on_disk() and size > 0:
+            check_claim(path, shape, dtype, in_memory=False)
+            if size > path.stat().st_size - file.tell():
+                raise ValueError("it ends too early")
+            return mapped(file, shape, dtype, offset=file.tell(), fortran=fortran)
+        check_claim(path, shape, dtype)
         file.seek(0)
         return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
 
@@ -48,7 +57,7 @@ def _archive(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
             if members[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise LightFieldError(f"{path} is packed in a way that NumPy does not use; write it with np.savez.")
             with archive.open(members[name]) as file:
-                check_claim(path, *_header(path, file))
+                check_claim(path, *_header(path, file)[:2])
             with archive.open(members[name]) as file:
                 found[name] = np.asarray(np.lib.format.read_array(file, allow_pickle=False))
     if names[0] not in found:
@@ -56,10 +65,10 @@ def _archive(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     return found
 
 
-def _header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+def _header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, dtype = read(file)
+    shape, fortran, dtype = read(file)
     if dtype.hasobject:
         raise LightFieldError(
             f"{path} cannot be read as NumPy data: it holds Python objects, which can run code when they are read; "
@@ -67,4 +76,4 @@ def _header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]
         )
     if dtype.names is not None or dtype.subdtype is not None:
         raise LightFieldError(f"{path} holds records, not an array of numbers.")
-    return shape, dtype
+    return shape, dtype, fortran

@@ -1,4 +1,4 @@
-"""Many image files as one array of views: allocated once, filled one by one, refused if they are not alike."""
+"""Many image files as one array of views, read one by one into memory or onto disk, refused if they are not alike."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.disk import Collected
 from lfgpu.io.images import read_image
-from lfgpu.io.limits import check_memory
 
 
 def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
@@ -36,25 +35,25 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
         If a file cannot be read, differs from the first in size, colour or dtype, or if memory does not suffice.
     """
     first, remarks = read_image(files[0])
-    check_memory(files[0].parent, len(files) * first.nbytes, advice="read fewer views")
     try:
-        views = np.empty((len(files), *first.shape), first.dtype)
+        views = Collected(files[0].parent, len(files), first)
     except MemoryError as error:
         raise LightFieldError(
             f"{files[0].parent}: {len(files)} views, each {_kind(first)}, do not fit into memory; read fewer views."
         ) from error
-    views[0] = first
+    views.append(first)
     counts = Counter(remarks)
-    for index, file in enumerate(files[1:], start=1):
+    for file in files[1:]:
         image, remarks = read_image(file)
         if image.shape != first.shape or image.dtype != first.dtype:
             raise LightFieldError(
                 f"the views in {file.parent} are not alike: {files[0].name} is {_kind(first)}, "
                 f"{file.name} is {_kind(image)}; all views must have one size, colour and depth of bits."
             )
-        views[index] = image
+        views.append(image)
         counts.update(remarks)
-    return views, tuple(f"{remark.capitalize()} in {count} of {len(files)} views." for remark, count in counts.items())
+    notes = tuple(f"{remark.capitalize()} in {count} of {len(files)} views." for remark, count in counts.items())
+    return views.array(), notes
 
 
 def _kind(image: NDArray[Any]) -> str:

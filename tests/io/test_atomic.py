@@ -109,6 +109,17 @@ def test_writers_at_the_same_time_do_not_disturb_each_other(tmp_path: Path) -> N
     assert len(list(tmp_path.iterdir())) == 1
 
 
+def test_a_folder_that_another_process_makes_meanwhile_gets_the_files(tmp_path: Path) -> None:
+    out = tmp_path / "new" / "out"
+    with atomic_folder(out) as folder:
+        (folder / "a.txt").write_text("ours")
+        out.mkdir()
+        (out / "a.txt").write_text("theirs")
+        (out / "b.txt").write_text("theirs")
+    assert {path.name: path.read_text() for path in out.iterdir()} == {"a.txt": "ours", "b.txt": "theirs"}
+    assert list(out.parent.iterdir()) == [out]
+
+
 def test_places_that_cannot_be_written_are_found_early_and_late(tmp_path: Path) -> None:
     file = tmp_path / "file.txt"
     file.write_text("mine")

@@ -1,0 +1,308 @@
+"""Jobs on the workers of a Dask cluster: which comes when, and what if a worker or the scheduler dies.
+
+Dask runs a job again if its worker died, up to a limit, and then gives it up; it may have been another one's fault that
+shared the worker, so such jobs are tried once more at the end, alone. What is lost with a scheduler is asked for again
+when there is one.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any
+
+from lfgpu.batch.manifest import FAILED
+from lfgpu.batch.work import Job, OutOfMemory, work
+from lfgpu.errors import LfgpuError
+from lfgpu.threads import set_threads
+
+_CONNECTING = 30.0  # seconds
+_PATIENCE = 300.0  # seconds in which a lost scheduler may come back
+_REPLACED = 60.0  # seconds after which a worker that died and does not come back is replaced
+_LOOK = 0.2  # seconds between two looks where nothing happens
+
+Entry = dict[str, Any]
+
+
+class BatchError(LfgpuError):
+    """A batch cannot go on."""
+
+
+@dataclass
+class _Task:
+    """A job, the jobs that come after it in its sequence, and what has happened to it."""
+
+    job: Job
+    after: deque[Job]
+    attempts: int = 0
+    alone: bool = False
+    worker: str | None = None
+    errors: list[str] = field(default_factory=list)
+
+
+class Cluster:
+    """A local cluster, or an existing one that a scheduler is at the head of. Use it in a `with` block.
+
+    Parameters
+    ----------
+    scheduler
+        Address such as tcp://host:8786; None starts workers on this machine.
+    workers
+        Processes of a local cluster.
+    devices
+        What they compute on, taken in turn.
+    threads
+        Threads of the CPU of each of them; None leaves it to them.
+    retries
+        How often an item is tried again whose worker died or ran out of memory, or that was lost with the scheduler.
+
+    Raises
+    ------
+    BatchError
+        If Dask is not installed, or the scheduler does not answer.
+    """
+
+    def __init__(
+        self,
+        *,
+        scheduler: str | None = None,
+        workers: int = 1,
+        devices: Sequence[str] = (),
+        threads: int | None = None,
+        retries: int = 3,
+    ) -> None:
+        if importlib.util.find_spec("distributed") is None:
+            raise BatchError("a batch needs Dask, which is not installed; install it with: pip install 'lfgpu[batch]'.")
+        self._scheduler, self._workers, self._devices, self._threads = scheduler, workers, tuple(devices), threads
+        self._retries = retries
+        self._stack = ExitStack()
+        self._client: Any = None
+        self._cluster: Any = None
+        self._complete = time.monotonic()
+        """When all workers were last there."""
+        self._running: dict[Any, _Task] = {}
+        self._woken = threading.Event()
+
+    def __enter__(self) -> Cluster:
+        import dask
+
+        # How often Dask runs a job again whose worker died is decided when a scheduler starts.
+        settings = {
+            "distributed.scheduler.allowed-failures": self._retries,
+            "distributed.scheduler.worker-saturation": 1.0,  # no job waits on a worker that another one may kill
+            "distributed.worker.daemon": True,
+            "distributed.deploy.lost-worker-timeout": "1 hour",  # a busy machine takes long to start another one
+        }
+        self._stack.enter_context(dask.config.set(settings))
+        if self._scheduler is None:
+            self._start()
+        else:
+            self._connect()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(Exception):  # what is lost with a cluster that is gone is in no manifest, and done again
+            self._client.cancel(list(self._running), force=True)
+        self._running.clear()
+        self._cluster = None
+        self._stack.close()
+
+    @property
+    def client(self) -> Any:
+        """Dask's."""
+        return self._client
+
+    @property
+    def dashboard(self) -> str | None:
+        """Address of Dask's dashboard; None where it has none (it needs the package bokeh)."""
+        if importlib.util.find_spec("bokeh") is None and self._scheduler is None:
+            return None
+        return self._client.dashboard_link or None
+
+    @property
+    def size(self) -> int:
+        """How many jobs can run at a time: the threads of all workers."""
+        with suppress(Exception):
+            return sum(self._client.nthreads().values())
+        return 0
+
+    def run(
+        self,
+        sequences: Sequence[Sequence[Job]],
+        done: Callable[[Entry], None],
+        tick: Callable[[int], None] = lambda _: None,
+    ) -> None:
+        """Do all jobs, those of a sequence in order and on one worker as long as it lives.
+
+        `done` is called with what the manifest shall say of each, as they end; `tick` a few times a second with the
+        number of jobs that can run at a time. BatchError if the scheduler is lost and does not come back.
+        """
+        waiting = deque(_Task(jobs[0], deque(jobs[1:])) for jobs in map(list, sequences) if jobs)
+        suspects: deque[_Task] = deque()
+        while waiting or suspects or self._running:
+            if self._is_there():
+                size = self.size
+                self._replace_lost(size)
+                tick(size)
+                while waiting and len(self._running) < size:
+                    self._submit(waiting.popleft())
+                if suspects and not waiting and not self._running and size:
+                    self._submit(suspects.popleft())
+            self._woken.wait(_LOOK)
+            self._woken.clear()
+            for future in [future for future in self._running if future.done()]:
+                task = self._running.pop(future)
+                entry = self._outcome(future, task)
+                if entry is None:
+                    (suspects if task.alone else waiting).appendleft(task)
+                    continue
+                done(entry)
+                if task.after:
+                    waiting.appendleft(_Task(task.after.popleft(), task.after, worker=task.worker))
+
+    def _start(self) -> None:
+        from distributed import Client, LocalCluster
+        from distributed.system import MEMORY_LIMIT
+
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        with _ctrl_c_for_nobody():  # until the workers have begun
+            cluster = LocalCluster(
+                n_workers=self._workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                memory_limit=MEMORY_LIMIT // self._workers,
+                silence_logs=logging.CRITICAL,
+                preload=["lfgpu.batch.worker_process"],
+            )
+        self._cluster = self._stack.enter_context(cluster)
+        self._client = self._stack.enter_context(Client(cluster))
+
+    def _connect(self) -> None:
+        from distributed import Client
+
+        for name in ("distributed", "distributed.client", "distributed.core"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        try:
+            self._client = Client(self._scheduler, timeout=_CONNECTING)
+        except (OSError, TimeoutError, ValueError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise BatchError(
+                f"the scheduler {self._scheduler} does not answer ({reason[:200]}); is it there?"
+            ) from error
+        self._stack.callback(lambda: self._client.close(timeout=5))
+
+    def _is_there(self) -> bool:
+        """Whether the scheduler answers; where it is gone, wait for it to come back."""
+        if self._client.status == "running":
+            return True
+        if self._scheduler is None:
+            raise BatchError("the local cluster has ended; run the same command again to go on.")
+        if self._client.status == "connecting":
+            return False
+        since = time.monotonic()
+        while time.monotonic() - since < _PATIENCE:
+            with suppress(BatchError):
+                self._connect()
+                return True
+            time.sleep(1)
+        raise BatchError(
+            f"the scheduler {self._scheduler} was lost and has not come back in {_PATIENCE:g} s; run the same command "
+            "again to go on with what is left."
+        )
+
+    def _replace_lost(self, size: int) -> None:
+        """Start workers of a local cluster anew that have not come back for long."""
+        now = time.monotonic()
+        if self._cluster is None or size >= self._workers:
+            self._complete = now
+        elif now - self._complete > _REPLACED:
+            self._cluster.scale(self._workers)
+            self._complete = now
+
+    def _submit(self, task: _Task) -> None:
+        there = {} if task.worker is None else {"workers": [task.worker], "allow_other_workers": True}
+        future = self._client.submit(_on_worker, task.job, self._devices, self._threads, pure=False, retries=0, **there)
+        future.add_done_callback(lambda _: self._woken.set())
+        self._running[future] = task
+
+    def _outcome(self, future: Any, task: _Task) -> Entry | None:
+        """What the manifest shall say, or None if the task is to be tried again."""
+        from distributed import KilledWorker
+
+        if future.status == "finished":
+            try:
+                task.worker, entry = future.result(timeout=_CONNECTING)
+                return {**entry, "attempts": task.attempts + 1}
+            except Exception as error:  # it was lost on the way
+                return self._again(task, f"{type(error).__name__}")
+        if future.status != "error":
+            return self._again(task, "the scheduler was lost")
+        try:
+            raised = future.exception(timeout=_CONNECTING)
+        except Exception as error:
+            return self._again(task, f"{type(error).__name__}")
+        if isinstance(raised, OutOfMemory):
+            return self._again(task, str(raised).rstrip("."))
+        if isinstance(raised, KilledWorker):
+            task.errors.append("its worker was killed, by a signal or for the memory that it took")
+            if task.alone:
+                return self._failed(task)
+            task.alone, task.attempts = True, 0
+            return None
+        task.errors.append(f"{type(raised).__name__}: {' '.join(str(raised).split())[:300]}")
+        return self._failed(task)
+
+    def _again(self, task: _Task, reason: str) -> Entry | None:
+        task.errors.append(reason)
+        task.attempts += 1
+        task.worker = None
+        return None if task.attempts <= self._retries else self._failed(task)
+
+    def _failed(self, task: _Task) -> Entry:
+        job = task.job
+        return {
+            "item": job.item.name,
+            "input": job.item.source,
+            "status": FAILED,
+            **job.keys,
+            "error": f"{task.errors[-1]}, tried {self._retries + 1} times.",
+            "began": time.time(),
+            "seconds": 0.0,
+            "attempts": self._retries + 1,
+        }
+
+
+@contextmanager
+def _ctrl_c_for_nobody() -> Iterator[None]:
+    """Processes that are started meanwhile ignore it too."""
+    if threading.current_thread() is not threading.main_thread():  # the only one that may decide about signals
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _on_worker(job: Job, devices: tuple[str, ...], threads: int | None) -> tuple[str, Entry]:
+    """What a worker calls: which worker it was, and what became of the job."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    if threads is not None:
+        set_threads(threads)
+    device = devices[int(worker.name) % len(devices)] if devices and str(worker.name).isdigit() else None
+    return worker.address, {**work(job, device), "worker": str(worker.name)}

@@ -1,0 +1,148 @@
+"""What there is to do: light fields in folders, behind patterns, and frames of sequences, each with a name."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.folders import entries, image_files
+from lfgpu.io.formats import recognise
+
+_LOOK_BELOW = ("camera-row", "named-views")  # formats
+
+
+@dataclass(frozen=True)
+class Item:
+    """One light field to be estimated.
+
+    Parameters
+    ----------
+    name
+        Its folder below that of the outputs.
+    source
+        Where it is read from.
+    sequence
+        What sequence it is a frame of; "" if of none.
+    """
+
+    name: str
+    source: str
+    sequence: str = ""
+
+
+def find_items(
+    inputs: Sequence[str], *, sequence: bool, format_name: str | None = None, leave_out: Path | None = None
+) -> tuple[list[Item], list[Path]]:
+    """The light fields that inputs name, and the folders in which none was found.
+
+    Parameters
+    ----------
+    inputs
+        Light fields, folders that hold some at any depth, or patterns (`*`, `?`, `[..]`, `**`) of these.
+    sequence
+        Whether light fields in one folder are the frames of a sequence, in the order of the numbers in their names.
+    format_name
+        Format of all light fields; each path that an input names is then one. None finds light fields by their kinds.
+    leave_out
+        The folder of the outputs, which is not looked into.
+
+    Raises
+    ------
+    LightFieldError
+        If an input names nothing that exists, or nothing is found at all.
+    """
+    everything: list[Path] = []
+    barren: list[Path] = []
+    excluded = None if leave_out is None else leave_out.resolve()
+    for path in (path for text in inputs for path in _matches(text) if path.resolve() != excluded):
+        if format_name is not None or not path.is_dir() or _is_light_field(path):
+            everything.append(path)
+            continue
+        inside = list(_inside(path, excluded, barren))
+        if not inside:
+            barren.append(path)
+        everything += inside
+    paths = sorted({path.absolute() for path in everything}, key=_natural)
+    if not paths:
+        raise LightFieldError(f"no light field was found in {', '.join(inputs)}; give folders of views, or of such.")
+    names = _names(paths)
+    return [Item(names[path], str(path), str(path.parent) if sequence else "") for path in paths], barren
+
+
+def fingerprint(source: str) -> str:
+    """What changes when a light field's files do: from their names, sizes and times, not from what is in them."""
+    root = Path(source)
+    digest = hashlib.sha256()
+    files = sorted(_files(root)) if root.is_dir() else [root]
+    for file in files:
+        try:
+            found = file.stat()
+            digest.update(f"{file.relative_to(root)}\0{found.st_size}\0{found.st_mtime_ns}\0".encode(errors="replace"))
+        except OSError as error:
+            digest.update(f"{file}\0{error.errno}\0".encode(errors="replace"))
+    return digest.hexdigest()[:16]
+
+
+def _files(folder: Path) -> Iterable[Path]:
+    for place, _, names in os.walk(folder):
+        yield from (Path(place, name) for name in names)
+
+
+def _matches(text: str) -> list[Path]:
+    if Path(text).exists():
+        return [Path(text)]
+    found = sorted(map(Path, glob.glob(text, recursive=True)))  # noqa: PTH207 - patterns may be absolute
+    if not found:
+        raise LightFieldError(f"{text} does not exist, and as a pattern it matches nothing; give what is to be done.")
+    return found
+
+
+def _inside(folder: Path, excluded: Path | None, barren: list[Path]) -> Iterable[Path]:
+    for entry in entries(folder):
+        if entry.resolve() == excluded:
+            continue
+        if _is_light_field(entry):
+            yield entry
+        elif entry.is_dir():
+            inside = list(_inside(entry, excluded, barren))
+            if not inside:
+                barren.append(entry)
+            yield from inside
+
+
+def _is_light_field(path: Path) -> bool:
+    try:
+        found, _ = recognise(path)
+        # Their readers look for views in a sub-folder, too, and would take any light field there for one of their own.
+        return found.name not in _LOOK_BELOW or not path.is_dir() or bool(image_files(path))
+    except LightFieldError:
+        return False
+
+
+def _names(paths: Sequence[Path]) -> dict[Path, str]:
+    """The last parts of paths, as many as it takes to tell all from each other."""
+    names, parts = {path: path.name for path in paths}, 1
+    while True:
+        counts = Counter(_comparable(name) for name in names.values())
+        same = [path for path, name in names.items() if counts[_comparable(name)] > 1]
+        parts += 1
+        longer = {path: "/".join(path.parts[-parts:]).lstrip("/") for path in same}
+        if not same or all(longer[path] == names[path] for path in same):
+            return names
+        names.update(longer)
+
+
+def _comparable(name: str) -> str:
+    return name.casefold()  # of file systems to which these are the same
+
+
+def _natural(path: Path) -> list[tuple[int, int, str]]:
+    """The order in which people count: frame_2 before frame_10."""
+    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", str(path)) if part]

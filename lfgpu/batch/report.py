@@ -1,0 +1,86 @@
+"""What came of a batch on one page: a row for each item, the failed ones first."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from statistics import fmean, median
+from typing import Any
+from urllib.parse import quote
+
+import jinja2
+
+from lfgpu.batch.manifest import DONE
+from lfgpu.batch.run import Summary
+from lfgpu.batch.work import PREVIEW_FILE
+from lfgpu.comparison import COLUMNS
+from lfgpu.io.atomic import atomic_write
+
+REPORT_FILE = "report.html"
+
+
+def write_report(summary: Summary, out: Path, title: str) -> Path:
+    """Write the page into the folder of the batch, to whose pictures it refers; whole or not at all."""
+    environment = jinja2.Environment(autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined)
+    text = resources.files("lfgpu").joinpath("templates/batch.html").read_text(encoding="utf-8")
+    entries = [summary.entries[item.name] for item in summary.items if item.name in summary.entries]
+    page = environment.from_string(text).render(
+        title=title,
+        facts=facts(summary),
+        heads=list(COLUMNS),
+        rows=[_row(entry) for entry in sorted(entries, key=lambda entry: entry["status"] == DONE)],
+    )
+    path = out / REPORT_FILE
+    with atomic_write(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return path
+
+
+def facts(summary: Summary) -> list[tuple[str, str]]:
+    """Counts, times and mean scores, with a label each."""
+    done = [entry for entry in summary.entries.values() if entry["status"] == DONE]
+    lines = [
+        ("items", f"{len(summary.items)}: {len(done)} done, {len(summary.failed)} failed, {summary.left} not reached"),
+        ("this run", f"{summary.computed} computed, {summary.kept} kept from before, in {summary.seconds:.1f} s"),
+    ]
+    times = [entry["times"] for entry in done if "times" in entry]
+    if times:
+        parts = ", ".join(f"{name} {median(t[name] for t in times):.3g}" for name in times[0])
+        each = median(entry["seconds"] for entry in done)
+        lines.append(("an item", f"{each:.3g} s in the median ({parts})"))
+    means = mean_scores(done)
+    if means:
+        scored = sum(1 for entry in done if entry.get("metrics"))
+        text = ", ".join(f"{name} {value:.3f}" for name, value in means.items())
+        lines.append(("mean scores", f"{text}, of {scored} with ground truth"))
+    return lines
+
+
+def mean_scores(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Mean of each metric over the items that have ground truth; empty if none has."""
+    scored = [entry["metrics"] for entry in entries if entry.get("metrics")]
+    if not scored:
+        return {}
+    values = {name: [m[key] for m in scored if m[key] is not None] for name, key in COLUMNS.items()}
+    return {name: fmean(of) for name, of in values.items() if of}
+
+
+def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
+    done, metrics = entry["status"] == DONE, entry.get("metrics")
+    low, high = entry.get("disparity_range") or (math.nan, math.nan)
+    picture = PREVIEW_FILE in entry.get("files", ())
+    return {
+        "name": entry["item"],
+        "done": done,
+        "error": entry.get("error", ""),
+        "notes": entry.get("notes", []),
+        "folder": quote(entry["item"]) + "/",
+        "picture": f"{quote(entry['item'])}/{PREVIEW_FILE}" if picture else "",
+        "seconds": f"{entry['seconds']:.2f}",
+        "range": f"{low:.2f} to {high:.2f}" if done else "",
+        "scores": ["–" if metrics[key] is None else f"{metrics[key]:.3f}" for key in COLUMNS.values()]
+        if metrics
+        else [],
+    }

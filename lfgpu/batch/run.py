@@ -1,0 +1,211 @@
+"""A whole batch: what is left to do, doing it, and what became of all."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import shutil
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from lfgpu.batch.cluster import BatchError, Cluster
+from lfgpu.batch.items import Item, fingerprint
+from lfgpu.batch.manifest import DONE, Manifest, is_done, key_of, read_manifest
+from lfgpu.batch.work import Job, Settings
+
+_MEASURED_ON = 8  # frames of a sequence, of which the first one that can be read decides on range and noise
+_LEFT_OVER = ".lfgpu-*"  # what outputs are called until they are whole
+
+Entry = dict[str, Any]
+
+
+@dataclass
+class Summary:
+    """What became of a batch."""
+
+    items: list[Item]
+    entries: dict[str, Entry] = field(default_factory=dict)
+    """What the manifest says of the items, by name; those that were not reached are not there."""
+    kept: int = 0
+    """How many were done before."""
+    computed: int = 0
+    failed: list[Entry] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @property
+    def left(self) -> int:
+        """How many were not reached."""
+        return len(self.items) - self.kept - self.computed - len(self.failed)
+
+
+@dataclass
+class Progress:
+    """How far a batch is, for whoever shows it."""
+
+    summary: Summary
+    todo: int
+    workers: int = 0
+    dashboard: str | None = None
+    last: Entry | None = None
+
+
+class Batch:
+    """All items of a batch, of which those are done that are missing, failed or stale.
+
+    Parameters
+    ----------
+    items
+        As `find_items` gives them.
+    out
+        The folder of the outputs and of the manifest.
+    settings
+        How items are estimated.
+    """
+
+    def __init__(self, items: Sequence[Item], out: Path, settings: Settings) -> None:
+        self._items, self._out, self._settings = list(items), out, settings
+        self.summary = Summary(self._items)
+        """What became of the items so far, also after an exception."""
+
+    def run(self, cluster: Cluster, *, on_progress: Callable[[Progress], None] = lambda _: None) -> Summary:
+        """Do what is to be done on a cluster, which is started only then.
+
+        `on_progress` is called a few times a second, and after each item. Whatever ends this early (Ctrl-C, a lost
+        cluster), what was done by then stands in the manifest.
+
+        Raises
+        ------
+        LightFieldError
+            If the folder cannot be written, or another batch writes to it.
+        BatchError
+            If the cluster does not start or is lost, or the disk has no room for the manifest.
+        """
+        start, out = time.perf_counter(), self._out
+        with Manifest(out) as manifest:
+            todo = self._todo(read_manifest(out))
+            _remove_left_overs(out, todo)
+            if todo:
+                manifest.add(_parameter_sets(todo))
+                progress = Progress(self.summary, len(todo))
+                try:
+                    with cluster:
+                        progress.dashboard = cluster.dashboard
+                        self._run(cluster, todo, manifest, progress, on_progress)
+                finally:
+                    self.summary.seconds = time.perf_counter() - start
+        if manifest.unwritten:
+            raise BatchError(
+                f"the disk has no room for the manifest in {out}: {len(manifest.unwritten)} items that are done are "
+                "not in it, and will be done again; make room, and run the same command again."
+            )
+        self._check_there()
+        return self.summary
+
+    def _check_there(self) -> None:
+        """Workers of another machine may have written where only they can see it."""
+        away = [
+            name
+            for name, entry in self.summary.entries.items()
+            if not all((self._out / name / file).is_file() for file in entry.get("files", ()))
+        ]
+        if away:
+            raise BatchError(
+                f"{len(away)} items are done, such as {away[0]}, but are not in {self._out}: workers and this machine "
+                "need one file system, with the same paths."
+            )
+
+    def _todo(self, known: Mapping[str, Entry]) -> list[Job]:
+        todo = []
+        for job in _jobs(self._items, self._out, self._settings):
+            entry = known.get(job.item.name)
+            if is_done(entry, job.item, job.keys["parameters_key"], job.keys["input_key"], self._out):
+                assert entry is not None
+                self.summary.entries[job.item.name] = entry
+                self.summary.kept += 1
+            else:
+                todo.append(job)
+        return todo
+
+    def _run(
+        self,
+        cluster: Cluster,
+        todo: Sequence[Job],
+        manifest: Manifest,
+        progress: Progress,
+        on_progress: Callable[[Progress], None],
+    ) -> None:
+        summary = self.summary
+
+        def done(entry: Entry) -> None:
+            manifest.add([entry])
+            summary.entries[entry["item"]] = entry
+            if entry["status"] == DONE:
+                summary.computed += 1
+            else:
+                summary.failed.append(entry)
+            progress.last = entry
+            on_progress(progress)
+
+        def tick(workers: int) -> None:
+            progress.workers = workers
+            on_progress(progress)
+
+        cluster.run(_sequences(todo), done, tick)
+
+
+def _jobs(items: Sequence[Item], out: Path, settings: Settings) -> list[Job]:
+    frames: dict[str, list[str]] = defaultdict(list)
+    for item in items:
+        if item.sequence and len(frames[item.sequence]) < _MEASURED_ON:
+            frames[item.sequence].append(item.source)
+    first = {sequence: tuple(sources) for sequence, sources in frames.items()}
+    began_with = {sequence: fingerprint(sources[0]) for sequence, sources in first.items()}
+    parameters = {of: key_of(settings.config, {**settings.options, "sequence": of}) for of in (False, True)}
+    return [
+        Job(
+            item,
+            settings,
+            str(out.resolve()),
+            first.get(item.sequence, ()),
+            {
+                "parameters_key": parameters[bool(item.sequence)],
+                "input_key": "-".join(filter(None, (fingerprint(item.source), began_with.get(item.sequence)))),
+            },
+        )
+        for item in items
+    ]
+
+
+def _sequences(jobs: Sequence[Job]) -> list[list[Job]]:
+    """Jobs that stay in order, and the others each alone."""
+    found: dict[str, list[Job]] = defaultdict(list)
+    for job in jobs:
+        found[job.item.sequence or f"\0{job.item.name}"].append(job)
+    return list(found.values())
+
+
+def _parameter_sets(jobs: Sequence[Job]) -> list[Entry]:
+    """A line for each set of parameters, which the items name by its key."""
+    sets = {job.keys["parameters_key"]: job for job in jobs}
+    return [
+        {
+            "parameters_key": key,
+            "parameters": asdict(job.settings.config),
+            "options": {**job.settings.options, "sequence": bool(job.item.sequence)},
+            "version": importlib.metadata.version("lfgpu"),
+            "began": time.time(),
+        }
+        for key, job in sets.items()
+    ]
+
+
+def _remove_left_overs(out: Path, todo: Sequence[Job]) -> None:
+    """What processes that were killed had begun to write; nobody else writes here."""
+    folders = {(out / job.item.name).parent for job in todo} | {out / job.item.name for job in todo}
+    for folder in folders:
+        if folder.is_dir():
+            for path in folder.glob(_LEFT_OVER):
+                shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)

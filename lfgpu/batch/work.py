@@ -1,0 +1,248 @@
+"""What is done with one item, in whatever process: read, estimate, score, write. Nothing here knows of Dask."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu.batch.items import Item
+from lfgpu.batch.manifest import DONE, FAILED
+from lfgpu.config import Config
+from lfgpu.errors import LfgpuError, LightFieldError
+from lfgpu.tiles import whole_light_field
+
+if TYPE_CHECKING:
+    from lfgpu.depth import DepthPipeline
+    from lfgpu.lightfield import LightField
+    from lfgpu.result import DepthResult
+
+DISPARITY_FILE, RESULT_FILE = "disparity.pfm", "result.npz"  # as `lfgpu depth` calls them
+PREVIEW_FILE = "preview.png"
+DEPTH_FILE = "depth.pfm"
+
+_PREVIEW = 320, 240  # pixels
+_MEMORY = "the memory does not suffice; take fewer views (--views cross), smaller ones, or fewer workers."
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How items are estimated: what results depend on, and where they are computed."""
+
+    config: Config
+    disparity_range: tuple[float, float] | None = None
+    place: tuple[float, float] | None = None
+    """(row, column) of the reference view; None takes the reader's."""
+    pattern: str = "full"
+    reading: Mapping[str, Any] = field(default_factory=dict)
+    """Keywords of `lfgpu.read`."""
+    backend: str = DEFAULT
+    deterministic: bool = False
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """All but the parameters of the method that results depend on, as JSON holds it."""
+        return {
+            "disparity_range": None if self.disparity_range is None else list(self.disparity_range),
+            "reference_view": None if self.place is None else list(self.place),
+            "views": self.pattern,
+            "reading": dict(self.reading),
+            "backend": self.backend,
+        }
+
+
+@dataclass(frozen=True)
+class Job:
+    """One item, and what is needed to do it.
+
+    Parameters
+    ----------
+    item, settings, out
+        What, how, and below which folder the outputs go.
+    first
+        The first frames of its sequence: on the first one that can be read, range and noise are measured for all.
+    keys
+        What the manifest shall say of parameters and files.
+    """
+
+    item: Item
+    settings: Settings
+    out: str
+    first: tuple[str, ...] = ()
+    keys: Mapping[str, str] = field(default_factory=dict)
+
+
+class OutOfMemory(Exception):  # noqa: N818 - what happened, which may not happen again
+    """An item did not fit into memory beside whatever else was there."""
+
+
+def work(job: Job, device: str | None = None) -> dict[str, Any]:
+    """Do an item on a device, by default the backend's best, and say what became of it, as the manifest has it.
+
+    What is wrong with an item is in the entry; only OutOfMemory, after which it may be tried again, is raised.
+    """
+    begin = time.time()
+    entry: dict[str, Any] = {"item": job.item.name, "input": job.item.source, "status": FAILED, **job.keys}
+    try:
+        entry |= {**_done(job, device), "status": DONE}
+    except MemoryError as error:
+        raise OutOfMemory(_MEMORY) from error
+    except LfgpuError as error:
+        entry["error"] = " ".join(str(error).split())
+    except Exception as error:  # whatever it is, the other items go on
+        if "Failed to allocate" in str(error):  # Warp's words
+            raise OutOfMemory(_MEMORY) from error
+        entry["error"] = f"{type(error).__name__}: {' '.join(str(error).split())[:500]}"
+    return {**entry, "began": begin, "seconds": round(time.time() - begin, 4)}
+
+
+def _done(job: Job, device: str | None) -> dict[str, Any]:
+    from lfgpu.io import atomic_folder
+
+    clock = _Clock()
+    lf = _read(job.item.source, job.settings)
+    clock.lap("read")
+    result = _estimate(lf, job, pick_device(load(job.settings.backend), device))
+    clock.lap("estimate")
+    scores = _scores(lf, result)
+    out = Path(job.out, job.item.name)
+    out.parent.mkdir(parents=True, exist_ok=True)  # others make it at the same time
+    with atomic_folder(out) as folder:
+        files = _write(folder, result)
+    clock.lap("write")
+    low, high = result.disparity_range
+    return {
+        "files": files,
+        "metrics": scores,
+        "disparity_range": [low, high],
+        "views": len(lf.views),
+        "size": list(lf.size),
+        "device": result.device,
+        "converged": result.converged,
+        "notes": list(lf.notes),
+        "times": clock.laps,
+    }
+
+
+def _read(source: str, settings: Settings) -> LightField:
+    from lfgpu.io import read
+
+    lf = read(source, **settings.reading)
+    if settings.place is not None:
+        lf = lf.with_reference(lf.index_of(*settings.place))
+    return lf if settings.pattern == "full" else lf.subset(settings.pattern)
+
+
+def _estimate(lf: LightField, job: Job, device: str) -> DepthResult:
+    settings = job.settings
+    bounds, config = settings.disparity_range, settings.config
+    if job.first:
+        bounds, config = _measured(job.first, settings, device)
+    pipeline, is_new = _RESIDENT.pipeline(lf, bounds, config, settings, device)
+    if not is_new:
+        pipeline.upload(lf.views)
+    pipeline.run()
+    return replace(pipeline.result(), name=lf.name, geometry=lf.geometry)
+
+
+def _measured(first: tuple[str, ...], settings: Settings, device: str) -> tuple[tuple[float, float] | None, Config]:
+    """Range and noise of a sequence, from the first of its frames that can be read; as they are set if none can."""
+    key = (first, device, repr(settings))
+    if key not in _MEASURED:
+        _MEASURED[key] = settings.disparity_range, settings.config
+        for source in first:
+            with suppress(LfgpuError):  # such a frame says so itself when its turn comes
+                lf, kernels = _read(source, settings), load(settings.backend)
+                _MEASURED[key] = whole_light_field(lf, settings.disparity_range, settings.config, kernels, device)
+                break
+    return _MEASURED[key]
+
+
+_MEASURED: dict[Any, tuple[tuple[float, float] | None, Config]] = {}
+
+
+class _Resident:
+    """The last pipeline, which serves the next item if nothing of its result comes from the items before.
+
+    That is so where range and noise are given or measured on the sequence: else each item gets a pipeline of its own.
+    """
+
+    def __init__(self) -> None:
+        self._key: Any = None
+        self._pipeline: DepthPipeline | None = None
+
+    def pipeline(
+        self, lf: LightField, bounds: tuple[float, float] | None, config: Config, settings: Settings, device: str
+    ) -> tuple[DepthPipeline, bool]:
+        """A pipeline for a light field, and whether it was made for it and has its views."""
+        from lfgpu.depth import DepthPipeline
+
+        fixed = bounds is not None and (config.method.name != "matching" or config.sweep.noise > 0)
+        key = (
+            *(lf.views.shape, lf.views.dtype.str, lf.positions.tobytes(), lf.reference_index),
+            *(None if lf.valid is None else lf.valid.tobytes(), bounds, config, settings.backend, device),
+        )
+        if self._pipeline is not None and fixed and key == self._key:
+            return self._pipeline, False
+        self._pipeline = None  # its memory first
+        self._pipeline = DepthPipeline(
+            lf,
+            config=config,
+            disparity_range=bounds,
+            backend=settings.backend,
+            device=device,
+            deterministic=settings.deterministic,
+        )
+        self._key = key
+        return self._pipeline, True
+
+
+_RESIDENT = _Resident()
+
+
+def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | None:
+    """The metrics by name, None where they are not numbers; None where there is no truth of the reference view."""
+    from lfgpu.metrics import evaluate
+
+    truth = lf.reference_truth()
+    if truth is None:
+        return None
+    try:
+        scores = asdict(evaluate(result.disparity, truth.disparity, mask=truth.mask))
+        return {name: value if math.isfinite(value) else None for name, value in scores.items()}
+    except LightFieldError:  # too small to be scored: that is no fault of the estimate
+        return None
+
+
+def _write(folder: Path, result: DepthResult) -> list[str]:
+    """Write a result into a folder that exists; the names of the files."""
+    from lfgpu.frames import LOOKS, colour, fitted
+    from lfgpu.io import write_pfm, write_result
+    from lfgpu.pictures import scale_limits
+
+    write_pfm(folder / DISPARITY_FILE, result.disparity)
+    write_result(result, folder / RESULT_FILE)
+    wide, tall = _PREVIEW
+    picture = colour(result.disparity, LOOKS["disparity"].colours, scale_limits(result.disparity))
+    fitted(picture, wide=wide, tall=tall).save(folder / PREVIEW_FILE)
+    if (depth := result.depth) is not None:
+        write_pfm(folder / DEPTH_FILE, depth)
+    return sorted(file.name for file in folder.iterdir())
+
+
+class _Clock:
+    """Seconds from lap to lap."""
+
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps[name] = round(now - self._last, 4)
+        self._last = now

@@ -1,0 +1,222 @@
+"""`lfgpu batch`: many light fields in, a folder of results for each of them out, whatever happens on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lfgpu._backends import DEFAULT, list_backends
+from lfgpu.cli import values
+from lfgpu.cli.options import Every, Flip, Grid
+from lfgpu.errors import LightFieldError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lfgpu.batch.run import Progress, Summary
+
+_INTERRUPTED = 130
+_NAMED = 5  # failures and folders that are named; the report has all
+
+
+def batch(
+    inputs: Annotated[
+        list[str],
+        typer.Argument(metavar="INPUT...", help="Light fields, folders that hold some at any depth, or patterns."),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the outputs go; made if missing.")],
+    sequence: Annotated[
+        bool, typer.Option("--sequence", help="Light fields in one folder are frames: in order, on one worker.")
+    ] = False,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS", help="Dask scheduler, such as tcp://host:8786.", show_default="a local cluster"
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Local processes.", show_default="one for each GPU, or one")
+    ] = None,
+    retries: Annotated[int, typer.Option(min=0, help="Tries more for an item whose worker died.")] = 3,
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Set of parameters to start from.")] = "accurate",
+    reference_view: Annotated[
+        str | None,
+        typer.Option(metavar="ROW,COL", help="View to estimate, counted from 0.", show_default="the centre"),
+    ] = None,
+    pattern: Annotated[
+        str, typer.Option("--views", metavar="PATTERN", help="Views to use: full, star, cross, row or column.")
+    ] = "full",
+    disparity_range: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LOW,HIGH", help="Bounds in pixels per view step, larger is nearer.", show_default="found"
+        ),
+    ] = None,
+    backend: Annotated[str, typer.Option(metavar="NAME", help=f"Kernels: {', '.join(list_backends())}.")] = DEFAULT,
+    device: Annotated[
+        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="all GPUs, or the CPU")
+    ] = None,
+    threads: Annotated[
+        int | None,
+        typer.Option(min=1, help="Threads of the CPU for each worker.", show_default="its share of the cores"),
+    ] = None,
+    deterministic: Annotated[
+        bool,
+        typer.Option("--deterministic", help="Refuse backends whose maps differ from run to run by their last bits."),
+    ] = False,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
+    ] = None,
+    format_name: Annotated[
+        str | None, typer.Option("--format", metavar="NAME", help="Format of all inputs.", show_default="recognised")
+    ] = None,
+    grid: Grid = None,
+    every: Every = None,
+    flip: Flip = "",
+    allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept grids that lost some views.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
+) -> None:
+    """Estimate the disparity of many light fields, on all GPUs of this machine or on a Dask cluster.
+
+    Each gets a folder below FOLDER. manifest.jsonl says what became of them; run the same command again, and only
+    what is missing, failed or stale is computed. In the end, report.html shows all.
+    """
+    from lfgpu.batch.cluster import BatchError, Cluster
+    from lfgpu.batch.items import find_items
+    from lfgpu.batch.report import write_report
+    from lfgpu.batch.run import Batch
+    from lfgpu.batch.work import Settings
+    from lfgpu.cli.console import output
+    from lfgpu.io import check_writable
+
+    check_writable(out)
+    values.check_pattern("--views", pattern)
+    read_with = {
+        "format": format_name,
+        "allow_missing": allow_missing,
+        "grid": values.parse_grid(grid),
+        "every": every,
+        "flip": flip,
+    }
+    how = Settings(
+        config=values.configured(preset, settings or ()),
+        disparity_range=None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
+        place=None if reference_view is None else values.parse_place("--reference-view", reference_view),
+        pattern=pattern,
+        reading={name: value for name, value in read_with.items() if value},
+        backend=backend,
+        deterministic=deterministic,
+    )
+    if scheduler is None:
+        devices = _devices(backend, device)
+        count = workers or len(devices)
+        cluster = Cluster(workers=count, devices=devices, threads=threads or _share_of_cores(count), retries=retries)
+    else:
+        if workers is not None:
+            raise LightFieldError("--workers are those of a local cluster; leave it or --scheduler out.")
+        devices = () if device is None else (device,)
+        cluster = Cluster(scheduler=scheduler, devices=devices, threads=threads, retries=retries)
+    items, barren = find_items(inputs, sequence=sequence, format_name=format_name, leave_out=out)
+
+    work, title = Batch(items, out, how), out.resolve().name
+    try:
+        with _display(quiet=quiet) as show:
+            work.run(cluster, on_progress=show)
+    except KeyboardInterrupt:
+        done = work.summary.kept + work.summary.computed
+        typer.echo(
+            f"lfgpu: interrupted, {done} of {len(items)} items are done; run the same command again to go on.", err=True
+        )
+        raise typer.Exit(_INTERRUPTED) from None
+    summary = work.summary
+    write_report(summary, out, title)
+    if not quiet:
+        _show(output(), summary, out, barren)
+    if summary.failed:
+        named = "; ".join(f"{entry['item']}: {entry['error'].rstrip('.')}" for entry in summary.failed[:_NAMED])
+        more = f"; and {len(summary.failed) - _NAMED} more" if len(summary.failed) > _NAMED else ""
+        raise BatchError(f"{len(summary.failed)} of {len(items)} items failed: {named}{more}.")
+
+
+def _devices(backend: str, device: str | None) -> tuple[str, ...]:
+    """What local workers compute on; BackendError if it is not there."""
+    from lfgpu._backends import load, pick_device
+
+    kernels = load(backend)
+    best = pick_device(kernels, device)
+    return (best,) if device is not None or best == "cpu" else tuple(d for d in kernels.devices() if d != "cpu")
+
+
+def _share_of_cores(workers: int) -> int:
+    from lfgpu.threads import get_threads
+
+    return max(1, get_threads() // workers)
+
+
+@contextmanager
+def _display(*, quiet: bool) -> Iterator[Callable[[Progress], None]]:
+    """Show on stderr how far a batch is; nothing where that is no terminal."""
+    from rich.console import Console, Group
+    from rich.live import Live
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+    from rich.text import Text
+
+    from lfgpu.batch.report import mean_scores
+
+    console = Console(stderr=True, highlight=False, markup=False)
+    if quiet or not console.is_terminal:
+        yield lambda _: None
+        return
+    bar = Bar(
+        BarColumn(bar_width=40), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()
+    )
+    task = bar.add_task("", total=None)
+    with Live(bar, console=console, transient=True, refresh_per_second=4) as live:
+
+        def show(progress: Progress) -> None:
+            summary = progress.summary
+            ended = summary.computed + len(summary.failed)
+            bar.update(task, total=progress.todo, completed=ended)
+            lines = [
+                f"{summary.computed} done, {len(summary.failed)} failed, {summary.kept} kept, "
+                f"{progress.workers} workers"
+            ]
+            means = mean_scores(list(summary.entries.values())[-1000:])
+            if means:
+                lines.append("  ".join(f"{name} {value:.2f}" for name, value in means.items()))
+            if progress.last is not None:
+                lines.append(f"last: {progress.last['item']}, {progress.last['seconds']:.2f} s")
+            if summary.failed:
+                lines.append(f"failed: {summary.failed[-1]['item']}: {summary.failed[-1]['error']}")
+            if progress.dashboard:
+                lines.append(f"dashboard: {progress.dashboard}")
+            live.update(Group(bar, *(Text(line, overflow="ellipsis", no_wrap=True) for line in lines)))
+
+        yield show
+
+
+def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> None:
+    from lfgpu.batch.manifest import MANIFEST_FILE
+    from lfgpu.batch.report import REPORT_FILE, facts
+    from lfgpu.cli import console as shown
+
+    shown.heading(console, out.resolve().name)
+    shown.lines(console, facts(summary))
+    if barren:
+        more = f" and {len(barren) - _NAMED} more" if len(barren) > _NAMED else ""
+        shown.lines(console, [("no light field", ", ".join(map(str, barren[:_NAMED])) + more)])
+    shown.heading(console, f"Written to {out}")
+    shown.lines(
+        console,
+        [
+            ("ITEM/", "disparity.pfm, depth.pfm, result.npz, preview.png"),
+            (MANIFEST_FILE, "what became of each item, with which parameters, its time and scores"),
+            (REPORT_FILE, "all of it on one page"),
+        ],
+    )

@@ -1,0 +1,119 @@
+"""Views that stay on disk: arrays that are mapped into memory, of which only what is looked at takes any."""
+
+from __future__ import annotations
+
+import mmap
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.limits import check_memory
+
+_WANTED: ContextVar[bool] = ContextVar("views stay on disk", default=False)
+
+
+@contextmanager
+def on_disk(wanted: bool) -> Iterator[None]:
+    """Whether readers in this block leave views on disk, as far as they can."""
+    token = _WANTED.set(wanted)
+    try:
+        yield
+    finally:
+        _WANTED.reset(token)
+
+
+def wanted_on_disk() -> bool:
+    """Whether a reader is asked to leave views on disk."""
+    return _WANTED.get()
+
+
+class Collected:
+    """Arrays of one shape and type, one after the other, as one array [n, ...] in memory or in a temporary file.
+
+    The file lies in the system's folder for such (`TMPDIR`), has no name there and is gone with the array.
+
+    Parameters
+    ----------
+    source
+        Where they come from, for messages.
+    count, like
+        How many there will be, and one of them.
+
+    Raises
+    ------
+    LightFieldError
+        If the memory or the disk does not suffice; MemoryError is left to the caller.
+    """
+
+    def __init__(self, source: Path, count: int, like: NDArray[Any]) -> None:
+        self._source, self._shape, self._dtype = source, (count, *like.shape), like.dtype
+        self._filled, needed = 0, count * like.nbytes
+        self._file: IO[bytes] | None = None
+        if wanted_on_disk():
+            self._check_disk(needed)
+            self._file = tempfile.TemporaryFile(prefix="lfgpu-")  # noqa: SIM115 - the array lives as long as it
+        else:
+            check_memory(source, needed, advice="read fewer views, or leave them on disk (lazy=True, --max-memory)")
+            self._array = np.empty(self._shape, self._dtype)
+
+    def append(self, values: NDArray[Any]) -> None:
+        """Take the next one."""
+        if self._file is None:
+            self._array[self._filled] = values
+        else:
+            try:
+                self._file.write(np.ascontiguousarray(values).data)  # a full disk is an error here; mapped, a crash
+            except OSError as error:
+                raise LightFieldError(
+                    f"{self._source}: the views cannot be unpacked into {tempfile.gettempdir()}: {error.strerror}; set "
+                    "TMPDIR to a folder with more room."
+                ) from error
+        self._filled += 1
+
+    def array(self) -> NDArray[Any]:
+        """All of them."""
+        if self._file is None:
+            return self._array
+        self._file.flush()
+        return np.asarray(np.memmap(self._file, self._dtype, "c", shape=self._shape))
+
+    def _check_disk(self, needed: int) -> None:
+        folder = tempfile.gettempdir()
+        free = shutil.disk_usage(folder).free
+        if needed > free:
+            raise LightFieldError(
+                f"{self._source}: its views are {needed / 2**30:.1f} GiB unpacked, {folder} has room for "
+                f"{free / 2**30:.1f} GiB; set TMPDIR to a folder with more."
+            )
+
+
+def mapped(file: IO[bytes], shape: Sequence[int], dtype: Any, *, offset: int, fortran: bool) -> NDArray[Any]:
+    """An array that lies in an open file from `offset` on."""
+    order: Any = "F" if fortran else "C"
+    return np.asarray(np.memmap(file, dtype, "c", offset=offset, shape=tuple(shape), order=order))
+
+
+def is_on_disk(array: NDArray[Any]) -> bool:
+    """Whether an array is mapped from a file."""
+    return _mapping(array) is not None
+
+
+def forget(array: NDArray[Any]) -> None:
+    """Give back the memory that a mapped array took for what was read of it; nothing happens to other arrays."""
+    mapping = _mapping(array)
+    if mapping is not None and hasattr(mapping, "madvise"):  # not on Windows
+        mapping.madvise(mmap.MADV_DONTNEED)
+
+
+def _mapping(array: Any) -> mmap.mmap | None:
+    while isinstance(array, np.ndarray):
+        array = array.base
+    return array if isinstance(array, mmap.mmap) else None

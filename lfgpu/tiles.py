@@ -1,0 +1,358 @@
+"""Light fields that are larger than the memory: tiles that overlap, estimated one after the other and joined.
+
+A tile is the same window of every view. It is wider than what is kept of it by a halo: what its pixels look at in the
+other views, what may hide them there, and the windows of the prior. The noise of the views and the range of the
+disparities are those of the whole light field. What is left of the differences from an estimate in one piece is in the
+semi-global matching, whose paths begin at the edge of a tile instead of the edge of the image, and for the method of
+the paper in its solvers.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu._backends import load, pick_device
+from lfgpu.config import Config
+from lfgpu.errors import LightFieldError
+from lfgpu.footprint import Footprint, footprint
+from lfgpu.initial import find_disparity_range
+from lfgpu.io.disk import forget, is_on_disk
+from lfgpu.lightfield import LightField
+from lfgpu.matching import farthest, measured_noise, used_views
+from lfgpu.result import DepthResult
+from lfgpu.types import KernelSet
+
+if TYPE_CHECKING:
+    from lfgpu.depth import DepthPipeline
+
+_CONTEXT = 32  # pixels at the edge of a tile from which semi-global matching learns where its paths come from
+_RAMP = 16  # pixels over which one tile passes into the next
+_LEAST_STRIDE = 16  # pixels from a tile to the next: below that, all is halo
+_NOISE_WINDOW = 256  # pixels, side of what the noise is measured in
+_LOOKED_AT = 2**26  # bytes of views on disk that are forgotten together
+_SAME = 0.4  # pixels in the farthest view: estimates that differ by more are of two surfaces, and have no mean
+
+Progress = Callable[[str, int, float], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Where tiles of one size lie: `starts` are their (top, left), row by row."""
+
+    size: tuple[int, int]
+    starts: tuple[tuple[int, int], ...]
+    halo: tuple[int, int]
+    """Pixels (y, x) at inner edges of a tile of which nothing is kept."""
+    bytes: int
+    """What a pipeline for one tile takes."""
+
+
+def plan_tiles(size: tuple[int, int], halo: tuple[int, int], needed: Footprint, limit: int, devices: int = 1) -> Plan:
+    """The tiles that cover views of `size` (height, width), fit into `limit` bytes each, and are done the soonest.
+
+    That is with the fewest pixels on the device that has most of them. LightFieldError if none fit.
+    """
+    along = [_cuts(length, edge) for length, edge in zip(size, halo, strict=True)]
+    plans = [
+        (math.ceil(rows * columns / devices) * height * width, rows * columns, (height, width), (rows, columns))
+        for (rows, height), (columns, width) in itertools.product(*along)
+        if needed.bytes(height, width) <= limit
+    ]
+    if not plans:
+        least = needed.bytes(*(min(length for _, length in cuts) for cuts in along))
+        raise LightFieldError(
+            f"max_memory of {limit / 2**30:.2f} GiB does not suffice: the smallest tiles, with the pixels around them "
+            f"that they need, take {least / 2**30:.2f} GiB; give more, fewer views, or a narrower disparity range."
+        )
+    *_, tile, counts = min(plans)
+    rows, columns = (_places(length, side, count) for length, side, count in zip(size, tile, counts, strict=True))
+    return Plan(tile, tuple(itertools.product(rows, columns)), halo, needed.bytes(*tile))
+
+
+def halo(lf: LightField, bounds: tuple[float, float], config: Config) -> tuple[int, int]:
+    """Pixels (y, x) beyond a pixel that its disparity depends on, semi-global paths but for their last pixels left out.
+
+    They are the largest shift in any view, the largest difference of shifts (what may hide it), and the windows.
+    """
+    low, high = bounds
+    reach = np.abs(lf.offsets).max(0)
+    across, down = (math.ceil(axis * max(abs(low), abs(high))) + math.ceil(axis * (high - low)) for axis in reach)
+    radius = config.prior.window // 2
+    passes = 1 + (config.sweep.occlusions == "twice") + 2 * config.alignment.iterations
+    windows = radius * passes + config.prior.patch // 2 + 2
+    return down + windows + _CONTEXT, across + windows + _CONTEXT
+
+
+def estimate_in_tiles(
+    lf: LightField,
+    *,
+    config: Config,
+    disparity_range: tuple[float, float] | None,
+    backend: str,
+    device: str | None,
+    deterministic: bool,
+    on_progress: Progress | None,
+    max_memory: int,
+) -> DepthResult:
+    """`estimate_depth` within `max_memory` bytes: of the process on a CPU, of each GPU there.
+
+    Without `device`, tiles are spread over all GPUs. Views that are not on disk (`lfgpu.read(..., lazy=True)`) count
+    on a CPU.
+    """
+    start = perf_counter()
+    kernels = load(backend)
+    first = pick_device(kernels, device)
+    on_gpu = first != "cpu"
+    several = device is None and on_gpu and backend == "warp"
+    devices = [name for name in kernels.devices() if name != "cpu"] if several else [first]
+    bounds, config = whole_light_field(lf, disparity_range, config, kernels, first)
+
+    in_memory = 0 if on_gpu or is_on_disk(lf.views) else lf.views.nbytes
+    kept = 4 * 8 * lf.size[0] * lf.size[1]  # maps of all tiles, and joined
+    needed = footprint(lf, bounds, config, on_gpu=on_gpu)
+    limit = max_memory - in_memory - (0 if on_gpu else kept)
+    plan = plan_tiles(lf.size, halo(lf, bounds, config), needed, limit, len(devices))
+    options = {
+        "config": config,
+        "disparity_range": bounds,
+        "backend": backend,
+        "deterministic": deterministic,
+    }
+    results = _estimate_all(lf, plan, devices, options, on_progress)
+    joined = _joined(lf, plan, results)
+    timings = {name: sum(result.timings[name] for result in results if result is not None) for name in joined.timings}
+    return replace(joined, timings={**timings, "total": perf_counter() - start})
+
+
+def whole_light_field(
+    lf: LightField,
+    disparity_range: tuple[float, float] | None,
+    config: Config,
+    kernels: KernelSet,
+    device: str,
+) -> tuple[tuple[float, float], Config]:
+    """What is measured on a light field as a whole, if it is not given: its range of disparities and its noise."""
+    looked_at = lf.subset("cross") if lf.pattern("cross").sum() > 1 else lf  # which is refused, with the reason
+    bounds = disparity_range or find_disparity_range(looked_at, config.local, kernels, device)
+    if config.method.name == "matching" and not config.sweep.noise:
+        middle = (slice(max(0, (side - _NOISE_WINDOW) // 2), (side + _NOISE_WINDOW) // 2) for side in lf.size)
+        noise = measured_noise(lf.crop(*middle), bounds, config.sweep, kernels, device)
+        config = config.with_values({"sweep.noise": noise})
+    forget(lf.views)
+    return bounds, config
+
+
+def _estimate_all(
+    lf: LightField,
+    plan: Plan,
+    devices: Sequence[str],
+    options: dict[str, Any],
+    on_progress: Progress | None,
+) -> list[DepthResult | None]:
+    """The result of each tile, None where a tile shows nothing; each device takes the next tile when it is done."""
+    matching = options["config"].method.name == "matching"
+    used = used_views(lf, options["config"].sweep.views) if matching else range(len(lf.views))
+    results: list[DepthResult | None] = [None] * len(plan.starts)
+    left: queue.SimpleQueue[int] = queue.SimpleQueue()
+    for index in range(len(plan.starts)):
+        left.put(index)
+    failed: list[LightFieldError] = []
+    done, lock, stop = 0, threading.Lock(), threading.Event()
+
+    def go(device: str) -> None:
+        nonlocal done
+        estimate = _Estimator(device, options)
+        while not stop.is_set():
+            try:
+                index = left.get_nowait()
+            except queue.Empty:
+                return
+            try:
+                results[index] = estimate(_tile(lf, used, plan.starts[index], plan.size))
+            except LightFieldError as error:  # it may be a piece of sky: the others say whether anything is there
+                failed.append(error)
+            forget(lf.views)
+            with lock:
+                done += 1
+                if on_progress is not None:
+                    on_progress("tiles", done, done / len(plan.starts))
+
+    if on_progress is not None:
+        on_progress("tiles", 0, 0.0)
+    busy = devices[: len(plan.starts)]
+    if len(busy) == 1:
+        go(busy[0])
+    else:
+        with ThreadPoolExecutor(len(busy)) as pool:
+            waiting = [pool.submit(go, device) for device in busy]
+            try:
+                for future in waiting:
+                    future.result()
+            finally:
+                stop.set()
+    if len(failed) == len(results):
+        raise failed[0]
+    return results
+
+
+class _Estimator:
+    """Estimates tiles of one size on one device, in one pipeline as long as masks allow it."""
+
+    def __init__(self, device: str, options: dict[str, Any]) -> None:
+        self._options = {**options, "device": device}
+        self._pipeline: DepthPipeline | None = None
+
+    def __call__(self, tile: LightField) -> DepthResult:
+        from lfgpu.depth import DepthPipeline
+
+        if self._pipeline is None or tile.valid is not None:
+            self._pipeline = None  # its memory first
+            self._pipeline = DepthPipeline(tile, **self._options)
+        else:
+            self._pipeline.upload(tile.views)
+        # Stage by stage: a capture of all stages concerns all threads of the process, and others may be at work.
+        return self._pipeline.estimate()
+
+
+def _tile(lf: LightField, used: Sequence[int], start: tuple[int, int], size: tuple[int, int]) -> LightField:
+    y, x = (slice(first, first + side) for first, side in zip(start, size, strict=True))
+    window, chosen = lf.crop(y, x), list(used)
+    views, looked_at = np.empty((len(chosen), *window.views.shape[1:]), window.views.dtype), 0
+    for view, index in zip(views, chosen, strict=True):
+        view[...] = window.views[index]
+        looked_at += lf.views[index].nbytes
+        if looked_at > _LOOKED_AT:  # what was read of a file counts as memory of the process
+            forget(lf.views)
+            looked_at = 0
+    return replace(
+        window,
+        views=views,
+        positions=lf.positions[chosen],
+        reference=chosen.index(lf.reference_index),
+        valid=None if window.valid is None else window.valid[chosen],
+        grid_shape=None,
+    )
+
+
+def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None]) -> DepthResult:
+    """One result from those of all tiles."""
+    there = [result for result in results if result is not None]
+    first = there[0]
+    names = list(first.stages)
+    same = _SAME / farthest(lf.offsets)
+    weights = _Weights(lf.size, plan)
+    join = {name: _Join(lf.size, same) for name in names}
+    disparity, confidence = _Join(lf.size, same), _Join(lf.size, math.inf)
+    for start, result in zip(plan.starts, results, strict=True):
+        if result is None:
+            continue
+        weight = weights.of(start)
+        taken = disparity.add(result.disparity, weight, start)
+        confidence.add(result.confidence, weight, start, taken)
+        for name in names:
+            join[name].add(result.stages[name], weight, start)
+    height, width = plan.size
+    what = (
+        "In one piece"
+        if len(plan.starts) == 1
+        else f"{len(plan.starts)} tiles of {width} x {height} pixels, of the first"
+    )
+    status = f"{what}: {first.status}"
+    if len(there) < len(results):
+        status += f" {len(results) - len(there)} tiles show nothing that other views show as well."
+    return replace(
+        first,
+        disparity=disparity.values,
+        confidence=np.nan_to_num(confidence.values, nan=0.0),
+        stages={name: values.values for name, values in join.items()},
+        status=status,
+        converged=all(result.converged for result in there),
+        trace=_mean_trace([result.trace for result in there]),
+        geometry=lf.geometry,
+        name=lf.name,
+    )
+
+
+class _Weights:
+    """How much a tile counts at its pixels: 0 in the halo, 1 inside, with a ramp between; all at edges of the image."""
+
+    def __init__(self, size: tuple[int, int], plan: Plan) -> None:
+        self._size, self._plan = size, plan
+
+    def of(self, start: tuple[int, int]) -> NDArray[np.float32]:
+        """[y, x] of the tile that begins there."""
+        rows, columns = (
+            _ramps(first, side, length, edge)
+            for first, side, length, edge in zip(start, self._plan.size, self._size, self._plan.halo, strict=True)
+        )
+        return np.outer(rows, columns).astype(np.float32)
+
+
+class _Join:
+    """Maps of tiles added to one of the whole image: means where they agree, else the one that counts more."""
+
+    def __init__(self, size: tuple[int, int], same: float) -> None:
+        self.values = np.full(size, np.nan, np.float32)
+        self._weight, self._same = np.zeros(size, np.float32), same
+
+    def add(
+        self,
+        values: NDArray[np.float32],
+        weight: NDArray[np.float32],
+        start: tuple[int, int],
+        taken: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """Add a tile; how far, 0 to 1, each of its pixels has become the map. `taken` is that if it is decided."""
+        window = tuple(slice(first, first + side) for first, side in zip(start, values.shape, strict=True))
+        before, sums = self.values[window], self._weight[window]
+        if taken is None:
+            weight = np.where(np.isfinite(values), weight, np.float32(0))
+            alike = np.abs(values - before) <= self._same  # False where there is nothing yet
+            share = np.where(alike, weight / np.maximum(weight + sums, np.float32(1e-12)), weight > sums)
+            taken = np.where(sums > 0, share, weight > 0).astype(np.float32)
+        mixed = (1 - taken) * np.nan_to_num(before) + taken * np.nan_to_num(values)
+        touched = (taken > 0) | (sums > 0)
+        self.values[window] = np.where(touched, mixed, before)
+        self._weight[window] = np.where(taken >= 1, weight, np.where(taken > 0, sums + weight, sums))
+        return np.asarray(taken, np.float32)
+
+
+def _cuts(length: int, edge: int) -> list[tuple[int, int]]:
+    """(number, length) of the tiles along one axis, all that make sense; one tile is the whole axis."""
+    overlap, found = 2 * edge + _RAMP, [(1, length)]
+    for count in itertools.count(2):
+        side = math.ceil((length + (count - 1) * overlap) / count)
+        if side >= length or side - overlap < _LEAST_STRIDE:
+            return found
+        found.append((count, side))
+    raise AssertionError("the stride of tiles falls below any bound")
+
+
+def _places(length: int, side: int, count: int) -> list[int]:
+    return [round(k * (length - side) / max(count - 1, 1)) for k in range(count)]
+
+
+def _ramps(first: int, side: int, length: int, edge: int) -> NDArray[np.float64]:
+    """Weights along one axis of a tile."""
+    places = np.arange(side) + 0.5
+    rising = np.ones(side) if first == 0 else (places - edge) / _RAMP
+    falling = np.ones(side) if first + side == length else (side - edge - places) / _RAMP
+    return np.clip(np.minimum(rising, falling), 0, 1)
+
+
+def _mean_trace(traces: Sequence[tuple[float, ...]]) -> tuple[float, ...]:
+    """The mean over tiles, of which one that stopped earlier stays as it was."""
+    longest = max(map(len, traces))
+    padded = [trace + trace[-1:] * (longest - len(trace)) for trace in traces]
+    return tuple(float(np.mean(values)) for values in zip(*padded, strict=True))

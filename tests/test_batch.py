@@ -1,0 +1,509 @@
+"""Batches: what is found, what the manifest remembers, and that nothing is lost, whatever dies on the way."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from lfgpu import DepthPipeline, LightFieldError, estimate_depth, scenes, tiles
+from lfgpu._backends import load
+from lfgpu.batch.cluster import BatchError, Cluster
+from lfgpu.batch.items import Item, find_items, fingerprint
+from lfgpu.batch.manifest import DONE, FAILED, MANIFEST_FILE, Manifest, key_of, read_manifest
+from lfgpu.batch.report import REPORT_FILE, write_report
+from lfgpu.batch.run import Batch, Summary, _jobs
+from lfgpu.batch.work import Settings, work
+from lfgpu.cli import app
+from lfgpu.config import preset
+from lfgpu.io import read, read_result, write_hci
+
+pytest.importorskip("distributed", reason="a batch needs Dask: pip install 'lfgpu[batch]'")
+
+ROOT = Path(__file__).parents[1]
+RANGE = (-1.2, 1.2)
+QUICK = preset("fast").with_values({"prior.window": 3, "sweep.step": 1.0})
+FAST = Settings(QUICK, RANGE)
+SLOW = Settings(QUICK.with_values({"alignment.iterations": 100}), RANGE)
+"""Settings with which an item takes long enough to be killed in the middle."""
+COUNT = 5
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of light fields, one of which cannot be read."""
+    folder = tmp_path_factory.mktemp("recorded") / "scenes"
+    for index in range(COUNT):
+        lf = scenes.make("relief", grid=(3, 3), size=(40, 48), disparity_range=(-1, 1), seed=index)
+        write_hci(lf, folder / f"scene_{index}")
+    damaged = folder / "scene_2" / "input_Cam004.png"
+    damaged.write_bytes(damaged.read_bytes()[:200])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def undisturbed(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the slow settings make of it, without Dask and without anything going wrong but the damaged file."""
+    out = tmp_path_factory.mktemp("undisturbed")
+    with Manifest(out) as manifest:
+        manifest.add(work(job, "cpu") for job in jobs(recorded, out, SLOW))
+    return out
+
+
+def jobs(inputs: Path, out: Path, settings: Settings = FAST, *, sequence: bool = False) -> list[Any]:
+    return _jobs(find_items([str(inputs)], sequence=sequence)[0], out, settings)
+
+
+def local(**options: Any) -> Cluster:
+    return Cluster(workers=1, devices=("cpu",), threads=1, **options)
+
+
+def lfgpu(*arguments: object) -> Any:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def pids(cluster: Cluster) -> set[int]:
+    """Those of the workers that answer."""
+    with contextlib.suppress(Exception):
+        return set(cluster.client.run(os.getpid, on_error="ignore").values())
+    return set()
+
+
+def assert_same_maps(a: Path, b: Path) -> None:
+    names = {entry["item"] for entry in read_manifest(a).values() if entry["status"] == DONE}
+    assert names
+    assert names == {entry["item"] for entry in read_manifest(b).values() if entry["status"] == DONE}
+    for name in names:
+        assert (a / name / "disparity.pfm").read_bytes() == (b / name / "disparity.pfm").read_bytes(), name
+        ours, theirs = read_result(a / name / "result.npz"), read_result(b / name / "result.npz")
+        assert np.array_equal(ours.confidence, theirs.confidence), name
+
+
+def assert_nothing_left_over(out: Path) -> None:
+    assert not list(out.rglob(".lfgpu-*"))
+
+
+def wait_for(true: Callable[[], object], seconds: float = 120) -> None:
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+
+
+# --- what there is to do ---
+
+
+def test_light_fields_are_found_at_any_depth_and_named(recorded: Path, tmp_path: Path) -> None:
+    shutil.copytree(recorded / "scene_0", tmp_path / "a" / "one")
+    shutil.copytree(recorded / "scene_0", tmp_path / "a" / "b" / "two")
+    shutil.copytree(recorded / "scene_0", tmp_path / "c" / "one")
+    np.save(tmp_path / "a" / "third.npy", np.zeros((3, 3, 16, 16, 3), np.uint8))
+    (tmp_path / "a" / "empty").mkdir()
+    (tmp_path / "a" / "notes.txt").write_text("nothing")
+    items, barren = find_items([str(tmp_path)], sequence=False)
+    assert [item.name for item in items] == ["two", "a/one", "third.npy", "c/one"]
+    assert [path.name for path in barren] == ["empty"]
+    assert {item.sequence for item in items} == {""}
+
+
+def test_patterns_order_and_outputs(recorded: Path, tmp_path: Path) -> None:
+    for number in (2, 10, 1):
+        shutil.copytree(recorded / "scene_0", tmp_path / f"frame_{number}")
+    shutil.copytree(recorded / "scene_0", tmp_path / "out" / "frame_1")
+    items, _ = find_items([str(tmp_path / "frame_*"), str(tmp_path / "frame_1")], sequence=True)
+    assert [item.name for item in items] == ["frame_1", "frame_2", "frame_10"]
+    assert {item.sequence for item in items} == {str(tmp_path)}
+    items, _ = find_items([str(tmp_path)], sequence=False, leave_out=tmp_path / "out")
+    assert len(items) == 3
+
+
+def test_what_does_not_exist_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(LightFieldError, match=r"nowhere\* does not exist, and as a pattern it matches nothing"):
+        find_items([str(tmp_path / "nowhere*")], sequence=False)
+    with pytest.raises(LightFieldError, match="no light field was found"):
+        find_items([str(tmp_path)], sequence=False)
+
+
+def test_fingerprints_tell_changed_files(recorded: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(recorded / "scene_0", copy)
+    before = fingerprint(str(copy))
+    assert fingerprint(str(copy)) == before
+    os.utime(copy / "input_Cam003.png", ns=(1, 1))
+    assert fingerprint(str(copy)) != before
+
+
+# --- what becomes of an item ---
+
+
+def test_an_item_comes_out_as_from_estimate_depth(recorded: Path, tmp_path: Path) -> None:
+    job = jobs(recorded, tmp_path, Settings(preset("fast")))[0]
+    entry = work(job, "cpu")
+    lf = read(recorded / "scene_0")
+    expected = estimate_depth(lf, config="fast", device="cpu")
+    result = read_result(tmp_path / "scene_0" / "result.npz")
+    assert np.array_equal(result.disparity, expected.disparity)
+    assert np.array_equal(result.confidence, expected.confidence)
+    assert entry["status"] == DONE
+    assert entry["disparity_range"] == list(expected.disparity_range)
+    assert entry["metrics"]["count"] == 10 * 18
+    assert sorted(path.name for path in (tmp_path / "scene_0").iterdir()) == entry["files"]
+
+
+def test_a_pipeline_serves_the_next_item_and_changes_nothing(recorded: Path, tmp_path: Path) -> None:
+    """With range and noise given, a worker keeps what it has allocated."""
+    settings = replace(FAST, config=QUICK.with_values({"sweep.noise": 0.004}))
+    for job in jobs(recorded, tmp_path, settings):
+        if work(job, "cpu")["status"] == DONE:
+            lf = read(job.item.source)
+            expected = estimate_depth(lf, config=settings.config, disparity_range=RANGE, device="cpu")
+            assert np.array_equal(read_result(tmp_path / job.item.name / "result.npz").disparity, expected.disparity)
+
+
+def test_frames_have_range_and_noise_of_the_first_that_can_be_read(recorded: Path, tmp_path: Path) -> None:
+    frames = tmp_path / "frames"
+    for number, scene in enumerate((2, 0, 1)):  # the first one is damaged
+        shutil.copytree(recorded / f"scene_{scene}", frames / f"frame_{number}")
+    settings = Settings(preset("fast"))
+    todo = jobs(frames, tmp_path / "out", settings, sequence=True)
+    first = read(frames / "frame_1")
+    bounds, config = tiles.whole_light_field(first, None, settings.config, load("warp"), "cpu")
+    pipeline = DepthPipeline(first, config=config, disparity_range=bounds, device="cpu")
+    entries = [work(job, "cpu") for job in (todo[0], todo[2], todo[1])]  # in whatever order
+    assert [entry["status"] for entry in entries] == [FAILED, DONE, DONE]
+    for name in ("frame_1", "frame_2"):
+        pipeline.upload(read(frames / name).views)
+        pipeline.run()
+        assert np.array_equal(read_result(tmp_path / "out" / name / "result.npz").disparity, pipeline.disparity()), name
+
+
+def test_what_is_wrong_with_an_item_is_one_sentence(recorded: Path, tmp_path: Path) -> None:
+    entry = work(jobs(recorded, tmp_path)[2], "cpu")
+    assert entry["status"] == FAILED
+    assert re.search(r"input_Cam004\.png cannot be read as an image", entry["error"])
+    assert not (tmp_path / "scene_2").exists()
+    assert_nothing_left_over(tmp_path)
+
+
+# --- what the manifest remembers ---
+
+
+def test_the_last_line_of_an_item_holds_and_half_lines_are_skipped(tmp_path: Path) -> None:
+    with Manifest(tmp_path) as manifest:
+        manifest.add([{"item": "a", "status": FAILED}, {"item": "a", "status": DONE}, {"parameters_key": "x"}])
+    with (tmp_path / MANIFEST_FILE).open("a") as file:
+        file.write('{"item": "b", "sta')
+    with Manifest(tmp_path) as manifest:
+        manifest.add([{"item": "c", "status": DONE}])
+    found = read_manifest(tmp_path)
+    assert {name: entry["status"] for name, entry in found.items()} == {"a": DONE, "c": DONE}
+
+
+def test_one_batch_at_a_time(tmp_path: Path, recorded: Path) -> None:
+    with Manifest(tmp_path):
+        outcome = lfgpu("batch", recorded, "-o", tmp_path)
+        assert outcome.exit_code == 1
+        assert outcome.stderr.startswith("lfgpu: another batch is writing to")
+    assert not (tmp_path / "scene_0").exists()
+
+
+def test_keys_tell_parameters() -> None:
+    keys = {
+        key_of(settings.config, settings.options)
+        for settings in (
+            FAST,
+            SLOW,
+            replace(FAST, disparity_range=None),
+            replace(FAST, pattern="cross"),
+            replace(FAST, reading={"flip": "u"}),
+        )
+    }
+    assert len(keys) == 5
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="files cannot be limited in size here")
+def test_lines_that_the_disk_has_no_room_for_are_written_later(tmp_path: Path) -> None:
+    """In a process of its own, where files may not grow beyond 100 bytes."""
+    code = f"""
+import resource, signal
+from pathlib import Path
+from lfgpu.batch.manifest import Manifest, read_manifest
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+out = Path({str(tmp_path)!r})
+with Manifest(out) as manifest:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.RLIM_INFINITY))
+    manifest.add([{{"item": "a"}}, {{"item": "b", "long": "x" * 200}}])
+    assert len(manifest.unwritten) == 1
+    assert list(read_manifest(out)) == ["a"]
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    manifest.add([{{"item": "c"}}])
+    assert not manifest.unwritten
+assert list(read_manifest(out)) == ["a", "b", "c"]
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_report_shows_all_items(recorded: Path, undisturbed: Path) -> None:
+    items = find_items([str(recorded)], sequence=False)[0]
+    items.append(Item("never <reached>", "x"))
+    entries = read_manifest(undisturbed)
+    summary = Summary(items, entries, computed=4, failed=[entries["scene_2"]])
+    page = write_report(summary, undisturbed, "a & b").read_text(encoding="utf-8")
+    assert "4 done, 1 failed, 1 not reached" in page
+    assert "a &amp; b" in page
+    assert page.index("scene_2") < page.index("scene_0"), "failed ones come first"
+    assert page.count('loading="lazy"') == 4
+    for target in re.findall(r'(?:src|href)="([^"]+)"', page):
+        assert (undisturbed / target).exists(), target
+
+
+def test_a_batch_is_scored_per_item_and_in_total(undisturbed: Path, recorded: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    with Manifest(other) as manifest:
+        manifest.add(work(job, "cpu") for job in jobs(recorded, other)[:2])
+    outcome = lfgpu("eval", undisturbed, other, "-o", tmp_path / "tables")
+    assert outcome.exit_code == 0, outcome.output
+    assert "1 items failed or have no ground truth" in outcome.stdout
+    lines = (tmp_path / "tables" / "table.csv").read_text().splitlines()
+    assert lines[0] == f"scene,metric,{undisturbed.name},other"
+    found = {tuple(line.split(",")[:2]): line.split(",")[2:] for line in lines[1:]}
+    scores = [read_manifest(undisturbed)[f"scene_{index}"]["metrics"]["mse_100"] for index in (0, 1)]
+    assert [float(found[f"scene_{index}", "MSE x100"][0]) for index in (0, 1)] == scores
+    assert float(found["average of 2", "MSE x100"][0]) == pytest.approx(np.mean(scores))
+    assert found["scene_3", "MSE x100"][1] == ""
+    assert "\\toprule" in (tmp_path / "tables" / "table.tex").read_text()
+    assert lfgpu("eval", undisturbed, "--border", "3").exit_code == 1
+    assert lfgpu("eval", undisturbed).exit_code == 0
+
+
+# --- real processes ---
+
+
+def test_only_what_is_missing_failed_or_stale_is_done_again(recorded: Path, tmp_path: Path) -> None:
+    folder, out = tmp_path / "in", tmp_path / "out"
+    shutil.copytree(recorded, folder)
+    items = find_items([str(folder)], sequence=False)[0]
+    first = Batch(items, out, FAST).run(local())
+    assert (first.computed, first.kept, len(first.failed)) == (4, 0, 1)
+    shutil.copy(recorded / "scene_1" / "input_Cam004.png", folder / "scene_2")  # repaired
+    os.utime(folder / "scene_0" / "input_Cam000.png")  # changed
+    (out / "scene_1" / "result.npz").unlink()  # missing
+    (out / "scene_1" / ".lfgpu-half").mkdir()  # of a process that was killed
+    second = Batch(items, out, FAST).run(local())
+    assert (second.computed, second.kept, len(second.failed)) == (3, 2, 0)
+    assert_nothing_left_over(out)
+    third = Batch(items, out, FAST).run(local())
+    assert (third.computed, third.kept) == (0, 5)
+
+
+def test_a_worker_that_is_killed_in_the_middle_costs_nothing(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
+    cluster, killed = local(), []
+
+    def kill() -> None:
+        wait_for(lambda: list(tmp_path.glob("scene_*")))
+        for _ in range(2):
+            wait_for(lambda: pids(cluster) - set(killed))
+            wait_for(lambda: any(cluster.client.processing().values()))
+            (pid,) = pids(cluster)
+            time.sleep(0.1)  # in the middle
+            os.kill(pid, signal.SIGKILL)
+            killed.append(pid)
+
+    killer = threading.Thread(target=kill, daemon=True)
+    killer.start()
+    items = find_items([str(recorded)], sequence=False)[0]
+    summary = Batch(items, tmp_path, SLOW).run(cluster)
+    killer.join(60)
+    assert len(set(killed)) == 2
+    assert (summary.computed, summary.left, [e["item"] for e in summary.failed]) == (4, 0, ["scene_2"])
+    assert_same_maps(tmp_path, undisturbed)
+
+
+def test_an_item_that_kills_its_worker_is_given_up_and_the_rest_goes_on(recorded: Path, tmp_path: Path) -> None:
+    """Its neighbours are not taken for the culprit; what found no memory is tried again."""
+    tried = tmp_path / "tried"
+    good = recorded / "scene_0"
+
+    class Deadly:
+        def __fspath__(self) -> str:
+            os.kill(os.getpid(), signal.SIGKILL)
+            return ""
+
+    class Scarce:
+        def __init__(self, times: int) -> None:
+            self.times = times
+
+        def __fspath__(self) -> str:
+            with tried.open("a") as file:
+                file.write(f"{self.times}\n")
+            if tried.read_text().count(f"{self.times}\n") <= self.times:
+                raise MemoryError
+            return str(good)
+
+        def __str__(self) -> str:
+            return str(good)
+
+    todo = jobs(recorded, tmp_path)
+    sources = {"deadly": Deadly(), "scarce": Scarce(1), "too scarce": Scarce(99)}
+    special = [replace(todo[0], item=Item(name, source)) for name, source in sources.items()]  # type: ignore[arg-type]
+    entries: dict[str, dict[str, Any]] = {}
+    with local(retries=1) as cluster:
+        cluster.run([[job] for job in (*special, *todo[:2])], lambda entry: entries.update({entry["item"]: entry}))
+    assert {name: entry["status"] for name, entry in entries.items()} == {
+        **{"deadly": FAILED, "too scarce": FAILED},
+        **{"scarce": DONE, "scene_0": DONE, "scene_1": DONE},
+    }
+    assert "its worker was killed" in entries["deadly"]["error"]
+    assert re.match(r"the memory does not suffice.*, tried 2 times\.", entries["too scarce"]["error"])
+    assert entries["scarce"]["attempts"] == 2
+
+
+@contextlib.contextmanager
+def started(arguments: list[str]) -> Iterator[subprocess.Popen[str]]:
+    """A process group of its own, which does not outlive the block."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", *arguments],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+
+def test_interruption_is_clean_and_the_next_run_goes_on(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
+    settings = ["--set", "prior.window=3", "--set", "sweep.step=1", "--set", "alignment.iterations=100"]
+    command = ["batch", str(recorded), "-o", str(tmp_path), "--preset", "fast", "--disparity-range", "-1.2,1.2"]
+    command += [*settings, "--device", "cpu", "--threads", "1"]
+    with started(["lfgpu", *command]) as process:
+        wait_for(lambda: "scene_0" in read_manifest(tmp_path))
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does it: all processes get it
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert re.fullmatch(r"lfgpu: interrupted, \d of 5 items are done; run the same command again to go on\.\n", err), (
+        err
+    )
+    assert out == ""
+    before = sum(entry["status"] == DONE for entry in read_manifest(tmp_path).values())
+    assert 1 <= before < 4
+    outcome = lfgpu(*command)
+    assert outcome.exit_code == 1, outcome.output
+    assert re.match(r"lfgpu: 1 of 5 items failed: scene_2: .*input_Cam004\.png", outcome.stderr)
+    assert f"{4 - before} computed, {before} kept from before" in outcome.stdout
+    assert (tmp_path / REPORT_FILE).is_file()
+    assert_same_maps(tmp_path, undisturbed)
+    assert_nothing_left_over(tmp_path)
+
+
+def test_a_full_disk_fails_items_and_room_brings_them_back(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=160k", "tmpfs", str(tmp_path)], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip("a small file system cannot be mounted here")
+    try:
+        items = find_items([str(recorded)], sequence=False)[0]
+        batch = Batch(items, tmp_path, SLOW)
+        with contextlib.suppress(BatchError):  # where there was no room for the manifest either
+            batch.run(local())
+        assert batch.summary.computed < 4
+        assert any("No space left" in entry["error"] for entry in batch.summary.failed)
+        assert_nothing_left_over(tmp_path)
+        subprocess.run(["mount", "-o", "remount,size=16m", str(tmp_path)], check=True)
+        second = Batch(items, tmp_path, SLOW).run(local())
+        assert [entry["item"] for entry in second.failed] == ["scene_2"]
+        assert second.kept + second.computed == 4
+        assert second.computed > 0
+        assert_same_maps(tmp_path, undisturbed)
+    finally:
+        subprocess.run(["umount", str(tmp_path)], check=True)
+
+
+def test_a_scheduler_that_is_started_again_costs_nothing(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    scheduler = ["distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
+    worker = ["distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+    items, problems = find_items([str(recorded)], sequence=False)[0], []
+    summary: list[Summary] = []
+
+    def run() -> None:
+        try:
+            summary.append(Batch(items, tmp_path, SLOW).run(Cluster(scheduler=address, devices=("cpu",), threads=1)))
+        except Exception as error:
+            problems.append(error)
+
+    batch = threading.Thread(target=run, daemon=True)
+    with started(scheduler), started(worker):
+        batch.start()
+        wait_for(lambda: "scene_0" in read_manifest(tmp_path) or problems)
+    with started(scheduler), started(worker):
+        batch.join(120)
+        assert not problems, problems
+        assert not batch.is_alive()
+    assert (summary[0].computed, len(summary[0].failed)) == (4, 1)
+    assert_same_maps(tmp_path, undisturbed)
+
+
+def test_a_scheduler_that_is_not_there_is_one_sentence(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lfgpu.batch.cluster._CONNECTING", 0.5)
+    outcome = lfgpu("batch", recorded, "-o", tmp_path, "--scheduler", "tcp://127.0.0.1:9")
+    assert outcome.exit_code == 1
+    assert re.fullmatch(
+        r"lfgpu: the scheduler tcp://127\.0\.0\.1:9 does not answer \(.*\); is it there\?\n", outcome.stderr
+    )
+
+
+def test_frames_of_a_sequence_stay_in_order(recorded: Path, tmp_path: Path) -> None:
+    frames = tmp_path / "frames"
+    for number in range(6):
+        shutil.copytree(recorded / "scene_0", frames / f"frame_{number}")
+    items = find_items([str(frames), str(recorded)], sequence=True)[0]
+    with contextlib.suppress(BatchError):
+        Batch(items, tmp_path / "out", FAST).run(Cluster(workers=2, devices=("cpu",), threads=1))
+    entries = [e for e in read_manifest(tmp_path / "out").values() if e["item"].startswith("frame")]
+    assert [entry["item"] for entry in entries] == [f"frame_{number}" for number in range(6)]
+    assert len({entry["worker"] for entry in entries}) == 1
+
+
+def test_five_hundred_light_fields_come_out(tmp_path: Path, rng: np.random.Generator) -> None:
+    inputs, texture = tmp_path / "in", rng.random((64, 64, 3))
+    inputs.mkdir()
+    for index in range(500):
+        at = 8 + index % 20
+        views = [[texture[at + v : at + v + 24, at + u : at + u + 24] for u in range(3)] for v in range(3)]
+        np.save(inputs / f"{index}.npy", (np.asarray(views) * 255).astype(np.uint8))
+    settings = replace(FAST, config=QUICK.with_values({"sweep.noise": 0.004}))
+    items = find_items([str(inputs)], sequence=False)[0]
+    summary = Batch(items, tmp_path / "out", settings).run(Cluster(workers=2, devices=("cpu",), threads=1))
+    assert (summary.computed, len(summary.failed)) == (500, 0)
+    lines = (tmp_path / "out" / MANIFEST_FILE).read_text().splitlines()
+    assert len([line for line in lines if "item" in json.loads(line)]) == 500
+    assert len(list((tmp_path / "out").glob("*/disparity.pfm"))) == 500

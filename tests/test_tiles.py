@@ -1,0 +1,289 @@
+"""Tiles: the same map as in one piece, within the memory that is given, from views that stay on disk."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from lfgpu import DepthResult, LightField, LightFieldError, estimate_depth, read, scenes, tiles
+from lfgpu._backends import load
+from lfgpu.cli import app
+from lfgpu.config import Config, preset
+from lfgpu.footprint import Footprint, footprint, parse_memory
+from lfgpu.io import read_map, write_hci
+from lfgpu.io.disk import forget, is_on_disk, on_disk
+
+ROOT = Path(__file__).parents[1]
+RANGE = (-0.8, 0.8)
+TOLERANCE = 1e-3  # pixels per view step
+
+
+@pytest.fixture(scope="module")
+def scene() -> LightField:
+    """With noise, so that nothing is as it is by chance, and larger than two tiles and their halos."""
+    return scenes.make("boxes", grid=(5, 5), size=(190, 200), disparity_range=(-0.7, 0.7), noise=0.01, seed=5)
+
+
+@pytest.fixture(scope="module")
+def parameters(scene: LightField) -> Config:
+    bounds, config = tiles.whole_light_field(scene, RANGE, preset("accurate"), load("warp"), "cpu")
+    assert bounds == RANGE
+    assert config.sweep.noise > 0
+    return config
+
+
+@pytest.fixture(scope="module")
+def whole(scene: LightField, parameters: Config) -> DepthResult:
+    return estimate_depth(scene, config=parameters, disparity_range=RANGE, device="cpu")
+
+
+def memory_for(lf: LightField, config: Config, height: int, width: int) -> int:
+    """What makes tiles of that size the largest ones that fit."""
+    needed = footprint(lf, RANGE, config, on_gpu=False).bytes(height, width)
+    return needed + lf.views.nbytes + 4 * 8 * lf.size[0] * lf.size[1]
+
+
+def in_tiles(lf: LightField, config: Config, memory: int) -> DepthResult:
+    return estimate_depth(lf, config=config, disparity_range=RANGE, device="cpu", max_memory=memory)
+
+
+# --- the map ---
+
+
+def test_tiles_give_the_map_that_is_found_in_one_piece(
+    scene: LightField, parameters: Config, whole: DepthResult
+) -> None:
+    edge = tiles.halo(scene, RANGE, parameters)
+    (_, height), (_, width) = (tiles._cuts(side, e)[1] for side, e in zip(scene.size, edge, strict=True))
+    found = in_tiles(scene, parameters, memory_for(scene, parameters, height, width))
+    assert found.status.startswith(f"4 tiles of {width} x {height} pixels")
+    for name, values in {**whole.stages, "disparity": whole.disparity, "confidence": whole.confidence}.items():
+        ours = {**found.stages, "disparity": found.disparity, "confidence": found.confidence}[name]
+        assert np.abs(ours - values).max() < TOLERANCE, name
+    assert found.name == scene.name
+    assert found.geometry == scene.geometry
+    assert found.disparity_range == RANGE
+    assert {*whole.timings} == {*found.timings}
+
+
+def test_without_a_halo_the_map_would_differ(
+    scene: LightField, parameters: Config, whole: DepthResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That the comparison can fail."""
+    monkeypatch.setattr(tiles, "halo", lambda *_: (1, 1))
+    found = in_tiles(scene, parameters, memory_for(scene, parameters, 120, 120))
+    assert np.abs(found.disparity - whole.disparity).max() > 10 * TOLERANCE
+
+
+def test_noise_and_range_are_those_of_the_whole(scene: LightField) -> None:
+    """So that a light field in one tile is estimated as it is without the limit."""
+    plain = estimate_depth(scene, config="fast", device="cpu")
+    limited = estimate_depth(scene, config="fast", device="cpu", max_memory="8GiB")
+    assert limited.status.startswith("In one piece: ")
+    assert limited.disparity_range == plain.disparity_range
+    assert np.array_equal(limited.disparity, plain.disparity)
+    assert np.array_equal(limited.confidence, plain.confidence)
+
+
+def test_several_devices_give_the_same(scene: LightField, parameters: Config) -> None:
+    """Each in a thread with a pipeline of its own, here twice the CPU."""
+    config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
+    edge = tiles.halo(scene, RANGE, config)
+    plan = tiles.plan_tiles(scene.size, edge, Footprint(1.0, 0), 190 * 190)
+    assert len(plan.starts) > 1
+    options = {"config": config, "disparity_range": RANGE, "backend": "warp", "deterministic": False}
+    one = tiles._estimate_all(scene, plan, ["cpu"], options, None)
+    two = tiles._estimate_all(scene, plan, ["cpu", "cpu"], options, None)
+    for a, b in zip(one, two, strict=True):
+        assert a is not None
+        assert b is not None
+        assert np.array_equal(a.disparity, b.disparity)
+
+
+def test_a_tile_that_shows_nothing_does_not_end_the_others(scene: LightField, parameters: Config) -> None:
+    views = scene.views.copy()
+    views[:, :, :175] = 0
+    config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
+    dark = replace(scene, views=views, truth=None)
+    width = tiles._cuts(200, tiles.halo(dark, RANGE, config)[1])[-1][1]
+    assert width < 175
+    found = in_tiles(dark, config, memory_for(dark, config, 190, width))
+    assert "show nothing" in found.status
+    assert np.isnan(found.disparity[:, 0]).all()
+    assert (found.confidence[:, 0] == 0).all()
+    assert np.isfinite(found.disparity[:, 199]).all()
+
+
+def test_masks_are_those_of_each_tile(scene: LightField, parameters: Config) -> None:
+    valid = np.ones(scene.views.shape[:3], bool)
+    valid[:, 20:40, 30:50] = False
+    masked = replace(scene, valid=valid)
+    config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
+    whole = estimate_depth(masked, config=config, disparity_range=RANGE, device="cpu")
+    width = tiles._cuts(200, tiles.halo(masked, RANGE, config)[1])[1][1]
+    found = in_tiles(masked, config, memory_for(masked, config, 190, width))
+    assert found.status.startswith("2 tiles")
+    assert np.abs(found.disparity - whole.disparity).max() < TOLERANCE
+
+
+# --- the plan ---
+
+
+@pytest.mark.parametrize("size", [(64, 64), (480, 640), (1000, 333)])
+@pytest.mark.parametrize("edge", [(3, 5), (40, 17)])
+@pytest.mark.parametrize("share", [0.3, 0.6, 2.0])
+def test_every_pixel_is_in_a_tile_beyond_its_halo(size: tuple[int, int], edge: tuple[int, int], share: float) -> None:
+    limit = int(share * size[0] * size[1]) + 150 * 150
+    plan = tiles.plan_tiles(size, edge, Footprint(1 / 1.1, 0), limit)
+    assert plan.size[0] * plan.size[1] <= limit + 1
+    total = np.zeros(size)
+    weights = tiles._Weights(size, plan)
+    for top, left in plan.starts:
+        assert 0 <= top <= size[0] - plan.size[0]
+        assert 0 <= left <= size[1] - plan.size[1]
+        total[top : top + plan.size[0], left : left + plan.size[1]] += weights.of((top, left))
+    assert total.min() > 0
+
+
+def test_several_devices_share_what_would_fit_on_one() -> None:
+    needed = Footprint(1 / 1.1, 0)
+    assert len(tiles.plan_tiles((960, 1280), (40, 40), needed, 960 * 1280).starts) == 1
+    assert len(tiles.plan_tiles((960, 1280), (40, 40), needed, 960 * 1280, devices=4).starts) == 4
+    assert len(tiles.plan_tiles((100, 100), (40, 40), needed, 960 * 1280, devices=4).starts) == 1
+
+
+def test_estimates_that_agree_are_mixed_and_others_are_not() -> None:
+    join, ones = tiles._Join((1, 4), 0.1), np.ones((1, 4), np.float32)
+    join.add(1.0 * ones, 0.75 * ones, (0, 0))
+    join.add(np.array([[1.08, 3.0, np.nan, 1.0]], np.float32), 0.25 * ones, (0, 0))
+    assert np.allclose(join.values, [[1.02, 1.0, 1.0, 1.0]])
+    join.add(5.0 * ones, 2.0 * ones, (0, 0))
+    assert np.allclose(join.values, 5.0)
+
+
+# --- the memory ---
+
+
+@pytest.mark.parametrize(
+    ("text", "size"), [("8GiB", 8 * 2**30), ("500 MB", 500 * 10**6), ("1.5g", 15 * 10**8), ("64", 64), (77, 77)]
+)
+def test_sizes_are_understood(text: str | int, size: int) -> None:
+    assert parse_memory(text) == size
+
+
+@pytest.mark.parametrize("text", ["", "much", "-1GiB", "0", "8 GiB x", 0, True])
+def test_other_sizes_are_refused(text: str | int) -> None:
+    with pytest.raises(LightFieldError, match="max_memory must be a size"):
+        parse_memory(text)
+
+
+def test_too_little_memory_is_an_error_that_says_how_much_it_takes(scene: LightField) -> None:
+    with pytest.raises(LightFieldError, match=r"0\.39 GiB does not suffice: the smallest tiles.* take 0\.\d\d GiB"):
+        estimate_depth(scene, config="fast", disparity_range=RANGE, device="cpu", max_memory="420MB")
+
+
+_MEASURE = """
+import sys
+import numpy as np
+from benchmarks.memory import host_peak, reset_host_peak
+from lfgpu import DepthPipeline, LightField
+from lfgpu.config import preset
+from lfgpu.footprint import footprint
+
+def run(height, width):
+    views = np.random.default_rng(0).integers(0, 256, (5, 5, height, width, 3), np.uint8)
+    lf = LightField.from_grid(views)
+    config = preset(sys.argv[1]).with_values({"sweep.noise": 0.01, "alignment.iterations": 1})
+    used = lf.subset("cross") if sys.argv[1] == "fast" else lf
+    del lf, views
+    pipeline = DepthPipeline(used, config=config, disparity_range=(-1.5, 1.5), device="cpu")
+    pipeline.estimate()
+    return footprint(used, (-1.5, 1.5), config, on_gpu=False).bytes(height, width)
+
+small = run(48, 48)
+reset_host_peak()
+before = host_peak()
+foreseen = run(336, 448) - small
+print(before, foreseen, host_peak() - before, small)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="peak memory is measured as Linux counts it")
+@pytest.mark.parametrize("name", ["accurate", "fast", "paper"])
+def test_memory_is_as_foreseen(name: str) -> None:
+    done = subprocess.run([sys.executable, "-c", _MEASURE, name], cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    before, foreseen, grown, small = map(int, done.stdout.split())
+    assert before <= small
+    assert 0.75 * foreseen < grown < 1.05 * foreseen
+
+
+# --- the command ---
+
+
+def test_depth_takes_a_limit(scene: LightField, tmp_path: Path) -> None:
+    write_hci(scene.crop(slice(0, 60), slice(0, 64)), tmp_path / "in")
+    base = ["depth", str(tmp_path / "in"), "--preset", "fast", "--disparity-range", "-1,1", "--device", "cpu"]
+    outcome = CliRunner().invoke(app, [*base, "-o", str(tmp_path / "out"), "--max-memory", "2GiB"])
+    assert outcome.exit_code == 0, outcome.output
+    assert "In one piece" in outcome.stdout
+    plain = estimate_depth(read(tmp_path / "in"), config="fast", disparity_range=(-1, 1), device="cpu")
+    assert np.array_equal(read_map(tmp_path / "out" / "disparity.pfm"), plain.disparity)
+    for options, words in (
+        (["--max-memory", "lots"], "max_memory must be a size"),
+        (["--max-memory", "2GiB", "--all-views"], "--max-memory is for the map of one view"),
+    ):
+        outcome = CliRunner().invoke(app, [*base, "-o", str(tmp_path / "not"), *options])
+        assert outcome.exit_code == 1
+        assert words in outcome.stderr
+        assert not (tmp_path / "not").exists()
+
+
+# --- views on disk ---
+
+
+def test_views_on_disk_are_those_in_memory(scene: LightField, tmp_path: Path) -> None:
+    small = scene.crop(slice(0, 40), slice(0, 44))
+    write_hci(small, tmp_path / "folder")
+    np.save(tmp_path / "file.npy", small.views.reshape(5, 5, *small.views.shape[1:]))
+    for name in ("folder", "file.npy"):
+        plain, lazy = read(tmp_path / name), read(tmp_path / name, lazy=True)
+        assert is_on_disk(lazy.views)
+        assert not is_on_disk(plain.views)
+        forget(lazy.views)  # it is read again
+        assert np.array_equal(lazy.views, plain.views)
+        assert lazy.notes == plain.notes
+        assert is_on_disk(lazy.crop(slice(3, 9), slice(2, 8)).views)
+    assert not list(tmp_path.glob("lfgpu-*"))
+
+
+def test_what_a_description_names_stays_on_disk_too(scene: LightField, tmp_path: Path) -> None:
+    write_hci(scene.crop(slice(0, 40), slice(0, 44)), tmp_path / "views")
+    (tmp_path / "lightfield.toml").write_text('[source]\npath = "views"\nformat = "hci"\n')
+    assert is_on_disk(read(tmp_path / "lightfield.toml", lazy=True).views)
+
+
+def test_a_file_that_ends_too_early_is_refused_where_it_is_mapped(tmp_path: Path) -> None:
+    path = tmp_path / "file.npy"
+    np.save(path, np.zeros((3, 3, 16, 16, 3), np.uint8))
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(LightFieldError, match=re.escape("file.npy cannot be read as NumPy data: it ends too early")):
+        read(path, lazy=True)
+
+
+def test_views_that_do_not_fit_onto_the_disk_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for place in range(4):
+        Image.fromarray(np.full((8, 9, 3), place, np.uint8)).save(tmp_path / f"v_{place // 2}_{place % 2}.png")
+    monkeypatch.setattr("lfgpu.io.disk.shutil.disk_usage", lambda _: type("Usage", (), {"free": 100}))
+    with pytest.raises(LightFieldError, match="set TMPDIR to a folder with more"):
+        read(tmp_path, lazy=True)
+    with on_disk(False):
+        assert not is_on_disk(read(tmp_path).views)
