@@ -105,7 +105,7 @@ class RefinementConfig(_Checked):
         "lbfgs", ("lbfgs", "lbfgsb"), "bounded L-BFGS on the device, or scipy's L-BFGS-B on the host"
     )  # fmt: skip
     tolerance: float = _number(
-        2.5e-4,
+        2.25e-4,
         0.0,
         1e-1,
         "stop when an iteration, five on average, lowers the energy by less than this share of the first",

@@ -181,7 +181,8 @@ def find_disparity_range(lf: LightField, config: LocalConfig, kernels: KernelSet
     views. LightFieldError where no structure is coherent or disparities reach the end of what is searched.
     """
     lines = [(lf.row(), 0), (lf.column(), 1)]
-    in_line = lf.subset(np.union1d(lf.row(), lf.column()).tolist())  # no others are looked at
+    used = np.union1d(lf.row(), lf.column())  # no others are looked at
+    in_line = lf.subset(used.tolist()) if len(used) > 1 else lf
     spacing = max((_spacing(lf.offsets[line, axis]) for line, axis in lines if len(line) > 1), default=1.0)
     reach = _RANGE_REACH / spacing
     found: dict[int, Float32Array] = {}

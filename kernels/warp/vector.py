@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from .threads import once
@@ -124,6 +123,31 @@ def sum_kernel(parts: wp.array(dtype=wp.float64), total_out: wp.array(dtype=wp.f
     wp.tile_store(total_out, wp.tile_sum(wp.tile(total)))
 
 
+_DOT = """
+    // Eight sums side by side, which a CPU adds to at once; the order is always the same.
+    const size_t size = x.shape[0];
+    const float* __restrict__ const a = x.data;
+    const float* __restrict__ const b = y.data;
+    double totals[8] = {};
+    size_t i = 0;
+    for (; i + 8 <= size; i += 8)
+        for (int j = 0; j < 8; ++j) totals[j] += (double)a[i + j] * (double)b[i + j];
+    for (; i < size; ++i) totals[0] += (double)a[i] * (double)b[i];
+    double sum = 0.0;
+    for (int j = 0; j < 8; ++j) sum += totals[j];
+    product.data[0] = sum;
+"""
+
+
+@wp.func_native(_DOT)
+def _whole_dot(x: wp.array(dtype=float), y: wp.array(dtype=float), product: wp.array(dtype=wp.float64)): ...
+
+
+@wp.kernel(module="lfgpu_vector_cpu", enable_backward=False)
+def _dot_on_cpu_kernel(x: wp.array(dtype=float), y: wp.array(dtype=float), product_out: wp.array(dtype=wp.float64)):
+    _whole_dot(x, y, product_out)
+
+
 @once
 def _parts(device: str) -> Any:
     return wp.empty(_BLOCKS, dtype=wp.float64, device=device)
@@ -132,7 +156,7 @@ def _parts(device: str) -> Any:
 def dot(a: Any, b: Any, product_out: Any) -> None:
     device = a.device
     if device.is_cpu:
-        product_out.numpy()[0] = np.einsum("i,i->", a.numpy().ravel(), b.numpy().ravel(), dtype=np.float64)
+        wp.launch(_dot_on_cpu_kernel, 1, [a.flatten(), b.flatten()], [product_out], device=device)
         return
     parts = _parts(device.alias)
     inputs = [a.flatten(), b.flatten(), _BLOCKS * BLOCK]
