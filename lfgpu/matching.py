@@ -35,7 +35,7 @@ _ON_LINE = 1e-3  # view steps
 _SAMPLE = 256  # pixels, side of what the noise is measured in
 _USUAL_NOISE = 0.004  # intensity: what the defaults are meant for
 _LEAST_NOISE, _MOST_NOISE = 0.7, 5.0  # in units of that
-_DOUBT = 0.28  # pixels per view step, rms, that make a pixel as likely off by more than 0.07 as not
+_DOUBT = 0.22  # pixels per view step, rms, that make a pixel as likely off by more than 0.07 as not
 _CONVERGED = 0.02  # pixels per view step, rms of the last step
 
 
