@@ -161,6 +161,7 @@ class SweepConfig(_Checked):
 class MatchingConfig(_Checked):
     """Matching: the best surface through the costs (semi-global matching, Hirschmüller 2008)."""
 
+    window: int = _number(3, 3, 31, "side of the neighbourhood over which costs are averaged, pixels", odd=True)
     small_step: float = _number(0.00025, 0.0, 10.0, "cost of a change by one of the disparities", symbol="P1")
     large_step: float = _number(0.005, 0.0, 10.0, "cost of a larger change", symbol="P2")
     contrast: float = _number(2.0, 1e-3, 10.0, "difference in intensity that lowers both to 1/e")

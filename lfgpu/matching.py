@@ -35,7 +35,7 @@ _ON_LINE = 1e-3  # view steps
 _SAMPLE = 256  # pixels, side of what the noise is measured in
 _USUAL_NOISE = 0.004  # intensity: what the defaults are meant for
 _LEAST_NOISE, _MOST_NOISE = 0.7, 5.0  # in units of that
-_DOUBT = 0.28  # pixels per view step, rms, that make a pixel as likely off by more than 0.07 as not
+_DOUBT = 0.22  # pixels per view step, rms, that make a pixel as likely off by more than 0.07 as not
 _CONVERGED = 0.02  # pixels per view step, rms of the last step
 
 
@@ -76,6 +76,10 @@ class Matching:
         self._far = None if lf.valid is None else kernels.field(np.full(lf.size, bounds[0]), device)
         self._image = kernels.zeros_image(image, device)
         self._prior = NonLocalMeans(image, config.prior, kernels, device)
+        # Costs of what is nearer reach as far into its corners as they are averaged; maps need more pixels against noise.
+        self._near = self._prior
+        if config.matching.window != config.prior.window:
+            self._near = NonLocalMeans(image, replace(config.prior, window=config.matching.window), kernels, device)
         self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
         self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
         self._nearest = kernels.zeros(shape[:3], device)
@@ -149,6 +153,8 @@ class Matching:
             views, self._reference, self._valid, scale=self._scale, fill=UNLIKE_ANY, image_out=self._image
         )
         self._prior.load(self._image)
+        if self._near is not self._prior:
+            self._near.load(self._image)
         self._sweep.load(self._image, views, self._valid)
         self._align.load(self._image, views, self._valid)
 
@@ -161,7 +167,7 @@ class Matching:
     def _find_surface(self, disparity_out: Array) -> None:
         """From costs to the map of the best surface through them; both volumes change."""
         matching = self._config.matching
-        self._prior.average(self._volume, self._smooth)
+        self._near.average(self._volume, self._smooth)
         self._expect(self._smooth)
         self._kernels.semi_global(
             self._smooth,

@@ -26,7 +26,7 @@ class DepthResult:
         float32 [y, x], 0 to 1, larger is surer; what it means depends on the method.
 
         Matching: about the share of such pixels that are within 0.07 pixels per view step of the truth. It is
-        1 / (1 + (1 - c) / 2 + (s / 0.28)²). c, 0 to 1, is how far texture decided, in the views that see the pixel; s
+        1 / (1 + (1 - c) / 2 + (s / 0.22)²). c, 0 to 1, is how far texture decided, in the views that see the pixel; s
         is the root mean square distance of its disparity from what the matches had been, pixels per view step; both are
         taken over its window with the weights of the prior. So it is low at edges of depth between alike colours, where
         something is hidden, and where later stages disagree with the first. Without texture it is at most 2/3: such

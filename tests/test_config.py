@@ -107,7 +107,7 @@ def test_whole_numbers_are_whole(name: str, field: Any, wrong: float) -> None:
     assert sentence.endswith(".")
 
 
-@pytest.mark.parametrize("name", ["prior.window", "prior.patch"])
+@pytest.mark.parametrize("name", ["prior.window", "prior.patch", "matching.window"])
 def test_sides_of_windows_are_odd(name: str) -> None:
     assert refusal({name: 4}) == f"{name.partition('.')[2]} must be odd, not 4."
 
