@@ -11,9 +11,10 @@ import numpy as np
 
 from benchmarks.errors import BenchmarkError
 from lfgpu.all_views import estimate_all_views
+from lfgpu.config import PRESETS
 from lfgpu.io import read
 from lfgpu.lightfield import LightField
-from lfgpu.render import Renderer
+from lfgpu.render import FOR_RENDERING, Renderer
 from lfgpu.types import Float32Array, Float64Array
 
 DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
@@ -79,7 +80,7 @@ def split(lf: LightField) -> tuple[LightField, list[int]]:
 
 def _measure(name: str, lf: LightField, preset: str, every: int, say: Callable[[str], None]) -> Row:
     kept, left_out = split(lf)
-    render = Renderer(kept, estimate_all_views(kept, config=preset))
+    render = Renderer(kept, estimate_all_views(kept, config=PRESETS[preset].with_values(FOR_RENDERING)))
     wanted = left_out[::every]
     whole, inner = (np.empty((len(wanted), len(METHODS))) for _ in range(2))
     known = []

@@ -76,7 +76,7 @@ class Matching:
         self._far = None if lf.valid is None else kernels.field(np.full(lf.size, bounds[0]), device)
         self._image = kernels.zeros_image(image, device)
         self._prior = NonLocalMeans(image, config.prior, kernels, device)
-        # Costs of what is nearer reach as far into its corners as they are averaged; maps need more pixels against noise.
+        # Costs of what is nearer reach as far into its corners as they are averaged; maps need more against noise.
         self._near = self._prior
         if config.matching.window != config.prior.window:
             self._near = NonLocalMeans(image, replace(config.prior, window=config.matching.window), kernels, device)

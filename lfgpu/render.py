@@ -23,6 +23,9 @@ from lfgpu.splines import colours, sampled, spline, valid_at
 from lfgpu.threads import get_threads
 from lfgpu.types import Float32Array, Float64Array
 
+FOR_RENDERING = {"outlines.contrast": 10.0}
+"""Parameters of maps for rendering: what mixes both sides of an outline shows best with the nearer one."""
+
 _SOURCES = 8
 _SAME = 0.6  # pixels in the farthest view: disparities that differ by this are as likely of one surface as not
 _AGREE = 0.4  # pixels in the farthest view: maps that differ by less are averaged

@@ -17,9 +17,11 @@ from PIL import Image
 import lfgpu
 from lfgpu import scenes
 from lfgpu.all_views import ViewsResult, estimate_all_views
+from lfgpu.config import PRESETS
 from lfgpu.errors import LightFieldError
 from lfgpu.io.frames import write_frames, write_image
 from lfgpu.lightfield import LightField
+from lfgpu.render import FOR_RENDERING
 
 SIZE = (80, 96)
 
@@ -42,7 +44,8 @@ def kept(name: str = "boxes") -> LightField:
 
 @cache
 def maps(name: str = "boxes") -> ViewsResult:
-    return estimate_all_views(kept(name), disparity_range=(-1.6, 1.7))
+    config = PRESETS["accurate"].with_values(FOR_RENDERING)
+    return estimate_all_views(kept(name), config=config, disparity_range=(-1.6, 1.7))
 
 
 @cache

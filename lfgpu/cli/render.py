@@ -85,8 +85,10 @@ def render(
     check_writable(out, folder=not out.suffix)
     place = None if view is None else values.parse_place("--view", view)
     reference = None if reference_view is None else values.parse_place("--reference-view", reference_view)
+    from lfgpu.render import FOR_RENDERING
+
     estimation = Estimation(
-        values.configured(preset, ()),
+        values.configured(preset, ()).with_values(FOR_RENDERING),
         None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
         backend,
         device,
