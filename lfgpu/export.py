@@ -61,7 +61,7 @@ def export_pipeline(
     config, disparity_range
         As for `estimate_depth`; the preset must be one that matches.
     device
-        "cpu" (default) or a GPU, which is untried.
+        "cpu" (default), "cuda" or "cuda:1".
 
     Raises
     ------

@@ -17,7 +17,7 @@ def export(
     disparity_range: Annotated[
         str | None, typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found")
     ] = None,
-    device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu, or cuda, which is untried.")] = "cpu",
+    device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu or cuda.")] = "cpu",
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),

@@ -7,7 +7,7 @@
 // the byte order of the machine, without a header. With REPEATS each frame is solved as often, to be timed.
 //
 // It must be linked with the very version of Warp that wrote FOLDER: README.txt there says how. One process may hold
-// several pipelines, but each belongs to one thread at a time. On a GPU nothing here has been tried.
+// several pipelines, but each belongs to one thread at a time.
 
 #include <chrono>
 #include <cstddef>
