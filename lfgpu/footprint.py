@@ -65,7 +65,10 @@ def footprint(lf: LightField, bounds: tuple[float, float], config: Config, *, on
         kept = views if not on_gpu else padded  # by the sweep
         volumes = 2 * 4 * labels(bounds, lf.offsets, config.sweep)[2]
         rooms = 0 if on_gpu else 2 * 4 * _ROOMS
-        fields = 4 * (14 + 2 * channels)
+        fields = 4 * (24 + 2 * channels)
+        weights += 4 * half_window  # of the filling
+        if config.matching.window != config.prior.window:
+            weights += 2 * 4 * ((config.matching.window**2 - 1) // 2) + 4 * 3 * channels
         return Footprint(host + views + kept + padded + 4 * used + volumes + weights + rooms + fields + masks)
     detail = used * channels * (2 if on_gpu else 4)
     lines = 2 * (len(lf.row()) + len(lf.column())) * channels * 4
