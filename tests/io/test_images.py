@@ -225,7 +225,7 @@ def test_lack_of_memory_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         raise MemoryError
 
     save_named(tmp_path, box(1, 2))
-    monkeypatch.setattr("lfgpu.io.views.np.empty", full)
+    monkeypatch.setattr("lfgpu.io.disk.np.empty", full)
     assert "2 views, each 5 x 4 RGB uint8, do not fit into memory" in refusal(lambda: read(tmp_path))
 
 
