@@ -200,8 +200,8 @@ class FillingConfig(_Checked):
     stiffness: float = _number(
         0.01, 1e-6, 100.0, "curvature over robust², 1 / pixel², that holds a pixel as a neighbour does that looks alike"
     )  # fmt: skip
-    tolerance: float = _number(1e-6, 1e-8, 1e-1, "stop at this residual")
-    max_iterations: int = _number(60, 0, 10000, "stop after as many iterations")
+    tolerance: float = _number(3e-7, 1e-8, 1e-1, "stop at this residual")
+    max_iterations: int = _number(100, 0, 10000, "stop after as many iterations")
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,8 @@ class Matching:
         self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
         self._known = None if lf.valid is None else kernels.field(lf.valid[lf.reference_index], device)
         self._far = None if lf.valid is None else kernels.field(np.full(lf.size, bounds[0]), device)
+        held = config.filling.stiffness * config.alignment.robust**2  # as strongly as one neighbour that looks alike
+        self._held = None if lf.valid is None else kernels.field(np.full(lf.size, held), device)
         self._image = kernels.zeros_image(image, device)
         self._prior = NonLocalMeans(image, config.prior, kernels, device)
         # Costs of what is nearer reach as far into its corners as they are averaged; maps need more against noise.
@@ -215,6 +217,8 @@ class Matching:
             share=config.outlines.share,
             disparity_out=self.disparity,
         )
+        if self._known is not None:  # what the reference did not record is like nothing, and is left as it is
+            self._kernels.choose(self._known, self._curvature, self._held, self._curvature)
         self._filling.run(
             self.disparity,
             self._curvature,

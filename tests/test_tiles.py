@@ -131,11 +131,7 @@ def test_masks_are_those_of_each_tile(scene: LightField, parameters: Config) -> 
     width = tiles._cuts(200, tiles.halo(masked, RANGE, config)[1])[1][1]
     found = in_tiles(masked, config, memory_for(masked, config, 190, width))
     assert found.status.startswith("2 tiles")
-    assert np.abs(found.stages["aligned"] - whole.stages["aligned"]).max() < TOLERANCE
-    # Filling is a solver that stops by the whole map, and has little to hold on to under a mask.
-    apart = np.abs(found.disparity - whole.disparity)
-    assert (apart > TOLERANCE).mean() < 1e-3
-    assert apart.max() < 5 * TOLERANCE
+    assert np.abs(found.disparity - whole.disparity).max() < TOLERANCE
     assert (found.confidence[~valid[scene.reference_index]] == 0).all()
 
 
