@@ -236,12 +236,15 @@ def tiles_(
     case_name: Annotated[str, typer.Option("--case", metavar="NAME")] = "17x17x960x1280",
     preset: Annotated[str, typer.Option(metavar="NAME")] = "accurate",
     device: Annotated[str | None, typer.Option(metavar="NAME", help="Default: all GPUs, or the CPU.")] = None,
-    max_memory: Annotated[str | None, typer.Option(metavar="SIZE", help='"none" for no limit and no tiles.')] = "8GiB",
+    max_memory: Annotated[
+        str, typer.Option(metavar="SIZE,...", help='One estimate for each; "none" for no limit and no tiles.')
+    ] = "8GiB",
 ) -> None:
     """Estimate a light field of planes within a given memory; say what it took in time and memory."""
-    limit = None if max_memory == "none" else max_memory
-    for name, value in tiles.measure(cases.find(case_name), preset, device, limit).items():
-        typer.echo(f"{name:<12} {value}")
+    limits = [None if name == "none" else name for name in _names(max_memory)]
+    for found in tiles.measure(cases.find(case_name), preset, device, limits):
+        for name, value in found.items():
+            typer.echo(f"{name:<12} {value}")
 
 
 @app.command()

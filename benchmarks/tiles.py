@@ -5,7 +5,10 @@ The scene is three textured planes before each other, painted from back to front
 
 from __future__ import annotations
 
+import multiprocessing
 import tempfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -16,36 +19,44 @@ from scipy.ndimage import gaussian_filter
 
 from benchmarks import memory
 from benchmarks.cases import Case
-from lfgpu import DepthResult, LightField, estimate_depth, evaluate, read
+from lfgpu import estimate_depth, evaluate, read
+from lfgpu.threads import in_threads
 
 _PLANES = ((-1.2, None), (0.3, (0.15, 0.75, 0.10, 0.45)), (1.6, (0.40, 0.90, 0.55, 0.90)))
 """Disparity, and (top, bottom, left, right) as shares of the reference view; None is all of it."""
 _GRAIN = (1.2, 3.0, 8.0)  # pixels
 
 
-def measure(case: Case, preset: str, device: str | None, max_memory: str | None) -> dict[str, Any]:
-    """Paint the scene into a file, estimate it from there, and say what that took."""
+def measure(case: Case, preset: str, device: str | None, limits: Sequence[str | None]) -> Iterator[dict[str, Any]]:
+    """Paint the scene into a file, and say what it took to estimate it from there within each limit; None is none."""
     with tempfile.TemporaryDirectory(prefix="lfgpu-benchmarks-") as folder:
         path = Path(folder, "views.npy")
         truth = paint(case, path)
-        lf = read(path, lazy=max_memory is not None)
-        memory.reset_host_peak()
-        before, start = memory.gpu_used(), perf_counter()
-        with memory.GpuPeak() as peak:
-            result = _estimate(lf, preset, device, max_memory)
+        for limit in limits:
+            # A process for each, so that no memory is left from the one before.
+            with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+                found = process.submit(_measured, path, truth, preset, device, limit).result()
+            yield {"case": case.name, "preset": preset, "max_memory": limit, **found}
+
+
+def _measured(
+    path: Path, truth: NDArray[np.float32], preset: str, device: str | None, limit: str | None
+) -> dict[str, Any]:
+    used = memory.gpu_used()
+    with memory.GpuPeak() as peak:
+        start = perf_counter()
+        lf = read(path, lazy=limit is not None)
+        result = estimate_depth(lf, config=preset, device=device, max_memory=limit)
         seconds = perf_counter() - start
-        gpu = None if peak.bytes is None or before is None else peak.bytes - before
-        return {
-            "case": case.name,
-            "preset": preset,
-            "device": result.device,
-            "max_memory": max_memory,
-            "status": result.status,
-            "seconds": seconds,
-            "host_bytes": memory.host_peak(),
-            "gpu_bytes": gpu,
-            "error": str(evaluate(result.disparity, truth)),
-        }
+    return {
+        "device": result.device,
+        "status": result.status,
+        "seconds": seconds,
+        "host_bytes": memory.host_peak(),
+        "gpu_bytes": None if peak.bytes is None or used is None else peak.bytes - used,
+        "timings": {name: round(value, 4) for name, value in result.timings.items()},
+        "error": str(evaluate(result.disparity, truth)),
+    }
 
 
 def paint(case: Case, path: Path, seed: int = 0) -> NDArray[np.float32]:
@@ -55,24 +66,22 @@ def paint(case: Case, path: Path, seed: int = 0) -> NDArray[np.float32]:
     rng = np.random.default_rng(seed)
     planes = [(d, _texture(rng, height, width, edge), _mask(height, width, edge, place)) for d, place in _PLANES]
     views = np.lib.format.open_memmap(path, "w+", np.uint8, (rows, columns, height, width, 3))
-    for v in range(rows):
-        for u in range(columns):
-            image = np.zeros((height, width, 3), np.float32)
-            for d, texture, mask in planes:
-                # What is at x in the middle view is at x - d du here: at x there is what is at x + d du.
-                shift = edge + d * (v - rows // 2), edge + d * (u - columns // 2)
-                covered = _window(mask, shift, (height, width))
-                image += covered * (_window(texture, shift, (height, width)) - image)
-            views[v, u] = np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8)
+
+    def paint_view(place: tuple[int, int]) -> None:
+        image = np.zeros((height, width, 3), np.float32)
+        for d, texture, mask in planes:
+            # What is at x in the middle view is at x - d du here: at x there is what is at x + d du.
+            shift = edge + d * (place[0] - rows // 2), edge + d * (place[1] - columns // 2)
+            covered = _window(mask, shift, (height, width))
+            image += covered * (_window(texture, shift, (height, width)) - image)
+        views[place] = np.clip(image * 255 + 0.5, 0, 255).astype(np.uint8)
+
+    in_threads(paint_view, np.ndindex(rows, columns))
     views.flush()
     truth = np.empty((height, width), np.float32)
     for d, _, mask in planes:
         truth[mask[edge : edge + height, edge : edge + width, 0] > 0] = d
     return truth
-
-
-def _estimate(lf: LightField, preset: str, device: str | None, max_memory: str | None) -> DepthResult:
-    return estimate_depth(lf, config=preset, device=device, max_memory=max_memory)
 
 
 def _texture(rng: np.random.Generator, height: int, width: int, edge: int) -> NDArray[np.float32]:

@@ -10,7 +10,8 @@ from lfgpu.errors import LightFieldError
 from lfgpu.lightfield import LightField
 from lfgpu.matching import labels, used_views
 
-_PROCESS = 500 * 2**20  # bytes: Python, the libraries and the compiled kernels; on a GPU its context
+_PROCESS = 500 * 2**20  # bytes: Python, the libraries and the compiled kernels
+_CONTEXT = 600 * 2**20  # bytes: what a process takes of a GPU before it has any array there
 _SLACK = 1.1  # what allocators round up, and small buffers
 _ROOMS = 16  # slices that work on a CPU is cut into, some of which have room of their own
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
@@ -32,7 +33,7 @@ class Footprint:
     """Bytes that a `DepthPipeline` takes: so many for each pixel of a view, and so many besides."""
 
     per_pixel: float
-    besides: int = _PROCESS
+    besides: int
 
     def bytes(self, height: int, width: int) -> int:
         """Of a pipeline for views of that size, the process or the context of the GPU included."""
@@ -60,6 +61,7 @@ def footprint(lf: LightField, bounds: tuple[float, float], config: Config, *, on
     weights = 2 * 4 * half_window + 4 * 3 * channels  # and what they are made from
     masks = 0 if lf.valid is None else 5 * used
     host = 0 if on_gpu else views + masks  # the tile as it was cut out
+    besides = _CONTEXT if on_gpu else _PROCESS
     if config.method.name == "matching":
         padded = used * (4 if channels == 3 else 2) * stored  # a pixel with whether it is valid
         kept = views if not on_gpu else padded  # by the sweep
@@ -69,8 +71,10 @@ def footprint(lf: LightField, bounds: tuple[float, float], config: Config, *, on
         weights += 4 * half_window  # of the filling
         if config.matching.window != config.prior.window:
             weights += 2 * 4 * ((config.matching.window**2 - 1) // 2) + 4 * 3 * channels
-        return Footprint(host + views + kept + padded + 4 * used + volumes + weights + rooms + fields + masks)
+        per_pixel = host + views + kept + padded + 4 * used + volumes + weights + rooms + fields + masks
+        return Footprint(per_pixel, besides)
     detail = used * channels * (2 if on_gpu else 4)
     lines = 2 * (len(lf.row()) + len(lf.column())) * channels * 4
     solvers = 4 * 40  # pairs of steps that L-BFGS remembers, and what else it keeps
-    return Footprint(host + views + 3 * detail + 8 * used + lines + weights + solvers + masks)
+    per_pixel = host + views + 3 * detail + 8 * used + lines + weights + solvers + masks
+    return Footprint(per_pixel, besides)

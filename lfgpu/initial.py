@@ -187,10 +187,12 @@ def find_disparity_range(lf: LightField, config: LocalConfig, kernels: KernelSet
     reach = _RANGE_REACH / spacing
     found: dict[int, Float32Array] = {}
     share: dict[int, float] = {}
+    shrunk, done = in_line, 1  # each level is made from the one before
     for level in _RANGE_LEVELS:
         if level == _RANGE_LEVELS[0] or min(lf.size) // level >= _RANGE_LEAST:
             level = max(1, min(level, min(lf.size) // _RANGE_LEAST))
-            shrunk = in_line.downsampled(level)
+            shrunk = shrunk.downsampled(level // done)
+            done = level
             coarse = LocalEstimator(shrunk, (-reach, reach), config, kernels, device)
             coarse.run(kernels.image(shrunk.views, device))
             found[level] = _without_outliers(kernels.numpy(coarse.disparity), kernels.numpy(coarse.coherence))

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfgpu import interop
 from lfgpu.errors import LightFieldError
 from lfgpu.geometry import Geometry
+from lfgpu.threads import in_threads
 
 PATTERNS = ("full", "star", "cross", "row", "column")
 """Names that `LightField.subset` knows: all views; the reference's row, column and diagonals; row and column; one."""
@@ -328,20 +329,23 @@ class LightField:
         if not 1 <= factor <= min(self.size):
             raise LightFieldError(f"views of {self.size[0]} x {self.size[1]} pixels cannot be shrunk {factor} times.")
         height, width = (side // factor for side in self.size)
-        # Whole rows and then columns are added: a mean over blocks goes through memory a pixel at a time.
-        rows = np.zeros((len(self.views), height, self.size[1], self.channels), np.float32)
-        for k in range(factor):
-            rows += self.views[:, k : height * factor : factor]
-        total = np.zeros((len(self.views), height, width, self.channels), np.float32)
-        for k in range(factor):
-            total += rows[:, :, k : width * factor : factor]
+        views = np.empty((len(self.views), height, width, self.channels), np.float32)
+
+        def shrink(index: int) -> None:
+            # Whole rows and then columns are added: a mean over blocks goes through memory a pixel at a time.
+            view = self.views[index]
+            rows = sum(view[k : height * factor : factor].astype(np.float32) for k in range(factor))
+            total = sum(rows[:, k : width * factor : factor] for k in range(factor))
+            np.multiply(total, np.float32(self.scale / factor**2), out=views[index])
+
+        in_threads(shrink, range(len(views)))
         valid = None
         if self.valid is not None:
             cut = self.valid[:, : height * factor, : width * factor]
             valid = np.asarray(cut.reshape(len(cut), height, factor, width, factor).all(axis=(2, 4)))
         return replace(
             self,
-            views=total * np.float32(self.scale / factor**2),
+            views=views,
             valid=valid,
             geometry=None,
             truth=None,

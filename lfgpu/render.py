@@ -8,7 +8,6 @@ something that hides the surface. Looking colours up keeps them sharper than spl
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +19,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.lightfield import LightField
 from lfgpu.matching import farthest
 from lfgpu.splines import colours, sampled, spline, valid_at
-from lfgpu.threads import get_threads
+from lfgpu.threads import in_threads
 from lfgpu.types import Float32Array, Float64Array
 
 FOR_RENDERING = {"outlines.contrast": 10.0}
@@ -120,8 +119,7 @@ class Renderer:
         if np.isnan(disparity).all():
             raise LightFieldError(f"{lf.name}: nothing recorded is seen from row {place[1]:g}, column {place[0]:g}.")
         disparity = filled_from_behind(disparity)
-        with ThreadPoolExecutor(get_threads()) as pool:
-            looks = list(pool.map(lambda n: self._look(n, place, disparity, _SAME / reach), chosen))
+        looks = in_threads(lambda n: self._look(n, place, disparity, _SAME / reach), chosen)
         image, known = _blended(looks, distance[chosen])
         u, v = place
         return RenderedView(image, disparity, known, (float(u), float(v)))

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import TypeVar
 
 from lfgpu.errors import LfgpuError
+
+_Item = TypeVar("_Item")
+_Done = TypeVar("_Done")
 
 _VARIABLE = "LFGPU_THREADS"
 _chosen: int | None = None
@@ -39,6 +44,15 @@ def get_threads() -> int:
         return _chosen
     given = os.environ.get(_VARIABLE)
     return _checked(given, f"${_VARIABLE}") if given else _cores()
+
+
+def in_threads(work: Callable[[_Item], _Done], items: Iterable[_Item]) -> list[_Done]:
+    """What `work` returns for each item, called on all threads; its first error, in the order of the items, ends it.
+
+    For work that leaves the interpreter's lock, as large operations of NumPy and decoders of images do.
+    """
+    with ThreadPoolExecutor(get_threads()) as pool:
+        return list(pool.map(work, items))
 
 
 def _cores() -> int:

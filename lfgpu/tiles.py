@@ -31,6 +31,7 @@ from lfgpu.io.disk import forget, is_on_disk
 from lfgpu.lightfield import LightField
 from lfgpu.matching import farthest, measured_noise, used_views
 from lfgpu.result import DepthResult
+from lfgpu.threads import in_threads
 from lfgpu.types import KernelSet
 
 if TYPE_CHECKING:
@@ -228,13 +229,15 @@ class _Estimator:
 def _tile(lf: LightField, used: Sequence[int], start: tuple[int, int], size: tuple[int, int]) -> LightField:
     y, x = (slice(first, first + side) for first, side in zip(start, size, strict=True))
     window, chosen = lf.crop(y, x), list(used)
-    views, looked_at = np.empty((len(chosen), *window.views.shape[1:]), window.views.dtype), 0
-    for view, index in zip(views, chosen, strict=True):
-        view[...] = window.views[index]
-        looked_at += lf.views[index].nbytes
-        if looked_at > _LOOKED_AT:  # what was read of a file counts as memory of the process
-            forget(lf.views)
-            looked_at = 0
+    views = np.empty((len(chosen), *window.views.shape[1:]), window.views.dtype)
+
+    def copy(place: int) -> None:
+        views[place] = window.views[chosen[place]]
+
+    at_once = max(1, _LOOKED_AT // lf.views[0].nbytes)
+    for first in range(0, len(chosen), at_once):
+        in_threads(copy, range(first, min(first + at_once, len(chosen))))
+        forget(lf.views)  # what was read of a file counts as memory of the process
     return replace(
         window,
         views=views,

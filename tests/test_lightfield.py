@@ -190,6 +190,18 @@ def test_downsampled_means_blocks(views: NDArray[np.uint8]) -> None:
     assert (coarse.geometry, coarse.truth) == (None, None)
 
 
+def test_downsampled_twice_is_downsampled_further() -> None:
+    """Up to what fills no block, which is left out at the end."""
+    rng = np.random.default_rng(0)
+    fine = LightField.from_grid(rng.integers(0, 256, (3, 3, 75, 93, 3), np.uint8), valid=rng.random((9, 75, 93)) < 0.99)
+    once, twice = fine.downsampled(8), fine.downsampled(4).downsampled(2)
+    assert once.views.shape == twice.views.shape == (9, 9, 11, 3)
+    np.testing.assert_allclose(twice.views, once.views, rtol=1e-5)
+    assert once.valid is not None
+    assert np.array_equal(once.valid, twice.valid)
+    assert 0 < once.valid.mean() < 1
+
+
 def test_downsampled_leaves_out_what_fills_no_block(light_field: LightField) -> None:
     assert light_field.downsampled(4).size == (1, 2)
     assert light_field.downsampled(1).size == (HEIGHT, WIDTH)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import mmap
 import shutil
 import tempfile
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -36,7 +37,7 @@ def wanted_on_disk() -> bool:
 
 
 class Collected:
-    """Arrays of one shape and type, one after the other, as one array [n, ...] in memory or in a temporary file.
+    """Arrays of one shape and type as one array [n, ...] in memory or in a temporary file, filled by several threads.
 
     The file lies in the system's folder for such (`TMPDIR`), has no name there and is gone with the array.
 
@@ -55,8 +56,8 @@ class Collected:
 
     def __init__(self, source: Path, count: int, like: NDArray[Any]) -> None:
         self._source, self._shape, self._dtype = source, (count, *like.shape), like.dtype
-        self._filled, needed = 0, count * like.nbytes
         self._file: IO[bytes] | None = None
+        self._writing, needed = threading.Lock(), count * like.nbytes
         if wanted_on_disk():
             self._check_disk(needed)
             self._file = tempfile.TemporaryFile(prefix="lfgpu-")  # noqa: SIM115 - the array lives as long as it
@@ -64,19 +65,20 @@ class Collected:
             check_memory(source, needed, advice="read fewer views, or leave them on disk (lazy=True, --max-memory)")
             self._array = np.empty(self._shape, self._dtype)
 
-    def append(self, values: NDArray[Any]) -> None:
-        """Take the next one."""
+    def put(self, index: int, values: NDArray[Any]) -> None:
+        """Take the one that comes at `index`."""
         if self._file is None:
-            self._array[self._filled] = values
-        else:
-            try:
+            self._array[index] = values
+            return
+        try:
+            with self._writing:
+                self._file.seek(index * values.nbytes)
                 self._file.write(np.ascontiguousarray(values).data)  # a full disk is an error here; mapped, a crash
-            except OSError as error:
-                raise LightFieldError(
-                    f"{self._source}: the views cannot be unpacked into {tempfile.gettempdir()}: {error.strerror}; set "
-                    "TMPDIR to a folder with more room."
-                ) from error
-        self._filled += 1
+        except OSError as error:
+            raise LightFieldError(
+                f"{self._source}: the views cannot be unpacked into {tempfile.gettempdir()}: {error.strerror}; set "
+                "TMPDIR to a folder with more room."
+            ) from error
 
     def array(self) -> NDArray[Any]:
         """All of them."""

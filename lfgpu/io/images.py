@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import threading
 import warnings
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,35 @@ FLOAT64_ROUNDED = "float64 values rounded to float32"
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BITS_TAG, _PLANAR_TAG = 258, 284
 _OTHER_BYTE = {"16B": "16L", "16L": "16B", "16N": "16B" if np.little_endian else "16L"}
+
+
+class _Filters:
+    """What becomes of Pillow's warnings while it decodes.
+
+    Filters belong to the whole process: the first of several threads sets them, the last one sets them back.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._before = threading.Lock(), 0, warnings.catch_warnings()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self._inside += 1
+            if self._inside == 1:
+                self._before = warnings.catch_warnings()
+                self._before.__enter__()
+                warnings.simplefilter("ignore", UserWarning)  # of damaged remarks about the image
+                # Pillow warns first and refuses from twice that size on; both are far beyond any view.
+                warnings.simplefilter("error", Image.DecompressionBombWarning)
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                self._before.__exit__(None, None, None)
+
+
+_FILTERS = _Filters()
 
 
 def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[NDArray[Any], frozenset[str]]:
@@ -65,10 +95,7 @@ def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[ND
 
 def _decode(path: Path) -> NDArray[Any]:
     """[y, x] or [y, x, c] with c = 1 to 4, in whatever dtype the file has."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of damaged remarks about the image
-        # Pillow warns first and refuses from twice that size on; both are far beyond any view.
-        warnings.simplefilter("error", Image.DecompressionBombWarning)
+    with _FILTERS:
         try:
             with Image.open(path) as image:
                 # Four bytes a pixel whatever the mode: a bound on what decoding takes.

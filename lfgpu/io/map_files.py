@@ -141,9 +141,7 @@ def write_npz(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> N
     arrays = {"disparity": values.disparity, "confidence": values.confidence, "depth": values.depth}
     kept: dict[str, NDArray[Any]] = {name: array for name, array in arrays.items() if array is not None}
     with path.open("wb") as file:
-        np.savez_compressed(
-            file, allow_pickle=False, **kept, **{NPZ_KEY: np.array(map_about(values, invalid=_INVALID))}
-        )
+        np.savez(file, allow_pickle=False, **kept, **{NPZ_KEY: np.array(map_about(values, invalid=_INVALID))})
 
 
 def read_numpy(path: Path) -> DisparityMap:

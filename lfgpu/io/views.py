@@ -1,4 +1,4 @@
-"""Many image files as one array of views, read one by one into memory or onto disk, refused if they are not alike."""
+"""Many image files as one array of views, in memory or on disk, refused if they are not alike."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lfgpu.errors import LightFieldError
 from lfgpu.io.disk import Collected
 from lfgpu.io.images import read_image
+from lfgpu.threads import in_threads
 
 
 def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
@@ -41,16 +42,20 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
         raise LightFieldError(
             f"{files[0].parent}: {len(files)} views, each {_kind(first)}, do not fit into memory; read fewer views."
         ) from error
-    views.append(first)
-    counts = Counter(remarks)
-    for file in files[1:]:
-        image, remarks = read_image(file)
+    views.put(0, first)
+
+    def read(index: int) -> frozenset[str]:
+        image, remarks = read_image(files[index])
         if image.shape != first.shape or image.dtype != first.dtype:
             raise LightFieldError(
-                f"the views in {file.parent} are not alike: {files[0].name} is {_kind(first)}, "
-                f"{file.name} is {_kind(image)}; all views must have one size, colour and depth of bits."
+                f"the views in {files[index].parent} are not alike: {files[0].name} is {_kind(first)}, "
+                f"{files[index].name} is {_kind(image)}; all views must have one size, colour and depth of bits."
             )
-        views.append(image)
+        views.put(index, image)
+        return remarks
+
+    counts = Counter(remarks)
+    for remarks in in_threads(read, range(1, len(files))):
         counts.update(remarks)
     notes = tuple(f"{remark.capitalize()} in {count} of {len(files)} views." for remark, count in counts.items())
     return views.array(), notes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import warnings
 import zlib
 from pathlib import Path
 from typing import Any
@@ -194,6 +195,23 @@ def test_unlike_views_are_refused_by_name(tmp_path: Path, other: NDArray[Any], f
     assert str(tmp_path) in text
     assert "view_00_00.png is 5 x 4 RGB uint8" in text
     assert f"view_00_01.png is {found}" in text
+
+
+def test_many_threads_read_what_one_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In their order, the first of several bad files is named, and Python's filters of warnings are as they were."""
+    values = np.random.default_rng(0).integers(0, 256, (4, 8, 30, 40, 3), np.uint8)
+    for row, column in np.ndindex(4, 8):
+        Image.fromarray(values[row, column]).save(tmp_path / f"{row}_{column}.png")
+    before = list(warnings.filters)
+    for threads in ("1", "8"):
+        monkeypatch.setenv("LFGPU_THREADS", threads)
+        for lazy in (False, True):
+            assert np.array_equal(read(tmp_path, lazy=lazy).views, values.reshape(32, 30, 40, 3))
+    for name in ("3_7.png", "1_2.png"):
+        (tmp_path / name).write_bytes(b"no picture")
+    for _ in range(5):
+        assert "1_2.png cannot be read as an image" in refusal(lambda: read(tmp_path))
+    assert list(warnings.filters) == before
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg", "bmp", "tif"])
