@@ -11,9 +11,11 @@ from lfgpu.lightfield import LightField
 from lfgpu.matching import labels, used_views
 
 _PROCESS = 500 * 2**20  # bytes: Python, the libraries and the compiled kernels
-_CONTEXT = 600 * 2**20  # bytes: what a process takes of a GPU before it has any array there
+_CONTEXT = 640 * 2**20  # bytes: what a process takes of a GPU whatever the sizes, most of it before it has any array
 _SLACK = 1.1  # what allocators round up, and small buffers
 _ROOMS = 16  # slices that work on a CPU is cut into, some of which have room of their own
+_BATCH = 16  # views that a GPU normalises at a time
+_PLACES = 3  # places on a line of views that a structure tensor is summed over
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
 
@@ -73,8 +75,12 @@ def footprint(lf: LightField, bounds: tuple[float, float], config: Config, *, on
             weights += 2 * 4 * ((config.matching.window**2 - 1) // 2) + 4 * 3 * channels
         per_pixel = host + views + kept + padded + 4 * used + volumes + weights + rooms + fields + masks
         return Footprint(per_pixel, besides)
-    detail = used * channels * (2 if on_gpu else 4)
-    lines = 2 * (len(lf.row()) + len(lf.column())) * channels * 4
-    solvers = 4 * 40  # pairs of steps that L-BFGS remembers, and what else it keeps
-    per_pixel = host + views + 3 * detail + 8 * used + lines + weights + solvers + masks
-    return Footprint(per_pixel, besides)
+    solvers = 4 * 64 if on_gpu else 4 * 40  # pairs of steps that L-BFGS remembers, and what else it keeps
+    if on_gpu:
+        details = used * 2 * (channels + (4 if channels == 3 else 2))  # as they are and packed, in half precision
+        batch = min(used, _BATCH) * (2 * 4 * channels + 3 * 4)  # of the normalisation
+        lines = (len(lf.row()) + len(lf.column())) * channels * stored + 4 * _PLACES * 4 * channels
+    else:
+        details = 3 * used * 4 * channels
+        batch, lines = 0, 2 * (len(lf.row()) + len(lf.column())) * 4 * channels
+    return Footprint(host + views + details + 8 * used + batch + lines + weights + solvers + masks, besides)

@@ -181,18 +181,16 @@ def find_disparity_range(lf: LightField, config: LocalConfig, kernels: KernelSet
     views. LightFieldError where no structure is coherent or disparities reach the end of what is searched.
     """
     lines = [(lf.row(), 0), (lf.column(), 1)]
-    used = np.union1d(lf.row(), lf.column())  # no others are looked at
-    in_line = lf.subset(used.tolist()) if len(used) > 1 else lf
+    used = "cross" if lf.pattern("cross").sum() > 1 else "full"  # no others are looked at; a lone view is refused below
     spacing = max((_spacing(lf.offsets[line, axis]) for line, axis in lines if len(line) > 1), default=1.0)
     reach = _RANGE_REACH / spacing
     found: dict[int, Float32Array] = {}
     share: dict[int, float] = {}
-    shrunk, done = in_line, 1  # each level is made from the one before
+    shrunk, done = lf, 1  # each level is made from the one before
     for level in _RANGE_LEVELS:
         if level == _RANGE_LEVELS[0] or min(lf.size) // level >= _RANGE_LEAST:
             level = max(1, min(level, min(lf.size) // _RANGE_LEAST))
-            shrunk = shrunk.downsampled(level // done)
-            done = level
+            shrunk, done = shrunk.downsampled(level // done, which=used), level
             coarse = LocalEstimator(shrunk, (-reach, reach), config, kernels, device)
             coarse.run(kernels.image(shrunk.views, device))
             found[level] = _without_outliers(kernels.numpy(coarse.disparity), kernels.numpy(coarse.coherence))

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfgpu import interop
 from lfgpu.errors import LightFieldError
 from lfgpu.geometry import Geometry
-from lfgpu.threads import in_threads
+from lfgpu.mapping import each_view
 
 PATTERNS = ("full", "star", "cross", "row", "column")
 """Names that `LightField.subset` knows: all views; the reference's row, column and diagonals; row and column; one."""
@@ -275,26 +275,11 @@ class LightField:
 
         The reference is always kept. LightFieldError if fewer than two views remain.
         """
-        if isinstance(which, str):
-            keep = self.pattern(which)
-        else:
-            wanted = np.asarray(which, np.int64)
-            if wanted.size and not (wanted.min() >= 0 and wanted.max() < len(self.views)):
-                raise LightFieldError(f"view indices must be 0 to {len(self.views) - 1}, found {wanted.tolist()}.")
-            keep = np.zeros(len(self.views), np.bool_)
-            keep[wanted] = True
-        keep[self.reference_index] = True
-        if keep.sum() < 2:
-            raise LightFieldError(
-                f"{self.name}: the subset {which!r} leaves the reference view alone; take more views."
-            )
-        return replace(
-            self,
-            views=self.views[keep],
-            positions=self.positions[keep],
-            reference=int(keep[: self.reference_index].sum()),
-            valid=None if self.valid is None else self.valid[keep],
-            files=tuple(file for file, kept in zip(self.files, keep, strict=False) if kept),
+        keep = self._chosen(which)
+        if keep.all():
+            return self
+        return self._with_views(
+            np.flatnonzero(keep), self.views[keep], None if self.valid is None else self.valid[keep]
         )
 
     def crop(self, y: slice, x: slice) -> LightField:
@@ -320,39 +305,62 @@ class LightField:
             files=(),
         )
 
-    def downsampled(self, factor: int) -> LightField:
+    def downsampled(self, factor: int, *, which: str | Sequence[int] = "full") -> LightField:
         """A coarser pyramid level: means over `factor` x `factor` pixels as float32; disparities shrink by `factor`.
 
         A coarse pixel is valid where all its pixels are. Geometry and ground truth belong to full size and are left
-        out, as are rows and columns that do not fill a block.
+        out, as are rows and columns that do not fill a block, and all views but those that `which` names, as for
+        `subset`.
         """
         if not 1 <= factor <= min(self.size):
             raise LightFieldError(f"views of {self.size[0]} x {self.size[1]} pixels cannot be shrunk {factor} times.")
         height, width = (side // factor for side in self.size)
-        views = np.empty((len(self.views), height, width, self.channels), np.float32)
+        chosen = np.flatnonzero(self._chosen(which))
+        views = np.empty((len(chosen), height, width, self.channels), np.float32)
 
-        def shrink(index: int) -> None:
+        def shrink(place: int, view: NDArray[Any]) -> None:
             # Whole rows and then columns are added: a mean over blocks goes through memory a pixel at a time.
-            view = self.views[index]
-            rows = sum(view[k : height * factor : factor].astype(np.float32) for k in range(factor))
-            total = sum(rows[:, k : width * factor : factor] for k in range(factor))
-            np.multiply(total, np.float32(self.scale / factor**2), out=views[index])
+            blocks = view[: height * factor].reshape(height, factor, -1, self.channels)
+            rows = np.add.reduce(blocks, axis=1, dtype=np.float32)[:, : width * factor]
+            np.einsum("yxkc->yxc", rows.reshape(height, width, factor, -1), out=views[place])
+            views[place] *= np.float32(self.scale / factor**2)
 
-        in_threads(shrink, range(len(views)))
+        each_view(self.views, chosen.tolist(), shrink)
         valid = None
         if self.valid is not None:
-            cut = self.valid[:, : height * factor, : width * factor]
+            cut = self.valid[chosen, : height * factor, : width * factor]
             valid = np.asarray(cut.reshape(len(cut), height, factor, width, factor).all(axis=(2, 4)))
-        return replace(
-            self,
-            views=views,
-            valid=valid,
-            geometry=None,
-            truth=None,
-            files=(),
-        )
+        return self._with_views(chosen, views, valid, geometry=None, truth=None, files=())
 
     # --- helpers ---
+
+    def _chosen(self, which: str | Sequence[int]) -> NDArray[np.bool_]:
+        """Whether each view is one of those that `subset` leaves."""
+        if isinstance(which, str):
+            keep = self.pattern(which)
+        else:
+            wanted = np.asarray(which, np.int64)
+            if wanted.size and not (wanted.min() >= 0 and wanted.max() < len(self.views)):
+                raise LightFieldError(f"view indices must be 0 to {len(self.views) - 1}, found {wanted.tolist()}.")
+            keep = np.zeros(len(self.views), np.bool_)
+            keep[wanted] = True
+        keep[self.reference_index] = True
+        if keep.sum() < 2:
+            raise LightFieldError(
+                f"{self.name}: the subset {which!r} leaves the reference view alone; take more views."
+            )
+        return keep
+
+    def _with_views(
+        self, chosen: NDArray[np.intp], views: NDArray[Any], valid: NDArray[np.bool_] | None, **others: Any
+    ) -> LightField:
+        """With these views in the place of the chosen ones, without all others, and with other fields changed."""
+        fields = {
+            "positions": self.positions[chosen],
+            "reference": int((chosen < self.reference_index).sum()),
+            "files": tuple(self.files[index] for index in chosen) if self.files else (),
+        }
+        return replace(self, views=views, valid=valid, **{**fields, **others})
 
     def _find(self, u: float, v: float) -> int | None:
         found = np.flatnonzero(np.abs(self.positions - (u, v)).max(1) < _POSITION_TOLERANCE)

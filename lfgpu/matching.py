@@ -286,9 +286,8 @@ def measured_noise(
     It is the median of the least costs in the middle of the image, of the half of its pixels where they vary most: what
     has no texture agrees at all disparities.
     """
+    lf = lf.crop(*(slice(max(0, (side - _SAMPLE) // 2), (side + _SAMPLE) // 2) for side in lf.size))
     lf = lf.subset(used_views(lf, "cross"))
-    height, width = lf.size
-    lf = lf.crop(*(slice(max(0, (n - _SAMPLE) // 2), (n + _SAMPLE) // 2) for n in (height, width)))
     place = labels(bounds, lf.offsets, config)
     sweep, volume = _planned_sweep(lf, place, config, kernels, device), kernels.zeros((place[2], *lf.size), device)
     views, image = kernels.image(lf.views, device), kernels.zeros_image((*lf.size, lf.channels), device)

@@ -27,11 +27,10 @@ from lfgpu.config import Config
 from lfgpu.errors import LightFieldError
 from lfgpu.footprint import Footprint, footprint
 from lfgpu.initial import find_disparity_range
-from lfgpu.io.disk import forget, is_on_disk
 from lfgpu.lightfield import LightField
+from lfgpu.mapping import each_view, forget, is_mapped
 from lfgpu.matching import farthest, measured_noise, used_views
 from lfgpu.result import DepthResult
-from lfgpu.threads import in_threads
 from lfgpu.types import KernelSet
 
 if TYPE_CHECKING:
@@ -40,8 +39,6 @@ if TYPE_CHECKING:
 _CONTEXT = 32  # pixels at the edge of a tile from which semi-global matching learns where its paths come from
 _RAMP = 16  # pixels over which one tile passes into the next
 _LEAST_STRIDE = 16  # pixels from a tile to the next: below that, all is halo
-_NOISE_WINDOW = 256  # pixels, side of what the noise is measured in
-_LOOKED_AT = 2**26  # bytes of views on disk that are forgotten together
 _SAME = 0.4  # pixels in the farthest view: estimates that differ by more are of two surfaces, and have no mean
 
 Progress = Callable[[str, int, float], None]
@@ -119,7 +116,7 @@ def estimate_in_tiles(
     devices = [name for name in kernels.devices() if name != "cpu"] if several else [first]
     bounds, config = whole_light_field(lf, disparity_range, config, kernels, first)
 
-    in_memory = 0 if on_gpu or is_on_disk(lf.views) else lf.views.nbytes
+    in_memory = 0 if on_gpu or is_mapped(lf.views) else lf.views.nbytes
     kept = 4 * 8 * lf.size[0] * lf.size[1]  # maps of all tiles, and joined
     needed = footprint(lf, bounds, config, on_gpu=on_gpu)
     limit = max_memory - in_memory - (0 if on_gpu else kept)
@@ -144,11 +141,9 @@ def whole_light_field(
     device: str,
 ) -> tuple[tuple[float, float], Config]:
     """What is measured on a light field as a whole, if it is not given: its range of disparities and its noise."""
-    looked_at = lf.subset("cross") if lf.pattern("cross").sum() > 1 else lf  # which is refused, with the reason
-    bounds = disparity_range or find_disparity_range(looked_at, config.local, kernels, device)
+    bounds = disparity_range or find_disparity_range(lf, config.local, kernels, device)
     if config.method.name == "matching" and not config.sweep.noise:
-        middle = (slice(max(0, (side - _NOISE_WINDOW) // 2), (side + _NOISE_WINDOW) // 2) for side in lf.size)
-        noise = measured_noise(lf.crop(*middle), bounds, config.sweep, kernels, device)
+        noise = measured_noise(lf, bounds, config.sweep, kernels, device)
         config = config.with_values({"sweep.noise": noise})
     forget(lf.views)
     return bounds, config
@@ -231,13 +226,10 @@ def _tile(lf: LightField, used: Sequence[int], start: tuple[int, int], size: tup
     window, chosen = lf.crop(y, x), list(used)
     views = np.empty((len(chosen), *window.views.shape[1:]), window.views.dtype)
 
-    def copy(place: int) -> None:
-        views[place] = window.views[chosen[place]]
+    def copy(place: int, view: NDArray[Any]) -> None:
+        views[place] = view
 
-    at_once = max(1, _LOOKED_AT // lf.views[0].nbytes)
-    for first in range(0, len(chosen), at_once):
-        in_threads(copy, range(first, min(first + at_once, len(chosen))))
-        forget(lf.views)  # what was read of a file counts as memory of the process
+    each_view(window.views, chosen, copy)
     return replace(
         window,
         views=views,

@@ -380,18 +380,23 @@ def problem(scene: str, target: Any) -> Problem:
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_lbfgs_ends_as_low_as_scipy(target: Any, scene: str) -> None:
-    """With the default tolerance, at which both stop before the minimum."""
+    """With the default tolerance, at which both stop before the minimum, ours the lower.
+
+    On the way down more pixels of `boxes` get wrong, so ours lie between scipy's and those of scipy further down.
+    """
     case = problem(scene, target)
     own, scipy = (case.solved(solver) for solver in (BoundedLbfgs, ScipyLbfgsb))
+    further = case.solved(ScipyLbfgsb, tolerance=1e-5)
     first, lowest = scipy.solution.trace[0], scipy.solution.trace[-1]
     assert own.solution.trace[0] == pytest.approx(first, rel=1e-6)
     assert lowest < 0.95 * first
     assert own.solution.trace[-1] <= 1.005 * lowest
     truth = case.lf.reference_truth()
     assert truth is not None
-    found, want = (evaluate(values, truth.disparity) for values in (own.values, scipy.values))
+    found, want, later = (evaluate(solved.values, truth.disparity) for solved in (own, scipy, further))
     assert found.mse_100 == pytest.approx(want.mse_100, rel=0.05, abs=0.01)
-    assert found.badpix_07 == pytest.approx(want.badpix_07, abs=1.0)
+    least, most = sorted((want.badpix_07, later.badpix_07))
+    assert least - 1.0 <= found.badpix_07 <= most + 1.0
     assert found.badpix_03 == pytest.approx(want.badpix_03, abs=3.0)
     assert own.solution.converged
     assert scipy.solution.converged

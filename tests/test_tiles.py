@@ -19,7 +19,8 @@ from lfgpu.cli import app
 from lfgpu.config import Config, preset
 from lfgpu.footprint import Footprint, footprint, parse_memory
 from lfgpu.io import read_map, write_hci
-from lfgpu.io.disk import forget, is_on_disk, on_disk
+from lfgpu.io.disk import on_disk
+from lfgpu.mapping import forget, is_mapped
 
 ROOT = Path(__file__).parents[1]
 RANGE = (-0.8, 0.8)
@@ -273,19 +274,19 @@ def test_views_on_disk_are_those_in_memory(scene: LightField, tmp_path: Path) ->
     np.save(tmp_path / "file.npy", small.views.reshape(5, 5, *small.views.shape[1:]))
     for name in ("folder", "file.npy"):
         plain, lazy = read(tmp_path / name), read(tmp_path / name, lazy=True)
-        assert is_on_disk(lazy.views)
-        assert not is_on_disk(plain.views)
+        assert is_mapped(lazy.views)
+        assert not is_mapped(plain.views)
         forget(lazy.views)  # it is read again
         assert np.array_equal(lazy.views, plain.views)
         assert lazy.notes == plain.notes
-        assert is_on_disk(lazy.crop(slice(3, 9), slice(2, 8)).views)
+        assert is_mapped(lazy.crop(slice(3, 9), slice(2, 8)).views)
     assert not list(tmp_path.glob("lfgpu-*"))
 
 
 def test_what_a_description_names_stays_on_disk_too(scene: LightField, tmp_path: Path) -> None:
     write_hci(scene.crop(slice(0, 40), slice(0, 44)), tmp_path / "views")
     (tmp_path / "lightfield.toml").write_text('[source]\npath = "views"\nformat = "hci"\n')
-    assert is_on_disk(read(tmp_path / "lightfield.toml", lazy=True).views)
+    assert is_mapped(read(tmp_path / "lightfield.toml", lazy=True).views)
 
 
 def test_a_file_that_ends_too_early_is_refused_where_it_is_mapped(tmp_path: Path) -> None:
@@ -303,4 +304,4 @@ def test_views_that_do_not_fit_onto_the_disk_are_refused(tmp_path: Path, monkeyp
     with pytest.raises(LightFieldError, match="set TMPDIR to a folder with more"):
         read(tmp_path, lazy=True)
     with on_disk(False):
-        assert not is_on_disk(read(tmp_path).views)
+        assert not is_mapped(read(tmp_path).views)

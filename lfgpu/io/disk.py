@@ -1,12 +1,11 @@
-"""Views that stay on disk: arrays that are mapped into memory, of which only what is looked at takes any."""
+"""Whether views stay on disk, and those that are unpacked for that."""
 
 from __future__ import annotations
 
-import mmap
 import shutil
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.limits import check_memory
+from lfgpu.mapping import mapped
 
 _WANTED: ContextVar[bool] = ContextVar("views stay on disk", default=False)
 
@@ -85,7 +85,7 @@ class Collected:
         if self._file is None:
             return self._array
         self._file.flush()
-        return np.asarray(np.memmap(self._file, self._dtype, "c", shape=self._shape))
+        return mapped(self._file, self._shape, self._dtype)
 
     def _check_disk(self, needed: int) -> None:
         folder = tempfile.gettempdir()
@@ -95,27 +95,3 @@ class Collected:
                 f"{self._source}: its views are {needed / 2**30:.1f} GiB unpacked, {folder} has room for "
                 f"{free / 2**30:.1f} GiB; set TMPDIR to a folder with more."
             )
-
-
-def mapped(file: IO[bytes], shape: Sequence[int], dtype: Any, *, offset: int, fortran: bool) -> NDArray[Any]:
-    """An array that lies in an open file from `offset` on."""
-    order: Any = "F" if fortran else "C"
-    return np.asarray(np.memmap(file, dtype, "c", offset=offset, shape=tuple(shape), order=order))
-
-
-def is_on_disk(array: NDArray[Any]) -> bool:
-    """Whether an array is mapped from a file."""
-    return _mapping(array) is not None
-
-
-def forget(array: NDArray[Any]) -> None:
-    """Give back the memory that a mapped array took for what was read of it; nothing happens to other arrays."""
-    mapping = _mapping(array)
-    if mapping is not None and hasattr(mapping, "madvise"):  # not on Windows
-        mapping.madvise(mmap.MADV_DONTNEED)
-
-
-def _mapping(array: Any) -> mmap.mmap | None:
-    while isinstance(array, np.ndarray):
-        array = array.base
-    return array if isinstance(array, mmap.mmap) else None

@@ -33,6 +33,7 @@ from lfgpu.io.folders import entries, head, listed
 from lfgpu.io.images import IMAGE_SUFFIXES
 from lfgpu.io.parallax import axes_agree
 from lfgpu.lightfield import LightField
+from lfgpu.mapping import forget
 from lfgpu.vignette import without_black_corners
 
 
@@ -218,7 +219,9 @@ def read(
             raise LightFieldError(f"{path} is read as {chosen.name}, for which {name} means nothing; leave it out.")
     with on_disk(lazy):
         found = flipped(chosen.read(path, allow_missing=allow_missing, **options), flip)
-        return _checked(without_black_corners(found))
+        found = _checked(without_black_corners(found))
+    forget(found.views)
+    return found
 
 
 def _checked(light_field: LightField) -> LightField:

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.disk import mapped, wanted_on_disk
+from lfgpu.io.disk import wanted_on_disk
 from lfgpu.io.folders import head
 from lfgpu.io.limits import check_claim
+from lfgpu.mapping import mapped
 
 MAGIC, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 

@@ -1,0 +1,48 @@
+"""Arrays that are mapped from files: only what is looked at takes memory, until it is forgotten."""
+
+from __future__ import annotations
+
+import mmap
+from collections.abc import Callable, Sequence
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.threads import in_threads
+
+_AT_ONCE = 2**26  # bytes of views that are forgotten together
+
+
+def mapped(
+    file: IO[bytes], shape: Sequence[int], dtype: Any, *, offset: int = 0, fortran: bool = False
+) -> NDArray[Any]:
+    """An array that lies in an open file from `offset` on."""
+    order: Any = "F" if fortran else "C"
+    return np.asarray(np.memmap(file, dtype, "c", offset=offset, shape=tuple(shape), order=order))
+
+
+def is_mapped(array: NDArray[Any]) -> bool:
+    """Whether an array lies in a file."""
+    return _mapping(array) is not None
+
+
+def forget(array: NDArray[Any]) -> None:
+    """Give back the memory that a mapped array took for what was read of it; nothing happens to other arrays."""
+    mapping = _mapping(array)
+    if mapping is not None and hasattr(mapping, "madvise"):  # not on Windows
+        mapping.madvise(mmap.MADV_DONTNEED)
+
+
+def each_view(views: NDArray[Any], chosen: Sequence[int], work: Callable[[int, NDArray[Any]], None]) -> None:
+    """Call work(k, views[chosen[k]]) for all k, on all threads, and forget on the way what was read of a file."""
+    at_once = max(1, _AT_ONCE // views[0].nbytes)
+    for first in range(0, len(chosen), at_once):
+        in_threads(lambda k: work(k, views[chosen[k]]), range(first, min(first + at_once, len(chosen))))
+        forget(views)
+
+
+def _mapping(array: Any) -> mmap.mmap | None:
+    while isinstance(array, np.ndarray):
+        array = array.base
+    return array if isinstance(array, mmap.mmap) else None
