@@ -365,7 +365,10 @@ def test_an_item_that_kills_its_worker_is_given_up_and_the_rest_goes_on(recorded
     special = [replace(todo[0], item=Item(name, source)) for name, source in sources.items()]  # type: ignore[arg-type]
     entries: dict[str, dict[str, Any]] = {}
     with local(retries=1) as cluster:
-        cluster.run([[job] for job in (*special, *todo[:2])], lambda entry: entries.update({entry["item"]: entry}))
+        cluster.run(
+            [[job] for job in (*special, *todo[:2])],
+            lambda ended: entries.update({entry["item"]: entry for entry in ended}),
+        )
     assert {name: entry["status"] for name, entry in entries.items()} == {
         **{"deadly": FAILED, "too scarce": FAILED},
         **{"scarce": DONE, "scene_0": DONE, "scene_1": DONE},

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import logging
+import math
 import signal
 import threading
 import time
@@ -139,36 +140,43 @@ class Cluster:
     def run(
         self,
         sequences: Sequence[Sequence[Job]],
-        done: Callable[[Entry], None],
+        done: Callable[[list[Entry]], None],
         tick: Callable[[int], None] = lambda _: None,
     ) -> None:
         """Do all jobs, those of a sequence in order and on one worker as long as it lives.
 
-        `done` is called with what the manifest shall say of each, as they end; `tick` a few times a second with the
-        number of jobs that can run at a time. BatchError if the scheduler is lost and does not come back.
+        `done` is called with what the manifest shall say of those that ended, before others begin in their place;
+        `tick` a few times a second with the number of jobs that can run at a time. BatchError if the scheduler is lost
+        and does not come back.
         """
         waiting = deque(_Task(jobs[0], deque(jobs[1:])) for jobs in map(list, sequences) if jobs)
         suspects: deque[_Task] = deque()
+        size, looked = 0, -math.inf
         while waiting or suspects or self._running:
             if self._is_there():
-                size = self.size
-                self._replace_lost(size)
-                tick(size)
+                if (now := time.monotonic()) - looked >= _LOOK:
+                    size, looked = self.size, now
+                    self._replace_lost(size)
+                    tick(size)
                 while waiting and len(self._running) < size:
                     self._submit(waiting.popleft())
                 if suspects and not waiting and not self._running and size:
                     self._submit(suspects.popleft())
             self._woken.wait(_LOOK)
             self._woken.clear()
-            for future in [future for future in self._running if future.done()]:
+            ended = [future for future in self._running if future.done()]
+            results, entries = self._results(ended), []
+            for future in ended:
                 task = self._running.pop(future)
-                entry = self._outcome(future, task)
+                entry = self._outcome(future, results.get(future), task)
                 if entry is None:
                     (suspects if task.alone else waiting).appendleft(task)
                     continue
-                done(entry)
+                entries.append(entry)
                 if task.after:
                     waiting.appendleft(_Task(task.after.popleft(), task.after, worker=task.worker))
+            if entries:
+                done(entries)
 
     def _start(self) -> None:
         from distributed import Client, LocalCluster
@@ -237,13 +245,22 @@ class Cluster:
         future.add_done_callback(lambda _: self._woken.set())
         self._running[future] = task
 
-    def _outcome(self, future: Any, task: _Task) -> Entry | None:
+    def _results(self, ended: Sequence[Any]) -> dict[Any, tuple[str, Entry]]:
+        """What jobs returned, all fetched at once; those that are not there are to be asked for one by one."""
+        finished = [future for future in ended if future.status == "finished"]
+        if len(finished) > 1:
+            with suppress(Exception):  # some were lost on the way
+                gathered = self._client.sync(self._client._gather, finished, callback_timeout=_CONNECTING)
+                return dict(zip(finished, gathered, strict=True))
+        return {}
+
+    def _outcome(self, future: Any, result: tuple[str, Entry] | None, task: _Task) -> Entry | None:
         """What the manifest shall say, or None if the task is to be tried again."""
         from distributed import KilledWorker
 
         if future.status == "finished":
             try:
-                task.worker, entry = future.result(timeout=_CONNECTING)
+                task.worker, entry = result or future.result(timeout=_CONNECTING)
                 return {**entry, "attempts": task.attempts + 1}
             except Exception as error:  # it was lost on the way
                 return self._again(task, f"{type(error).__name__}")

@@ -109,10 +109,10 @@ class Manifest:
 
     def _flush(self) -> None:
         assert self._file is not None
-        while self.unwritten:
+        written = 0
+        for line in self.unwritten:
             end = self._file.seek(0, os.SEEK_END)
-            line = self.unwritten[0]
-            if end and not self._ends_a_line(end):
+            if end and not written and not self._ends_a_line(end):
                 line = b"\n" + line  # a crash left half a line
             try:
                 whole = self._file.write(line) == len(line)
@@ -120,9 +120,11 @@ class Manifest:
                 whole = False
             if not whole:
                 self._file.truncate(end)
-                return
+                break
+            written += 1
+        if written:
             os.fsync(self._file.fileno())
-            self.unwritten.pop(0)
+            del self.unwritten[:written]
 
     def _ends_a_line(self, end: int) -> bool:
         with self._path.open("rb") as file:

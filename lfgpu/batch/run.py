@@ -139,15 +139,16 @@ class Batch:
     ) -> None:
         summary = self.summary
 
-        def done(entry: Entry) -> None:
-            manifest.add([entry])
-            summary.entries[entry["item"]] = entry
-            if entry["status"] == DONE:
-                summary.computed += 1
-            else:
-                summary.failed.append(entry)
-            progress.last = entry
-            on_progress(progress)
+        def done(entries: list[Entry]) -> None:
+            manifest.add(entries)
+            for entry in entries:
+                summary.entries[entry["item"]] = entry
+                if entry["status"] == DONE:
+                    summary.computed += 1
+                else:
+                    summary.failed.append(entry)
+                progress.last = entry
+                on_progress(progress)
 
         def tick(workers: int) -> None:
             progress.workers = workers
