@@ -383,13 +383,16 @@ def _array(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:
 def _check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:
     if views.dtype != np.float32:
         return
-    for index, view in enumerate(views):
+
+    def check(index: int, view: NDArray[Any]) -> None:
         low, high = float(view.min()), float(view.max())
         where = f"view {index} (row {positions[index, 1]:g}, column {positions[index, 0]:g})"
         if not np.isfinite(low + high):
             raise LightFieldError(f"{where} has NaN or infinite values; float views must be finite.")
         if low < -0.5 or high > 1.5:  # resampling may overshoot a little; other units are far off
             raise LightFieldError(f"{where} spans {low:g} to {high:g}; float views must be scaled to [0, 1].")
+
+    each_view(views, range(len(views)), check)
 
 
 def _check_distinct(positions: NDArray[np.float64]) -> None:

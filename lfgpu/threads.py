@@ -46,12 +46,13 @@ def get_threads() -> int:
     return _checked(given, f"${_VARIABLE}") if given else _cores()
 
 
-def in_threads(work: Callable[[_Item], _Done], items: Iterable[_Item]) -> list[_Done]:
-    """What `work` returns for each item, called on all threads; its first error, in the order of the items, ends it.
+def in_threads(work: Callable[[_Item], _Done], items: Iterable[_Item], *, most: int | None = None) -> list[_Done]:
+    """What `work` returns for each item, called on all threads, or at most so many; its first error ends it.
 
-    For work that leaves the interpreter's lock, as large operations of NumPy and decoders of images do.
+    The first in the order of the items. For work that leaves the interpreter's lock, as large operations of NumPy and
+    decoders of images do.
     """
-    with ThreadPoolExecutor(get_threads()) as pool:
+    with ThreadPoolExecutor(min(get_threads(), most or get_threads())) as pool:
         return list(pool.map(work, items))
 
 

@@ -13,9 +13,11 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,7 +26,7 @@ from typer.testing import CliRunner
 
 from lfgpu import DepthPipeline, LightFieldError, estimate_depth, scenes, tiles
 from lfgpu._backends import load
-from lfgpu.batch.cluster import BatchError, Cluster
+from lfgpu.batch.cluster import BatchError, Cluster, _Task
 from lfgpu.batch.items import Item, find_items, fingerprint
 from lfgpu.batch.manifest import DONE, FAILED, MANIFEST_FILE, Manifest, key_of, read_manifest
 from lfgpu.batch.report import REPORT_FILE, write_report
@@ -243,6 +245,7 @@ def test_lines_that_the_disk_has_no_room_for_are_written_later(tmp_path: Path) -
     code = f"""
 import resource, signal
 from pathlib import Path
+from types import SimpleNamespace
 from lfgpu.batch.manifest import Manifest, read_manifest
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 out = Path({str(tmp_path)!r})
@@ -376,6 +379,32 @@ def test_an_item_that_kills_its_worker_is_given_up_and_the_rest_goes_on(recorded
     assert "its worker was killed" in entries["deadly"]["error"]
     assert re.match(r"the memory does not suffice.*, tried 2 times\.", entries["too scarce"]["error"])
     assert entries["scarce"]["attempts"] == 2
+
+
+def test_a_result_that_is_lost_is_asked_for_alone_and_then_said_so(recorded: Path, tmp_path: Path) -> None:
+    def fails(*_: Any, **__: Any) -> Any:
+        raise TimeoutError
+
+    class Future:
+        def __init__(self, status: str) -> None:
+            self.status = status
+
+        def result(self, timeout: float) -> Any:
+            return "tcp://there", {"status": DONE}
+
+    finished, lost = [Future("finished"), Future("finished")], Future("pending")
+    cluster, todo = Cluster(retries=0), jobs(recorded, tmp_path)
+    cluster._client = SimpleNamespace(sync=fails, _gather=None, status="running")
+    assert cluster._results(finished) == {}
+    entry = cluster._outcome(finished[0], None, _Task(todo[0], deque()))
+    assert entry == {"status": DONE, "attempts": 1}
+    entry = cluster._outcome(lost, None, _Task(todo[0], deque()))
+    assert entry is not None
+    assert entry["error"] == "its result was lost with its worker, tried 1 times."
+    cluster._client.status = "closed"
+    entry = cluster._outcome(lost, None, _Task(todo[0], deque()))
+    assert entry is not None
+    assert entry["error"] == "the scheduler was lost, tried 1 times."
 
 
 @contextlib.contextmanager

@@ -202,6 +202,20 @@ def test_downsampled_twice_is_downsampled_further() -> None:
     assert 0 < once.valid.mean() < 1
 
 
+@pytest.mark.parametrize("which", ["cross", "row", [0, 3, 7]])
+def test_downsampled_some_views(light_field: LightField, which: Any) -> None:
+    some, expected = light_field.downsampled(2, which=which), light_field.subset(which).downsampled(2)
+    assert np.array_equal(some.views, expected.views)
+    assert np.array_equal(some.positions, expected.positions)
+    assert some.reference_index == expected.reference_index
+    assert len(some.views) < len(light_field.views)
+
+
+def test_a_subset_of_all_is_the_light_field(light_field: LightField) -> None:
+    assert light_field.subset("full") is light_field
+    assert light_field.subset(range(len(light_field.views))) is light_field
+
+
 def test_downsampled_leaves_out_what_fills_no_block(light_field: LightField) -> None:
     assert light_field.downsampled(4).size == (1, 2)
     assert light_field.downsampled(1).size == (HEIGHT, WIDTH)

@@ -380,7 +380,7 @@ def problem(scene: str, target: Any) -> Problem:
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_lbfgs_ends_as_low_as_scipy(target: Any, scene: str) -> None:
-    """With the default tolerance, at which both stop before the minimum, ours the lower.
+    """With the default tolerance, at which both stop before the minimum.
 
     On the way down more pixels of `boxes` get wrong, so ours lie between scipy's and those of scipy further down.
     """

@@ -283,6 +283,46 @@ def test_views_on_disk_are_those_in_memory(scene: LightField, tmp_path: Path) ->
     assert not list(tmp_path.glob("lfgpu-*"))
 
 
+def resident_of_files() -> int:
+    """Bytes of files that this process has mapped and in memory."""
+    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("RssFile"))
+    return 1024 * int(line.split()[1])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="what is in memory is measured as Linux counts it")
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+def test_what_was_looked_at_is_forgotten(dtype: type, tmp_path: Path) -> None:
+    """When the light field is read, shrunk, and cut into tiles, of which the pages hold far more than the pixels."""
+    rng = np.random.default_rng(0)
+    shape = (3, 15, 300, 2000, 3)
+    views = rng.integers(0, 256, shape, np.uint8)
+    np.save(tmp_path / "views.npy", views if dtype is np.uint8 else (views / 255).astype(dtype))
+    before = resident_of_files()
+    lf = read(tmp_path / "views.npy", lazy=True)
+    assert is_mapped(lf.views)
+    assert lf.views.nbytes > 2**26
+    lf.downsampled(4)
+    tile = tiles._tile(lf, range(45), (10, 20), (200, 100))
+    assert resident_of_files() - before < 2**24
+    expected = views.reshape(45, *shape[2:])[:, 10:210, 20:120]
+    assert np.array_equal(tile.views, expected if dtype is np.uint8 else (expected / 255).astype(dtype))
+    assert lf.views[:, ::50, ::50].sum() > 0
+    assert np.asarray(lf.views).sum() > 0
+    touched = resident_of_files() - before
+    assert touched > 0.9 * lf.views.nbytes  # that the measurement can fail
+
+
+def test_what_users_write_into_their_mapped_views_stays(tmp_path: Path) -> None:
+    np.save(tmp_path / "views.npy", np.full((3, 3, 40, 48, 3), 200, np.uint8))
+    views = np.load(tmp_path / "views.npy", mmap_mode="c")
+    views[1, 1, :8] = 0
+    lf = LightField.from_grid(views)
+    assert not is_mapped(lf.views)
+    assert lf.downsampled(2).views[4, 0, 0, 0] == 0
+    forget(lf.views)
+    assert views[1, 1, 0, 0, 0] == 0
+
+
 def test_what_a_description_names_stays_on_disk_too(scene: LightField, tmp_path: Path) -> None:
     write_hci(scene.crop(slice(0, 40), slice(0, 44)), tmp_path / "views")
     (tmp_path / "lightfield.toml").write_text('[source]\npath = "views"\nformat = "hci"\n')

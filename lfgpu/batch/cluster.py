@@ -165,18 +165,21 @@ class Cluster:
             self._woken.wait(_LOOK)
             self._woken.clear()
             ended = [future for future in self._running if future.done()]
-            results, entries = self._results(ended), []
-            for future in ended:
-                task = self._running.pop(future)
-                entry = self._outcome(future, results.get(future), task)
-                if entry is None:
-                    (suspects if task.alone else waiting).appendleft(task)
-                    continue
-                entries.append(entry)
-                if task.after:
-                    waiting.appendleft(_Task(task.after.popleft(), task.after, worker=task.worker))
-            if entries:
-                done(entries)
+            results = self._results(ended)
+            entries: list[Entry] = []
+            try:
+                for future in ended:
+                    task = self._running.pop(future)
+                    entry = self._outcome(future, results.get(future), task)
+                    if entry is None:
+                        (suspects if task.alone else waiting).appendleft(task)
+                        continue
+                    entries.append(entry)
+                    if task.after:
+                        waiting.appendleft(_Task(task.after.popleft(), task.after, worker=task.worker))
+            finally:
+                if entries:
+                    done(entries)
 
     def _start(self) -> None:
         from distributed import Client, LocalCluster
@@ -265,7 +268,8 @@ class Cluster:
             except Exception as error:  # it was lost on the way
                 return self._again(task, f"{type(error).__name__}")
         if future.status != "error":
-            return self._again(task, "the scheduler was lost")
+            there = self._client.status == "running"
+            return self._again(task, "its result was lost with its worker" if there else "the scheduler was lost")
         try:
             raised = future.exception(timeout=_CONNECTING)
         except Exception as error:

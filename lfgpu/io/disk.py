@@ -70,22 +70,28 @@ class Collected:
         if self._file is None:
             self._array[index] = values
             return
-        try:
-            with self._writing:
-                self._file.seek(index * values.nbytes)
-                self._file.write(np.ascontiguousarray(values).data)  # a full disk is an error here; mapped, a crash
-        except OSError as error:
-            raise LightFieldError(
-                f"{self._source}: the views cannot be unpacked into {tempfile.gettempdir()}: {error.strerror}; set "
-                "TMPDIR to a folder with more room."
-            ) from error
+        with self._writing, self._said():
+            self._file.seek(index * values.nbytes)
+            self._file.write(np.ascontiguousarray(values).data)  # a full disk is an error here; mapped, a crash
 
     def array(self) -> NDArray[Any]:
         """All of them."""
         if self._file is None:
             return self._array
-        self._file.flush()
+        with self._said():
+            self._file.flush()
         return mapped(self._file, self._shape, self._dtype)
+
+    @contextmanager
+    def _said(self) -> Iterator[None]:
+        """Errors of the disk, as a sentence."""
+        try:
+            yield
+        except OSError as error:
+            raise LightFieldError(
+                f"{self._source}: the views cannot be unpacked into {tempfile.gettempdir()}: {error.strerror}; set "
+                "TMPDIR to a folder with more room."
+            ) from error
 
     def _check_disk(self, needed: int) -> None:
         folder = tempfile.gettempdir()

@@ -14,6 +14,9 @@ from lfgpu.io.disk import Collected
 from lfgpu.io.images import read_image
 from lfgpu.threads import in_threads
 
+_DECODED = 2**28  # bytes that decoders may take at once,
+_COPIES = 3  # of which each has a view so many times
+
 
 def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
     """Read image files into one array.
@@ -55,7 +58,8 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
         return remarks
 
     counts = Counter(remarks)
-    for remarks in in_threads(read, range(1, len(files))):
+    at_once = max(1, _DECODED // (_COPIES * first.nbytes))
+    for remarks in in_threads(read, range(1, len(files)), most=at_once):
         counts.update(remarks)
     notes = tuple(f"{remark.capitalize()} in {count} of {len(files)} views." for remark, count in counts.items())
     return views.array(), notes

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import threading
+import time
 import warnings
 import zlib
 from pathlib import Path
@@ -212,6 +214,32 @@ def test_many_threads_read_what_one_reads(tmp_path: Path, monkeypatch: pytest.Mo
     for _ in range(5):
         assert "1_2.png cannot be read as an image" in refusal(lambda: read(tmp_path))
     assert list(warnings.filters) == before
+
+
+def test_few_large_views_are_decoded_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that what decoders take does not grow with the number of cores."""
+    save_named(tmp_path, box(3, 4))
+    monkeypatch.setenv("LFGPU_THREADS", "8")
+    inside, most, lock = 0, 0, threading.Lock()
+
+    def watched(*args: Any, **options: Any) -> Any:
+        nonlocal inside, most
+        with lock:
+            inside += 1
+            most = max(most, inside)
+        time.sleep(0.02)
+        found = read_image(*args, **options)
+        with lock:
+            inside -= 1
+        return found
+
+    monkeypatch.setattr("lfgpu.io.views.read_image", watched)
+    read(tmp_path)
+    assert most > 2
+    most = 0
+    monkeypatch.setattr("lfgpu.io.views._DECODED", 2 * 3 * HEIGHT * WIDTH * 3)
+    read(tmp_path)
+    assert most == 2
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg", "bmp", "tif"])
