@@ -88,18 +88,20 @@ def _measure(name: str, lf: LightField, preset: str, every: int, say: Callable[[
         say(f"{name}: view {place + 1} of {len(wanted)}")
         position, recorded = lf.positions[index], lf.image(index)
         rendered = render(position)
-        known.append(rendered.known.mean())
+        known.append(rendered.known.mean() if lf.valid is None else rendered.known[lf.valid[index]].mean())
         images = (*_baselines(kept, position), rendered.image)
-        whole[place] = [psnr(image, recorded) for image in images]
-        cut = np.s_[BORDER:-BORDER, BORDER:-BORDER]
-        inner[place] = [psnr(image[cut], recorded[cut]) for image in images]
+        valid = np.ones(lf.size, np.bool_) if lf.valid is None else lf.valid[index]
+        whole[place] = [psnr(image[valid], recorded[valid]) for image in images]
+        within = np.zeros(lf.size, np.bool_)
+        within[BORDER:-BORDER, BORDER:-BORDER] = True
+        inner[place] = [psnr(image[valid & within], recorded[valid & within]) for image in images]
     by_method = [dict(zip(METHODS, map(float, m), strict=True)) for m in (whole.mean(0), inner.mean(0), whole.min(0))]
-    mean, within, worst = by_method
-    return Row(name, len(kept.views), len(wanted), mean, within, worst, float(np.mean(known)))
+    mean, inside, worst = by_method
+    return Row(name, len(kept.views), len(wanted), mean, inside, worst, float(np.mean(known)))
 
 
 def psnr(image: Float32Array, true: Float32Array) -> float:
-    """Peak signal to noise ratio in dB, the peak being 1."""
+    """Peak signal to noise ratio in dB of pixels, whatever their order, the peak being 1."""
     return float(-10 * np.log10(np.mean((image - true) ** 2)))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.lightfield import LightField
+from lfgpu.mapping import each_view
 
 _BLACK = 0.016  # intensity: 4 of 255
 _LEAST, _MOST = 1e-4, 0.3  # of all pixels: a few black ones are nothing, and a night scene has no vignette
@@ -29,7 +30,12 @@ def without_black_corners(lf: LightField) -> LightField:
         return lf
     from scipy.ndimage import binary_dilation, label  # takes long to import, and most light fields have no such corners
 
-    black = np.all(np.asarray(lf.views) <= threshold, axis=3)
+    black = np.empty(lf.views.shape[:3], np.bool_)
+
+    def look(index: int, view: NDArray[Any]) -> None:
+        black[index] = np.all(view <= threshold, axis=2)
+
+    each_view(lf.views, range(len(black)), look)
     always = _connected(label(black.all(0))[0], corners)
     if not _LEAST <= always.mean() <= _MOST:
         return lf
