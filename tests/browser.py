@@ -42,8 +42,17 @@ def until(condition: Callable[[], Any], what: str, page: Any, seconds: float = 9
     pytest.fail(f"in {seconds:g} s this did not happen: {what}")
 
 
+# A page that shows a new picture drops the old one, which can be between looking at its address and fetching it.
+_FETCH = """async image => {
+    for (let tries = 1; ; tries++) {
+        try { return Array.from(new Uint8Array(await (await fetch(image.src)).arrayBuffer())); }
+        catch (error) { if (tries === 40) throw error; }
+        await new Promise(done => setTimeout(done, 50));
+    }
+}"""
+
+
 def pixels(element: Any) -> np.ndarray:
     """What an <img> shows, [y, x, 3], in the pixels of its file."""
-    data = element.evaluate("async image => Array.from(new Uint8Array(await (await fetch(image.src)).arrayBuffer()))")
-    with Image.open(io.BytesIO(bytes(data))) as image:
+    with Image.open(io.BytesIO(bytes(element.evaluate(_FETCH)))) as image:
         return np.asarray(image.convert("RGB"))
