@@ -13,6 +13,7 @@ from lfgpu.threads import in_threads
 
 _AT_ONCE = 2**26  # bytes of views that are forgotten together,
 _LEAST = 4  # or as many views, so that threads have something to do
+_WORTHWHILE = 2**22  # bytes: less is looked at before threads have begun
 
 
 def mapped(
@@ -41,6 +42,10 @@ def each_view(views: NDArray[Any], chosen: Sequence[int], work: Callable[[int, N
     if is_mapped(views):
         # Where they are windows of views in the file, the system maps what lies between their rows as well.
         at_once = max(_LEAST, _AT_ONCE // max(views[0].nbytes, abs(views.strides[0])))
+    elif views.nbytes < _WORTHWHILE:
+        for k, index in enumerate(chosen):
+            work(k, views[index])
+        return
     for first in range(0, len(chosen), max(at_once, 1)):
         in_threads(lambda k: work(k, views[chosen[k]]), range(first, min(first + at_once, len(chosen))))
         forget(views)
