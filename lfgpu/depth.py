@@ -38,7 +38,7 @@ def estimate_depth(
     backend: str = DEFAULT,
     device: str | None = None,
     deterministic: bool = False,
-    max_memory: str | int | None = None,
+    max_memory: str | float | None = None,
     on_progress: Progress | None = None,
 ) -> DepthResult:
     """Estimate the disparity of the reference view of a light field.

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
+from numbers import Real
 
 from lfgpu.config import Config
 from lfgpu.errors import LightFieldError
@@ -19,10 +21,10 @@ _PLACES = 3  # places on a line of views that a structure tensor is summed over
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
 
-def parse_memory(value: str | int) -> int:
+def parse_memory(value: str | float) -> int:
     """Bytes from a number of them or from text such as "8GiB", "500 MB" or "2g"; LightFieldError for anything else."""
-    if isinstance(value, int) and not isinstance(value, bool) and value > 0:
-        return value
+    if isinstance(value, Real) and not isinstance(value, bool) and 1 <= float(value) < math.inf:
+        return int(value)
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([kmgt]i?|)b?\s*", str(value).lower())
     size = int(float(match[1]) * _UNITS[match[2]]) if match and isinstance(value, str) else 0
     if size < 1:

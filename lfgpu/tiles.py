@@ -56,26 +56,35 @@ class Plan:
     """What a pipeline for one tile takes."""
 
 
-def plan_tiles(size: tuple[int, int], halo: tuple[int, int], needed: Footprint, limit: int, devices: int = 1) -> Plan:
-    """The tiles that cover views of `size` (height, width), fit into `limit` bytes each, and are done the soonest.
+def plan_tiles(
+    size: tuple[int, int], halo: tuple[int, int], needed: Footprint, limit: int, *, taken: int = 0, devices: int = 1
+) -> Plan:
+    """The tiles that cover views of `size` (height, width) and are done the soonest.
 
-    That is with the fewest pixels on the device that has most of them. LightFieldError if none fit.
+    One at a time fits into `limit` bytes, of which something else has `taken` some. The soonest is with the fewest
+    pixels on the device that has most of them. LightFieldError if none fit.
     """
     along = [_cuts(length, edge) for length, edge in zip(size, halo, strict=True)]
     plans = [
         (math.ceil(rows * columns / devices) * height * width, rows * columns, (height, width), (rows, columns))
         for (rows, height), (columns, width) in itertools.product(*along)
-        if needed.bytes(height, width) <= limit
+        if needed.bytes(height, width) + taken <= limit
     ]
     if not plans:
         least = needed.bytes(*(min(length for _, length in cuts) for cuts in along))
         raise LightFieldError(
-            f"max_memory of {limit / 2**30:.2f} GiB does not suffice: the smallest tiles, with the pixels around them "
-            f"that they need, take {least / 2**30:.2f} GiB; give more, fewer views, or a narrower disparity range."
+            f"max_memory of {_mebibytes(limit)} does not suffice: it takes {_mebibytes(least + taken)}, of which "
+            f"{_mebibytes(needed.besides)} are for the process itself, {_mebibytes(taken)} for views in memory and the "
+            "map, and the rest for the smallest tile with the pixels around it; give more, fewer views, or a narrower "
+            "disparity range."
         )
     *_, tile, counts = min(plans)
     rows, columns = (_places(length, side, count) for length, side, count in zip(size, tile, counts, strict=True))
     return Plan(tile, tuple(itertools.product(rows, columns)), halo, needed.bytes(*tile))
+
+
+def _mebibytes(size: int) -> str:
+    return f"{math.ceil(size / 2**20)} MiB"
 
 
 def halo(lf: LightField, bounds: tuple[float, float], config: Config) -> tuple[int, int]:
@@ -119,8 +128,9 @@ def estimate_in_tiles(
     in_memory = 0 if on_gpu or is_mapped(lf.views) else lf.views.nbytes
     kept = 4 * 8 * lf.size[0] * lf.size[1]  # maps of all tiles, and joined
     needed = footprint(lf, bounds, config, on_gpu=on_gpu)
-    limit = max_memory - in_memory - (0 if on_gpu else kept)
-    plan = plan_tiles(lf.size, halo(lf, bounds, config), needed, limit, len(devices))
+    taken = 0 if on_gpu else in_memory + kept
+    edge = halo(lf, bounds, config)
+    plan = plan_tiles(lf.size, edge, needed, max_memory, taken=taken, devices=len(devices))
     options = {
         "config": config,
         "disparity_range": bounds,

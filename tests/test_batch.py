@@ -28,7 +28,7 @@ from lfgpu import DepthPipeline, LightFieldError, estimate_depth, scenes, tiles
 from lfgpu._backends import load
 from lfgpu.batch.cluster import BatchError, Cluster, _Task
 from lfgpu.batch.items import Item, find_items, fingerprint
-from lfgpu.batch.manifest import DONE, FAILED, MANIFEST_FILE, Manifest, key_of, read_manifest
+from lfgpu.batch.manifest import DONE, FAILED, MANIFEST_FILE, Manifest, key_of, read_manifest, standing
 from lfgpu.batch.report import REPORT_FILE, write_report
 from lfgpu.batch.run import Batch, Summary, _jobs
 from lfgpu.batch.work import Settings, work
@@ -135,6 +135,46 @@ def test_patterns_order_and_outputs(recorded: Path, tmp_path: Path) -> None:
     assert len(items) == 3
 
 
+def test_pictures_beside_light_fields_are_none(recorded: Path, tmp_path: Path) -> None:
+    """A thumbnail or two do not hide the folders; images that are views are not hidden by a folder of fewer."""
+    for name in ("one", "two"):
+        shutil.copytree(recorded / "scene_0", tmp_path / "a" / name)
+    for number in range(3):
+        shutil.copy(recorded / "scene_0" / "input_Cam000.png", tmp_path / "a" / f"thumb{number}.png")
+        items, barren = find_items([str(tmp_path / "a")], sequence=False)
+        assert [item.name for item in items] == ["one", "two"]
+        assert not barren
+    for number in range(6):
+        (tmp_path / "row" / "masks").mkdir(parents=True, exist_ok=True)
+        shutil.copy(recorded / "scene_0" / "input_Cam000.png", tmp_path / "row" / f"v{number}.png")
+        shutil.copy(recorded / "scene_0" / "input_Cam000.png", tmp_path / "row" / "masks" / f"m{number}.png")
+    items, barren = find_items([str(tmp_path / "row")], sequence=False)
+    assert [item.source for item in items] == [str(tmp_path / "row")]
+    assert not barren
+
+
+def test_outputs_and_other_arrays_are_no_inputs(recorded: Path, tmp_path: Path) -> None:
+    shutil.copytree(recorded / "scene_0", tmp_path / "one")
+    for name in ("earlier", "result"):
+        shutil.copytree(recorded / "scene_0", tmp_path / name / "scene_0")
+    (tmp_path / "earlier" / MANIFEST_FILE).write_text("")
+    (tmp_path / "result" / "result.npz").write_bytes(b"")
+    np.save(tmp_path / "weights.npy", np.zeros((9, 9)))
+    np.savez(tmp_path / "calibration.npz", matrix=np.eye(3))
+    items, _ = find_items([str(tmp_path)], sequence=False)
+    assert [item.name for item in items] == ["one"]
+    items, _ = find_items([str(tmp_path / "weights.npy")], sequence=False)
+    assert len(items) == 1  # who names it hears what is wrong with it
+
+
+def test_links_do_not_lead_in_circles(recorded: Path, tmp_path: Path) -> None:
+    shutil.copytree(recorded / "scene_0", tmp_path / "a" / "one")
+    (tmp_path / "a" / "loop").symlink_to(tmp_path / "a")
+    (tmp_path / "again").symlink_to(tmp_path / "a" / "one")
+    items, _ = find_items([str(tmp_path)], sequence=False)
+    assert [item.name for item in items] == ["one"]
+
+
 def test_what_does_not_exist_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LightFieldError, match=r"nowhere\* does not exist, and as a pattern it matches nothing"):
         find_items([str(tmp_path / "nowhere*")], sequence=False)
@@ -147,6 +187,11 @@ def test_fingerprints_tell_changed_files(recorded: Path, tmp_path: Path) -> None
     shutil.copytree(recorded / "scene_0", copy)
     before = fingerprint(str(copy))
     assert fingerprint(str(copy)) == before
+    (copy / "out" / "copy").mkdir(parents=True)
+    (copy / "out" / "copy" / "disparity.pfm").write_bytes(b"")
+    assert fingerprint(str(copy), leave_out=copy / "out") == before
+    assert fingerprint(str(copy)) != before
+    shutil.rmtree(copy / "out")
     os.utime(copy / "input_Cam003.png", ns=(1, 1))
     assert fingerprint(str(copy)) != before
 
@@ -165,7 +210,8 @@ def test_an_item_comes_out_as_from_estimate_depth(recorded: Path, tmp_path: Path
     assert entry["status"] == DONE
     assert entry["disparity_range"] == list(expected.disparity_range)
     assert entry["metrics"]["count"] == 10 * 18
-    assert sorted(path.name for path in (tmp_path / "scene_0").iterdir()) == entry["files"]
+    assert {path.name: path.stat().st_size for path in (tmp_path / "scene_0").iterdir()} == entry["sizes"]
+    assert result.timings["total"] > 0
 
 
 def test_a_pipeline_serves_the_next_item_and_changes_nothing(recorded: Path, tmp_path: Path) -> None:
@@ -215,6 +261,21 @@ def test_the_last_line_of_an_item_holds_and_half_lines_are_skipped(tmp_path: Pat
         manifest.add([{"item": "c", "status": DONE}])
     found = read_manifest(tmp_path)
     assert {name: entry["status"] for name, entry in found.items()} == {"a": DONE, "c": DONE}
+
+
+def test_what_is_gone_or_renamed_does_not_stand(tmp_path: Path) -> None:
+    def entry(name: str, source: str, began: float, status: str = DONE) -> dict[str, Any]:
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "disparity.pfm").write_bytes(b"1234")
+        return {"item": name, "input": source, "began": began, "status": status, "sizes": {"disparity.pfm": 4}}
+
+    entries = [entry("one", "/one", 1), entry("two", "/b/two", 2), entry("b/two", "/b/two", 3), entry("cut", "/cut", 4)]
+    entries += [entry("deleted", "/deleted", 5), {**entry("bad", "/bad", 6, FAILED), "sizes": {}}]
+    (tmp_path / "cut" / "disparity.pfm").write_bytes(b"")
+    shutil.rmtree(tmp_path / "deleted")
+    with Manifest(tmp_path) as manifest:
+        manifest.add(entries)
+    assert set(standing(read_manifest(tmp_path), tmp_path)) == {"one", "b/two", "bad"}
 
 
 def test_one_batch_at_a_time(tmp_path: Path, recorded: Path) -> None:
@@ -292,6 +353,13 @@ def test_a_batch_is_scored_per_item_and_in_total(undisturbed: Path, recorded: Pa
     assert float(found["average of 2", "MSE x100"][0]) == pytest.approx(np.mean(scores))
     assert found["scene_3", "MSE x100"][1] == ""
     assert "\\toprule" in (tmp_path / "tables" / "table.tex").read_text()
+    assert "different parameters" not in outcome.stdout
+    with Manifest(other) as manifest:
+        manifest.add([{**read_manifest(other)["scene_1"], "parameters_key": "another"}])
+    (other / "scene_0" / "disparity.pfm").unlink()
+    assert "1 items are left out" in lfgpu("eval", other).stdout
+    shutil.copy(undisturbed / "scene_0" / "disparity.pfm", other / "scene_0")
+    assert "other was computed with different parameters" in lfgpu("eval", other).stdout
     assert lfgpu("eval", undisturbed, "--border", "3").exit_code == 1
     assert lfgpu("eval", undisturbed).exit_code == 0
 

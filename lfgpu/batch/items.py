@@ -14,8 +14,11 @@ from pathlib import Path
 from lfgpu.errors import LightFieldError
 from lfgpu.io.folders import entries, image_files
 from lfgpu.io.formats import recognise
+from lfgpu.io.images import IMAGE_SUFFIXES
+from lfgpu.io.numpy_file import holds_views
 
-_LOOK_BELOW = ("camera-row", "named-views")  # formats
+_LOOSE = ("camera-row", "named-views")  # formats of folders that any images may be taken for, also those a folder below
+_OF_OUTPUTS = ("manifest.jsonl", "result.npz")  # what tells folders of outputs from inputs
 
 
 @dataclass(frozen=True)
@@ -59,28 +62,27 @@ def find_items(
         If an input names nothing that exists, or nothing is found at all.
     """
     everything: list[Path] = []
-    barren: list[Path] = []
-    excluded = None if leave_out is None else leave_out.resolve()
-    for path in (path for text in inputs for path in _matches(text) if path.resolve() != excluded):
-        if format_name is not None or not path.is_dir() or _is_light_field(path):
+    search = _Search(None if leave_out is None else leave_out.resolve())
+    for path in (path for text in inputs for path in _matches(text) if path.resolve() != search.excluded):
+        if format_name is not None or not path.is_dir():
             everything.append(path)
-            continue
-        inside = list(_inside(path, excluded, barren))
-        if not inside:
-            barren.append(path)
-        everything += inside
+        else:
+            everything += search.below(path)
     paths = sorted({path.absolute() for path in everything}, key=_natural)
     if not paths:
         raise LightFieldError(f"no light field was found in {', '.join(inputs)}; give folders of views, or of such.")
     names = _names(paths)
-    return [Item(names[path], str(path), str(path.parent) if sequence else "") for path in paths], barren
+    return [Item(names[path], str(path), str(path.parent) if sequence else "") for path in paths], search.barren
 
 
-def fingerprint(source: str) -> str:
-    """What changes when a light field's files do: from their names, sizes and times, not from what is in them."""
+def fingerprint(source: str, *, leave_out: Path | None = None) -> str:
+    """What changes when a light field's files do: from their names, sizes and times, not from what is in them.
+
+    The folder `leave_out`, where outputs go, is not looked into.
+    """
     root = Path(source)
     digest = hashlib.sha256()
-    files = sorted(_files(root)) if root.is_dir() else [root]
+    files = sorted(_files(root, None if leave_out is None else leave_out.resolve())) if root.is_dir() else [root]
     for file in files:
         try:
             found = file.stat()
@@ -90,8 +92,9 @@ def fingerprint(source: str) -> str:
     return digest.hexdigest()[:16]
 
 
-def _files(folder: Path) -> Iterable[Path]:
-    for place, _, names in os.walk(folder):
+def _files(folder: Path, excluded: Path | None) -> Iterable[Path]:
+    for place, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if Path(place, name).resolve() != excluded]
         yield from (Path(place, name) for name in names)
 
 
@@ -104,26 +107,60 @@ def _matches(text: str) -> list[Path]:
     return found
 
 
-def _inside(folder: Path, excluded: Path | None, barren: list[Path]) -> Iterable[Path]:
-    for entry in entries(folder):
-        if entry.resolve() == excluded:
-            continue
-        if _is_light_field(entry):
-            yield entry
-        elif entry.is_dir():
-            inside = list(_inside(entry, excluded, barren))
-            if not inside:
-                barren.append(entry)
-            yield from inside
+class _Search:
+    """Looks for light fields in folders, each of which is looked into once, however many links lead there.
+
+    Parameters
+    ----------
+    excluded
+        A folder that is not looked into.
+    """
+
+    def __init__(self, excluded: Path | None) -> None:
+        self.excluded, self.barren = excluded, list[Path]()
+        """`barren`: the folders in which none was found."""
+        self._seen: set[Path] = set()
+
+    def below(self, folder: Path) -> list[Path]:
+        """The folder, if it is a light field, or those inside; none if the folder holds outputs."""
+        kind, real = _kind(folder), folder.resolve()
+        if real in self._seen or any((folder / name).is_file() for name in _OF_OUTPUTS):
+            return []
+        self._seen.add(real)
+        if kind is not None and kind not in _LOOSE:
+            return [folder]
+        before, inside = len(self.barren), list(self._inside(folder))
+        own = len(image_files(folder)) if kind is not None else 0
+        if own > 1 and not any(_outweighs(found, own) for found in inside):
+            del self.barren[before:]
+            return [folder]
+        if not inside:
+            self.barren.append(folder)
+        return inside
+
+    def _inside(self, folder: Path) -> Iterable[Path]:
+        for entry in entries(folder):
+            if entry.resolve() == self.excluded:
+                continue
+            if entry.is_dir():
+                yield from self.below(entry)
+            elif _kind(entry) is not None and holds_views(entry):
+                yield entry
 
 
-def _is_light_field(path: Path) -> bool:
+def _kind(path: Path) -> str | None:
+    """The name of its format; None if it is no light field."""
     try:
-        found, _ = recognise(path)
-        # Their readers look for views in a sub-folder, too, and would take any light field there for one of their own.
-        return found.name not in _LOOK_BELOW or not path.is_dir() or bool(image_files(path))
+        return recognise(path)[0].name
     except LightFieldError:
-        return False
+        return None
+
+
+def _outweighs(found: Path, own: int) -> bool:
+    """Whether a light field inside a folder says that its `own` images are none: thumbnails, or a picture of it."""
+    if found.is_dir():
+        return _kind(found) not in _LOOSE or len(image_files(found)) > own
+    return found.suffix.lower() not in IMAGE_SUFFIXES
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:

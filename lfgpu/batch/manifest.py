@@ -56,7 +56,32 @@ def is_done(entry: Mapping[str, Any] | None, item: Item, parameters: str, input_
         return False
     if (entry.get("parameters_key"), entry.get("input_key")) != (parameters, input_key):
         return False
-    return all((out / item.name / file).is_file() for file in entry.get("files", ()))
+    return _outputs_are_there(entry, out / item.name)
+
+
+def standing(entries: Mapping[str, dict[str, Any]], out: Path) -> dict[str, dict[str, Any]]:
+    """Those of a manifest's entries that still say what is there.
+
+    Not those whose outputs are gone, nor those whose input has since been done under another name.
+    """
+    newest = {entry.get("input"): name for name, entry in sorted(entries.items(), key=lambda e: e[1].get("began", 0.0))}
+    return {
+        name: entry
+        for name, entry in entries.items()
+        if newest[entry.get("input")] == name and (entry.get("status") != DONE or _outputs_are_there(entry, out / name))
+    }
+
+
+def _outputs_are_there(entry: Mapping[str, Any], folder: Path) -> bool:
+    sizes = entry.get("sizes")
+    return sizes is not None and all(_size(folder / file) == size for file, size in sizes.items())
+
+
+def _size(file: Path) -> int:
+    try:
+        return file.stat().st_size
+    except OSError:
+        return -1
 
 
 class Manifest:
@@ -109,9 +134,9 @@ class Manifest:
 
     def _flush(self) -> None:
         assert self._file is not None
-        written = 0
-        for line in self.unwritten:
-            end = self._file.seek(0, os.SEEK_END)
+        written = False
+        while self.unwritten:
+            line, end = self.unwritten[0], self._file.seek(0, os.SEEK_END)
             if end and not written and not self._ends_a_line(end):
                 line = b"\n" + line  # a crash left half a line
             try:
@@ -121,10 +146,10 @@ class Manifest:
             if not whole:
                 self._file.truncate(end)
                 break
-            written += 1
+            self.unwritten.pop(0)
+            written = True
         if written:
             os.fsync(self._file.fileno())
-            del self.unwritten[:written]
 
     def _ends_a_line(self, end: int) -> bool:
         with self._path.open("rb") as file:

@@ -70,7 +70,7 @@ def mean_scores(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
     done, metrics = entry["status"] == DONE, entry.get("metrics")
     low, high = entry.get("disparity_range") or (math.nan, math.nan)
-    picture = PREVIEW_FILE in entry.get("files", ())
+    picture = PREVIEW_FILE in entry.get("sizes", ())
     return {
         "name": entry["item"],
         "done": done,

@@ -109,7 +109,7 @@ class Batch:
         away = [
             name
             for name, entry in self.summary.entries.items()
-            if not all((self._out / name / file).is_file() for file in entry.get("files", ()))
+            if not all((self._out / name / file).is_file() for file in entry.get("sizes", ()))
         ]
         if away:
             raise BatchError(
@@ -140,13 +140,14 @@ class Batch:
         summary = self.summary
 
         def done(entries: list[Entry]) -> None:
-            manifest.add(entries)
             for entry in entries:
                 summary.entries[entry["item"]] = entry
                 if entry["status"] == DONE:
                     summary.computed += 1
                 else:
                     summary.failed.append(entry)
+            manifest.add(entries)
+            for entry in entries:
                 progress.last = entry
                 on_progress(progress)
 
@@ -163,7 +164,7 @@ def _jobs(items: Sequence[Item], out: Path, settings: Settings) -> list[Job]:
         if item.sequence and len(frames[item.sequence]) < _MEASURED_ON:
             frames[item.sequence].append(item.source)
     first = {sequence: tuple(sources) for sequence, sources in frames.items()}
-    began_with = {sequence: fingerprint(sources[0]) for sequence, sources in first.items()}
+    began_with = {sequence: fingerprint(sources[0], leave_out=out) for sequence, sources in first.items()}
     parameters = {of: key_of(settings.config, {**settings.options, "sequence": of}) for of in (False, True)}
     return [
         Job(
@@ -173,7 +174,9 @@ def _jobs(items: Sequence[Item], out: Path, settings: Settings) -> list[Job]:
             first.get(item.sequence, ()),
             {
                 "parameters_key": parameters[bool(item.sequence)],
-                "input_key": "-".join(filter(None, (fingerprint(item.source), began_with.get(item.sequence)))),
+                "input_key": "-".join(
+                    filter(None, (fingerprint(item.source, leave_out=out), began_with.get(item.sequence)))
+                ),
             },
         )
         for item in items

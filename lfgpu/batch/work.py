@@ -113,11 +113,11 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
     out = Path(job.out, job.item.name)
     out.parent.mkdir(parents=True, exist_ok=True)  # others make it at the same time
     with atomic_folder(out) as folder:
-        files = _write(folder, result)
+        sizes = _write(folder, result)
     clock.lap("write")
     low, high = result.disparity_range
     return {
-        "files": files,
+        "sizes": sizes,
         "metrics": scores,
         "disparity_range": [low, high],
         "views": len(lf.views),
@@ -139,7 +139,7 @@ def _read(source: str, settings: Settings) -> LightField:
 
 
 def _estimate(lf: LightField, job: Job, device: str) -> DepthResult:
-    settings = job.settings
+    settings, start = job.settings, time.perf_counter()
     bounds, config = settings.disparity_range, settings.config
     if job.first:
         bounds, config = _measured(job.first, settings, device)
@@ -147,7 +147,9 @@ def _estimate(lf: LightField, job: Job, device: str) -> DepthResult:
     if not is_new:
         pipeline.upload(lf.views)
     pipeline.run()
-    return replace(pipeline.result(), name=lf.name, geometry=lf.geometry)
+    result = pipeline.result()
+    timings = {"total": time.perf_counter() - start}
+    return replace(result, name=lf.name, geometry=lf.geometry, timings=timings)
 
 
 def _measured(first: tuple[str, ...], settings: Settings, device: str) -> tuple[tuple[float, float] | None, Config]:
@@ -219,8 +221,8 @@ def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | No
         return None
 
 
-def _write(folder: Path, result: DepthResult) -> list[str]:
-    """Write a result into a folder that exists; the names of the files."""
+def _write(folder: Path, result: DepthResult) -> dict[str, int]:
+    """Write a result into a folder that exists; the files and how many bytes they have."""
     from lfgpu.frames import LOOKS, colour, fitted
     from lfgpu.io import write_pfm, write_result
     from lfgpu.pictures import scale_limits
@@ -232,7 +234,7 @@ def _write(folder: Path, result: DepthResult) -> list[str]:
     fitted(picture, wide=wide, tall=tall).save(folder / PREVIEW_FILE)
     if (depth := result.depth) is not None:
         write_pfm(folder / DEPTH_FILE, depth)
-    return sorted(file.name for file in folder.iterdir())
+    return {file.name: file.stat().st_size for file in sorted(folder.iterdir())}
 
 
 class _Clock:

@@ -63,7 +63,7 @@ def are_batches(folders: list[Path]) -> bool:
 
 def compare_batches(folders: list[Path], out: Path | None) -> None:
     """The scores that batches have found, of each item with ground truth and on average; LightFieldError if of none."""
-    from lfgpu.batch.manifest import DONE, read_manifest
+    from lfgpu.batch.manifest import DONE, read_manifest, standing
     from lfgpu.cli.console import comparison, output, remark
     from lfgpu.cli.summary import show_outputs
     from lfgpu.comparison import table_of
@@ -76,13 +76,21 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
     if len(set(names)) < len(names):
         raise LightFieldError("two batches have the same name; columns are called as their folders are: rename one.")
     scores: dict[str, dict[str, Metrics]] = {}
-    unscored = 0
+    unscored = gone = 0
+    mixed = []
     for name, folder in zip(names, folders, strict=True):
-        for item, entry in sorted(read_manifest(folder).items()):
+        entries = read_manifest(folder)
+        there = standing(entries, folder)
+        gone += len(entries) - len(there)
+        parameters = set()
+        for item, entry in sorted(there.items()):
             if entry.get("status") == DONE and entry.get("metrics"):
                 scores.setdefault(item, {})[name] = _metrics(entry["metrics"], folder)
+                parameters.add(entry.get("parameters_key"))
             else:
                 unscored += 1
+        if len(parameters) > 1:
+            mixed.append(name)
     if not scores:
         raise LightFieldError(f"no item in {', '.join(map(str, folders))} has ground truth; there is nothing to score.")
     scored = table_of(tuple(names), scores)
@@ -91,6 +99,10 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
     remark(console, f"Smaller is better; a border of {BORDER} left out. BadPix in percent, undefined pixels are bad.")
     if unscored:
         remark(console, f"{unscored} items failed or have no ground truth.")
+    if gone:
+        remark(console, f"{gone} items are left out: their outputs are gone, or they have another name since.")
+    for name in mixed:
+        remark(console, f"{name} was computed with different parameters: run the batch again until all is done.")
     if out is not None:
         from lfgpu.io import atomic_folder
 

@@ -36,7 +36,7 @@ def load_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
 
 def _file(path: Path) -> NDArray[Any]:
     with path.open("rb") as file:
-        shape, dtype, fortran = _header(path, file)
+        shape, dtype, fortran = header(path, file)
         size = dtype.itemsize * math.prod(int(side) for side in shape)
         if wanted_on_disk() and size > 0:
             check_claim(path, shape, dtype, in_memory=False)
@@ -58,7 +58,7 @@ def _archive(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
             if members[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise LightFieldError(f"{path} is packed in a way that NumPy does not use; write it with np.savez.")
             with archive.open(members[name]) as file:
-                check_claim(path, *_header(path, file)[:2])
+                check_claim(path, *header(path, file)[:2])
             with archive.open(members[name]) as file:
                 found[name] = np.asarray(np.lib.format.read_array(file, allow_pickle=False))
     if names[0] not in found:
@@ -66,7 +66,7 @@ def _archive(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     return found
 
 
-def _header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
+def header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
     version = np.lib.format.read_magic(file)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, fortran, dtype = read(file)

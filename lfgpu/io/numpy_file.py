@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,10 @@ from numpy.typing import NDArray
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, field_of, grid_field, storable
 from lfgpu.io.folders import head
-from lfgpu.io.numpy_arrays import MAGIC, ZIP, load_arrays
+from lfgpu.io.numpy_arrays import MAGIC, ZIP, header, load_arrays
 from lfgpu.lightfield import LightField
+
+_AXES = (4, 5)  # of views, unless they are grey and in a row, as stacks of anything else may be
 
 
 def recognise(path: Path) -> str | None:
@@ -21,6 +24,21 @@ def recognise(path: Path) -> str | None:
     if start == MAGIC:
         return "it begins as .npy files do"
     return "it is an .npz archive" if start[:4] == ZIP and path.suffix.lower() == ".npz" else None
+
+
+def holds_views(path: Path) -> bool:
+    """Whether a file that nobody named may be one of views: False for NumPy files of other things."""
+    start = head(path, 6)
+    try:
+        if start[:4] == ZIP:
+            with zipfile.ZipFile(path) as archive:
+                return "views.npy" in archive.namelist()
+        if start == MAGIC:
+            with path.open("rb") as file:
+                return len(header(path, file)[0]) in _AXES
+    except Exception:  # damaged, which whoever reads it will say
+        return True
+    return True
 
 
 def read_numpy(path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None) -> LightField:
