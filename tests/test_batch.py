@@ -163,6 +163,9 @@ def test_outputs_and_other_arrays_are_no_inputs(recorded: Path, tmp_path: Path) 
     np.savez(tmp_path / "calibration.npz", matrix=np.eye(3))
     items, _ = find_items([str(tmp_path)], sequence=False)
     assert [item.name for item in items] == ["one"]
+    (tmp_path / "one" / "result.npz").write_bytes(b"")  # which makes it no less of a light field
+    items, _ = find_items([str(tmp_path)], sequence=False)
+    assert [item.name for item in items] == ["one"]
     items, _ = find_items([str(tmp_path / "weights.npy")], sequence=False)
     assert len(items) == 1  # who names it hears what is wrong with it
 

@@ -124,11 +124,13 @@ class _Search:
     def below(self, folder: Path) -> list[Path]:
         """The folder, if it is a light field, or those inside; none if the folder holds outputs."""
         kind, real = _kind(folder), folder.resolve()
-        if real in self._seen or any((folder / name).is_file() for name in _OF_OUTPUTS):
+        if real in self._seen:
             return []
         self._seen.add(real)
         if kind is not None and kind not in _LOOSE:
             return [folder]
+        if any((folder / name).is_file() for name in _OF_OUTPUTS):
+            return []
         before, inside = len(self.barren), list(self._inside(folder))
         own = len(image_files(folder)) if kind is not None else 0
         if own > 1 and not any(_outweighs(found, own) for found in inside):
