@@ -52,8 +52,6 @@ class Plan:
     starts: tuple[tuple[int, int], ...]
     halo: tuple[int, int]
     """Pixels (y, x) at inner edges of a tile of which nothing is kept."""
-    bytes: int
-    """What a pipeline for one tile takes."""
 
 
 def plan_tiles(
@@ -80,7 +78,7 @@ def plan_tiles(
         )
     *_, tile, counts = min(plans)
     rows, columns = (_places(length, side, count) for length, side, count in zip(size, tile, counts, strict=True))
-    return Plan(tile, tuple(itertools.product(rows, columns)), halo, needed.bytes(*tile))
+    return Plan(tile, tuple(itertools.product(rows, columns)), halo)
 
 
 def _mebibytes(size: int) -> str:
@@ -188,7 +186,6 @@ def _estimate_all(
                 results[index] = estimate(_tile(lf, used, plan.starts[index], plan.size))
             except LightFieldError as error:  # it may be a piece of sky: the others say whether anything is there
                 failed.append(error)
-            forget(lf.views)
             with lock:
                 done += 1
                 if on_progress is not None:

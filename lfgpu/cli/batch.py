@@ -9,9 +9,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT, list_backends
+from lfgpu._backends import DEFAULT
 from lfgpu.cli import values
-from lfgpu.cli.options import Every, Flip, Grid
+from lfgpu.cli.options import (
+    Backend,
+    Deterministic,
+    DisparityRange,
+    Every,
+    Flip,
+    Grid,
+    OutFolder,
+    Parameters,
+    Pattern,
+    Preset,
+    Quiet,
+    ReferenceView,
+)
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
@@ -28,7 +41,7 @@ def batch(
         list[str],
         typer.Argument(metavar="INPUT...", help="Light fields, folders that hold some at any depth, or patterns."),
     ],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the outputs go; made if missing.")],
+    out: OutFolder,
     sequence: Annotated[
         bool, typer.Option("--sequence", help="Light fields in one folder are frames: in order, on one worker.")
     ] = False,
@@ -42,21 +55,11 @@ def batch(
         int | None, typer.Option(min=1, help="Local processes.", show_default="one for each GPU, or one")
     ] = None,
     retries: Annotated[int, typer.Option(min=0, help="Tries more for an item whose worker died.")] = 3,
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Set of parameters to start from.")] = "accurate",
-    reference_view: Annotated[
-        str | None,
-        typer.Option(metavar="ROW,COL", help="View to estimate, counted from 0.", show_default="the centre"),
-    ] = None,
-    pattern: Annotated[
-        str, typer.Option("--views", metavar="PATTERN", help="Views to use: full, star, cross, row or column.")
-    ] = "full",
-    disparity_range: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LOW,HIGH", help="Bounds in pixels per view step, larger is nearer.", show_default="found"
-        ),
-    ] = None,
-    backend: Annotated[str, typer.Option(metavar="NAME", help=f"Kernels: {', '.join(list_backends())}.")] = DEFAULT,
+    preset: Preset = "accurate",
+    reference_view: ReferenceView = None,
+    pattern: Pattern = "full",
+    disparity_range: DisparityRange = None,
+    backend: Backend = DEFAULT,
     device: Annotated[
         str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="all GPUs, or the CPU")
     ] = None,
@@ -64,14 +67,8 @@ def batch(
         int | None,
         typer.Option(min=1, help="Threads of the CPU for each worker.", show_default="its share of the cores"),
     ] = None,
-    deterministic: Annotated[
-        bool,
-        typer.Option("--deterministic", help="Refuse backends whose maps differ from run to run by their last bits."),
-    ] = False,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
-    ] = None,
+    deterministic: Deterministic = False,
+    settings: Parameters = None,
     format_name: Annotated[
         str | None, typer.Option("--format", metavar="NAME", help="Format of all inputs.", show_default="recognised")
     ] = None,
@@ -79,7 +76,7 @@ def batch(
     every: Every = None,
     flip: Flip = "",
     allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept grids that lost some views.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Estimate the disparity of many light fields, on all GPUs of this machine or on a Dask cluster.
 

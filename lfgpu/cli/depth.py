@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lfgpu._backends import DEFAULT, list_backends
+from lfgpu._backends import DEFAULT
 from lfgpu.cli import values
-from lfgpu.cli.options import Every, Flip, Grid, Threads
+from lfgpu.cli.options import (
+    AllowMissing,
+    Backend,
+    Deterministic,
+    Device,
+    DisparityRange,
+    Every,
+    Flip,
+    FormatName,
+    Grid,
+    OutFolder,
+    Parameters,
+    Pattern,
+    Preset,
+    Quiet,
+    ReferenceView,
+    Source,
+    Threads,
+)
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
@@ -60,16 +77,11 @@ class Estimation:
 
 
 def depth(
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="The light field, as a rule a folder of views.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the outputs go; made if missing.")],
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Set of parameters to start from.")] = "accurate",
-    reference_view: Annotated[
-        str | None,
-        typer.Option(metavar="ROW,COL", help="View to estimate, counted from 0.", show_default="the centre"),
-    ] = None,
-    pattern: Annotated[
-        str, typer.Option("--views", metavar="PATTERN", help="Views to use: full, star, cross, row or column.")
-    ] = "full",
+    source: Source,
+    out: OutFolder,
+    preset: Preset = "accurate",
+    reference_view: ReferenceView = None,
+    pattern: Pattern = "full",
     all_views: Annotated[
         bool, typer.Option("--all-views", help="Also write maps of all views, consistent with each other.")
     ] = False,
@@ -81,42 +93,27 @@ def depth(
             help="Also write the map as this file in FOLDER: .exr, .tif, .png, .pfm, .npz, or its points: .ply.",
         ),
     ] = None,
-    disparity_range: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LOW,HIGH", help="Bounds in pixels per view step, larger is nearer.", show_default="found"
-        ),
-    ] = None,
-    backend: Annotated[str, typer.Option(metavar="NAME", help=f"Kernels: {', '.join(list_backends())}.")] = DEFAULT,
-    device: Annotated[
-        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the best there is")
-    ] = None,
+    disparity_range: DisparityRange = None,
+    backend: Backend = DEFAULT,
+    device: Device = None,
     threads: Threads = None,
-    deterministic: Annotated[
-        bool,
-        typer.Option("--deterministic", help="Refuse backends whose maps differ from run to run by their last bits."),
-    ] = False,
+    deterministic: Deterministic = False,
     max_memory: Annotated[
         str | None,
         typer.Option(
             metavar="SIZE", help="Estimate in tiles that take no more, such as 8GiB.", show_default="no limit"
         ),
     ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
-    ] = None,
-    format_name: Annotated[
-        str | None, typer.Option("--format", metavar="NAME", help="Format of INPUT.", show_default="recognised")
-    ] = None,
+    settings: Parameters = None,
+    format_name: FormatName = None,
     grid: Grid = None,
     every: Every = None,
     flip: Flip = "",
-    allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept a grid that lost some views.")] = False,
+    allow_missing: AllowMissing = False,
     report: Annotated[
         bool, typer.Option("--report", help="Also write report.html: input, maps, scores, parameters on one page.")
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Estimate the disparity of one view, or of all, and depth if the cameras are known.
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from lfgpu.cli import values
+from lfgpu.cli.options import Parameters
 
 
 def export(
@@ -18,10 +19,7 @@ def export(
         str | None, typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found")
     ] = None,
     device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu or cuda.")] = "cpu",
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
-    ] = None,
+    settings: Parameters = None,
 ) -> None:
     """Write the estimate for light fields like INPUT as files that a program in C++ replays, and that program."""
     from lfgpu.export import export_pipeline

@@ -7,14 +7,12 @@ from typing import Annotated
 
 import typer
 
-from lfgpu.cli.options import Every, Flip, Grid
+from lfgpu.cli.options import Every, Flip, FormatName, Grid, Source
 
 
 def info(
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="The light field, as a rule a folder of views.")],
-    format_name: Annotated[
-        str | None, typer.Option("--format", metavar="NAME", help="Format of INPUT.", show_default="recognised")
-    ] = None,
+    source: Source,
+    format_name: FormatName = None,
     grid: Grid = None,
     every: Every = None,
     flip: Flip = "",

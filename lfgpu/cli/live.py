@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lfgpu.cli import values
-from lfgpu.cli.options import Threads
+from lfgpu.cli.options import Device, Parameters, Quiet, Threads
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,18 +57,13 @@ def live(
     grid: Annotated[str, typer.Option(metavar="ROWSxCOLUMNS", help="Views of a scene.")] = "7x7",
     size: Annotated[str, typer.Option(metavar="HEIGHTxWIDTH", help="Pixels of a scene's views.")] = "192x256",
     noise: Annotated[float, typer.Option(help="Noise of a scene's views, intensities being 0 to 1.")] = 0.005,
-    device: Annotated[
-        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the best there is")
-    ] = None,
+    device: Device = None,
     threads: Threads = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
-    ] = None,
+    settings: Parameters = None,
     metrics: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Keep the numbers there, in the text format of Prometheus.")
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
+    quiet: Quiet = False,
 ) -> None:
     """Estimate the disparity of each frame while they come; Ctrl-C ends it.
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT, list_backends
+from lfgpu._backends import DEFAULT
 from lfgpu.cli import values
 from lfgpu.cli.depth import Estimation
-from lfgpu.cli.options import Threads
+from lfgpu.cli.options import AllowMissing, Backend, Device, FormatName, Quiet, Source, Threads
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _REACH = 0.9  # of the way from the middle of the cameras to the outermost
 
 
 def render(
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="The light field, as a rule a folder of views.")],
+    source: Source,
     out: Annotated[
         Path,
         typer.Option(
@@ -58,16 +58,12 @@ def render(
         str | None,
         typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found"),
     ] = None,
-    backend: Annotated[str, typer.Option(metavar="NAME", help=f"Kernels: {', '.join(list_backends())}.")] = DEFAULT,
-    device: Annotated[
-        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the best there is")
-    ] = None,
+    backend: Backend = DEFAULT,
+    device: Device = None,
     threads: Threads = None,
-    format_name: Annotated[
-        str | None, typer.Option("--format", metavar="NAME", help="Format of INPUT.", show_default="recognised")
-    ] = None,
-    allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept a grid that lost some views.")] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")] = False,
+    format_name: FormatName = None,
+    allow_missing: AllowMissing = False,
+    quiet: Quiet = False,
 ) -> None:
     """Make new views, refocused images or an all-in-focus image of a light field, or a film of them.
 
