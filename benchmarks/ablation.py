@@ -20,8 +20,9 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.pipelines import METRICS
 from benchmarks.results import Record, Run
 from lfgpu import LightField, estimate_depth, evaluate, read, scenes
-from lfgpu.config import Config, preset
+from lfgpu.config import Config
 from lfgpu.errors import LfgpuError
+from lfgpu.methods import preset
 from lfgpu.metrics import Metrics
 from lfgpu.threads import get_threads
 
@@ -90,11 +91,11 @@ VARIANTS = (
     Variant("paper", preset="paper"),
     Variant("views of rows, columns, diagonals only", {"sweep.views": "star"}),
     Variant("views of row and column only", {"sweep.views": "cross"}),
-    Variant("no apertures", {"sweep.preference": 10}),
-    Variant("apertures of half the views", {"sweep.aperture": 180}),
-    Variant("apertures not held back", {"sweep.preference": 0}),
+    Variant("no apertures", {"sweep.view_set_penalty": 10}),
+    Variant("apertures of half the views", {"sweep.view_set_angle": 180}),
+    Variant("apertures not held back", {"sweep.view_set_penalty": 0}),
     Variant("no second sweep", {"sweep.occlusions": "once"}),
-    Variant("no apertures, no second sweep", {"sweep.preference": 10, "sweep.occlusions": "once"}),
+    Variant("no apertures, no second sweep", {"sweep.view_set_penalty": 10, "sweep.occlusions": "once"}),
     Variant("nothing hides anything", {"sweep.tolerance": 100}),
     Variant("sweep: no gradients", {"sweep.gradient_weight": 0}),
     Variant("sweep: next to no intensities", {"sweep.gradient_weight": 100}),
@@ -104,11 +105,11 @@ VARIANTS = (
     Variant("sweep: half the step", {"sweep.step": 0.2}),
     Variant("sweep: twice the step", {"sweep.step": 0.8}),
     Variant("noise not measured", {"sweep.noise": 0.004}),
-    Variant("no semi-global matching", {"matching.small_step": 0, "matching.large_step": 0}),
-    Variant("steps twice as dear", {"matching.small_step": 0.0005, "matching.large_step": 0.01}),
-    Variant("steps cheaper at edges of the image", {"matching.contrast": 0.05}),
-    Variant("costs over 5 pixels", {"matching.window": 5}),
-    Variant("costs over 9 pixels, as all else", {"matching.window": 9}),
+    Variant("no semi-global matching", {"semi_global.small_penalty": 0, "semi_global.large_penalty": 0}),
+    Variant("steps twice as dear", {"semi_global.small_penalty": 0.0005, "semi_global.large_penalty": 0.01}),
+    Variant("steps cheaper at edges of the image", {"semi_global.contrast": 0.05}),
+    Variant("costs over 5 pixels", {"semi_global.window": 5}),
+    Variant("costs over 9 pixels, as all else", {"semi_global.window": 9}),
     Variant("all else over 3 pixels, as costs", {"prior.window": 3}),
     Variant("all else over 5 pixels", {"prior.window": 5}),
     Variant("means over the window, like or not", {"prior.sigma_color": 2}),
@@ -120,13 +121,13 @@ VARIANTS = (
     # Stiffness is in units of the curvature over robust²: it stays what it is in absolute terms.
     Variant(
         "alignment: not robust",
-        {"alignment.robust": 0.5, "alignment.stiffness": 0.1 / 100**2, "filling.stiffness": 0.01 / 100**2},
+        {"alignment.robust": 0.5, "alignment.stiffness": 0.1 / 100**2, "hole_filling.stiffness": 0.01 / 100**2},
     ),
     Variant("alignment: across surfaces", {"alignment.support": 100}),
     Variant("alignment: no stiffness", {"alignment.stiffness": 0}),
-    Variant("outlines left as they are", {"outlines.contrast": 2}),
-    Variant("nothing filled", {"filling.max_iterations": 0}),
-    Variant("outlines left, nothing filled", {"outlines.contrast": 2, "filling.max_iterations": 0}),
+    Variant("outlines left as they are", {"boundaries.contrast": 2}),
+    Variant("nothing filled", {"hole_filling.max_iterations": 0}),
+    Variant("outlines left, nothing filled", {"boundaries.contrast": 2, "hole_filling.max_iterations": 0}),
 )
 
 

@@ -13,7 +13,7 @@ from benchmarks.inputs import CONFIG, LARGEST_DISPARITY
 from benchmarks.operations import Operation, Slot
 from benchmarks.prepare import Prepared, Region, prepare, whole
 from lfgpu._backends import load
-from lfgpu.types import Array, KernelSet
+from lfgpu.contract import Array, KernelSet
 
 _WINDOW = 64  # pixels along each side: what the reference can do at every size
 _CUT_OFF = 2.5  # standard deviations after which the normalisation's Gaussians end, of one and of two detail scales

@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks import clock
 from benchmarks.jobs import Job
 from benchmarks.results import Record
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 NAMES = ("copy", "axpby")
 _LENGTH = 1 << 26  # elements: 256 MiB of float32, more than caches hold

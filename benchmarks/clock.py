@@ -21,7 +21,7 @@ from time import perf_counter
 import numpy as np
 
 from benchmarks.results import Spread
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 _SHORTEST_BATCH = 0.02  # seconds, so that the clock and the scheduler do not matter
 _STOP_SHARE = 0.02  # of a batch at most

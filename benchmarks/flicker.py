@@ -12,7 +12,7 @@ from rich.table import Table
 
 from benchmarks.moving import RANGE, Film
 from lfgpu import DepthStream, TemporalPrior, evaluate
-from lfgpu.types import Float32Array
+from lfgpu.contract import Float32Array
 
 _SETTLED = 3  # frames after which a map rests on several
 

@@ -11,15 +11,15 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from lfgpu import frames
-from lfgpu.depth import estimate_depth
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
 from lfgpu.io.atomic import atomic_write
-from lfgpu.lightfield import LightField
 from lfgpu.metrics import evaluate
-from lfgpu.pictures import error_reach, scale_limits
-from lfgpu.result import DepthResult
+from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.scenes import make
 from lfgpu.viewer.cloud import Cloud, point_cloud
+from lfgpu.viz import panels as frames
+from lfgpu.viz.figures import error_reach, scale_limits
 
 SCENES = ("boxes", "planes", "relief")
 GRID, SIZE = (9, 9), (384, 512)

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.cases import CHANNELS, Case
-from lfgpu.config import preset
-from lfgpu.types import half_window
+from lfgpu.contract import half_window
+from lfgpu.methods.synthesis.config import SynthesisConfig
 
 LARGEST_DISPARITY = 1.5  # pixels per view step, either way
-CONFIG = preset("paper")
+CONFIG = SynthesisConfig()
 BYTE = 1 / 255
 """The intensity of one step of a uint8 view."""
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu import scenes
-from lfgpu.lightfield import LightField
+from lfgpu.contract import Float32Array
+from lfgpu.data.lightfield import LightField
 from lfgpu.threads import get_threads
-from lfgpu.types import Float32Array
 
 RANGE = (-1.5, 1.5)
 BORDER = 15  # pixels, as in the benchmark's metrics

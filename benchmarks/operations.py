@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks.cases import CHANNELS, Case
 from benchmarks.errors import BenchmarkError
 from benchmarks.inputs import BYTE, CONFIG, INPUTS, LARGEST_DISPARITY, line_offsets
-from lfgpu.initial import structure_filters
-from lfgpu.types import Array, KernelSet, StructureFilters, half_window
+from lfgpu.contract import Array, KernelSet, StructureFilters, half_window
+from lfgpu.methods.structure_tensor import structure_filters
 
 _PAIRS = 10  # that the method's L-BFGS remembers
 _TOLERANCE = 1e-4  # relative error of operations in float32, at any size

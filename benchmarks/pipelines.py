@@ -18,8 +18,8 @@ from benchmarks import clock, memory, scene, stages
 from benchmarks.jobs import Job
 from benchmarks.results import Record, Spread
 from lfgpu import PRESETS, DepthPipeline, DepthResult, LightField, estimate_depth, evaluate
-from lfgpu.synthesis import STAGES
-from lfgpu.types import Float32Array
+from lfgpu.contract import Float32Array
+from lfgpu.methods import method_of
 
 SCRATCH, RESIDENT, SCIPY = "paper", "resident", "scipy"
 MATCHING = "accurate", "fast"
@@ -81,7 +81,7 @@ def measure(job: Job, gpu_before: int | None) -> Iterator[Record]:
 def _from_scratch(job: Job, name: str, lf: LightField, *, look: bool) -> _Measured:
     run = partial(estimate_depth, lf, config=name, backend=job.backend, device=job.device)
     result, peak = _with_peak(run, look)
-    times: dict[str, list[float]] = {stage: [] for stage in STAGES}
+    times: dict[str, list[float]] = {stage.name: [] for stage in method_of(name).stages}
 
     def timed() -> None:
         nonlocal result

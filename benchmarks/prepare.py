@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from benchmarks.cases import Case
 from benchmarks.inputs import INPUTS
 from benchmarks.operations import Desk, Operation, Slot, Work, extents
-from lfgpu.types import Array, KernelSet
+from lfgpu.contract import Array, KernelSet
 
 
 @dataclass(frozen=True)

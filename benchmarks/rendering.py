@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.errors import BenchmarkError
-from lfgpu.all_views import estimate_all_views
-from lfgpu.config import PRESETS
+from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
-from lfgpu.lightfield import LightField
-from lfgpu.render import FOR_RENDERING, Renderer
-from lfgpu.types import Float32Array, Float64Array
+from lfgpu.methods import PRESETS
+from lfgpu.pipelines.all_views import estimate_all_views
+from lfgpu.viz.rendering import FOR_RENDERING, Renderer
 
 DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
 SCENES = ("cotton", "kitchen", "lytro_2067")

@@ -29,13 +29,13 @@ def measure(
     stop = clock.stopper(kernels, device)
     parts: dict[str, Callable[[], None]] = {UPLOAD: lambda: pipeline.upload(views)}
     captured = False
-    if pipeline.config.is_on_device:
+    if pipeline.method.is_on_device:
         works = {name: partial(stage, None) for name, stage in pipeline.stages().items()}
         graphs = {stage: kernels.capture(work, device) for stage, work in works.items()}
         captured = None not in graphs.values()
         parts |= {stage: graphs[stage] or work for stage, work in works.items()}
     seconds = {name: _median(part, stop, repeats) for name, part in parts.items()}
-    if not pipeline.config.is_on_device:
+    if not pipeline.method.is_on_device:
         seconds |= {stage: s for stage, s in pipeline.estimate().timings.items() if stage != "total"}
     seconds[DOWNLOAD] = _median(pipeline.disparity, lambda: None, repeats)
     return seconds, captured

@@ -16,7 +16,7 @@ from benchmarks.jobs import Job, append_record, read_job
 from benchmarks.prepare import prepare, whole
 from benchmarks.results import Record
 from lfgpu._backends import load, pick_device
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 _BUDGET = 3.0  # seconds for the repeats of one operation
 

@@ -9,7 +9,7 @@ import sys
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.pictures import disparity_figure, save_png
+from lfgpu.viz.figures import disparity_figure, save_png
 
 
 def main(

@@ -10,63 +10,69 @@ Importing lfgpu starts no device and loads no backend; names are loaded when the
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
+
+from lfgpu.data import hooks as _hooks
 
 if TYPE_CHECKING:
     from lfgpu._backends import BackendInfo, describe_backends, list_backends
-    from lfgpu.all_views import ViewsResult, estimate_all_views
-    from lfgpu.config import PRESETS, Config
-    from lfgpu.depth import DepthPipeline, estimate_depth
+    from lfgpu.config import Config
+    from lfgpu.data.geometry import Geometry
+    from lfgpu.data.lightfield import GroundTruth, LightField
+    from lfgpu.data.points import PointCloud, point_cloud
+    from lfgpu.data.result import DepthResult, DisparityMap
+    from lfgpu.data.views_result import ViewsResult
     from lfgpu.errors import BackendError, LfgpuError, LightFieldError
-    from lfgpu.export import export_pipeline
-    from lfgpu.geometry import Geometry
     from lfgpu.io import load, read, save
-    from lfgpu.lightfield import GroundTruth, LightField
+    from lfgpu.methods import PRESETS
+    from lfgpu.methods.temporal_prior import TemporalPrior
     from lfgpu.metrics import evaluate
-    from lfgpu.points import PointCloud, point_cloud
-    from lfgpu.refocusing import all_in_focus, refocus
-    from lfgpu.render import RenderedView, Renderer, render_view
-    from lfgpu.result import DepthResult, DisparityMap
-    from lfgpu.stream import DepthStream, FrameDroppedError, StreamResult
-    from lfgpu.temporal import TemporalPrior
+    from lfgpu.pipelines.all_views import estimate_all_views
+    from lfgpu.pipelines.estimate import estimate_depth
+    from lfgpu.pipelines.export import export_pipeline
+    from lfgpu.pipelines.pipeline import DepthPipeline
+    from lfgpu.pipelines.stream import DepthStream, FrameDroppedError, StreamResult
     from lfgpu.threads import get_threads, set_threads
     from lfgpu.viewer import Viewer
+    from lfgpu.viz.refocusing import all_in_focus, refocus
+    from lfgpu.viz.rendering import RenderedView, Renderer, render_view
 
 _HOMES = {
     "BackendError": "errors",
     "BackendInfo": "_backends",
     "Config": "config",
-    "DepthPipeline": "depth",
-    "DepthResult": "result",
-    "DepthStream": "stream",
-    "DisparityMap": "result",
-    "FrameDroppedError": "stream",
-    "Geometry": "geometry",
-    "GroundTruth": "lightfield",
+    "DepthPipeline": "pipelines.pipeline",
+    "DepthResult": "data.result",
+    "DepthStream": "pipelines.stream",
+    "DisparityMap": "data.result",
+    "FrameDroppedError": "pipelines.stream",
+    "Geometry": "data.geometry",
+    "GroundTruth": "data.lightfield",
     "LfgpuError": "errors",
-    "LightField": "lightfield",
+    "LightField": "data.lightfield",
     "LightFieldError": "errors",
-    "PRESETS": "config",
-    "PointCloud": "points",
-    "RenderedView": "render",
-    "Renderer": "render",
-    "StreamResult": "stream",
-    "TemporalPrior": "temporal",
+    "PRESETS": "methods",
+    "PointCloud": "data.points",
+    "RenderedView": "viz.rendering",
+    "Renderer": "viz.rendering",
+    "StreamResult": "pipelines.stream",
+    "TemporalPrior": "methods.temporal_prior",
     "Viewer": "viewer",
-    "ViewsResult": "all_views",
-    "all_in_focus": "refocusing",
+    "ViewsResult": "data.views_result",
+    "all_in_focus": "viz.refocusing",
     "describe_backends": "_backends",
-    "estimate_all_views": "all_views",
-    "estimate_depth": "depth",
+    "estimate_all_views": "pipelines.all_views",
+    "estimate_depth": "pipelines.estimate",
     "evaluate": "metrics",
-    "export_pipeline": "export",
+    "export_pipeline": "pipelines.export",
     "get_threads": "threads",
     "list_backends": "_backends",
     "load": "io",
-    "point_cloud": "points",
+    "point_cloud": "data.points",
     "read": "io",
-    "refocus": "refocusing",
-    "render_view": "render",
+    "refocus": "viz.refocusing",
+    "render_view": "viz.rendering",
     "save": "io",
     "set_threads": "threads",
 }
@@ -115,6 +121,16 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'lfgpu' has no attribute {name!r}")
     return getattr(importlib.import_module(f"lfgpu.{_HOMES[name]}"), name)
+
+
+def _later(home: str, name: str) -> Callable[..., Any]:
+    """A function that is imported when it is first called."""
+    return lambda *arguments, **options: getattr(importlib.import_module(home), name)(*arguments, **options)
+
+
+_hooks.attach("save", _later("lfgpu.io", "save"))
+_hooks.attach("light_field_html", _later("lfgpu.viz.notebook", "light_field_html"))
+_hooks.attach("result_html", _later("lfgpu.viz.notebook", "result_html"))
 
 
 def __dir__() -> list[str]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, cast
 from lfgpu.errors import BackendError
 
 if TYPE_CHECKING:
-    from lfgpu.types import KernelSet
+    from lfgpu.contract import KernelSet
 
 _PACKAGES = {"warp": "warp-lang", "taichi": "taichi", "reference": "numpy"}  # backend -> what pip calls what it needs
 

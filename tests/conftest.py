@@ -13,9 +13,9 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from lfgpu._backends import list_backends, load
+from lfgpu.contract import KernelSet
 from lfgpu.errors import BackendError
 from lfgpu.threads import get_threads
-from lfgpu.types import KernelSet
 
 SEED = "LFGPU_TEST_SEED"
 DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")

@@ -17,15 +17,16 @@ from benchmarks.clock import spread
 from benchmarks.results import Record, Run
 from benchmarks.tables import NONE, tables
 from lfgpu import GroundTruth, estimate_depth, evaluate, scenes
-from lfgpu.config import PRESETS, Config, parameters
+from lfgpu.config import Config, parameters
 from lfgpu.io import write_hci
-from lfgpu.matching import in_units_of
+from lfgpu.methods import PRESETS
+from lfgpu.methods.matching.noise import in_units_of
 
 ROOT = Path(__file__).parents[1]
 SIZE = 48
 SCALED = (
-    *("sweep.truncation", "sweep.gradient_truncation", "prior.sigma_color", "alignment.robust", "outlines.contrast"),
-    *("matching.small_step", "matching.large_step", "matching.contrast"),
+    *("sweep.truncation", "sweep.gradient_truncation", "prior.sigma_color", "alignment.robust", "boundaries.contrast"),
+    *("semi_global.small_penalty", "semi_global.large_penalty", "semi_global.contrast"),
 )
 FEW = (VARIANTS[0], next(v for v in VARIANTS if v.values.get("sweep.views") == "cross"))
 

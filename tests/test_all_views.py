@@ -11,11 +11,12 @@ import pytest
 
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.all_views import Join, ViewsResult, estimate_all_views, filled_from_behind, spread_out
-from lfgpu.depth import estimate_depth
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.lightfield import LightField
 from lfgpu.metrics import evaluate
+from lfgpu.pipelines.all_views import Join, estimate_all_views, filled_from_behind, spread_out
+from lfgpu.pipelines.estimate import estimate_depth
 
 RANGE = (-1.6, 1.7)
 SIZE = (96, 96)

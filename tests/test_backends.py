@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from lfgpu import _backends, scenes
-from lfgpu.config import Config
-from lfgpu.depth import estimate_depth
+from lfgpu.contract import KernelSet
 from lfgpu.errors import BackendError
-from lfgpu.types import KernelSet
+from lfgpu.methods.synthesis.config import SynthesisConfig
+from lfgpu.pipelines.estimate import estimate_depth
 
 
 def raising(error: Exception) -> Callable[..., Any]:
@@ -136,7 +136,7 @@ def test_devices_that_cannot_be_listed_are_a_problem(monkeypatch: pytest.MonkeyP
 
 def test_a_result_lists_the_package_of_its_backend(target: Any) -> None:
     lf = scenes.make("relief", grid=(1, 3), size=(24, 24))
-    config = Config().with_values({"refinement.max_iterations": 0, "prior.window": 3})
+    config = SynthesisConfig().with_values({"refinement.max_iterations": 0, "prior.window": 3})
     result = estimate_depth(
         lf, config=config, disparity_range=(-1.5, 1.5), backend=target.backend, device=target.device
     )

@@ -33,8 +33,8 @@ from lfgpu.batch.report import REPORT_FILE, write_report
 from lfgpu.batch.run import Batch, Summary, _jobs
 from lfgpu.batch.work import Settings, work
 from lfgpu.cli import app
-from lfgpu.config import preset
 from lfgpu.io import read, read_result, write_hci
+from lfgpu.methods import preset
 
 pytest.importorskip("distributed", reason="a batch needs Dask: pip install 'lfgpu[batch]'")
 

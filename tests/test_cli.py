@@ -21,10 +21,10 @@ from lfgpu import get_threads, list_backends, scenes, set_threads
 from lfgpu._backends import BackendInfo
 from lfgpu.cli import app, demo
 from lfgpu.cli.machine import device_name
-from lfgpu.config import preset
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read, read_map, read_result, write_hci, write_pfm
-from lfgpu.lightfield import LightField
+from lfgpu.methods import preset
 from lfgpu.metrics import evaluate, sparsification
 
 OUTPUTS = {"confidence.png", "depth.pfm", "disparity.pfm", "disparity.png", "result.npz"}
@@ -185,7 +185,7 @@ def test_options_are_checked_before_anything_is_read(out: Path, monkeypatch: pyt
 
 
 def test_output_that_cannot_be_written(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lfgpu.depth.estimate_depth", pytest.fail)  # found out before the long computation
+    monkeypatch.setattr("lfgpu.pipelines.estimate.estimate_depth", pytest.fail)  # found out before the long computation
     (tmp_path / "file").write_text("mine")
     refused(lfgpu("depth", recorded, "-o", tmp_path / "file"), "is a file, not a folder")
     refused(lfgpu("depth", recorded, "-o", tmp_path / "file" / "out"), "is a file, not a folder")
@@ -206,7 +206,9 @@ def raising(error: BaseException) -> Callable[..., None]:
     return fail
 
 
-@pytest.mark.parametrize("where", ["lfgpu.matching.Matching._find_surface", "lfgpu.io.write_result", "lfgpu.io.read"])
+@pytest.mark.parametrize(
+    "where", ["lfgpu.methods.matching.method.Matching._find_surface", "lfgpu.io.write_result", "lfgpu.io.read"]
+)
 def test_interruption_leaves_nothing(
     where: str, recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -227,7 +229,7 @@ def test_interruption_leaves_nothing(
 def test_errors_of_the_machine(
     error: Exception, words: str, recorded: Path, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lfgpu.depth.estimate_depth", raising(error))
+    monkeypatch.setattr("lfgpu.pipelines.estimate.estimate_depth", raising(error))
     refused(lfgpu("depth", recorded, "-o", out), words)
 
 
@@ -241,7 +243,7 @@ def test_full_disk_leaves_nothing(recorded: Path, out: Path, tmp_path: Path, mon
 def test_bugs_keep_their_traceback(
     error: Exception, recorded: Path, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lfgpu.depth.estimate_depth", raising(error))
+    monkeypatch.setattr("lfgpu.pipelines.estimate.estimate_depth", raising(error))
     assert lfgpu("depth", recorded, "-o", out).raised is error
 
 
@@ -577,7 +579,7 @@ def test_demo(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_array_equal(read(out / "light-field").views, scenes.make("boxes", seed=1, **SMALL).views)
     said = " ".join(outcome.out.split())
     assert f"lfgpu eval {out}-cross {out}/light-field" in said
-    assert row_of(outcome.out, "aligned")
+    assert row_of(outcome.out, "align")
     with Image.open(out / "overview.png") as image:
         assert min(image.size) > 1000
     assert lfgpu("eval", out, out / "light-field").code == 0

@@ -7,37 +7,35 @@ from typing import Any
 
 import pytest
 
-from lfgpu.config import (
-    PRESETS,
-    AlignmentConfig,
-    Config,
-    FillingConfig,
-    LocalConfig,
-    MatchingConfig,
-    MethodConfig,
-    OutlinesConfig,
-    PriorConfig,
-    PropagationConfig,
-    RefinementConfig,
-    SweepConfig,
-    parameters,
-    preset,
-)
+from lfgpu.config import Config, parameters
 from lfgpu.errors import LightFieldError
-
-STAGES = (
-    MethodConfig,
-    LocalConfig,
-    PriorConfig,
-    PropagationConfig,
-    RefinementConfig,
-    SweepConfig,
-    MatchingConfig,
+from lfgpu.methods import PRESETS, method_of, preset
+from lfgpu.methods.matching.config import (
     AlignmentConfig,
-    OutlinesConfig,
-    FillingConfig,
+    BoundariesConfig,
+    HoleFillingConfig,
+    MatchingConfig,
+    SemiGlobalConfig,
+    SweepConfig,
 )
-ALL = list(parameters(Config()))
+from lfgpu.methods.sections import LocalConfig, PriorConfig
+from lfgpu.methods.synthesis.config import PropagationConfig, RefinementConfig, SynthesisConfig
+
+SECTIONS = {
+    MatchingConfig: {
+        LocalConfig,
+        PriorConfig,
+        SweepConfig,
+        SemiGlobalConfig,
+        AlignmentConfig,
+        BoundariesConfig,
+        HoleFillingConfig,
+    },
+    SynthesisConfig: {LocalConfig, PriorConfig, PropagationConfig, RefinementConfig},
+}
+OWNER = {name: kind() for kind in SECTIONS for name, _ in parameters(kind)}
+"""A configuration that has a parameter of that name."""
+ALL = [(name, dict(parameters(config))[name]) for name, config in OWNER.items()]
 NUMBERS = [(name, f) for name, f in ALL if "choices" not in f.metadata]
 CHOICES = [(name, f) for name, f in ALL if "choices" in f.metadata]
 
@@ -51,16 +49,18 @@ def value_of(config: Config, name: str) -> object:
     return getattr(getattr(config, stage), parameter)
 
 
-def refusal(values: dict[str, Any]) -> str:
+def refusal(values: dict[str, Any], config: Config | None = None) -> str:
     with pytest.raises(LightFieldError) as error:
-        Config().with_values(values)
+        (config or OWNER[next(iter(values))]).with_values(values)
     return str(error.value)
 
 
-def test_parameters_lists_each_parameter_of_each_stage_once() -> None:
-    stages = {f.name: type(getattr(Config(), f.name)) for f in dataclasses.fields(Config)}
-    assert set(stages.values()) == set(STAGES)
-    assert names(ALL) == [f"{stage}.{f.name}" for stage, kind in stages.items() for f in dataclasses.fields(kind)]
+@pytest.mark.parametrize("kind", SECTIONS)
+def test_parameters_lists_each_parameter_of_each_section_once(kind: type[Config]) -> None:
+    sections = {f.name: type(f.default) for f in dataclasses.fields(kind)}
+    assert set(sections.values()) == SECTIONS[kind]
+    listed = names(list(parameters(kind())))
+    assert listed == [f"{name}.{f.name}" for name, section in sections.items() for f in dataclasses.fields(section)]
 
 
 @pytest.mark.parametrize(("name", "field"), ALL, ids=names(ALL))
@@ -75,7 +75,7 @@ def test_every_number_has_a_range_that_holds_its_default(name: str, field: Any) 
     assert low < high
     assert low <= field.default <= high
     for bound in (low, high):
-        assert value_of(Config().with_values({name: bound}), name) == bound
+        assert value_of(OWNER[name].with_values({name: bound}), name) == bound
 
 
 @pytest.mark.parametrize(("name", "field"), NUMBERS, ids=names(NUMBERS))
@@ -107,7 +107,7 @@ def test_whole_numbers_are_whole(name: str, field: Any, wrong: float) -> None:
     assert sentence.endswith(".")
 
 
-@pytest.mark.parametrize("name", ["prior.window", "prior.patch", "matching.window"])
+@pytest.mark.parametrize("name", ["prior.window", "prior.patch", "semi_global.window"])
 def test_sides_of_windows_are_odd(name: str) -> None:
     assert refusal({name: 4}) == f"{name.partition('.')[2]} must be odd, not 4."
 
@@ -117,24 +117,24 @@ def test_choices_are_named_where_there_is_no_such_one(name: str, field: Any) -> 
     sentence = refusal({name: "best"})
     assert all(choice in sentence for choice in field.metadata["choices"])
     for choice in field.metadata["choices"]:
-        assert value_of(Config().with_values({name: choice}), name) == choice
+        assert value_of(OWNER[name].with_values({name: choice}), name) == choice
 
 
 def test_configs_are_frozen() -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
-        Config().local.inner_scale = 2.0  # type: ignore[misc]
+        SynthesisConfig().local.inner_scale = 2.0  # type: ignore[misc]
 
 
 # --- with_values ---
 
 
 def test_with_values_changes_what_is_named_and_nothing_else() -> None:
-    before = Config()
+    before = SynthesisConfig()
     after = before.with_values({"local.inner_scale": 1.25, "prior.window": 7})
     assert (after.local.inner_scale, after.prior.window) == (1.25, 7)
-    unchanged = [name for name in names(ALL) if name not in ("local.inner_scale", "prior.window")]
+    unchanged = [name for name, _ in parameters(before) if name not in ("local.inner_scale", "prior.window")]
     assert all(value_of(after, name) == value_of(before, name) for name in unchanged)
-    assert before == Config()
+    assert before == SynthesisConfig()
     assert before.with_values({}) == before
 
 
@@ -144,7 +144,7 @@ def test_with_values_changes_what_is_named_and_nothing_else() -> None:
      ("propagation.solver", "lbfgsb", "lbfgsb"), ("refinement.solver", "lbfgsb", "lbfgsb")],
 )  # fmt: skip
 def test_numbers_may_be_given_as_text(name: str, text: str, value: object) -> None:
-    got = value_of(Config().with_values({name: text}), name)
+    got = value_of(OWNER[name].with_values({name: text}), name)
     assert got == value
     assert type(got) is type(value)
 
@@ -163,17 +163,54 @@ def test_text_that_is_no_whole_number_is_refused(text: str) -> None:
 UNKNOWN = ["window", "prior.", "prior.windows", "priors.window", "", "prior.window.x", "local", "with_values.window"]
 
 
+@pytest.mark.parametrize("config", [MatchingConfig(), SynthesisConfig()], ids=lambda config: config.method)
 @pytest.mark.parametrize("name", UNKNOWN)
-def test_unknown_parameters_are_refused_with_all_that_there_are(name: str) -> None:
-    sentence = refusal({name: 7})
+def test_unknown_parameters_are_refused_with_all_that_there_are(name: str, config: Config) -> None:
+    sentence = refusal({name: 7}, config)
     assert repr(name) in sentence
-    assert all(known in sentence for known in names(ALL))
+    assert all(known in sentence for known, _ in parameters(config))
+
+
+@pytest.mark.parametrize(("preset_name", "name"), [("fast", "refinement.smoothness"), ("paper", "sweep.step")])
+def test_a_parameter_that_the_method_does_not_read_is_refused(preset_name: str, name: str) -> None:
+    config = PRESETS[preset_name]
+    sentence = refusal({name: 0.5}, config)
+    assert repr(name) in sentence
+    assert f"{config.method} does not read it" in sentence
+    assert OWNER[name].method in sentence
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("outlines.share", "boundaries.share"),
+        ("filling.stiffness", "hole_filling.stiffness"),
+        ("matching.large_step", "semi_global.large_penalty"),
+        ("matching.window", "semi_global.window"),
+        ("sweep.aperture", "sweep.view_set_angle"),
+        ("sweep.most_labels", "sweep.max_labels"),
+    ],
+)
+def test_an_old_name_is_answered_with_the_new_one(old: str, new: str) -> None:
+    assert new in OWNER, "the new name is one"
+    assert refusal({old: 0.1}, MatchingConfig()) == f"parameter {old!r} is called {new!r} now; use that name."
+
+
+def test_every_new_name_is_one() -> None:
+    for kind in SECTIONS:
+        known = {part for name, _ in parameters(kind) for part in (name, name.partition(".")[0])}
+        assert set(kind.renamed.values()) <= known
+
+
+def test_config_by_itself_has_no_parameters() -> None:
+    with pytest.raises(LightFieldError, match="take a preset, or one of MatchingConfig, SynthesisConfig"):
+        Config()
 
 
 @pytest.mark.parametrize("name", ["propagation.solver", "refinement.solver"])
 def test_a_solver_of_scipy_takes_the_method_off_the_device(name: str) -> None:
-    assert Config().is_on_device
-    assert not Config().with_values({name: "lbfgsb"}).is_on_device
+    assert method_of(SynthesisConfig()).is_on_device
+    assert not method_of(SynthesisConfig().with_values({name: "lbfgsb"})).is_on_device
 
 
 # --- presets ---

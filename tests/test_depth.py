@@ -10,19 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lfgpu import depth, scenes
-from lfgpu.config import Config, preset
+from lfgpu import scenes
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.io import read
-from lfgpu.lightfield import LightField
+from lfgpu.methods import preset
+from lfgpu.methods.synthesis.config import SynthesisConfig
+from lfgpu.methods.synthesis.method import STAGES
 from lfgpu.metrics import Metrics, evaluate
-from lfgpu.result import DepthResult
-from lfgpu.synthesis import STAGES
+from lfgpu.pipelines import pipeline as depth
 
 RANGE, WIDE = (-1.5, 1.5), (-3.0, 3.0)
-CONVERGED = Config().with_values({"refinement.tolerance": 1e-6, "refinement.max_iterations": 500})
+CONVERGED = SynthesisConfig().with_values({"refinement.tolerance": 1e-6, "refinement.max_iterations": 500})
 """Where two minimisations are compared, so that not the iteration at which each happened to stop is."""
-QUICK = Config().with_values({"refinement.max_iterations": 3, "prior.window": 5})
+QUICK = SynthesisConfig().with_values({"refinement.max_iterations": 3, "prior.window": 5})
 
 
 def estimate_depth(lf: LightField, **options: Any) -> DepthResult:
@@ -62,13 +64,13 @@ def difference(one: np.ndarray, other: np.ndarray) -> float:
 def test_each_stage_is_better_than_the_one_before_and_the_last_within_two_hundredths_of_a_pixel() -> None:
     lf = scenes.make("relief", grid=(9, 9), size=(256, 256))
     rmse = {stage: score.rmse for stage, score in scores(lf, estimate_depth(lf)).items()}
-    assert rmse["refined"] < rmse["propagated"] < rmse["local"]
-    assert rmse["refined"] < 0.015
+    assert rmse["refine"] < rmse["propagate"] < rmse["local"]
+    assert rmse["refine"] < 0.015
 
 
 def test_refined_map_of_a_wide_relief_is_within_two_hundredths_of_a_pixel() -> None:
     wide = {"disparity_range": WIDE, "size": (192, 192)}  # as steep as the narrow one needs more room
-    assert scores(relief(**wide), estimated(**wide))["refined"].rmse < 0.02
+    assert scores(relief(**wide), estimated(**wide))["refine"].rmse < 0.02
 
 
 @pytest.mark.parametrize("disparity_range", [RANGE, WIDE], ids=["narrow", "wide"])
@@ -77,11 +79,11 @@ def test_refined_map_is_better_than_what_it_comes_from(disparity_range: tuple[fl
     cases = [{"seed": seed, "disparity_range": disparity_range} for seed in range(2)]
     found = [scores(relief(**case), estimated(**case)) for case in cases]
     rmse = {stage: np.sqrt(np.mean([score[stage].rmse ** 2 for score in found])) for stage in found[0]}
-    assert rmse["refined"] < rmse["propagated"]
-    assert rmse["refined"] < rmse["local"]
+    assert rmse["refine"] < rmse["propagate"]
+    assert rmse["refine"] < rmse["local"]
     bad = {stage: np.mean([score[stage].badpix_07 for score in found]) for stage in found[0]}
-    assert bad["refined"] < bad["propagated"]
-    assert bad["refined"] < bad["local"]
+    assert bad["refine"] < bad["propagate"]
+    assert bad["refine"] < bad["local"]
 
 
 @pytest.mark.parametrize(("name", "noise"), [("textureless", 0.0), ("relief", 0.02)], ids=["textureless", "noisy"])
@@ -90,8 +92,8 @@ def test_propagated_map_fills_and_is_better_than_the_local_one(name: str, noise:
     lf = scenes.make(name, grid=(5, 5), size=(96, 96), noise=noise)
     found = scores(lf, estimate_depth(lf, disparity_range=RANGE, config=QUICK))
     assert found["local"].undefined > 2
-    assert found["propagated"].undefined == 0
-    assert found["propagated"].rmse < found["local"].rmse
+    assert found["propagate"].undefined == 0
+    assert found["propagate"].rmse < found["local"].rmse
 
 
 @pytest.mark.data("cotton")
@@ -99,8 +101,8 @@ def test_a_piece_of_a_real_benchmark_is_found(data_folder: Path) -> None:
     lf = read(data_folder).crop(slice(200, 320), slice(200, 320)).subset("star")
     result = estimate_depth(lf)
     found = scores(lf, result)
-    assert found["refined"].badpix_07 < 5
-    assert found["refined"].rmse < 0.05
+    assert found["refine"].badpix_07 < 5
+    assert found["refine"].rmse < 0.05
     truth = lf.truth.disparity  # type: ignore[union-attr]
     assert result.disparity_range[0] <= np.quantile(truth, 0.01) < np.quantile(truth, 0.99) <= result.disparity_range[1]
 
@@ -109,14 +111,14 @@ def test_a_piece_of_a_real_benchmark_is_found(data_folder: Path) -> None:
 def test_any_view_may_be_the_reference(place: tuple[int, int]) -> None:
     lf = relief(reference=place)
     result = estimated(reference=place)
-    assert scores(lf, result)["refined"].rmse < 0.035
+    assert scores(lf, result)["refine"].rmse < 0.035
     assert result.position == (place[1], place[0])
 
 
 @pytest.mark.parametrize("pattern", ["star", "cross", "row", "column"])
 def test_some_of_the_views_are_enough(pattern: str) -> None:
     lf = relief().subset(pattern)
-    assert scores(lf, estimate_depth(lf, disparity_range=RANGE))["refined"].rmse < 0.035
+    assert scores(lf, estimate_depth(lf, disparity_range=RANGE))["refine"].rmse < 0.035
 
 
 def test_range_is_found_where_it_is_not_given() -> None:
@@ -125,7 +127,7 @@ def test_range_is_found_where_it_is_not_given() -> None:
     truth = lf.truth.disparity  # type: ignore[union-attr]
     low, high = result.disparity_range
     assert ((truth >= low) & (truth <= high)).mean() > 0.99
-    assert scores(lf, result)["refined"].rmse < 0.03
+    assert scores(lf, result)["refine"].rmse < 0.03
 
 
 # --- the same scene in other clothes ---
@@ -173,7 +175,7 @@ def rotated(lf: LightField) -> LightField:
 def test_a_turned_scene_gives_the_turned_map(turn: Any, back: Any) -> None:
     lf = small()
     one, other = (estimate_depth(field, disparity_range=RANGE) for field in (lf, turn(lf)))
-    assert difference(one.stages["propagated"], back(other.stages["propagated"])) < 1e-3
+    assert difference(one.stages["propagate"], back(other.stages["propagate"])) < 1e-3
     assert difference(one.disparity, back(other.disparity)) < 5e-3
     assert difference(one.confidence, back(other.confidence)) < 1e-3
 
@@ -223,18 +225,18 @@ def test_results_are_the_same_again() -> None:
 def test_disparities_lie_in_the_range() -> None:
     result = estimate_depth(small(), disparity_range=(-0.5, 0.75))
     assert result.disparity_range == (-0.5, 0.75)
-    for stage in ("propagated", "refined"):
+    for stage in ("propagate", "refine"):
         assert np.float32(-0.5) <= result.stages[stage].min()
         assert result.stages[stage].max() <= np.float32(0.75)
 
 
 def test_maps_are_float32_of_the_views_size() -> None:
     result = estimate_depth(small(), disparity_range=RANGE, config=QUICK)
-    assert list(result.stages) == ["local", "propagated", "refined"]
+    assert list(result.stages) == ["local", "propagate", "refine"]
     for values in (result.disparity, result.confidence, result.depth, *result.stages.values()):
         assert values is not None
         assert (values.shape, values.dtype) == ((56, 64), np.float32)
-    np.testing.assert_array_equal(result.disparity, result.stages["refined"])
+    np.testing.assert_array_equal(result.disparity, result.stages["refine"])
 
 
 def test_confidence_lies_between_0_and_1_and_is_low_where_there_is_nothing_to_see() -> None:
@@ -288,7 +290,7 @@ def test_solvers_of_the_refinement_find_the_same_map() -> None:
     )
     assert difference(one.disparity, other.disparity) < 1e-3
     assert one.trace[-1] == pytest.approx(other.trace[-1], rel=5e-3)
-    found, want = (scores(small(), result)["refined"] for result in (one, other))
+    found, want = (scores(small(), result)["refine"] for result in (one, other))
     assert found.rmse == pytest.approx(want.rmse, rel=0.02)
 
 
@@ -302,9 +304,9 @@ def test_energy_falls_and_convergence_is_said() -> None:
 
 
 def test_no_iterations_of_refinement_leave_the_propagated_map() -> None:
-    config = Config().with_values({"refinement.max_iterations": 0})
+    config = SynthesisConfig().with_values({"refinement.max_iterations": 0})
     result = estimate_depth(small(), disparity_range=RANGE, config=config)
-    np.testing.assert_allclose(result.disparity, result.stages["propagated"].clip(*RANGE), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(result.disparity, result.stages["propagate"].clip(*RANGE), rtol=0, atol=1e-6)
 
 
 def test_progress_is_reported_stage_by_stage() -> None:

@@ -12,13 +12,15 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.config import Config
-from lfgpu.depth import DepthPipeline, estimate_depth
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
 from lfgpu.errors import BackendError, LightFieldError
-from lfgpu.lightfield import LightField
-from lfgpu.result import DepthResult
+from lfgpu.methods.synthesis.config import SynthesisConfig
+from lfgpu.pipelines.estimate import estimate_depth
+from lfgpu.pipelines.pipeline import DepthPipeline
 
 RANGE = (-1.5, 1.5)
-CONFIG = Config().with_values({"prior.window": 5, "refinement.max_iterations": 8})
+CONFIG = SynthesisConfig().with_values({"prior.window": 5, "refinement.max_iterations": 8})
 SAME = 1e-3  # pixels per view step, median: sums are in an order that a GPU decides
 
 
@@ -126,7 +128,7 @@ def test_result_is_that_of_the_last_run(target: Any) -> None:
     disparity = ran(pipeline, scene(1).views)
     result = pipeline.result()
     np.testing.assert_array_equal(result.disparity, disparity)
-    np.testing.assert_array_equal(result.stages["refined"], disparity)
+    np.testing.assert_array_equal(result.stages["refine"], disparity)
     fresh = made(scene(1), target).estimate()
     assert_same(result.confidence, fresh.confidence, target)
     assert result.trace[0] == pytest.approx(fresh.trace[0], rel=1e-6 if target.device == "cpu" else 1e-3)

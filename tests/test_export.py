@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 import lfgpu
 from lfgpu import scenes
 from lfgpu.cli import app
+from lfgpu.data.lightfield import LightField
 from lfgpu.io import write_hci
-from lfgpu.lightfield import LightField
 from lfgpu.threads import get_threads
 
 RANGE = (-1.0, 1.0)

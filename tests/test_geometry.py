@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from lfgpu import scenes
-from lfgpu.depth import estimate_depth
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
 from lfgpu.io import read, read_map
-from lfgpu.lightfield import LightField
+from lfgpu.pipelines.estimate import estimate_depth
 
 GEOMETRY = Geometry(focal_length_px=1000.0, baseline_m=0.01, focus_distance_m=2.0)
 

@@ -12,10 +12,11 @@ import pytest
 import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.config import LocalConfig
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.initial import LocalEstimator, find_disparity_range, structure_filters
-from lfgpu.lightfield import LightField
+from lfgpu.methods.disparity_range import find_disparity_range
+from lfgpu.methods.sections import LocalConfig
+from lfgpu.methods.structure_tensor import LocalEstimator, structure_filters
 from lfgpu.metrics import Metrics, evaluate
 
 WARP = load("warp")

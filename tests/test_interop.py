@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lfgpu import interop, scenes
+from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.config import Config
-from lfgpu.depth import DepthPipeline
+from lfgpu.data import interop
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import BackendError, LightFieldError
-from lfgpu.lightfield import LightField
+from lfgpu.methods.synthesis.config import SynthesisConfig
+from lfgpu.pipelines.pipeline import DepthPipeline
 
 RANGE = (-1.5, 1.5)
-CONFIG = Config().with_values({"prior.window": 5, "refinement.max_iterations": 8})
+CONFIG = SynthesisConfig().with_values({"prior.window": 5, "refinement.max_iterations": 8})
 SAME = 1e-3  # pixels per view step, median: sums are in an order that a GPU decides
 SHAPE = (3, 5, 6, 3)
 STORED = ("uint8", "uint16", "float32")

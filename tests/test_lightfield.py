@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
-from lfgpu.lightfield import GroundTruth, LightField
 
 ROWS, COLUMNS, HEIGHT, WIDTH = 3, 5, 6, 8
 

@@ -16,7 +16,7 @@ from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.cli import app
 from lfgpu.io import read_map, write_hci
-from lfgpu.live import feed, open_source
+from lfgpu.pipelines.sources import feed, open_source
 
 OPTIONS: dict[str, Any] = {"grid": (3, 3), "size": (32, 36), "disparity_range": (-1, 1)}
 RANGE = "--disparity-range=-1,1"

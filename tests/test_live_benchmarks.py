@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from benchmarks import flicker, live, moving, soak
 from benchmarks.cli import app
 from lfgpu import scenes
-from lfgpu.stream import DepthStream
+from lfgpu.pipelines.stream import DepthStream
 
 FILM = moving.Film((3, 3), (64, 72), 4, period=40)
 SOAK = 2000

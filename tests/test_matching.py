@@ -7,13 +7,16 @@ import pytest
 
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.config import PRESETS, SweepConfig
-from lfgpu.depth import DepthPipeline, estimate_depth
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
-from lfgpu.lightfield import LightField
-from lfgpu.matching import apertures, in_units_of, labels, measured_noise, used_views
+from lfgpu.methods import PRESETS
+from lfgpu.methods.matching.config import SweepConfig
+from lfgpu.methods.matching.noise import in_units_of, measured_noise
+from lfgpu.methods.matching.sweep import labels, used_views, view_sets
 from lfgpu.metrics import Metrics, evaluate, sparsification
-from lfgpu.result import DepthResult
+from lfgpu.pipelines.estimate import estimate_depth
+from lfgpu.pipelines.pipeline import DepthPipeline
 
 RANGE = (-1.6, 1.7)
 
@@ -40,13 +43,13 @@ def test_disparities_go_from_bound_to_bound_and_are_as_near_as_asked_in_the_fart
 
 
 def test_a_wide_range_makes_the_steps_longer_and_a_narrow_one_still_has_three() -> None:
-    _, step, count = labels((-50.0, 50.0), grid(9, 9), SweepConfig(most_labels=101))
+    _, step, count = labels((-50.0, 50.0), grid(9, 9), SweepConfig(max_labels=101))
     assert (step, count) == (1.0, 101)
     assert labels((0.0, 1e-3), grid(3, 3), SweepConfig())[2] == 3
 
 
 def test_apertures_are_all_views_and_the_quarters_around_the_reference() -> None:
-    found = apertures(grid(5, 5), 90)
+    found = view_sets(grid(5, 5), 90)
     assert found.shape == (9, 25)
     assert found[0].all()
     offsets = grid(5, 5)
@@ -58,7 +61,7 @@ def test_apertures_are_all_views_and_the_quarters_around_the_reference() -> None
 
 
 def test_apertures_of_half_the_views_lie_on_one_side() -> None:
-    found = apertures(grid(5, 5), 180)
+    found = view_sets(grid(5, 5), 180)
     assert found.shape == (9, 25)
     assert found[0].all()
     offsets = grid(5, 5)
@@ -72,13 +75,13 @@ def test_apertures_of_half_the_views_lie_on_one_side() -> None:
 
 
 def test_apertures_of_a_row_of_views_are_its_two_sides() -> None:
-    found = apertures(grid(1, 5), 90)
+    found = view_sets(grid(1, 5), 90)
     np.testing.assert_array_equal(found, [[1, 1, 1, 1, 1], [0, 0, 1, 1, 1], [1, 1, 1, 0, 0]])
 
 
 def test_a_reference_at_the_end_of_a_row_has_one_aperture() -> None:
     offsets = np.array([[0.0, 0], [1, 0], [2, 0]])
-    assert apertures(offsets, 90).shape == (1, 3)
+    assert view_sets(offsets, 90).shape == (1, 3)
 
 
 @pytest.mark.parametrize(("pattern", "count"), [("full", 25), ("star", 17), ("cross", 9)])
@@ -99,14 +102,14 @@ def test_all_views_are_used_where_a_pattern_leaves_too_few() -> None:
 def test_the_map_is_near_the_truth_and_nearer_after_the_alignment(name: str, preset: str) -> None:
     lf = scene(name, views=7, size=128)
     found = scores(lf, estimate_depth(lf, disparity_range=RANGE, config=preset))
-    assert found["aligned"].badpix_07 < 10
-    assert found["aligned"].badpix_01 < 0.9 * found["swept"].badpix_01
+    assert found["align"].badpix_07 < 10
+    assert found["align"].badpix_01 < 0.9 * found["sweep"].badpix_01
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
 def test_where_nothing_is_hidden_hardly_a_pixel_is_off(preset: str) -> None:
     lf = scene("relief", views=7, size=128)
-    assert scores(lf, estimate_depth(lf, disparity_range=RANGE, config=preset))["aligned"].badpix_07 < 2
+    assert scores(lf, estimate_depth(lf, disparity_range=RANGE, config=preset))["align"].badpix_07 < 2
 
 
 def test_occlusions_are_where_it_is_better_than_the_synthesis() -> None:
@@ -123,8 +126,8 @@ def test_occlusions_are_where_it_is_better_than_the_synthesis() -> None:
 def test_outlines_and_filling_bring_the_map_nearer(name: str) -> None:
     lf = scene(name, size=128)
     found = scores(lf, estimate_depth(lf, disparity_range=RANGE, config="accurate"))
-    assert found["settled"].mse_100 < found["aligned"].mse_100
-    assert found["settled"].badpix_07 < found["aligned"].badpix_07
+    assert found["boundaries"].mse_100 < found["align"].mse_100
+    assert found["boundaries"].badpix_07 < found["align"].badpix_07
 
 
 def test_surfaces_without_texture_are_filled_from_their_outlines() -> None:
@@ -132,7 +135,7 @@ def test_surfaces_without_texture_are_filled_from_their_outlines() -> None:
     lf = scene("textureless", size=128)
     filled, left = (
         estimate_depth(
-            lf, disparity_range=RANGE, config=PRESETS["accurate"].with_values({"filling.max_iterations": most})
+            lf, disparity_range=RANGE, config=PRESETS["accurate"].with_values({"hole_filling.max_iterations": most})
         ).disparity
         for most in (60, 0)
     )
@@ -142,12 +145,12 @@ def test_surfaces_without_texture_are_filled_from_their_outlines() -> None:
 
 def test_fast_has_no_second_look() -> None:
     result = estimate_depth(scene("planes", size=48), disparity_range=RANGE, config="fast")
-    assert list(result.stages) == ["swept", "aligned", "settled"]
+    assert list(result.stages) == ["sweep", "align", "boundaries"]
     assert list(estimate_depth(scene("planes", size=48), disparity_range=RANGE, config="accurate").stages) == [
-        "swept",
-        "matched",
-        "aligned",
-        "settled",
+        "sweep",
+        "resweep",
+        "align",
+        "boundaries",
     ]
 
 
@@ -194,7 +197,7 @@ def test_confidence_is_low_where_the_map_differs_from_the_matches() -> None:
     """At edges of depth between pixels that look alike, and little where all agree."""
     lf = scene("bars", size=96)
     result = estimate_depth(lf, disparity_range=RANGE, config="accurate")
-    apart = np.abs(result.stages["matched"] - result.disparity)
+    apart = np.abs(result.stages["resweep"] - result.disparity)
     assert result.confidence[apart > 0.5].max() < 0.95
     assert result.confidence[apart < 0.02].mean() > result.confidence[apart > 0.2].mean() + 0.15
 
@@ -219,10 +222,10 @@ def test_differences_of_intensity_go_with_the_noise() -> None:
     config = PRESETS["accurate"]
     twice, most = in_units_of(0.008, config), in_units_of(1.0, config)
     assert twice.sweep.truncation == pytest.approx(2 * config.sweep.truncation)
-    assert twice.matching.large_step == pytest.approx(2 * config.matching.large_step)
+    assert twice.semi_global.large_penalty == pytest.approx(2 * config.semi_global.large_penalty)
     assert twice.alignment.robust == pytest.approx(2 * config.alignment.robust)
     assert twice.prior.sigma_color == pytest.approx(2 * config.prior.sigma_color)
-    assert twice.sweep.preference == config.sweep.preference
+    assert twice.sweep.view_set_penalty == config.sweep.view_set_penalty
     assert most.sweep.truncation == pytest.approx(5 * config.sweep.truncation)
 
 

@@ -15,8 +15,8 @@ import pytest
 
 from lfgpu import scenes
 from lfgpu._backends import load
+from lfgpu.contract import DataTerm
 from lfgpu.solvers.lbfgs import BoundedLbfgs
-from lfgpu.types import DataTerm
 
 KERNELS, DEVICE = load("warp"), "cpu"
 SIZE, GRID, BORDER = (64, 80), (5, 5), 8
@@ -60,7 +60,7 @@ def scene(request: pytest.FixtureRequest) -> Scene:
         return evaluate
 
     plain = KERNELS.data_term(lf.views.shape, offsets, scale=lf.scale, softness=0.1)
-    occluding = KERNELS.occluding_data_term(
+    occluding = KERNELS.z_buffered_data_term(
         lf.views.shape,
         offsets,
         scale=lf.scale,

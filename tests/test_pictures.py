@@ -11,7 +11,7 @@ from PIL import Image
 
 from lfgpu.errors import LightFieldError
 from lfgpu.metrics import sparsification
-from lfgpu.pictures import confidence_figure, disparity_figure, overview_figure, save_png, sparsification_figure
+from lfgpu.viz.figures import confidence_figure, disparity_figure, overview_figure, save_png, sparsification_figure
 
 SHAPE = (30, 40)
 

@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 from lfgpu import scenes
-from lfgpu.config import Config
-from lfgpu.depth import estimate_depth
-from lfgpu.lightfield import LightField
-from lfgpu.result import DepthResult
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
+from lfgpu.methods.synthesis.config import SynthesisConfig
+from lfgpu.pipelines.estimate import estimate_depth
 
 RANGE = (-1.5, 1.5)
-CONVERGED = Config().with_values({"prior.window": 7, "refinement.tolerance": 1e-6, "refinement.max_iterations": 500})
+CONVERGED = SynthesisConfig().with_values(
+    {"prior.window": 7, "refinement.tolerance": 1e-6, "refinement.max_iterations": 500}
+)
 """Minima are compared, not the iterations at which minimisations happened to stop."""
 NEAR = 1e-3  # pixels per view step: the median of the differences between two maps
 SAME_CONFIDENCE = 1e-4  # the largest difference

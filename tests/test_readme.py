@@ -5,8 +5,9 @@ from pathlib import Path
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.config import PRESETS, parameters
+from lfgpu.config import parameters
 from lfgpu.io import FORMATS
+from lfgpu.methods import PRESETS
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 

@@ -16,12 +16,13 @@ from PIL import Image
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.all_views import ViewsResult, estimate_all_views
-from lfgpu.config import PRESETS
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.frames import write_frames, write_image
-from lfgpu.lightfield import LightField
-from lfgpu.render import FOR_RENDERING
+from lfgpu.methods import PRESETS
+from lfgpu.pipelines.all_views import estimate_all_views
+from lfgpu.viz.rendering import FOR_RENDERING
 
 SIZE = (80, 96)
 

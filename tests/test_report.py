@@ -17,13 +17,14 @@ from typer.testing import CliRunner
 from lfgpu import scenes
 from lfgpu.cli import app
 from lfgpu.comparison import Scene, table
-from lfgpu.config import Config, parameters
-from lfgpu.depth import estimate_depth
+from lfgpu.config import parameters
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_result, write_hci, write_pfm
-from lfgpu.lightfield import LightField
+from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.metrics import evaluate
-from lfgpu.pictures import comparison_figure
+from lfgpu.pipelines.estimate import estimate_depth
+from lfgpu.viz.figures import comparison_figure
 
 RANGE = "--disparity-range=-2,2"
 
@@ -87,7 +88,7 @@ def test_report_says_all_and_needs_no_network(preset: str, folder: Path, tmp_pat
         with Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2]))) as image:
             assert min(image.size) > 10
     result = read_result(out / "result.npz")
-    for name, _ in parameters(Config()):
+    for name, _ in parameters(SynthesisConfig()):
         assert f"<code>{name}</code>" in page
     for version in result.versions.values():
         assert version in page

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lfgpu.config import Config
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
 from lfgpu.io import holds_result, read_map, read_result, write_result
-from lfgpu.result import DepthResult
+from lfgpu.methods.synthesis.config import SynthesisConfig
 
 SHAPE = (6, 7)
 MAPS = ("disparity", "confidence")
@@ -29,10 +29,10 @@ def a_result(**changes: Any) -> DepthResult:
     result = DepthResult(
         disparity=numbers[0],
         confidence=numbers[1],
-        stages={"local": numbers[2], "propagated": numbers[3], "refined": numbers[0]},
+        stages={"local": numbers[2], "propagate": numbers[3], "refine": numbers[0]},
         position=(4.0, 3.0),
         disparity_range=(-1.25, 1.5),
-        config=Config().with_values({"prior.window": 7, "propagation.solver": "lbfgsb"}),
+        config=SynthesisConfig().with_values({"prior.window": 7, "propagation.solver": "lbfgsb"}),
         status="It stopped after 3 iterations: so it is.",
         converged=True,
         trace=(3.0, 2.5, 0.1 + 0.2),
@@ -134,7 +134,7 @@ DAMAGES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "wrong value": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].update(window=8)), "must be odd"),
     "other parameter": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].update(x=1)), "a version of"),
     "less parameters": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].pop("window")), "a version of"),
-    "later layout": (lambda whole: changed(whole, lambda _, about: about.update(layout=2)), "a version of"),
+    "later layout": (lambda whole: changed(whole, lambda _, about: about.update(layout=3)), "a version of"),
 }
 
 

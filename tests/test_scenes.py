@@ -10,8 +10,8 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from lfgpu import scenes
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.lightfield import LightField
 from lfgpu.scenes.catalogue import SCENES, Stage
 from lfgpu.scenes.objects import Box, Disc, Ellipsoid, Quad, Rays, Relief, Wall
 from lfgpu.scenes.render import Frame, Thing

@@ -12,14 +12,15 @@ import pytest
 
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.config import Config, PriorConfig, PropagationConfig
-from lfgpu.energy import Energy
-from lfgpu.initial import LocalEstimator
-from lfgpu.lightfield import LightField
+from lfgpu.data.lightfield import LightField
+from lfgpu.methods.prior import NonLocalMeans
+from lfgpu.methods.sections import PriorConfig
+from lfgpu.methods.structure_tensor import LocalEstimator
+from lfgpu.methods.synthesis.config import PropagationConfig, SynthesisConfig
+from lfgpu.methods.synthesis.energy import Energy
+from lfgpu.methods.synthesis.model import ForwardModel
+from lfgpu.methods.synthesis.propagation import Propagation
 from lfgpu.metrics import evaluate
-from lfgpu.model import ForwardModel
-from lfgpu.prior import NonLocalMeans
-from lfgpu.propagation import Propagation
 from lfgpu.solvers.cg import ConjugateGradients
 from lfgpu.solvers.lbfgs import BoundedLbfgs
 from lfgpu.solvers.lbfgsb import ScipyLbfgsb
@@ -330,7 +331,7 @@ def test_lbfgs_remembers_nothing_of_the_function_before(target: Any, rng: np.ran
 # --- the refinement: its energy, on scenes with a known map ---
 
 RANGE, TIGHT = (-1.5, 1.5), (-0.5, 0.75)
-PARAMETERS = Config().with_values({"prior.window": 7})
+PARAMETERS = SynthesisConfig().with_values({"prior.window": 7})
 SCENES = ("relief", "boxes")
 
 

@@ -18,7 +18,7 @@ import pytest
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.lightfield import LightField
+from lfgpu.data.lightfield import LightField
 
 RANGE = (-1.5, 1.5)
 FRAMES = 6

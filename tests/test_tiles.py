@@ -16,11 +16,12 @@ from typer.testing import CliRunner
 from lfgpu import DepthResult, LightField, LightFieldError, estimate_depth, read, scenes, tiles
 from lfgpu._backends import load
 from lfgpu.cli import app
-from lfgpu.config import Config, preset
-from lfgpu.footprint import Footprint, footprint, parse_memory
+from lfgpu.config import Config
+from lfgpu.data.mapping import forget, is_mapped
 from lfgpu.io import read_map, write_hci
 from lfgpu.io.disk import on_disk
-from lfgpu.mapping import forget, is_mapped
+from lfgpu.methods import preset
+from lfgpu.methods.footprint import Footprint, footprint, parse_memory
 
 ROOT = Path(__file__).parents[1]
 RANGE = (-0.8, 0.8)
@@ -209,8 +210,8 @@ import sys
 import numpy as np
 from benchmarks.memory import host_peak, reset_host_peak
 from lfgpu import DepthPipeline, LightField
-from lfgpu.config import preset
-from lfgpu.footprint import footprint
+from lfgpu.methods import preset
+from lfgpu.methods.footprint import footprint
 
 name, device = sys.argv[1:]
 on_gpu = device != "cpu"

@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from lfgpu import frames, scenes
+from lfgpu import scenes
 from lfgpu.cli import app
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
 from lfgpu.io import write_hci, write_pfm
-from lfgpu.lightfield import LightField
 from lfgpu.viewer.contents import TRUTH, Contents, Entry, opened, opened_all
 from lfgpu.viewer.refocus import all_in_focus, refocus
+from lfgpu.viz import panels as frames
 
 SIZE = (24, 32)
 
@@ -224,7 +225,7 @@ def test_updates_come_from_any_thread_and_wrong_ones_are_refused() -> None:
 
 
 def test_an_estimate_can_be_stopped_and_made_again() -> None:
-    from lfgpu.config import preset
+    from lfgpu.methods import preset
     from lfgpu.viewer.solving import Progress, Request, Solver
 
     said: list[Progress] = []
@@ -248,7 +249,7 @@ def test_an_estimate_can_be_stopped_and_made_again() -> None:
 
 
 def test_an_estimate_that_fails_says_why() -> None:
-    from lfgpu.config import preset
+    from lfgpu.methods import preset
     from lfgpu.viewer.solving import Progress, Request, Solver
 
     said: list[Progress] = []

@@ -13,9 +13,9 @@ import pytest
 from PIL import Image
 
 from lfgpu import scenes
-from lfgpu.depth import estimate_depth
+from lfgpu.data.lightfield import LightField
 from lfgpu.io import write_hci, write_result
-from lfgpu.lightfield import LightField
+from lfgpu.pipelines.estimate import estimate_depth
 from tests.browser import chromium, pixels, until
 
 pytest.importorskip("viser", reason="viser is not installed: pip install 'lfgpu[viewer]'")

@@ -1,6 +1,6 @@
 """The reference backend: NumPy in float64, readable, no tricks; the truth that the others are held against."""
 
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 from . import backend
 

@@ -33,7 +33,7 @@ def largest_around(values: Array, radius: int) -> Array:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, (side, side)).max(axis=(2, 3)))
 
 
-class NearestSurface:
+class ZBuffer:
     def __init__(self, offsets: Array, reach: int) -> None:
         self._offsets, self._reach = offsets, reach
 
@@ -48,8 +48,8 @@ class NearestSurface:
             nearest[:] = np.where(near > NOWHERE, near, largest_around(front, self._reach + 1))
 
 
-def nearest_surface(shape: Sequence[int], offsets: Array, *, reach: int) -> NearestSurface:
-    return NearestSurface(offsets, reach)
+def z_buffer(shape: Sequence[int], offsets: Array, *, reach: int) -> ZBuffer:
+    return ZBuffer(offsets, reach)
 
 
 def differences(values: Array) -> tuple[Array, Array]:

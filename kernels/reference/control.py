@@ -1,6 +1,7 @@
 """Loops and recorded work: here the host is the device, so that there is nothing to record."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,10 @@ def repeat(body: Callable[[], None], go_on: NDArray[np.float64], most: int) -> N
 
 def capture(work: Callable[[], None], device: str) -> Callable[[], None] | None:
     return None
+
+
+def asking(device: str) -> AbstractContextManager[object]:
+    return nullcontext()  # nothing is captured here
 
 
 def is_deterministic(device: str) -> bool:

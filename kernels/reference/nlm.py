@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.types import NlmWeights, half_window
+from lfgpu.contract import NlmWeights, half_window
 
 Array = NDArray[np.float64]
 

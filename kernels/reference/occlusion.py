@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.types import Loss
+from lfgpu.contract import Loss
 
 from .splat import Tap, taps
 
@@ -69,7 +69,7 @@ class Blend:
         return gradient
 
 
-def splat_occluding(
+def splat_z_buffered(
     image: Array,
     disparity: Array,
     offsets: Array,
@@ -129,7 +129,7 @@ class OccludingDataTerm:
             value_out[0] += loss.sum()
 
 
-def occluding_data_term(
+def z_buffered_data_term(
     shape: Sequence[int],
     offsets: Array,
     *,

@@ -1,6 +1,6 @@
 """How well the views agree with the reference view at each of a row of disparities: NumPy, float64, view by view.
 
-`PlaneSweep` in `lfgpu/types.py` says what is computed. Truncated absolute differences are robust against what is hidden
+`PlaneSweep` in `lfgpu/contract` says what is computed. Truncated absolute differences are robust against what is hidden
 or shines (Scharstein and Szeliski 2002); those of gradients bear differences in brightness.
 """
 
@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.types import sweep_shifts
+from lfgpu.contract import sweep_shifts
 
 Array = NDArray[np.float64]
 
 LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
-PENALTY = 1e-4  # of all apertures but the first, besides their preference
+PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 
 
 class Compared(NamedTuple):
@@ -64,7 +64,7 @@ class PlaneSweep:
     def __init__(
         self,
         offsets: Array,
-        apertures: Array,
+        view_sets: Array,
         first: float,
         step: float,
         count: int,
@@ -76,7 +76,7 @@ class PlaneSweep:
         tolerance: float,
         least: int,
     ) -> None:
-        self._apertures = apertures != 0
+        self._view_sets = view_sets != 0
         self._disparities = first + step * np.arange(count)
         self._shifts = sweep_shifts(offsets, first=first, step=step, count=count)
         self._others = np.flatnonzero(np.hypot(*offsets.T) > LEAST_OFFSET)
@@ -88,19 +88,19 @@ class PlaneSweep:
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
         self._image, self._recorded, self._valid = image, recorded, valid
 
-    def apertures(self, volume_out: Array) -> None:
-        size = (len(self._apertures), *self._image.shape[:2])
+    def by_view_sets(self, volume_out: Array) -> None:
+        size = (len(self._view_sets), *self._image.shape[:2])
         for label, slice_out in enumerate(volume_out):
             sums, counts = np.zeros(size), np.zeros(size)
             for compared in self._compared(label):
-                members = self._apertures[:, compared.view]
+                members = self._view_sets[:, compared.view]
                 sums[members] += np.where(compared.inside, compared.cost, 0)
                 counts[members] += compared.inside
             means = np.where(counts > 0, sums / np.maximum(counts, 1), self._most)
             means[1:] = means[1:] * (1 + self._preference) + PENALTY
             slice_out[:] = means.min(0)
 
-    def seen(self, nearest: Array, volume_out: Array) -> None:
+    def by_visibility(self, nearest: Array, volume_out: Array) -> None:
         for label, slice_out in enumerate(volume_out):
             total, count = np.zeros(slice_out.shape), np.zeros(slice_out.shape)
             for compared in self._compared(label):
@@ -129,7 +129,7 @@ class PlaneSweep:
 def plane_sweep(
     shape: Sequence[int],
     offsets: Array,
-    apertures: Array,
+    view_sets: Array,
     *,
     first: float,
     step: float,
@@ -144,7 +144,7 @@ def plane_sweep(
 ) -> PlaneSweep:
     return PlaneSweep(
         offsets,
-        apertures,
+        view_sets,
         first,
         step,
         count,

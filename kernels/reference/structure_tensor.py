@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.types import LocalEstimate, StructureFilters
+from lfgpu.contract import LocalEstimate, StructureFilters
 
 Array = NDArray[np.float64]
 

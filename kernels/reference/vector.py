@@ -35,11 +35,11 @@ def fill(value: Coefficient, x_out: Array) -> None:
     x_out[:] = value
 
 
-def choose(condition: Array, x: Array, y: Array, chosen_out: Array) -> None:
+def select(condition: Array, x: Array, y: Array, chosen_out: Array) -> None:
     chosen_out[:] = np.where(condition > 0, x, y)
 
 
-def at_least(x: Array, threshold: float, x_out: Array) -> None:
+def threshold(x: Array, threshold: float, x_out: Array) -> None:
     x_out[:] = np.where(x >= threshold, x, 0.0)
 
 

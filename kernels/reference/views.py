@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from lfgpu.types import Normalization
+from lfgpu.contract import Normalization
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import os
 import warnings
 
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # Taichi prints a banner when it is imported
 with warnings.catch_warnings():  # and uses what Python is about to drop

@@ -1,6 +1,6 @@
 """What comes near in each view, and how well the views agree; `kernels/reference/alignment.py` says what that is.
 
-The z-buffers of `nearest_surface` have a border, so that what lands beyond the frame comes near, too; the plan holds
+The z-buffers of `z_buffer` have a border, so that what lands beyond the frame comes near, too; the plan holds
 some views at a time. All that the alignment needs from a view at a place are six numbers for each channel, the mean and
 its first and second differences, which six by six stored pixels give. `load` copies the views with a border, a pixel
 with whether it is valid, so that no tap needs to look where it is.
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.types import Alignment, NearestSurface
+from lfgpu.contract import Alignment, ZBuffer
 
 from .memory import DeviceArray, empty, flat, numpy, optional
 from .runtime import TASK, on_cpu, once, run
@@ -100,7 +100,7 @@ def _nearest_kernel(cpu: bool) -> Any:
     return nearest_kernel
 
 
-def nearest_surface(shape: Sequence[int], offsets: DeviceArray, *, reach: int) -> NearestSurface:
+def z_buffer(shape: Sequence[int], offsets: DeviceArray, *, reach: int) -> ZBuffer:
     count, height, width, _ = shape
     room = (height + 2 * reach + 2) * (width + 2 * reach + 2)
     batch = min(count, _TOGETHER if on_cpu() else max(1, _BUFFER // (4 * room)))

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from .alignment import alignment, nearest_surface
-from .control import capture, is_deterministic, repeat
-from .cost_volume import lowest, nlm_average
+from .alignment import alignment, z_buffer
+from .boundaries import refine_boundaries
+from .control import asking, capture, is_deterministic, repeat
+from .cost_volume import nlm_average, winner_takes_all
 from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_ratio, nlm_weights
-from .occlusion import occluding_data_term, splat_occluding, visible
-from .outlines import unmix
+from .occlusion import splat_z_buffered, visible, z_buffered_data_term
 from .plane_sweep import plane_sweep
 from .residuals import residuals
 from .runtime import devices
@@ -17,18 +17,19 @@ from .semi_global import semi_global
 from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
 from .structure_tensor import keep_more_coherent, structure_tensor
 from .sums import dot
-from .vector import at_least, axpby, choose, clamp, copy, divide, fill, multiply, ratio
+from .vector import axpby, clamp, copy, divide, fill, multiply, ratio, select, threshold
 from .views import intensities, line_of_views, normalization
 
 name = "taichi"
 dtype = np.float32
+streaming = None
+recording = None
 
 __all__ = [
     "alignment",
-    "at_least",
+    "asking",
     "axpby",
     "capture",
-    "choose",
     "clamp",
     "copy",
     "data_term",
@@ -44,10 +45,8 @@ __all__ = [
     "keep_more_coherent",
     "lbfgs",
     "line_of_views",
-    "lowest",
     "multiply",
     "name",
-    "nearest_surface",
     "nlm_average",
     "nlm_laplacian",
     "nlm_neighbors",
@@ -57,24 +56,30 @@ __all__ = [
     "normalization",
     "number",
     "numpy",
-    "occluding_data_term",
     "plane_sweep",
     "ratio",
+    "recording",
+    "refine_boundaries",
     "repeat",
     "residuals",
     "scalar",
     "seen_by_reference",
+    "select",
     "semi_global",
     "shared",
     "splat",
     "splat_jvp",
-    "splat_occluding",
     "splat_transpose",
     "splat_vjp",
+    "splat_z_buffered",
+    "streaming",
     "structure_tensor",
-    "unmix",
+    "threshold",
     "upload",
     "visible",
+    "winner_takes_all",
+    "z_buffer",
+    "z_buffered_data_term",
     "zeros",
     "zeros_image",
 ]

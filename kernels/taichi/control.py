@@ -1,6 +1,7 @@
 """Loops that a scalar on the device decides about; Taichi cannot be given work as a whole."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 
 from .memory import DeviceArray, number
 
@@ -14,6 +15,10 @@ def repeat(body: Callable[[], None], go_on: DeviceArray, most: int) -> None:
 
 def capture(work: Callable[[], None], device: str) -> None:
     return None
+
+
+def asking(device: str) -> AbstractContextManager[object]:
+    return nullcontext()  # nothing is captured here
 
 
 def is_deterministic(device: str) -> bool:

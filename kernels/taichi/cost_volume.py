@@ -131,5 +131,5 @@ def nlm_average(weights: DeviceArray, volume: DeviceArray, *, window: int, avera
     )
 
 
-def lowest(volume: DeviceArray, *, first: float, step: float, disparity_out: DeviceArray) -> None:
+def winner_takes_all(volume: DeviceArray, *, first: float, step: float, disparity_out: DeviceArray) -> None:
     run(_lowest_kernel, volume.values, first, step, disparity_out.values)

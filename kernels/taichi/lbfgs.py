@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.types import Lbfgs
+from lfgpu.contract import Lbfgs
 
 from .memory import DeviceArray, clear, doubles, empty, flat, numpy, scalar
 from .runtime import TASK, on_cpu, once, run, start

@@ -6,7 +6,7 @@ from typing import Any
 
 import taichi as ti
 
-from lfgpu.types import NlmWeights, half_window
+from lfgpu.contract import NlmWeights, half_window
 
 from .memory import DeviceArray, empty, flat
 from .runtime import TASK, on_cpu, once, run, start

@@ -3,7 +3,7 @@
 A view is made in two passes over the reference pixels, first the z-buffer, then sums relative to it. A pixel of the
 sums is its weighted colours, their weight and the coverage; the data term then turns it into what the gradient gathers.
 On a CPU a view belongs to one thread, which needs no atomics. The plan holds a view for each slice there, and as many
-as fit into the cache on a GPU, at 24 bytes for each pixel of three channels; `splat_occluding` allocates as much for
+as fit into the cache on a GPU, at 24 bytes for each pixel of three channels; `splat_z_buffered` allocates as much for
 all its views, `visible` 4 bytes, and both give it back.
 """
 
@@ -13,7 +13,7 @@ from typing import Any, get_args
 
 import taichi as ti
 
-from lfgpu.types import DataTerm, Loss
+from lfgpu.contract import DataTerm, Loss
 
 from .memory import DeviceArray, clear, empty, flat, optional
 from .runtime import TASK, on_cpu, once, run
@@ -485,7 +485,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
     )
 
 
-def splat_occluding(
+def splat_z_buffered(
     image: DeviceArray,
     disparity: DeviceArray,
     offsets: DeviceArray,
@@ -578,7 +578,7 @@ class _OccludingDataTerm:
             run(kernels.gradient, *sources, *weights, gradient_out.values, self._values.values)
 
 
-def occluding_data_term(
+def z_buffered_data_term(
     shape: Sequence[int],
     offsets: DeviceArray,
     *,

@@ -1,7 +1,7 @@
 """How well the views agree with the reference view at each of a row of disparities.
 
-`PlaneSweep` in `lfgpu/types.py` says what is computed. One disparity after the other, some views at a time: first their
-differences from the reference view, then the costs of these. Views that belong to the same apertures are added up
+`PlaneSweep` in `lfgpu/contract` says what is computed. One disparity after the other, some views at a time: first their
+differences from the reference view, then the costs of these. Views that belong to the same view_sets are added up
 first, and then once to each of these.
 """
 
@@ -12,13 +12,13 @@ import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
-from lfgpu.types import PlaneSweep, sweep_shifts
+from lfgpu.contract import PlaneSweep, sweep_shifts
 
 from .memory import DeviceArray, doubles, empty, flat, numpy, optional
 from .runtime import on_cpu, once, run
 
 _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
-_PENALTY = 1e-4  # of all apertures but the first, besides their preference
+_PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 _TOGETHER = 32  # views at a time on a GPU, so that there are few launches
 _TOGETHER_CPU = 4  # so that what lies between two kernels stays in a cache
 _BLOCK = 64  # pixels of a row at a time on a CPU, so that what they share is worked out once
@@ -128,7 +128,7 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
         nearest: flat(),
         shifts: flat(ti.f64),
         members: flat(ti.f64),
-        apertures: int,
+        view_sets: int,
         first: int,
         begin: int,
         end: int,
@@ -143,8 +143,8 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
     ):
         """Add the views from `begin` to before `end`, whose shifts lie from `first` on; at 0 begin anew.
 
-        `members` are for each view its apertures and, last, whether it is the last one of these. What they add up to is
-        a cost and a count for each pixel: `group_out` [2, y, x] and `sums_out` [apertures, 2, y, x].
+        `members` are for each view its view_sets and, last, whether it is the last one of these. What they add up to is
+        a cost and a count for each pixel: `group_out` [2, y, x] and `sums_out` [view_sets, 2, y, x].
         """
         size = height * width
         blocks = (width + block - 1) // block
@@ -154,7 +154,7 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
             right = ti.min(left + block, width)
             here = y * width
             if begin == 0:
-                for m in range(2 * apertures):
+                for m in range(2 * view_sets):
                     for x in range(left, right):
                         sums_out[m * size + here + x] = 0.0
             for x in range(left, right):
@@ -188,9 +188,9 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
                     part = part_of(valid, nearest, deepest, to + x)
                     group_out[here + x] += part * cost
                     group_out[size + here + x] += part
-                if k + 1 == end or members[k * (apertures + 1) + apertures] != 0.0:
-                    for m in range(apertures):
-                        if members[k * (apertures + 1) + m] != 0.0:
+                if k + 1 == end or members[k * (view_sets + 1) + view_sets] != 0.0:
+                    for m in range(view_sets):
+                        if members[k * (view_sets + 1) + m] != 0.0:
                             for x in range(left, right):
                                 sums_out[2 * m * size + here + x] += group_out[here + x]
                                 sums_out[(2 * m + 1) * size + here + x] += group_out[size + here + x]
@@ -204,7 +204,7 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
 @ti.kernel
 def _least_kernel(
     sums: flat(),
-    apertures: int,
+    view_sets: int,
     truncation: float,
     gradient_weight: float,
     gradient_truncation: float,
@@ -214,13 +214,13 @@ def _least_kernel(
     size: int,
     volume_out: flat(),
 ):
-    """The least mean of the apertures, to the slice of the volume that begins at `first`."""
+    """The least mean of the view_sets, to the slice of the volume that begins at `first`."""
     fade = 1.0 / (1.0 + gradient_weight)
     for p in range(size):
         lowest = fade * (truncation + gradient_weight * gradient_truncation)
         if sums[size + p] >= least:
             lowest = fade * sums[p] / sums[size + p]
-        for m in range(1, apertures):
+        for m in range(1, view_sets):
             count = sums[(2 * m + 1) * size + p]
             if count > 0.0:
                 mean = fade * sums[2 * m * size + p] / count
@@ -234,13 +234,13 @@ def _table(values: NDArray[Any]) -> DeviceArray:
 
 
 class _PlaneSweep:
-    """Which views are shifted by how much, in the order of their apertures."""
+    """Which views are shifted by how much, in the order of their view_sets."""
 
     def __init__(
         self,
         shape: Sequence[int],
         offsets: DeviceArray,
-        apertures: DeviceArray,
+        view_sets: DeviceArray,
         first: float,
         step: float,
         count: int,
@@ -252,14 +252,14 @@ class _PlaneSweep:
     ) -> None:
         self._shape, self._scale, self._limits = tuple(shape), scale, limits
         self._preference, self._least = preference, float(least)
-        places, belongs = numpy(offsets), numpy(apertures).T != 0
+        places, belongs = numpy(offsets), numpy(view_sets).T != 0
         others = np.flatnonzero(np.hypot(*places.T) > _LEAST_OFFSET)
         others = others[np.lexsort(belongs[others].T)]
         shifts = sweep_shifts(places[others], first=first, step=step, count=count)
         whole, members = np.floor(shifts), belongs[others]
         ends = np.any(members != np.roll(members, -1, axis=0), axis=1)
         views = np.broadcast_to(others[:, None], (count, len(others), 1))
-        self._views, self._apertures = len(others), belongs.shape[1]
+        self._views, self._view_sets = len(others), belongs.shape[1]
         self._shifts = _table(np.concatenate([views, whole, shifts - whole], axis=2))
         self._members = _table(np.concatenate([members, ends[:, None]], axis=1))
         self._together = _table(np.tile([1.0, 0.0], (len(others), 1)))
@@ -270,7 +270,7 @@ class _PlaneSweep:
         self._image = empty((channels, height, width))
         self._differences = empty((self._batch, channels, height, width))
         self._group = empty((2, height, width))
-        self._sums = empty((self._apertures, 2, height, width))
+        self._sums = empty((self._view_sets, 2, height, width))
         self._recorded: Any = None
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
@@ -281,17 +281,17 @@ class _PlaneSweep:
         run(_planes_kernel(channels, recorded.scalar), recorded.values, height * width, self._recorded.values)
         self._valid = valid
 
-    def apertures(self, volume_out: DeviceArray) -> None:
-        self._sweep(None, self._members, self._apertures, 1.0, volume_out)
+    def by_view_sets(self, volume_out: DeviceArray) -> None:
+        self._sweep(None, self._members, self._view_sets, 1.0, volume_out)
 
-    def seen(self, nearest: DeviceArray, volume_out: DeviceArray) -> None:
+    def by_visibility(self, nearest: DeviceArray, volume_out: DeviceArray) -> None:
         self._sweep(nearest, self._together, 1, self._least, volume_out)
 
     def _sweep(
         self,
         nearest: DeviceArray | None,
         members: DeviceArray,
-        apertures: int,
+        view_sets: int,
         least: float,
         volume_out: DeviceArray,
     ) -> None:
@@ -306,16 +306,16 @@ class _PlaneSweep:
                 end = min(begin + self._batch, self._views)
                 images, these = (self._recorded.values, self._image.values), (first + begin, end - begin)
                 run(differ, *images, shifts, *these, channels, height, width, self._scale, differences)
-                inputs = differences, mask, surface, shifts, members.values, apertures, first, begin, end, height, width
+                inputs = differences, mask, surface, shifts, members.values, view_sets, first, begin, end, height, width
                 run(add, *inputs, *self._limits, deepest, self._group.values, sums)
             numbers = *self._limits, self._preference, least, label * size, size
-            run(_least_kernel, sums, apertures, *numbers, volume_out.values)
+            run(_least_kernel, sums, view_sets, *numbers, volume_out.values)
 
 
 def plane_sweep(
     shape: Sequence[int],
     offsets: DeviceArray,
-    apertures: DeviceArray,
+    view_sets: DeviceArray,
     *,
     first: float,
     step: float,
@@ -329,4 +329,4 @@ def plane_sweep(
     least: int,
 ) -> PlaneSweep:
     limits = truncation, gradient_weight, gradient_truncation
-    return _PlaneSweep(shape, offsets, apertures, first, step, count, scale, limits, preference, tolerance, least)
+    return _PlaneSweep(shape, offsets, view_sets, first, step, count, scale, limits, preference, tolerance, least)

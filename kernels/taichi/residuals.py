@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import taichi as ti
 
-from lfgpu.types import Residuals
+from lfgpu.contract import Residuals
 
 from .memory import DeviceArray, doubles, flat, numpy, scalar
 from .runtime import once, run

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.types import SplatDataTerm
+from lfgpu.contract import SplatDataTerm
 
 from .memory import DeviceArray, clear, empty, flat, numpy, optional
 from .runtime import TASK, on_cpu, once, run

@@ -6,7 +6,7 @@ from typing import Any
 
 import taichi as ti
 
-from lfgpu.types import LocalEstimate, StructureFilters
+from lfgpu.contract import LocalEstimate, StructureFilters
 
 from .memory import DeviceArray, empty, flat, optional
 from .runtime import once, run

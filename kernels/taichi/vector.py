@@ -57,7 +57,7 @@ def _kernels() -> SimpleNamespace:
             quotient_out[i] = quotient
 
     @ti.kernel
-    def choose_kernel(condition: field, x: field, y: field, chosen_out: field):
+    def select_kernel(condition: field, x: field, y: field, chosen_out: field):
         for i in range(x.shape[0]):
             chosen = y[i]
             if condition[i] > 0.0:
@@ -65,7 +65,7 @@ def _kernels() -> SimpleNamespace:
             chosen_out[i] = chosen
 
     @ti.kernel
-    def at_least_kernel(x: field, threshold: float, x_out: field):
+    def threshold_kernel(x: field, threshold: float, x_out: field):
         for i in range(x.shape[0]):
             value = 0.0
             if x[i] >= threshold:
@@ -87,8 +87,8 @@ def _kernels() -> SimpleNamespace:
     return SimpleNamespace(
         multiply=multiply_kernel,
         divide=divide_kernel,
-        choose=choose_kernel,
-        at_least=at_least_kernel,
+        select=select_kernel,
+        threshold=threshold_kernel,
         clamp=clamp_kernel,
         ratio=ratio_kernel,
     )
@@ -122,12 +122,12 @@ def fill(value: float | DeviceArray, x_out: DeviceArray) -> None:
     run(_linear_kernels(x_out.scalar).fill, *_coefficient(value), x_out.values)
 
 
-def choose(condition: DeviceArray, x: DeviceArray, y: DeviceArray, chosen_out: DeviceArray) -> None:
-    run(_kernels().choose, condition.values, x.values, y.values, chosen_out.values)
+def select(condition: DeviceArray, x: DeviceArray, y: DeviceArray, chosen_out: DeviceArray) -> None:
+    run(_kernels().select, condition.values, x.values, y.values, chosen_out.values)
 
 
-def at_least(x: DeviceArray, threshold: float, x_out: DeviceArray) -> None:
-    run(_kernels().at_least, x.values, threshold, x_out.values)
+def threshold(x: DeviceArray, threshold: float, x_out: DeviceArray) -> None:
+    run(_kernels().threshold, x.values, threshold, x_out.values)
 
 
 def clamp(x: DeviceArray, low: float, high: float, x_out: DeviceArray) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.types import Normalization
+from lfgpu.contract import Normalization
 
 from .memory import DeviceArray, empty, field, flat, optional
 from .runtime import on_cpu, once, run, start

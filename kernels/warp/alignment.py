@@ -1,6 +1,6 @@
 """What comes near in each view, and how well the views agree; `kernels/reference/alignment.py` says what that is.
 
-The z-buffers of `nearest_surface` have a border, so that what lands beyond the frame comes near, too. The plan has one
+The z-buffers of `z_buffer` have a border, so that what lands beyond the frame comes near, too. The plan has one
 for each slice of the views on a CPU, and as many as fit into the cache on a GPU.
 
 All that the alignment needs from a view at a place are six numbers for each channel, the mean and its first and second
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lfgpu.types import Alignment, NearestSurface
+from lfgpu.contract import Alignment, ZBuffer
 
 from .memory import pixel_type
 from .splat import as_offsets
@@ -140,7 +140,7 @@ def _look_around_kernel(fronts: wp.array(dtype=float), reach: int, lanes: int, n
     _look_around_row(fronts, reach, n, row - n * nearest_out.shape[1], i - row * lanes, lanes, nearest_out)
 
 
-def nearest_surface(shape: Sequence[int], offsets: Any, *, reach: int) -> NearestSurface:
+def z_buffer(shape: Sequence[int], offsets: Any, *, reach: int) -> ZBuffer:
     (count, height, width, _), device, pairs, border = shape, offsets.device, as_offsets(offsets), reach + 1
     size = (height + 2 * border) * (width + 2 * border)
     batch = 1 if device.is_cpu else min(count, max(1, _BUFFER // (4 * size)))

@@ -1,6 +1,8 @@
-"""Loops that the device decides about, and work that it repeats as a whole."""
+"""Loops that the device decides about, work that it repeats as a whole, and who may ask it for work."""
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import warp as wp
@@ -9,6 +11,26 @@ from .memory import number
 from .threads import once
 
 wp.set_module_options({"enable_backward": False})
+
+_CAPTURING = threading.RLock()
+
+
+@once
+def asking(device: str) -> Any:
+    """One lock for each device: threads take turns to ask it, and devices do not wait for each other."""
+    return threading.RLock()
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """Held while work is captured: a capture concerns the whole process, so nobody else may ask any device.
+
+    Whoever captures must not hold `asking` of one device while another thread captures with that of another device.
+    """
+    with _CAPTURING, ExitStack() as held:
+        for device in wp.get_devices():
+            held.enter_context(asking(device.alias))
+        yield
 
 
 @wp.kernel
@@ -53,7 +75,7 @@ def capture(work: Callable[[], None], device: str) -> Callable[[], None] | None:
     if wp.get_device(device).is_cpu:
         return None
     wp.load_module(_continue_kernel.module, device=device)
-    with wp.ScopedCapture(device=device) as captured:
+    with alone(), wp.ScopedCapture(device=device) as captured:
         work()
     return lambda: wp.capture_launch(captured.graph)
 

@@ -242,5 +242,5 @@ def _lowest_kernel(block: int) -> Any:
     return lowest_kernel
 
 
-def lowest(volume: Any, *, first: float, step: float, disparity_out: Any) -> None:
+def winner_takes_all(volume: Any, *, first: float, step: float, disparity_out: Any) -> None:
     launch_rows(_lowest_kernel(_BLOCK if volume.device.is_cpu else 1), [volume, first, step], disparity_out)

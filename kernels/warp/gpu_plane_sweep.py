@@ -15,7 +15,7 @@ from .threads import once
 wp.set_module_options({"enable_backward": False})
 
 BLOCK = 128
-_STRIPS = {False: 7, True: 2}  # rows, of a sweep by apertures and of one of the views that see a pixel: as measured
+_STRIPS = {False: 7, True: 2}  # rows, of a sweep by view_sets and of one of the views that see a pixel: as measured
 _WARP = 32
 _COLUMNS = _WARP - 2
 _NAMES = {
@@ -182,13 +182,13 @@ def pack_kernel(channels: int, stored: Any) -> Any:
 
 
 @once
-def sweep_kernel(channels: int, stored: Any, apertures: int, seen: bool, penalty: float) -> Any:
-    """The kernel for so many apertures; if `seen`, views count where `nearest` lets them see the pixel."""
+def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty: float) -> Any:
+    """The kernel for so many view_sets; if `seen`, views count where `nearest` lets them see the pixel."""
     pixel, kept_pixel = pixel_type(channels), kept_type(channels, stored)
     code = _SWEEP_STRIP
     for name, value in (
         ("CHANNELS", channels),
-        ("APERTURES", apertures),
+        ("APERTURES", view_sets),
         ("COLUMNS", _COLUMNS),
         ("STRIP", _STRIPS[seen]),
         ("PENALTY", f"{penalty}f"),
@@ -219,7 +219,7 @@ def sweep_kernel(channels: int, stored: Any, apertures: int, seen: bool, penalty
         volume: wp.array3d(dtype=float),
     ): ...
 
-    module = f"lfgpu_gpu_plane_sweep_{channels}_{stored.__name__}_{apertures}_{seen:d}"
+    module = f"lfgpu_gpu_plane_sweep_{channels}_{stored.__name__}_{view_sets}_{seen:d}"
 
     @wp.kernel(module=module, enable_backward=False)
     def sweep(

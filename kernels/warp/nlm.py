@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lfgpu.types import NlmWeights, half_window
+from lfgpu.contract import NlmWeights, half_window
 
 from .memory import pixel_type
 from .threads import check_size, in_slices, lanes, launch_rows, load, once

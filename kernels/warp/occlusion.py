@@ -3,7 +3,7 @@
 A view is made in two passes over the reference pixels, first the z-buffer, then sums relative to it. A pixel of the
 sums is its weighted colours, their weight and the coverage; the data term then turns it into what the gradient gathers.
 The plan holds a view for each slice on a CPU, and as many as fit into the cache on a GPU, at 24 bytes for each pixel of
-three channels. `splat_occluding` allocates as much for all its views, `visible` 4 bytes, and both give it back.
+three channels. `splat_z_buffered` allocates as much for all its views, `visible` 4 bytes, and both give it back.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from typing import Any, get_args
 
 import warp as wp
 
-from lfgpu.types import DataTerm, Loss
+from lfgpu.contract import DataTerm, Loss
 
 from .memory import pixel_type
 from .splat import as_offsets, land
@@ -275,7 +275,7 @@ def _find_nearest(disparity: Any, offsets: Any, softness: float, nearest_out: An
     wp.launch(_nearest_kernel, dim, inputs, [nearest_out], device=disparity.device)
 
 
-def splat_occluding(
+def splat_z_buffered(
     image: Any,
     disparity: Any,
     offsets: Any,
@@ -368,7 +368,7 @@ class _OccludingDataTerm:
         wp.launch(kernels.gradient, height * threads, [*seen, sums, *weights], outputs, device=device)
 
 
-def occluding_data_term(
+def z_buffered_data_term(
     shape: Sequence[int],
     offsets: Any,
     *,

@@ -1,7 +1,7 @@
 """How well the views agree with the reference view at each of a row of disparities.
 
-`PlaneSweep` in `lfgpu/types.py` says what is computed. At one disparity all pixels of a view are shifted alike: rows
-are interpolated as a whole, with the same weights everywhere. Views that belong to the same apertures are added up
+`PlaneSweep` in `lfgpu/contract` says what is computed. At one disparity all pixels of a view are shifted alike: rows
+are interpolated as a whole, with the same weights everywhere. Views that belong to the same view_sets are added up
 first, and then once to each of these. The plan keeps the views in an order of its own: on a CPU row by row in each
 channel, what the compiler makes vectors of; `gpu_plane_sweep.py` has the kernels of a GPU.
 """
@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from lfgpu.types import PlaneSweep, sweep_shifts
+from lfgpu.contract import PlaneSweep, sweep_shifts
 
 from .gpu_plane_sweep import BLOCK, kept_type, pack_kernel, sweep_kernel, threads_of
 from .memory import pixel_type
@@ -23,7 +23,7 @@ from .threads import in_slices, load, once, slices
 wp.set_module_options({"enable_backward": False})
 
 _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
-_PENALTY = 1e-4  # of all apertures but the first, besides their preference
+_PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 _STRIP = 16  # rows of sums that stay in a cache of a CPU
 
 _SWEEP = """
@@ -35,7 +35,7 @@ _SWEEP = """
     float* const differences = room.data;                             // [3, CHANNELS, wide], row y in ring place y % 3
     float* const levels = differences + (size_t)3 * CHANNELS * wide;  // [2, CHANNELS, width], between two columns
     float* const group = levels + (size_t)2 * CHANNELS * width;       // [2, STRIP, width]: cost and count
-    float* const sums = group + 2 * strip;                            // [apertures, 2, STRIP, width]
+    float* const sums = group + 2 * strip;                            // [view_sets, 2, STRIP, width]
     auto least_of = [](auto a, auto b) { return a < b ? a : b; };
     auto size_of = [](float a) { return a < 0.f ? -a : a; };
     auto within = [](int i, int size) { return i < 0 ? 0 : i < size ? i : size - 1; };
@@ -43,7 +43,7 @@ _SWEEP = """
     for (int top = first; top < last; top += STRIP)
     for (int l = 0; l < labels; ++l) {
         const int bottom = top + STRIP < last ? top + STRIP : last;
-        for (size_t i = 0; i < apertures * 2 * strip; ++i) sums[i] = 0.f;
+        for (size_t i = 0; i < view_sets * 2 * strip; ++i) sums[i] = 0.f;
         for (int k = 0; k < views_there; ++k) {
             if (k == 0 || members.data[k] != members.data[k - 1])
                 for (size_t i = 0; i < 2 * strip; ++i) group[i] = 0.f;
@@ -133,7 +133,7 @@ _SWEEP = """
             }
 
             if (k + 1 == views_there || members.data[k + 1] != members.data[k])
-                for (int m = 0; m < apertures; ++m)
+                for (int m = 0; m < view_sets; ++m)
                     if ((unsigned)members.data[k] >> m & 1u) {
                         float* const total = sums + m * 2 * strip;
                         #pragma clang loop vectorize(assume_safety)
@@ -143,7 +143,7 @@ _SWEEP = """
 
         float* const out = volume.data + l * plane + (size_t)top * width;
         const int pixels = (bottom - top) * width;
-        for (int m = 0; m < apertures; ++m) {
+        for (int m = 0; m < view_sets; ++m) {
             const float* const total = sums + m * 2 * strip;
             const float* const count = total + strip;
             const float factor = m ? 1.f + preference : 1.f, penalty = m ? PENALTY : 0.f, needed = m ? 1.f : least;
@@ -195,7 +195,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
         members: wp.array(dtype=int),
         shifts: wp.array2d(dtype=wp.vec4f),
         limits: wp.array(dtype=float),
-        apertures: int,
+        view_sets: int,
         scale: float,
         truncation: float,
         gradient_weight: float,
@@ -218,7 +218,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
         members: wp.array(dtype=int),
         shifts: wp.array2d(dtype=wp.vec4f),
         limits: wp.array(dtype=float),
-        apertures: int,
+        view_sets: int,
         scale: float,
         truncation: float,
         gradient_weight: float,
@@ -240,7 +240,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
             members,
             shifts,
             limits,
-            apertures,
+            view_sets,
             scale,
             truncation,
             gradient_weight,
@@ -257,13 +257,13 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
 
 
 class _PlaneSweep:
-    """Which views are shifted by how much, in the order of their apertures, and the views as the device likes them."""
+    """Which views are shifted by how much, in the order of their view_sets, and the views as the device likes them."""
 
     def __init__(
         self,
         shape: Sequence[int],
         offsets: Any,
-        apertures: Any,
+        view_sets: Any,
         first: float,
         step: float,
         count: int,
@@ -272,8 +272,8 @@ class _PlaneSweep:
         numbers: list[float],
     ) -> None:
         self._shape, self._device, self._least, self._numbers = tuple(shape), offsets.device, float(least), numbers
-        places, belongs = offsets.numpy(), apertures.numpy() != 0
-        self._apertures, self._count = len(belongs), count
+        places, belongs = offsets.numpy(), view_sets.numpy() != 0
+        self._view_sets, self._count = len(belongs), count
         bits = np.left_shift(np.uint32(1), np.arange(len(belongs), dtype=np.uint32))
         members = (belongs * bits[:, None]).sum(0, dtype=np.uint32)
         others = np.flatnonzero(np.hypot(*places.T) > _LEAST_OFFSET)
@@ -316,7 +316,7 @@ class _PlaneSweep:
             self._views = wp.empty((n, height, width), dtype=kept_type(channels, stored), device=self._device)
             self._pack = pack_kernel(channels, stored)
             self._kernel = {
-                seen: sweep_kernel(channels, stored, 1 if seen else self._apertures, seen, _PENALTY)
+                seen: sweep_kernel(channels, stored, 1 if seen else self._view_sets, seen, _PENALTY)
                 for seen in (False, True)
             }
             return
@@ -324,16 +324,16 @@ class _PlaneSweep:
         self._views = wp.empty((n, channels, height, width), dtype=_kept(stored), device="cpu")
         self._image = wp.empty((channels, height, width), dtype=float, device="cpu")
         differences, levels = 3 * channels * (width + 2), 2 * channels * width
-        size = differences + levels + 2 * (1 + self._apertures) * _STRIP * width
+        size = differences + levels + 2 * (1 + self._view_sets) * _STRIP * width
         self._room = wp.empty((len(slices(self._device, height)), size), dtype=float, device="cpu")
 
-    def apertures(self, volume_out: Any) -> None:
-        self._sweep(None, self._members, self._apertures, 1.0, volume_out)
+    def by_view_sets(self, volume_out: Any) -> None:
+        self._sweep(None, self._members, self._view_sets, 1.0, volume_out)
 
-    def seen(self, nearest: Any, volume_out: Any) -> None:
+    def by_visibility(self, nearest: Any, volume_out: Any) -> None:
         self._sweep(nearest, self._together, 1, self._least, volume_out)
 
-    def _sweep(self, nearest: Any, members: Any, apertures: int, least: float, volume_out: Any) -> None:
+    def _sweep(self, nearest: Any, members: Any, view_sets: int, least: float, volume_out: Any) -> None:
         _, height, width, _ = self._shape
         planned = [nearest, self._order, members, self._shifts, self._deepest]
         if not self._device.is_cpu:
@@ -346,7 +346,7 @@ class _PlaneSweep:
         load(self._device, self._kernels.sweep)
 
         def some_rows(k: int, first: int, last: int) -> None:
-            inputs = [*views, *planned, apertures, *self._numbers, least, first, last, self._room[k]]
+            inputs = [*views, *planned, view_sets, *self._numbers, least, first, last, self._room[k]]
             wp.launch(self._kernels.sweep, 1, inputs, [volume_out], device="cpu")
 
         in_slices(self._device, height, some_rows)
@@ -355,7 +355,7 @@ class _PlaneSweep:
 def plane_sweep(
     shape: Sequence[int],
     offsets: Any,
-    apertures: Any,
+    view_sets: Any,
     *,
     first: float,
     step: float,
@@ -369,4 +369,4 @@ def plane_sweep(
     least: int,
 ) -> PlaneSweep:
     numbers = [scale, truncation, gradient_weight, gradient_truncation, preference]
-    return _PlaneSweep(shape, offsets, apertures, first, step, count, tolerance, least, numbers)
+    return _PlaneSweep(shape, offsets, view_sets, first, step, count, tolerance, least, numbers)

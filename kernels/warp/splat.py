@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from lfgpu.types import SplatDataTerm
+from lfgpu.contract import SplatDataTerm
 
 from .curvature import curvature, curvature_factor
 from .gpu_data_term import GpuDataTerm

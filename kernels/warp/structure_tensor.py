@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from lfgpu.types import LocalEstimate, StructureFilters
+from lfgpu.contract import LocalEstimate, StructureFilters
 
 from .memory import pixel_type
 from .threads import launch_rows, once

@@ -4,7 +4,6 @@ On a GPU there are four streams: one for frames of other libraries there, one fo
 work, one for maps that go. Host memory is pinned. On a CPU nothing overlaps: it is busy with the work.
 """
 
-import threading
 import time
 import weakref
 from collections import deque
@@ -15,14 +14,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from .control import alone, asking
 from .memory import pixel_type
 from .sharing import Shared, take
 from .threads import load, once
 
 wp.set_module_options({"enable_backward": False})
-
-ASKING = threading.RLock()
-"""Held by whoever asks a device for work: what is captured must not mix with what others ask for."""
 
 _SAMPLES = 64  # along each side of the reference view, that are looked at for cuts
 
@@ -162,7 +159,7 @@ class Transport:
         tolerance: float,
         results: int,
     ) -> None:
-        self._views, self._device = views, views.device
+        self._views, self._device, self._asking = views, views.device, asking(views.device.alias)
         self._fields, self._numbers = sources[:2], sources[2:]
         _, height, width = views.shape
         strides = max(1, height // _SAMPLES), max(1, width // _SAMPLES)
@@ -200,7 +197,7 @@ class Transport:
 
     def take(self, values: Any, slot: Slot, views: list[int] | None) -> None:
         """Copy an array of another library on the same GPU into a slot, in the order of that library's stream."""
-        with ASKING:
+        with self._asking:
             if views is None:
                 take(values, slot.resident, self._in)
             else:
@@ -223,7 +220,7 @@ class Transport:
                 self._kernel, self._grid, [self._incoming, *self._looking, self._last, self._changed], device="cpu"
             )
             return float(self._changed.numpy()[0]) / samples
-        with ASKING:
+        with self._asking:
             up = self._up
             up.wait_event(self._taken)
             if slot.is_resident:
@@ -242,7 +239,7 @@ class Transport:
         """Ask for a map of the frame that was brought last: `before`, if given, and `work`. The maps come later."""
         maps = self._free.popleft() if self._free else self._new_maps()
         if not self._device.is_cuda:
-            with ASKING:
+            with self._asking:
                 if before is not None:
                     before()
                 start = time.perf_counter()
@@ -251,7 +248,7 @@ class Transport:
                 self._hand_over(maps)
             return maps
         begin, end, done = maps.events
-        with ASKING, wp.ScopedStream(self._compute, sync_enter=False):
+        with self._asking, wp.ScopedStream(self._compute, sync_enter=False):
             compute, down = self._compute, self._down
             compute.wait_event(self._arrived)
             wp.copy(self._views, self._incoming, stream=compute)
@@ -292,7 +289,7 @@ class Transport:
         """Work as one graph of a GPU; on a CPU as it is. It must have run once before."""
         if not self._device.is_cuda:
             return work
-        with ASKING, wp.ScopedCapture(device=self._device, stream=self._compute) as capture:
+        with alone(), wp.ScopedCapture(device=self._device, stream=self._compute) as capture:
             work()
         return lambda: wp.capture_launch(capture.graph, stream=self._compute)
 

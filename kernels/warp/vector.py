@@ -191,11 +191,11 @@ def fill(value: Any, x_out: Any) -> None:
     _launch(_fill_kernel, [*_number_or_scalar(value)], x_out)
 
 
-def choose(condition: Any, x: Any, y: Any, chosen_out: Any) -> None:
+def select(condition: Any, x: Any, y: Any, chosen_out: Any) -> None:
     _launch(_choose_kernel, [condition.flatten(), x.flatten(), y.flatten()], chosen_out)
 
 
-def at_least(x: Any, threshold: float, x_out: Any) -> None:
+def threshold(x: Any, threshold: float, x_out: Any) -> None:
     _launch(_at_least_kernel, [x.flatten(), threshold], x_out)
 
 

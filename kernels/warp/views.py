@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from lfgpu.types import Normalization
+from lfgpu.contract import Normalization
 
 from .memory import pixel_type
 from .threads import check_size, in_slices, lanes, launch_rows, load, once, slices

@@ -14,13 +14,15 @@ from lfgpu._backends import DEFAULT, load, pick_device
 from lfgpu.batch.items import Item
 from lfgpu.batch.manifest import DONE, FAILED
 from lfgpu.config import Config
+from lfgpu.data.mapping import forget
 from lfgpu.errors import LfgpuError, LightFieldError
-from lfgpu.tiles import whole_light_field
+from lfgpu.methods import method_of
+from lfgpu.methods.measured import Measured
 
 if TYPE_CHECKING:
-    from lfgpu.depth import DepthPipeline
-    from lfgpu.lightfield import LightField
-    from lfgpu.result import DepthResult
+    from lfgpu.data.lightfield import LightField
+    from lfgpu.data.result import DepthResult
+    from lfgpu.pipelines.pipeline import DepthPipeline
 
 DISPARITY_FILE, RESULT_FILE = "disparity.pfm", "result.npz"  # as `lfgpu depth` calls them
 PREVIEW_FILE = "preview.png"
@@ -140,10 +142,8 @@ def _read(source: str, settings: Settings) -> LightField:
 
 def _estimate(lf: LightField, job: Job, device: str) -> DepthResult:
     settings, start = job.settings, time.perf_counter()
-    bounds, config = settings.disparity_range, settings.config
-    if job.first:
-        bounds, config = _measured(job.first, settings, device)
-    pipeline, is_new = _RESIDENT.pipeline(lf, bounds, config, settings, device)
+    measured = _measured(job.first, settings, device) if job.first else None
+    pipeline, is_new = _RESIDENT.pipeline(lf, measured, settings, device)
     if not is_new:
         pipeline.upload(lf.views)
     pipeline.run()
@@ -152,26 +152,30 @@ def _estimate(lf: LightField, job: Job, device: str) -> DepthResult:
     return replace(result, name=lf.name, geometry=lf.geometry, timings=timings)
 
 
-def _measured(first: tuple[str, ...], settings: Settings, device: str) -> tuple[tuple[float, float] | None, Config]:
-    """Range and noise of a sequence, from the first of its frames that can be read; as they are set if none can."""
+def _measured(first: tuple[str, ...], settings: Settings, device: str) -> Measured | None:
+    """Range and noise of a sequence, from the first of its frames that can be read; None if none can."""
     key = (first, device, repr(settings))
     if key not in _MEASURED:
-        _MEASURED[key] = settings.disparity_range, settings.config
+        _MEASURED[key] = None
         for source in first:
             with suppress(LfgpuError):  # such a frame says so itself when its turn comes
                 lf, kernels = _read(source, settings), load(settings.backend)
-                _MEASURED[key] = whole_light_field(lf, settings.disparity_range, settings.config, kernels, device)
+                _MEASURED[key] = method_of(settings.config).measure(
+                    lf, kernels, device, disparity_range=settings.disparity_range
+                )
+                forget(lf.views)
                 break
     return _MEASURED[key]
 
 
-_MEASURED: dict[Any, tuple[tuple[float, float] | None, Config]] = {}
+_MEASURED: dict[Any, Measured | None] = {}
 
 
 class _Resident:
     """The last pipeline, which serves the next item if nothing of its result comes from the items before.
 
-    That is so where range and noise are given or measured on the sequence: else each item gets a pipeline of its own.
+    That is so where the method need not measure anything, or range and noise were measured on the sequence. Else each
+    item gets a pipeline of its own.
     """
 
     def __init__(self) -> None:
@@ -179,26 +183,27 @@ class _Resident:
         self._pipeline: DepthPipeline | None = None
 
     def pipeline(
-        self, lf: LightField, bounds: tuple[float, float] | None, config: Config, settings: Settings, device: str
+        self, lf: LightField, measured: Measured | None, settings: Settings, device: str
     ) -> tuple[DepthPipeline, bool]:
         """A pipeline for a light field, and whether it was made for it and has its views."""
-        from lfgpu.depth import DepthPipeline
+        from lfgpu.pipelines.pipeline import DepthPipeline
 
-        fixed = bounds is not None and (config.method.name != "matching" or config.sweep.noise > 0)
+        measured = measured or method_of(settings.config).given(lf, settings.disparity_range)
         key = (
             *(lf.views.shape, lf.views.dtype.str, lf.positions.tobytes(), lf.reference_index),
-            *(None if lf.valid is None else lf.valid.tobytes(), bounds, config, settings.backend, device),
+            *(None if lf.valid is None else lf.valid.tobytes(), measured, settings.config, settings.backend, device),
         )
-        if self._pipeline is not None and fixed and key == self._key:
+        if self._pipeline is not None and measured is not None and key == self._key:
             return self._pipeline, False
         self._pipeline = None  # its memory first
         self._pipeline = DepthPipeline(
             lf,
-            config=config,
-            disparity_range=bounds,
+            config=settings.config,
+            disparity_range=settings.disparity_range,
             backend=settings.backend,
             device=device,
             deterministic=settings.deterministic,
+            measured=measured,
         )
         self._key = key
         return self._pipeline, True
@@ -223,9 +228,9 @@ def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | No
 
 def _write(folder: Path, result: DepthResult) -> dict[str, int]:
     """Write a result into a folder that exists; the files and how many bytes they have."""
-    from lfgpu.frames import LOOKS, colour, fitted
     from lfgpu.io import write_pfm, write_result
-    from lfgpu.pictures import scale_limits
+    from lfgpu.viz.figures import scale_limits
+    from lfgpu.viz.panels import LOOKS, colour, fitted
 
     write_pfm(folder / DISPARITY_FILE, result.disparity)
     write_result(result, folder / RESULT_FILE)

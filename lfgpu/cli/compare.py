@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from lfgpu.comparison import Scene, Table
-    from lfgpu.lightfield import LightField
+    from lfgpu.data.lightfield import LightField
     from lfgpu.metrics import Metrics
 
 _IN_FOLDER = ("result.npz", "disparity.pfm")
@@ -124,7 +124,7 @@ def _metrics(found: dict[str, float | None], folder: Path) -> Metrics:
 
 def _write(out: Path, scenes: list[Scene], scored: Table) -> None:
     from lfgpu.io import atomic_folder
-    from lfgpu.pictures import comparison_figure, save_png
+    from lfgpu.viz.figures import comparison_figure, save_png
 
     with atomic_folder(out) as folder:
         _write_tables(folder, scored)

@@ -16,6 +16,7 @@ from rich.text import Text
 if TYPE_CHECKING:
     from lfgpu.comparison import Table as Compared
     from lfgpu.config import Config
+    from lfgpu.methods.base import Stage
     from lfgpu.metrics import Metrics, Sparsification
 
 Progress = Callable[[str, int, float], None]
@@ -24,26 +25,8 @@ Progress = Callable[[str, int, float], None]
 _LABELS = 13  # characters, so that the lines of several calls stand in line
 _NARROWEST = 100  # columns where the output goes to a file: nobody wraps it there
 _KEPT = (100, 95, 90, 75, 50, 25)  # percent
-_WHAT = {
-    "local": "local estimate",
-    "propagate": "propagation",
-    "refine": "refinement",
-    "sweep": "plane sweep",
-    "match": "matching",
-    "align": "alignment",
-    "settle": "outlines",
-    "keys": "key views",
-    "join": "all views",
-    "tiles": "tiles",
-}
-_VALUE = {
-    "propagate": "residual",
-    "refine": "energy",
-    "align": "step",
-    "keys": "share",
-    "join": "share",
-    "tiles": "share",
-}
+_RUNNERS = {"keys": "key views", "join": "all views", "tiles": "tiles"}  # stages of those who run a method
+_SHARE = "share"  # what these report
 
 
 def output() -> Console:
@@ -148,12 +131,11 @@ def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
     from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Display
 
+    from lfgpu.methods import method_of
+
     console = Console(stderr=True, highlight=False, markup=False)
-    limits = {
-        "propagate": config.propagation.max_iterations,
-        "refine": config.refinement.max_iterations,
-        "align": config.alignment.iterations,
-    }
+    method = method_of(config)
+    stages = {stage.name: stage for stage in method.stages}
     columns = (
         SpinnerColumn("line"),
         TextColumn("{task.description:<16}", markup=False),
@@ -168,8 +150,16 @@ def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
             if stage not in tasks:
                 for done in tasks.values():
                     display.update(done, total=1, completed=1)
-                tasks[stage] = display.add_task(_WHAT.get(stage, stage), total=limits.get(stage), state="")
-            state = f"iteration {iteration}, {_VALUE[stage]} {value:.6g}" if iteration > 0 else ""
+                label = stages[stage].label if stage in stages else _RUNNERS[stage]
+                tasks[stage] = display.add_task(label, total=method.iterations(stage), state="")
+            state = f"iteration {iteration}, {_said(stages.get(stage), value)}" if iteration > 0 else ""
             display.update(tasks[stage], completed=iteration, state=state)
 
         yield show
+
+
+def _said(stage: Stage | None, value: float) -> str:
+    """What a stage reports after an iteration, with its unit."""
+    if stage is None or stage.value is None:
+        return f"{_SHARE} {value:.6g}"
+    return f"{stage.value} {value:.6g} {stage.unit or ''}".rstrip()

@@ -28,7 +28,7 @@ def convert(
     ] = None,
 ) -> None:
     """Write a disparity map in another format, or its points in space, with all it takes to read it right."""
-    from lfgpu.all_views import ViewsResult
+    from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import check_writable, load, read, save, writer_of
 
     check_writable(out, folder=False)

@@ -11,9 +11,9 @@ import typer
 from lfgpu.cli.options import Threads
 
 if TYPE_CHECKING:
-    from lfgpu.lightfield import LightField
+    from lfgpu.data.lightfield import LightField
+    from lfgpu.data.result import DepthResult
     from lfgpu.metrics import Metrics
-    from lfgpu.result import DepthResult
 
 GRID, SIZE = (7, 7), (192, 256)
 """Small enough for a few seconds on two cores of a CPU."""
@@ -33,10 +33,10 @@ def demo(
     from lfgpu.cli.console import output
     from lfgpu.cli.depth import Estimation
     from lfgpu.cli.outputs import write_outputs
-    from lfgpu.config import preset
     from lfgpu.io import atomic_folder, check_writable, write_hci
-    from lfgpu.pictures import save_png, sparsification_figure
+    from lfgpu.methods import preset
     from lfgpu.scenes import make
+    from lfgpu.viz.figures import save_png, sparsification_figure
 
     check_writable(out)
     values.use_threads("--threads", threads)
@@ -65,7 +65,7 @@ def demo(
 
 def _draw_overview(lf: LightField, result: DepthResult, scores: dict[str, Metrics], path: Path) -> None:
     from lfgpu.metrics import BORDER
-    from lfgpu.pictures import overview_figure, save_png
+    from lfgpu.viz.figures import overview_figure, save_png
 
     assert lf.truth is not None  # the scene brings it along
     view, title = lf.image(lf.reference_index), lf.name

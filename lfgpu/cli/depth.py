@@ -31,10 +31,10 @@ from lfgpu.cli.options import (
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
-    from lfgpu.all_views import ViewsResult
     from lfgpu.config import Config
-    from lfgpu.lightfield import LightField
-    from lfgpu.result import DepthResult
+    from lfgpu.data.lightfield import LightField
+    from lfgpu.data.result import DepthResult
+    from lfgpu.data.views_result import ViewsResult
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,15 @@ class Estimation:
     def run(self, lf: LightField, *, quiet: bool) -> DepthResult:
         """The estimate, with a progress display on a terminal."""
         from lfgpu.cli.console import progress
-        from lfgpu.depth import estimate_depth
+        from lfgpu.pipelines.estimate import estimate_depth
 
         with progress(self.config, quiet=quiet) as on_progress:
             return estimate_depth(lf, on_progress=on_progress, **self._options)
 
     def run_all(self, lf: LightField, *, quiet: bool) -> ViewsResult:
         """The same for all views."""
-        from lfgpu.all_views import estimate_all_views
         from lfgpu.cli.console import progress
+        from lfgpu.pipelines.all_views import estimate_all_views
 
         with progress(self.config, quiet=quiet) as on_progress:
             options = {name: value for name, value in self._options.items() if name != "max_memory"}
@@ -123,8 +123,8 @@ def depth(
     from lfgpu.cli import summary
     from lfgpu.cli.console import output
     from lfgpu.cli.outputs import check_names, write_outputs, write_page, write_saved, write_view_maps
-    from lfgpu.footprint import parse_memory
     from lfgpu.io import atomic_folder, check_writable, read
+    from lfgpu.methods.footprint import parse_memory
 
     check_writable(out)
     check_names("--save", saved or ())

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from lfgpu.all_views import ViewsResult
-    from lfgpu.lightfield import GroundTruth
-    from lfgpu.result import DepthResult, DisparityMap
+    from lfgpu.data.lightfield import GroundTruth
+    from lfgpu.data.result import DepthResult, DisparityMap
+    from lfgpu.data.views_result import ViewsResult
 
 
 def evaluate(
@@ -98,9 +98,9 @@ def _score(result: Path, truth: Path, mask: Path | None, border: int | None) -> 
 
 def _maps(path: Path, truth: Path) -> tuple[dict[str, NDArray[np.float32]], DepthResult | DisparityMap | None]:
     """The maps to score by name, the stages of a result each, and what they are of where the file says that."""
-    from lfgpu.all_views import ViewsResult
+    from lfgpu.data.result import DepthResult
+    from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import load
-    from lfgpu.result import DepthResult
 
     _check_exists(path)
     file = _inside(path) if path.is_dir() else path
@@ -140,8 +140,8 @@ def _inside(folder: Path) -> Path:
 def _truth(path: Path, position: tuple[float, float] | None) -> GroundTruth:
     """The truth in a map or a light field; the latter's has to be of the view at `position`, if that is known."""
     from lfgpu.cli.facts import place
+    from lfgpu.data.lightfield import GroundTruth
     from lfgpu.io import read, read_map
-    from lfgpu.lightfield import GroundTruth
 
     _check_exists(path)
     if not path.is_dir():

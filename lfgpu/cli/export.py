@@ -22,8 +22,8 @@ def export(
     settings: Parameters = None,
 ) -> None:
     """Write the estimate for light fields like INPUT as files that a program in C++ replays, and that program."""
-    from lfgpu.export import export_pipeline
     from lfgpu.io import check_writable, read
+    from lfgpu.pipelines.export import export_pipeline
 
     check_writable(out)
     config = values.configured(preset, settings or ())

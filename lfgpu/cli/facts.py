@@ -6,8 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from lfgpu.geometry import Geometry
-    from lfgpu.lightfield import LightField
+    from lfgpu.data.geometry import Geometry
+    from lfgpu.data.lightfield import LightField
 
 _NAMED = 8  # so many missing views are named
 

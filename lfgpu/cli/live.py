@@ -16,7 +16,7 @@ from lfgpu.cli.options import Device, Parameters, Quiet, Threads
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lfgpu import DepthStream, StreamResult
+    from lfgpu.pipelines.stream import DepthStream, StreamResult
 
 RECORD_FILE = "live.json"
 _REFRESH = 0.25  # seconds
@@ -70,9 +70,10 @@ def live(
     With -o each map is written as soon as it is there (disparity_000000.pfm, confidence_000000.pfm), at the end
     live.json with what became of every frame.
     """
-    from lfgpu import DepthStream, TemporalPrior
     from lfgpu.io import check_writable
-    from lfgpu.live import feed, open_source
+    from lfgpu.methods.temporal_prior import TemporalPrior
+    from lfgpu.pipelines.sources import feed, open_source
+    from lfgpu.pipelines.stream import DepthStream
 
     if out is not None:
         check_writable(out)

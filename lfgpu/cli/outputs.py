@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
-    from lfgpu.all_views import ViewsResult
-    from lfgpu.lightfield import LightField
-    from lfgpu.result import DepthResult
-    from lfgpu.types import Float32Array
+    from lfgpu.contract import Float32Array
+    from lfgpu.data.lightfield import LightField
+    from lfgpu.data.result import DepthResult
+    from lfgpu.data.views_result import ViewsResult
 
 RESULT_FILE = "result.npz"
 DISPARITY_FILE = "disparity.pfm"
@@ -31,7 +31,7 @@ _MEANING = {
 def write_outputs(folder: Path, result: DepthResult) -> list[tuple[str, str]]:
     """Write a result into a folder that exists; what was written, as (file, meaning)."""
     from lfgpu.io import write_pfm, write_result
-    from lfgpu.pictures import confidence_figure, disparity_figure, save_png
+    from lfgpu.viz.figures import confidence_figure, disparity_figure, save_png
 
     write_pfm(folder / DISPARITY_FILE, result.disparity)
     save_png(disparity_figure(result.disparity, name=result.name), folder / "disparity.png")

@@ -16,10 +16,10 @@ from lfgpu.cli.options import AllowMissing, Backend, Device, FormatName, Quiet, 
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
-    from lfgpu.all_views import ViewsResult
-    from lfgpu.lightfield import LightField
-    from lfgpu.result import DepthResult, DisparityMap
-    from lfgpu.types import Float32Array
+    from lfgpu.contract import Float32Array
+    from lfgpu.data.lightfield import LightField
+    from lfgpu.data.result import DepthResult, DisparityMap
+    from lfgpu.data.views_result import ViewsResult
 
 _SWEEPS = ("circle", "across", "down", "focus")
 _REACH = 0.9  # of the way from the middle of the cameras to the outermost
@@ -81,7 +81,7 @@ def render(
     check_writable(out, folder=not out.suffix)
     place = None if view is None else values.parse_place("--view", view)
     reference = None if reference_view is None else values.parse_place("--reference-view", reference_view)
-    from lfgpu.render import FOR_RENDERING
+    from lfgpu.viz.rendering import FOR_RENDERING
 
     estimation = Estimation(
         values.configured(preset, ()).with_values(FOR_RENDERING),
@@ -113,8 +113,8 @@ def _picture(
     *,
     quiet: bool,
 ) -> Float32Array:
-    from lfgpu.refocusing import all_in_focus, refocus
-    from lfgpu.render import render_view
+    from lfgpu.viz.refocusing import all_in_focus, refocus
+    from lfgpu.viz.rendering import render_view
 
     if focus is not None:
         return refocus(lf, focus)
@@ -135,8 +135,8 @@ def _film(
     """The frames of a sweep that begins where it ends."""
     import numpy as np
 
-    from lfgpu.refocusing import refocus
-    from lfgpu.render import Renderer
+    from lfgpu.viz.refocusing import refocus
+    from lfgpu.viz.rendering import Renderer
 
     turns = [2 * math.pi * n / count for n in range(count)]
     if sweep == "focus":
@@ -157,8 +157,8 @@ def _film(
 
 def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> ViewsResult:
     """The maps of all views: those that are there, or new ones."""
-    from lfgpu.all_views import ViewsResult
     from lfgpu.cli.outputs import VIEWS_FILE
+    from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import load
 
     if path is None:
@@ -171,8 +171,8 @@ def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: b
 
 def _map(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> DepthResult | DisparityMap:
     """The map of the reference view."""
-    from lfgpu.all_views import ViewsResult
     from lfgpu.cli.outputs import VIEWS_FILE
+    from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import load
 
     if path is None:

@@ -14,15 +14,16 @@ from matplotlib import colormaps
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from lfgpu import frames
 from lfgpu.cli import facts
-from lfgpu.config import PRESETS, parameters
+from lfgpu.config import parameters
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_write
-from lfgpu.lightfield import LightField
+from lfgpu.methods import PRESETS
 from lfgpu.metrics import BORDER, evaluate
-from lfgpu.pictures import error_reach, scale_limits
-from lfgpu.result import DepthResult
+from lfgpu.viz import panels as frames
+from lfgpu.viz.figures import error_reach, scale_limits
 
 _LONG_SIDE = 720  # pixels of a picture: larger maps are drawn smaller
 _HEADS = ("MSE ×100", "BadPix 0.07 %", "BadPix 0.03 %", "BadPix 0.01 %", "Q25 ×100", "RMSE", "undefined %")

@@ -13,7 +13,7 @@ from lfgpu.errors import LightFieldError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lfgpu.lightfield import LightField
+    from lfgpu.data.lightfield import LightField
 
 _FRAME = "frame_"
 

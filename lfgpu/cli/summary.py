@@ -11,9 +11,9 @@ from lfgpu.errors import LightFieldError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lfgpu.lightfield import LightField
+    from lfgpu.data.lightfield import LightField
+    from lfgpu.data.result import DepthResult
     from lfgpu.metrics import Metrics, Sparsification
-    from lfgpu.result import DepthResult
 
 
 def show_input(console: Console, lf: LightField) -> None:

@@ -43,7 +43,7 @@ def parse_grid(text: str | None) -> tuple[int, int] | None:
 
 def parse_policy(option: str, text: str) -> tuple[str, int | None]:
     """ "latest", "block" or "queue:8" as (name, how many wait or None); LightFieldError for anything else."""
-    from lfgpu.stream_inbox import POLICIES
+    from lfgpu.pipelines.inbox import POLICIES
 
     name, colon, count = text.partition(":")
     if name not in POLICIES or (colon and not count.isdecimal()):
@@ -73,7 +73,7 @@ def use_threads(option: str, count: int | None) -> None:
 
 def configured(preset_name: str, settings: Sequence[str]) -> Config:
     """A preset with `stage.parameter=value` settings applied; LightFieldError if one is wrong or unknown."""
-    from lfgpu.config import preset
+    from lfgpu.methods import preset
 
     config = preset(preset_name)
     for setting in settings:
@@ -86,7 +86,7 @@ def configured(preset_name: str, settings: Sequence[str]) -> Config:
 
 def check_pattern(option: str, name: str) -> None:
     """LightFieldError if there is no such pattern of views."""
-    from lfgpu.lightfield import PATTERNS
+    from lfgpu.data.lightfield import PATTERNS
 
     if name not in PATTERNS:
         raise LightFieldError(f"{option} must be one of {', '.join(PATTERNS)}, not {name!r}.")

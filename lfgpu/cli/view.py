@@ -26,8 +26,8 @@ def view(
 
     Only this machine reaches the page. Maps are compared if there are several. Ctrl-C ends it.
     """
-    from lfgpu import Viewer
     from lfgpu.cli import values
+    from lfgpu.viewer import Viewer
 
     values.use_threads("--threads", threads)
     with Viewer.of(paths, port=port) as viewer:

@@ -10,10 +10,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from lfgpu.contract import Float32Array
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
-from lfgpu.result import DisparityMap
-from lfgpu.types import Float32Array
 
 KEY = "lfgpu"
 """What the text is called where metadata have names."""

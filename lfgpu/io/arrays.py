@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.images import ALPHA_DROPPED, FLOAT64_ROUNDED
-from lfgpu.lightfield import LightField
 
 ASK_FOR_GRID = "say how they stand: grid=(rows, columns), --grid ROWSxCOLUMNS on the command line"
 

@@ -7,11 +7,11 @@ import re
 from collections import Counter
 from pathlib import Path
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import grid_shape
 from lfgpu.io.folders import image_files, listed, sub_folders
 from lfgpu.io.grid import by_place, read_grid
-from lfgpu.lightfield import LightField
 
 _NAME = re.compile(r"(.*?)([0-9]{1,9})([^0-9]*)", re.DOTALL)
 _MOST = 10_000  # places of a row

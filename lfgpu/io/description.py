@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
 from lfgpu.io.arrays import field_of
 from lfgpu.io.atomic import atomic_write, check_writable
 from lfgpu.io.flips import check_flip, flipped
@@ -26,7 +27,6 @@ from lfgpu.io.maps import check_size, read_map, read_mask
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.png import write_png
 from lfgpu.io.views import load_views
-from lfgpu.lightfield import GroundTruth, LightField
 
 DEFAULT_NAME = "lightfield.toml"
 

@@ -14,9 +14,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.mapping import mapped
 from lfgpu.errors import LightFieldError
 from lfgpu.io.limits import check_memory
-from lfgpu.mapping import mapped
 
 _WANTED: ContextVar[bool] = ContextVar("views stay on disk", default=False)
 

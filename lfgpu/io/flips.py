@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.lightfield import LightField
 
 FLIPS = ("", "u", "v", "uv")
 

@@ -11,6 +11,9 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.mapping import forget
+from lfgpu.data.vignette import without_black_corners
 from lfgpu.errors import LightFieldError
 from lfgpu.io import (
     camera_row,
@@ -32,9 +35,6 @@ from lfgpu.io.flips import check_flip, flipped
 from lfgpu.io.folders import entries, head, listed
 from lfgpu.io.images import IMAGE_SUFFIXES
 from lfgpu.io.parallax import axes_agree
-from lfgpu.lightfield import LightField
-from lfgpu.mapping import forget
-from lfgpu.vignette import without_black_corners
 
 
 @dataclass(frozen=True)

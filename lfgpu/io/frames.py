@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from lfgpu.contract import Float32Array
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_folder, atomic_write
 from lfgpu.io.png import write_png
-from lfgpu.types import Float32Array
 
 _FPS = 15.0
 _QUALITY = 8  # of 10

@@ -9,9 +9,9 @@ from typing import TypeAlias
 
 import numpy as np
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.views import load_views
-from lfgpu.lightfield import LightField
 
 Place: TypeAlias = tuple[int, int]
 """(row, column) in a grid, from 0."""

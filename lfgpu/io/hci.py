@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
 from lfgpu.io.atomic import atomic_folder
 from lfgpu.io.folders import entries, image_files
 from lfgpu.io.grid import by_place, read_grid
@@ -21,7 +22,6 @@ from lfgpu.io.hci_parameters import PARAMETERS_FILE, Parameters, write_parameter
 from lfgpu.io.maps import check_size, read_map, read_mask
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.png import write_png
-from lfgpu.lightfield import GroundTruth, LightField
 
 DISPARITY_FILE = "gt_disp_lowres.pfm"
 DEPTH_FILE = "gt_depth_lowres.pfm"

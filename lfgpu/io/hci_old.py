@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
 from lfgpu.io import hdf5
 from lfgpu.io.arrays import grid_field
 from lfgpu.io.flips import flipped
@@ -20,7 +21,6 @@ from lfgpu.io.folders import entries, head, sub_folders
 from lfgpu.io.maps import check_size, read_mask
 from lfgpu.io.named_views import read_named_views
 from lfgpu.io.parallax import runs_as_truth
-from lfgpu.lightfield import GroundTruth, LightField
 
 ATTRIBUTES_FILE, DEPTH_FILE, MASK_FILE = "attributes.dat", "depth.bin", "mask.png"
 

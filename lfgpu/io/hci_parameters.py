@@ -6,8 +6,8 @@ import configparser
 import math
 from pathlib import Path
 
+from lfgpu.data.geometry import Geometry
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
 
 PARAMETERS_FILE = "parameters.cfg"
 

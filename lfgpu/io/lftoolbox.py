@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import hdf5
 from lfgpu.io.arrays import grid_field
 from lfgpu.io.folders import head
 from lfgpu.io.limits import check_claim
 from lfgpu.io.vignette import lit
-from lfgpu.lightfield import LightField
 
 _MAGIC_5, _MAGIC_7 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 _CLASSES = {"uint8": np.uint8, "uint16": np.uint16, "single": np.float32, "double": np.float64}

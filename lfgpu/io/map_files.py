@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from PIL.PngImagePlugin import PngInfo
 
+from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import KEY, map_about, map_of, parse_about
 from lfgpu.io.images import read_image
 from lfgpu.io.numpy_arrays import load_arrays
-from lfgpu.result import DisparityMap
 
 NPZ_KEY = "lfgpu_map"
 """The array of an .npz that holds the metadata of a map by itself."""

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import grid_field
 from lfgpu.io.images import IMAGE_SUFFIXES, read_image
 from lfgpu.io.vignette import lit
-from lfgpu.lightfield import LightField
 
 _STANFORD = (14, 14)  # of the Stanford Lytro archive, whose files are named ..._eslf.png
 _SMALLEST, _LARGEST = 3, 32  # blocks that are looked for

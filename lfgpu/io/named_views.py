@@ -6,10 +6,10 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.folders import image_files, listed, sub_folders
 from lfgpu.io.grid import by_place, read_grid
-from lfgpu.lightfield import LightField
 
 # The last two numbers of a name. Row and column have at most three digits, so that dates and times are none.
 _NAME = re.compile(r"(.*?)(?<![0-9])([0-9]{1,3})([^0-9]+)([0-9]{1,3})([^0-9]*)", re.DOTALL)

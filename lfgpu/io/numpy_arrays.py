@@ -11,11 +11,11 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.mapping import mapped
 from lfgpu.errors import LightFieldError
 from lfgpu.io.disk import wanted_on_disk
 from lfgpu.io.folders import head
 from lfgpu.io.limits import check_claim
-from lfgpu.mapping import mapped
 
 MAGIC, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, field_of, grid_field, storable
 from lfgpu.io.folders import head
 from lfgpu.io.numpy_arrays import MAGIC, ZIP, header, load_arrays
-from lfgpu.lightfield import LightField
 
 _AXES = (4, 5)  # of views, unless they are grey and in a row, as stacks of anything else may be
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.lightfield import LightField
+from lfgpu.data.lightfield import LightField
 
 _SMALLEST = 32  # pixels: smaller views tell nothing
 _BLOCK = 4  # pixels of the shrunken views in which one disparity is taken for constant

@@ -6,12 +6,12 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import without_dark_views
 from lfgpu.io.folders import sub_folders
 from lfgpu.io.named_views import read_named_views
 from lfgpu.io.vignette import lit
-from lfgpu.lightfield import LightField
 
 _FOLDER = re.compile(r"viewpoints_([0-9]{1,3})(?:px|x[0-9]{1,3})?")
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.points import point_cloud
+from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import KEY, map_about, map_of, parse_about
-from lfgpu.points import point_cloud
-from lfgpu.result import DisparityMap
 
 _MARK = f"{KEY} "  # what the comment begins with that holds the metadata
 _MOST_PIXELS = 1 << 28

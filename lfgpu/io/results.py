@@ -6,21 +6,20 @@ import json
 import os
 import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.config import Config
+from lfgpu.config import Config, as_dict
+from lfgpu.data.result import DepthResult
+from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import CONVENTION, geometry_about, geometry_of
 from lfgpu.io.atomic import atomic_write
-from lfgpu.result import DepthResult
-
-if TYPE_CHECKING:
-    from lfgpu.all_views import ViewsResult
+from lfgpu.methods import METHODS
 
 ABOUT_KEY = "lfgpu"
 """The array of the .npz that holds the JSON text; other .npz files have none of that name."""
@@ -32,14 +31,14 @@ VIEWS_CONVENTION = (
 
 _STAGE = "stage_"  # what the names of the stages' arrays begin with
 _REFERENCE = "reference_"  # what those of the reference view begin with among the maps of all views
-_LAYOUT = 1  # goes up when a file of the old layout can no longer be read as one of the new
+_LAYOUT = 2  # goes up when a file of the old layout can no longer be read as one of the new
 
 
 def write_result(result: DepthResult, path: str | os.PathLike[str]) -> None:
     """Write a result as .npz; whole or not at all.
 
-    The arrays are `disparity`, `confidence`, `stage_local`, `stage_propagated`, `stage_refined` and, with a geometry,
-    `depth` in metres, all float32 [y, x]; `trace`, float64, the energies; and `lfgpu`, the rest as one JSON text.
+    The arrays are `disparity`, `confidence`, the map after each stage as `stage_NAME` (such as `stage_sweep`) and, with
+    a geometry, `depth` in metres, all float32 [y, x]; `trace`, float64; and `lfgpu`, the rest as one JSON text.
 
     Parameters
     ----------
@@ -118,8 +117,6 @@ def read_views(path: str | os.PathLike[str]) -> ViewsResult:
     LightFieldError
         As `read_result`.
     """
-    from lfgpu.all_views import ViewsResult
-
     path = Path(path)
     arrays = _load(path)
     if "disparities" not in arrays:
@@ -209,7 +206,7 @@ def _about(result: DepthResult) -> dict[str, Any]:
         "versions": result.versions,
         "timings": result.timings,
         "geometry": None if result.geometry is None else geometry_about(result.geometry),
-        "config": asdict(result.config),
+        "config": as_dict(result.config),
     }
 
 
@@ -232,9 +229,11 @@ def _load(path: Path) -> dict[str, NDArray[Any]]:
 
 def _is_of_this_version(about: Mapping[str, Any]) -> bool:
     """Only the very same parameters can be read: a default in place of one that is not there would be a lie."""
-    ours = {stage: set(values) for stage, values in asdict(Config()).items()}
-    theirs = {stage: set(values) for stage, values in about["config"].items()}
-    return bool(about["layout"] == _LAYOUT and theirs == ours)
+    entry = METHODS.get(about["config"].get("method"))
+    if about["layout"] != _LAYOUT or entry is None:
+        return False
+    ours = {section: set(values) for section, values in as_dict(next(iter(entry.presets.values()))).items()}
+    return {section: set(values) for section, values in about["config"].items()} == {**ours, "method": ours["method"]}
 
 
 def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> DepthResult:
@@ -259,9 +258,11 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
     )
 
 
-def _config(about: Mapping[str, Mapping[str, Any]]) -> Config:
-    stages = {field.name: type(getattr(Config(), field.name)) for field in fields(Config)}
-    return Config(**{name: stage(**about[name]) for name, stage in stages.items()})
+def _config(about: Mapping[str, Any]) -> Config:
+    kind = METHODS[about["method"]].config
+    defaults = next(iter(METHODS[about["method"]].presets.values()))
+    sections = {field.name: type(getattr(defaults, field.name)) for field in fields(kind)}
+    return kind(**{name: section(**about[name]) for name, section in sections.items()})
 
 
 def _check_maps(path: Path, result: DepthResult) -> None:

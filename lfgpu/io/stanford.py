@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.flips import flipped
 from lfgpu.io.folders import image_files, listed, sub_folders
 from lfgpu.io.parallax import axes_agree
 from lfgpu.io.views import load_views
-from lfgpu.lightfield import LightField
 
 _NUMBER = r"(-?[0-9]{1,9}(?:\.[0-9]{1,12})?)"
 _NAME = re.compile(rf"(?:.*_)?([0-9]{{1,3}})_([0-9]{{1,3}})_{_NUMBER}_{_NUMBER}(_?)", re.DOTALL)

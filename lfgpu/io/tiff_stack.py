@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, grid_field
 from lfgpu.io.extras import require
 from lfgpu.io.limits import check_claim
-from lfgpu.lightfield import LightField
 
 
 def recognise(path: Path) -> str | None:

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import field_of, grid_shape, positions
 from lfgpu.io.extras import require
 from lfgpu.io.folders import head
 from lfgpu.io.limits import check_memory
-from lfgpu.lightfield import LightField
 
 _ADVICE = "take one frame of several with every=10 (--every 10 on the command line)"
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lfgpu.lightfield import LightField
+from lfgpu.data.lightfield import LightField
 
 _DARK = 0.5  # share of the middle view's brightness below which a pixel counts as dark
 _AROUND = 16  # brightness is that of a window of a 16th of the shorter side: parallax must not look like shadow

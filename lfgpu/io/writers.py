@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import map_files, ply
 from lfgpu.io.atomic import atomic_write
 from lfgpu.io.pfm import read_pfm, write_pfm_to
 from lfgpu.io.results import holds_result, holds_views, read_result, read_views, write_result, write_views
-from lfgpu.result import DepthResult, DisparityMap
 
 if TYPE_CHECKING:
-    from lfgpu.all_views import ViewsResult
+    from lfgpu.data.views_result import ViewsResult
 
 RESULT_FILE = "result.npz"
 """What `lfgpu depth` calls the file that holds everything."""

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
-from lfgpu.lightfield import GroundTruth, LightField
 from lfgpu.scenes import render
 from lfgpu.scenes.catalogue import SCENES, Stage
 

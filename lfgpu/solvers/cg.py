@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from lfgpu.contract import Array, KernelSet
 from lfgpu.solvers.solution import Solution
-from lfgpu.types import Array, KernelSet
 
 
 class ConjugateGradients:

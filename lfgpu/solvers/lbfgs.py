@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from lfgpu.contract import Array, KernelSet, Scalar
 from lfgpu.solvers.solution import Solution
-from lfgpu.types import Array, KernelSet, Scalar
 
 _MEMORY = 7  # pairs: ten, as in scipy's L-BFGS-B, save no iteration where the curvature is known
 _FIRST_STEP = 0.04  # root mean square of the first step, pixels per view step where the curvature is its mean

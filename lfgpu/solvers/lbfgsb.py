@@ -8,9 +8,9 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 from threadpoolctl import threadpool_limits
 
+from lfgpu.contract import Array, Float64Array, KernelSet
 from lfgpu.solvers.lbfgs import PATIENCE, Energy
 from lfgpu.solvers.solution import Solution
-from lfgpu.types import Array, Float64Array, KernelSet
 
 _LIMIT = 1  # scipy's status
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.geometry import Geometry
-from lfgpu.pictures import scale_limits
+from lfgpu.data.geometry import Geometry
+from lfgpu.viz.figures import scale_limits
 
 MOST_POINTS = 300_000
 """More are not sent to a browser: every second, third ... pixel of each row and column is."""

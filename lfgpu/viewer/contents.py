@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
 from lfgpu.io import holds_result, read, read_map, read_result
-from lfgpu.lightfield import LightField
-from lfgpu.pictures import error_reach, scale_limits
-from lfgpu.result import DepthResult
+from lfgpu.viz.figures import error_reach, scale_limits
 
 TRUTH = "ground truth"
 FINAL = "final"

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.lightfield import LightField
+from lfgpu.data.lightfield import LightField
 
 MOST_VIEWS = 81
 """So many views, spread evenly, are enough for a preview."""

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
 from lfgpu.errors import LfgpuError, LightFieldError
-from lfgpu.lightfield import LightField
-from lfgpu.result import DepthResult
 from lfgpu.viewer.contents import Contents, Entry, opened, opened_all
 from lfgpu.viewer.solving import Progress, Request, Solver
 

@@ -4,27 +4,28 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import threading
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from lfgpu import frames
-from lfgpu.config import PRESETS, Config, parameters, preset
+from lfgpu.config import Config, parameters
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LfgpuError, LightFieldError
-from lfgpu.lightfield import LightField
+from lfgpu.methods import PRESETS, preset
 from lfgpu.metrics import evaluate
 from lfgpu.viewer.cloud import Cloud, nearest_to_ray, point_cloud
 from lfgpu.viewer.contents import FINAL, TRUTH, Contents
 from lfgpu.viewer.refocus import all_in_focus, refocus
-from lfgpu.viewer.solving import Progress, Request
+from lfgpu.viewer.solving import Progress, Request, Solver
+from lfgpu.viz import panels as frames
 
 if TYPE_CHECKING:
     import viser
 
-    from lfgpu.viewer.server import Viewer
 
 _NOTHING = "nothing"
 _METRES, _DISPARITY = "metres", "disparity"
@@ -40,6 +41,21 @@ _FIRST_PARAMETER = "alignment.iterations"
 _ROOM = (0.4, 0.75)  # width over height of what the panels leave of the window, about
 
 
+class Board(Protocol):
+    """What the tabs of a viewer have in common."""
+
+    solver: Solver
+    """What estimates for the page."""
+
+    @property
+    def contents(self) -> Contents:
+        """What is shown now."""
+        ...
+
+    def open(self, path: str | os.PathLike[str]) -> None:
+        """Show what a path holds."""
+
+
 class Session:
     """What one tab shows. Its handlers only note what has to be drawn anew; a thread draws it, the newest state only.
 
@@ -51,7 +67,7 @@ class Session:
         The tab.
     """
 
-    def __init__(self, viewer: Viewer, client: viser.ClientHandle) -> None:
+    def __init__(self, viewer: Board, client: viser.ClientHandle) -> None:
         self._viewer, self._client = viewer, client
         self._wake = threading.Condition()
         self._stale: set[str] = {"rebuild"}
@@ -461,7 +477,7 @@ class Session:
         if entry is not None and entry.result is not None:
             result = entry.result
             lines.append(
-                f"{result.config.method.name} with {result.backend} on {result.device}, "
+                f"{result.config.method} with {result.backend} on {result.device}, "
                 f"{result.timings.get('total', math.nan):.2f} s. {result.status}"
             )
         truth = contents.truth

@@ -8,15 +8,11 @@ from dataclasses import dataclass
 from time import perf_counter
 
 from lfgpu.config import Config
-from lfgpu.depth import estimate_depth
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
 from lfgpu.errors import LfgpuError
-from lfgpu.lightfield import LightField
-from lfgpu.result import DepthResult
-
-_STAGES = {
-    "synthesis": {"local": "local estimate", "propagate": "propagation", "refine": "refinement"},
-    "matching": {"sweep": "plane sweep", "match": "matching", "align": "alignment"},
-}
+from lfgpu.methods import method_of
+from lfgpu.pipelines.estimate import estimate_depth
 
 
 @dataclass(frozen=True)
@@ -86,20 +82,15 @@ class Solver:
     def _work(self, request: Request) -> None:
         start = perf_counter()
         config = request.config
-        names = _STAGES[config.method.name]
-        order = list(names)
-        limits = {
-            "propagate": config.propagation.max_iterations,
-            "refine": config.refinement.max_iterations,
-            "align": config.alignment.iterations,
-        }
+        method = method_of(config)
+        order = {stage.name: place for place, stage in enumerate(method.stages)}
 
         def show(stage: str, iteration: int, _value: float) -> None:
             if self._stop.is_set():
                 raise _Stopped
-            within = iteration / limits[stage] if limits.get(stage) else 0.0
-            place = order.index(stage) if stage in order else 0
-            text = f"{names.get(stage, stage)}{f', iteration {iteration}' if iteration else ''}"
+            within = iteration / (method.iterations(stage) or 1)
+            place = order[stage]
+            text = f"{method.stages[place].label}{f', iteration {iteration}' if iteration else ''}"
             self._say(f"{text}, {perf_counter() - start:.1f} s", 100 * min(1.0, (place + within) / len(order)))
 
         try:

@@ -11,9 +11,9 @@ import numpy as np
 from PIL import Image
 
 from lfgpu import scenes
+from lfgpu.data.lightfield import LightField
 from lfgpu.io import write_description, write_hci
 from lfgpu.io.png import write_png
-from lfgpu.lightfield import LightField
 
 SHIFT = 3.0  # of the old HCI format: pixels per view step
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lfgpu.lightfield import LightField
+from lfgpu.data.lightfield import LightField
 
 
 @dataclass(frozen=True)

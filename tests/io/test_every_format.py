@@ -12,9 +12,9 @@ from samples import refusal
 from typer.testing import CliRunner
 
 from lfgpu.cli import app
+from lfgpu.data.lightfield import LightField
 from lfgpu.io import FORMATS, read, recognise
 from lfgpu.io.parallax import axes_agree, runs_as_truth
-from lfgpu.lightfield import LightField
 
 DOCS = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 

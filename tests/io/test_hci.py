@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from samples import CFG, HEIGHT, WIDTH, picture, refusal, save, save_hci, star
 
-from lfgpu.geometry import Geometry
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.io import read, read_map, write_hci, write_pfm
-from lfgpu.lightfield import GroundTruth, LightField
 
 
 def test_hci_grid_and_geometry(tmp_path: Path) -> None:

@@ -15,14 +15,14 @@ from PIL import Image
 from samples import refusal
 
 import lfgpu
-from lfgpu.config import preset
+from lfgpu.data.lightfield import LightField
 from lfgpu.io import read, recognise
 from lfgpu.io.lenslet import read_lenslet, write_decoded
 from lfgpu.io.lenslet.bayer import PATTERNS, demosaic, green_diagonal, transposed
 from lfgpu.io.lenslet.decode import decode
 from lfgpu.io.lenslet.microlenses import Microlenses, find_microlenses, find_peaks, is_upright
 from lfgpu.io.lenslet.vignetting import field_gains
-from lfgpu.lightfield import LightField
+from lfgpu.methods import preset
 from lfgpu.scenes import make
 
 CAMERAS = [

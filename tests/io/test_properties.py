@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from PIL import Image
 from samples import refusal
 
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.geometry import Geometry
 from lfgpu.io import FORMATS, read, read_map, read_mask, write_description, write_pfm
 from lfgpu.io.flips import FLIPS, flipped
 from lfgpu.io.images import read_image
-from lfgpu.lightfield import GroundTruth, LightField
 
 if sys.platform == "linux":
     import fuzz

@@ -14,9 +14,9 @@ from fields import SAMPLES, scene
 from PIL import Image
 from samples import HEIGHT, WIDTH, box, picture, refusal, save, save_named
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.io import read, recognise
 from lfgpu.io.parallax import axes_agree
-from lfgpu.lightfield import LightField
 
 
 @pytest.fixture(scope="module")

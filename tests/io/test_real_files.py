@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import parallax, read, read_map, write_description
 from lfgpu.io.flips import flipped
 from lfgpu.io.images import read_image
 from lfgpu.io.png import write_png
-from lfgpu.lightfield import LightField
 
 DATA = Path(os.environ.get("LFGPU_DATA", Path(__file__).parents[3] / "shared" / "data"))
 

@@ -17,12 +17,12 @@ from PIL import Image
 from samples import refusal
 
 import lfgpu
-from lfgpu.all_views import ViewsResult
-from lfgpu.config import Config
-from lfgpu.geometry import Geometry
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data.views_result import ViewsResult
 from lfgpu.io import WRITERS, load, read_map, save
 from lfgpu.io.map_files import open_exr
-from lfgpu.result import DepthResult, DisparityMap
+from lfgpu.methods.synthesis.config import SynthesisConfig
 
 RNG = np.random.default_rng(3)
 SHAPE = (5, 7)
@@ -51,10 +51,10 @@ def a_result(position: tuple[float, float] = (1.0, 0.0)) -> DepthResult:
     return DepthResult(
         disparity=numbers[0],
         confidence=numbers[1],
-        stages={"swept": numbers[2], "aligned": numbers[0]},
+        stages={"sweep": numbers[2], "align": numbers[0]},
         position=position,
         disparity_range=(-1.0, 2.0),
-        config=Config(),
+        config=SynthesisConfig(),
         status="It stopped.",
         converged=True,
         trace=(),

@@ -10,7 +10,7 @@ import numpy as np
 from checks import Desk, Operation, Outputs, Program, Values, compute, largest_error, relative_to_terms, size
 from lfgpu.kernels import reference as reference_package
 
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 reference = reference_package.KERNELS
 
@@ -18,9 +18,9 @@ CLEAR = 1e-4
 """Pixels: what is decided by less is left out of comparisons."""
 
 
-def nearest_surface(desk: Desk, i: SimpleNamespace) -> Outputs:
+def z_buffer(desk: Desk, i: SimpleNamespace) -> Outputs:
     """After that of another map, which leaves no trace."""
-    plan = desk.kernels.nearest_surface(i.recorded.shape, desk.field(i.offsets), reach=i.reach)
+    plan = desk.kernels.z_buffer(i.recorded.shape, desk.field(i.offsets), reach=i.reach)
     out = desk.out(i.recorded.shape[:3])
     plan(desk.field(i.disparity[::-1, ::-1] + 1), out)
     plan(desk.field(i.disparity), out)
@@ -62,9 +62,9 @@ def nlm_on_surface(desk: Desk, i: SimpleNamespace) -> Outputs:
     return {"weights": out}
 
 
-def unmix(desk: Desk, i: SimpleNamespace) -> Outputs:
+def refine_boundaries(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = desk.out(i.disparity.shape)
-    desk.kernels.unmix(desk.image(i.image), desk.field(i.disparity), **i.options, disparity_out=out)
+    desk.kernels.refine_boundaries(desk.image(i.image), desk.field(i.disparity), **i.options, disparity_out=out)
     return {"disparity": out}
 
 
@@ -125,18 +125,20 @@ def unmix_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNames
     for name, factor in itertools.product(("share", "contrast"), (1 - CLEAR, 1 + CLEAR)):
         other = np.empty_like(i.disparity, np.float64)
         options = i.options | {name: i.options[name] * factor + (factor - 1) * CLEAR * (name == "share")}
-        reference.unmix(i.image.astype(np.float64), i.disparity.astype(np.float64), **options, disparity_out=other)
+        reference.refine_boundaries(
+            i.image.astype(np.float64), i.disparity.astype(np.float64), **options, disparity_out=other
+        )
         clear &= np.abs(other - want["disparity"]) < CLEAR
     assert clear.mean() > 0.95, "too much is undecided: the check says little"
     return {"disparity": largest_error(got["disparity"][clear], want["disparity"][clear])}
 
 
 OPERATIONS = (
-    Operation(nearest_surface, "alignment", nearest_errors),
+    Operation(z_buffer, "alignment", nearest_errors),
     Operation(alignment, "alignment", alignment_errors),
     Operation(nlm_ratio, "ratio", relative_to_terms(ratio=lambda i: size(i.values) / i.options["floor"])),
     Operation(nlm_on_surface, "ratio"),
-    Operation(unmix, "outline", unmix_errors),
+    Operation(refine_boundaries, "outline", unmix_errors),
 )
 NEAREST, ALIGNMENT, RATIO, ON_SURFACE, UNMIX = OPERATIONS
 
@@ -192,7 +194,7 @@ def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
     inputs |= {name: kernels.field(values[name], device) for name in ("valid", "disparity")}
     offsets = kernels.field(values["offsets"], device)
     weights = kernels.field(np.full((12, *views.shape[1:3]), 0.5), device)
-    surface = kernels.nearest_surface(views.shape, offsets, reach=1)
+    surface = kernels.z_buffer(views.shape, offsets, reach=1)
     plan = kernels.alignment(views.shape, offsets, scale=1.0, gradient_weight=2.0, robust=0.25, tolerance=0.30078125)
     nearest = kernels.zeros(views.shape[:3], device)
     curvature, slope, step, unmixed = (kernels.zeros(views.shape[1:3], device) for _ in range(4))
@@ -204,7 +206,9 @@ def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
         plan(inputs["disparity"], nearest, curvature, slope)
         fields = weights, inputs["disparity"], slope, curvature
         kernels.nlm_ratio(*fields, window=5, support=0.5, floor=1e-3, ratio_out=step)
-        kernels.unmix(inputs["image"], inputs["disparity"], step=0.25, contrast=0.01, share=0.4, disparity_out=unmixed)
+        kernels.refine_boundaries(
+            inputs["image"], inputs["disparity"], step=0.25, contrast=0.01, share=0.4, disparity_out=unmixed
+        )
         kernels.nlm_on_surface(weights, unmixed, window=5, support=0.5, weights_out=on_surface)
 
     outputs = {"curvature": curvature, "slope": slope, "step": step, "on_surface": on_surface}

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import load
-from lfgpu.config import LocalConfig
-from lfgpu.initial import structure_filters
-from lfgpu.types import half_window
+from lfgpu.contract import half_window
+from lfgpu.methods.sections import LocalConfig
+from lfgpu.methods.structure_tensor import structure_filters
 
 FLOAT32_STEP = 2.0**-24  # half the distance of neighbouring float32 numbers around 1
 

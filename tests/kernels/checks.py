@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import load
+from lfgpu.contract import KernelSet, StructureFilters, half_window
 from lfgpu.errors import BackendError
-from lfgpu.types import KernelSet, StructureFilters, half_window
 
 Values = NDArray[Any]
 Outputs = dict[str, Any]
@@ -293,22 +293,22 @@ def fill(desk: Desk, i: SimpleNamespace) -> Outputs:
     return out
 
 
-def choose(desk: Desk, i: SimpleNamespace) -> Outputs:
+def select(desk: Desk, i: SimpleNamespace) -> Outputs:
     kernels, condition, x, y = desk.kernels, desk.field(i.ties), desk.field(i.x), desk.field(i.y)
     out = {"apart": desk.out(i.x.shape), "onto condition": desk.held(i.ties)}
     out |= {"onto x": desk.held(i.x), "onto y": desk.held(i.y)}
-    kernels.choose(condition, x, y, out["apart"])
-    kernels.choose(out["onto condition"], x, y, out["onto condition"])
-    kernels.choose(condition, out["onto x"], y, out["onto x"])
-    kernels.choose(condition, x, out["onto y"], out["onto y"])
+    kernels.select(condition, x, y, out["apart"])
+    kernels.select(out["onto condition"], x, y, out["onto condition"])
+    kernels.select(condition, out["onto x"], y, out["onto x"])
+    kernels.select(condition, x, out["onto y"], out["onto y"])
     return out
 
 
-def at_least(desk: Desk, i: SimpleNamespace) -> Outputs:
+def threshold(desk: Desk, i: SimpleNamespace) -> Outputs:
     """The threshold is one of the values."""
     apart, onto_x, threshold = desk.out(i.x.shape), desk.held(i.x), float(i.x.flat[0])
-    desk.kernels.at_least(desk.field(i.x), threshold, apart)
-    desk.kernels.at_least(onto_x, threshold, onto_x)
+    desk.kernels.threshold(desk.field(i.x), threshold, apart)
+    desk.kernels.threshold(onto_x, threshold, onto_x)
     return {"apart": apart, "onto x": onto_x}
 
 
@@ -512,8 +512,8 @@ OPERATIONS = (
     Operation(multiply, "vector"),
     Operation(divide, "vector"),
     Operation(fill, "vector"),
-    Operation(choose, "vector"),
-    Operation(at_least, "vector"),
+    Operation(select, "vector"),
+    Operation(threshold, "vector"),
     Operation(clamp, "vector"),
     Operation(memory, "vector"),
     Operation(residuals, "residuals"),

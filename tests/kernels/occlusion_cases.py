@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import load
-from lfgpu.types import Loss
+from lfgpu.contract import Loss
 
 REFERENCE = load("reference")
 LOSSES: tuple[Loss, ...] = ("squares", "charbonnier", "geman-mcclure")

@@ -8,7 +8,7 @@ import numpy as np
 from checks import Desk, Operation, Outputs, Program, Values, compute, largest_error, size
 from lfgpu.kernels.reference.occlusion import nearest, reaching_taps
 
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 CLEAR = 1e-4
 """Pixels: what is decided by less is left out of comparisons."""
@@ -17,9 +17,9 @@ ROUNDING = 2.0**-23
 """Of the terms of a gradient, relative to each: twice that of float32."""
 
 
-def splat_occluding(desk: Desk, i: SimpleNamespace) -> Outputs:
+def splat_z_buffered(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = {"views": desk.image_out(i.views.shape), "coverage": desk.out(i.views.shape[:3])}
-    desk.kernels.splat_occluding(
+    desk.kernels.splat_z_buffered(
         desk.image(i.image),
         desk.field(i.disparity),
         desk.field(i.offsets),
@@ -31,9 +31,9 @@ def splat_occluding(desk: Desk, i: SimpleNamespace) -> Outputs:
     return out
 
 
-def occluding_data_term(desk: Desk, i: SimpleNamespace) -> Outputs:
+def z_buffered_data_term(desk: Desk, i: SimpleNamespace) -> Outputs:
     """The value and the gradient after another light field was loaded and compared, which leaves no trace."""
-    plan = desk.kernels.occluding_data_term(
+    plan = desk.kernels.z_buffered_data_term(
         i.recorded.shape,
         desk.field(i.offsets),
         scale=i.scale,
@@ -124,8 +124,8 @@ def occluding_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleN
 
 
 OPERATIONS = (
-    Operation(splat_occluding, "occlusion"),
-    Operation(occluding_data_term, "occlusion", occluding_errors),
+    Operation(splat_z_buffered, "occlusion"),
+    Operation(z_buffered_data_term, "occlusion", occluding_errors),
     Operation(visible, "occlusion", visible_errors),
 )
 SPLAT, DATA_TERM, VISIBLE = OPERATIONS
@@ -184,7 +184,7 @@ def comparing_what_is_nearest(kernels: KernelSet, device: str, values: dict[str,
     views = values["recorded"]
     inputs = {name: kernels.image(values[name], device) for name in ("image", "recorded")}
     inputs |= {name: kernels.field(values[name], device) for name in ("valid", "disparity")}
-    plan = kernels.occluding_data_term(
+    plan = kernels.z_buffered_data_term(
         views.shape,
         kernels.field(values["offsets"], device),
         scale=1.0,

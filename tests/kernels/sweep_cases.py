@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class SweepCase:
-    """Views at `offsets` recorded as `dtype`, a sweep over `count` disparities, and apertures to one side each."""
+    """Views at `offsets` recorded as `dtype`, a sweep over `count` disparities, and view_sets to one side each."""
 
     name: str
     size: tuple[int, int] = (11, 14)
@@ -62,8 +62,8 @@ SWEEP_CASES = (
     SweepCase("whole shifts", first=-2.0, step=1.0, count=5),
     SweepCase("one disparity", count=1, first=0.7),
     SweepCase("many views", offsets=cases.grid(5, 7), size=(7, 8), channels=1, masked=True, least=5),
-    SweepCase("the first aperture alone", directions=0, masked=True),
-    SweepCase("more apertures than views", directions=31, offsets=cases.IRREGULAR),
+    SweepCase("the first view_set alone", directions=0, masked=True),
+    SweepCase("more view_sets than views", directions=31, offsets=cases.IRREGULAR),
     SweepCase("colours alone", gradient_weight=0.0, masked=True),
     SweepCase("no preference", preference=0.0, masked=True),
     SweepCase("wide", size=(5, 150)),
@@ -85,7 +85,7 @@ def sweep_inputs(case: SweepCase, rng: np.random.Generator) -> SimpleNamespace:
         recorded=cases.stored(intensities, case.dtype),
         valid=(rng.random((n, *shape)) < 0.7).astype(np.float32) if case.masked else None,
         offsets=offsets,
-        apertures=sides(offsets, case.directions),
+        view_sets=sides(offsets, case.directions),
         nearest=surfaces((n, *shape), disparities + tolerance, rng),
         options={
             "first": case.first,

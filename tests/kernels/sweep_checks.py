@@ -9,22 +9,22 @@ import numpy as np
 from checks import Desk, Operation, Outputs, Program, Values, adjoint_tolerance, compute, largest_error
 from sweep_cases import sides
 
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 
 def plane_sweep(desk: Desk, i: SimpleNamespace) -> Outputs:
     """Both volumes after those of another light field, which leave no trace."""
-    offsets, apertures = desk.field(i.offsets), desk.field(i.apertures)
-    plan = desk.kernels.plane_sweep(i.recorded.shape, offsets, apertures, **i.options)
+    offsets, view_sets = desk.field(i.offsets), desk.field(i.view_sets)
+    plan = desk.kernels.plane_sweep(i.recorded.shape, offsets, view_sets, **i.options)
     shape = (i.options["count"], *i.image.shape[:2])
-    out = {"apertures": desk.out(shape), "seen": desk.out(shape)}
+    out = {"view_sets": desk.out(shape), "seen": desk.out(shape)}
     other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
     plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
-    plan.seen(desk.field(i.nearest[:, ::-1]), out["apertures"])
-    plan.apertures(out["seen"])
+    plan.by_visibility(desk.field(i.nearest[:, ::-1]), out["view_sets"])
+    plan.by_view_sets(out["seen"])
     plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
-    plan.apertures(out["apertures"])
-    plan.seen(desk.field(i.nearest), out["seen"])
+    plan.by_view_sets(out["view_sets"])
+    plan.by_visibility(desk.field(i.nearest), out["seen"])
     return out
 
 
@@ -52,7 +52,7 @@ def check_masked_view_is_a_missing_view(kernels: KernelSet, device: str, i: Simp
     valid[0] = 0
     fewer = {name: getattr(i, name)[1:] for name in ("recorded", "offsets", "nearest")}
     masked = compute(kernels, device, SWEEP, changed(i, valid=valid))
-    missing = compute(kernels, device, SWEEP, changed(i, **fewer, apertures=i.apertures[:, 1:], valid=None))
+    missing = compute(kernels, device, SWEEP, changed(i, **fewer, view_sets=i.view_sets[:, 1:], valid=None))
     tolerance = adjoint_tolerance(kernels)
     for name in missing:
         assert largest_error(masked[name], missing[name]) <= tolerance, f"a masked view changes {name}"
@@ -80,9 +80,9 @@ def check_a_side_that_sees_is_enough(kernels: KernelSet, device: str, i: SimpleN
     near[hidden] = 3.0
     options = {**i.options, "first": 0.0, "step": 1.0, "count": 4, "scale": 1.0, "least": 1, "tolerance": 0.5}
     values = {"image": image, "recorded": recorded, "valid": None, "offsets": offsets, "nearest": near}
-    got = compute(kernels, device, SWEEP, changed(i, **values, apertures=sides(offsets, 8), options=options))
+    got = compute(kernels, device, SWEEP, changed(i, **values, view_sets=sides(offsets, 8), options=options))
     inner = np.s_[:, 3:-3, 3:-3]  # where all views take part, and see the neighbours too
-    np.testing.assert_allclose(got["apertures"][2:3][inner], 1e-4, rtol=0, atol=1e-6, err_msg="a side that sees")
+    np.testing.assert_allclose(got["view_sets"][2:3][inner], 1e-4, rtol=0, atol=1e-6, err_msg="a side that sees")
     np.testing.assert_allclose(got["seen"][2:3][inner], 0, rtol=0, atol=1e-6, err_msg="those that see")
     for name, volume in got.items():
         others = np.delete(volume, 2, axis=0)[inner]
@@ -113,11 +113,11 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
         least=1,
     )
     shape = (5, *views.shape[1:3])
-    volumes = {name: kernels.zeros(shape, device) for name in ("apertures", "seen")}
+    volumes = {name: kernels.zeros(shape, device) for name in ("view_sets", "seen")}
 
     def work() -> None:
         plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
-        plan.apertures(volumes["apertures"])
-        plan.seen(inputs["valid"], volumes["seen"])  # which serves as surfaces at 0 and 1
+        plan.by_view_sets(volumes["view_sets"])
+        plan.by_visibility(inputs["valid"], volumes["seen"])  # which serves as surfaces at 0 and 1
 
     return Program(inputs, work, volumes)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from alignment_cases import AlignmentCase, OutlineCase, RatioCase, alignment_inputs, outline_inputs, ratio_inputs
 from cases import IRREGULAR
-from lfgpu.kernels.reference import alignment, outlines
+from lfgpu.kernels.reference import alignment, boundaries
 from test_checks_can_fail import (
     NO_MASK,
     REFERENCE,
@@ -33,7 +33,7 @@ from test_checks_can_fail import (
     zeroed,
 )
 
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 CASE = AlignmentCase("any", offsets=IRREGULAR, masked=True, dtype="uint8")
 UNMASKED = replace(CASE, masked=False)
@@ -66,8 +66,8 @@ def with_constant(name: str, value: float) -> Callable[..., Any]:
     def broken(_: Callable[..., Any]) -> Callable[..., Any]:
         def wrong(*args: Any, **options: Any) -> None:
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(outlines, name, value)
-                outlines.unmix(*args, **options)
+                patch.setattr(boundaries, name, value)
+                boundaries.refine_boundaries(*args, **options)
 
         return wrong
 
@@ -202,27 +202,27 @@ def against_the_reference(right: Any) -> Any:
 
 
 FAULTS = (
-    Fault("against the convention of signs", "nearest_surface", argument(1, np.negative), NEAREST),
-    Fault("rows and columns of offsets exchanged", "nearest_surface", argument(1, swapped), NEAREST),
-    Fault("reaches farther", "nearest_surface", option("reach", lambda r: r + 1), NEAREST),
-    Fault("reaches less far", "nearest_surface", option("reach", lambda r: r - 1), NEAREST),
-    Fault("farthest", "nearest_surface", farthest, NEAREST),
+    Fault("against the convention of signs", "z_buffer", argument(1, np.negative), NEAREST),
+    Fault("rows and columns of offsets exchanged", "z_buffer", argument(1, swapped), NEAREST),
+    Fault("reaches farther", "z_buffer", option("reach", lambda r: r + 1), NEAREST),
+    Fault("reaches less far", "z_buffer", option("reach", lambda r: r - 1), NEAREST),
+    Fault("farthest", "z_buffer", farthest, NEAREST),
     Fault(
         "halves rounded up",
-        "nearest_surface",
+        "z_buffer",
         patched(alignment, "rounded", up),
         value_of(alignment_checks.NEAREST, EDGES),
     ),
     Fault(
         "holes stay",
-        "nearest_surface",
+        "z_buffer",
         patched(alignment, "largest_around", only_near),
         value_of(alignment_checks.NEAREST, FEW),
     ),
-    Fault("holes everywhere", "nearest_surface", patched(alignment, "largest_around", always_far), NEAREST),
-    Fault("last view skipped", "nearest_surface", calling(lambda out: zeroed(-1)(out[-1])), NEAREST),
-    Fault("one pixel off", "nearest_surface", calling(lambda out: one_off(out[-1])), NEAREST),
-    Fault("seen in a program", "nearest_surface", argument(1, np.negative), PROGRAM),
+    Fault("holes everywhere", "z_buffer", patched(alignment, "largest_around", always_far), NEAREST),
+    Fault("last view skipped", "z_buffer", calling(lambda out: zeroed(-1)(out[-1])), NEAREST),
+    Fault("one pixel off", "z_buffer", calling(lambda out: one_off(out[-1])), NEAREST),
+    Fault("seen in a program", "z_buffer", argument(1, np.negative), PROGRAM),
     Fault("against the convention of signs", "alignment", argument(1, np.negative), ALIGNMENT),
     Fault("away from the truth", "alignment", calling(lambda out: np.negative(out[-1], out=out[-1])), STEP),
     Fault("twice the way", "alignment", calling(lambda out: np.multiply(out[-1], 2, out=out[-1])), STEP),
@@ -271,18 +271,18 @@ FAULTS = (
     Fault("last neighbour left out", "nlm_on_surface", after(zeroed(-1), "weights_out"), ON_SURFACE),
     Fault("adds to its output", "nlm_on_surface", accumulating("weights_out"), ON_SURFACE),
     Fault("support ignored, seen in a program", "nlm_on_surface", option("support", lambda _: 1e6), PROGRAM),
-    Fault("nothing done", "unmix", option("share", lambda _: -1e6), UNMIX),
-    Fault("share a little larger", "unmix", option("share", lambda s: 1.2 * s), UNMIX),
-    Fault("contrast ignored", "unmix", option("contrast", lambda _: 0.0), UNMIX),
-    Fault("step larger", "unmix", option("step", lambda s: 1.5 * s), UNMIX),
-    Fault("one channel only", "unmix", argument(0, lambda image: image[..., :1]), UNMIX),
-    Fault("what is in front is behind", "unmix", argument(1, lambda d: -d), UNMIX),
-    Fault("mixtures count in full", "unmix", with_constant("BESIDE", 1.0), UNMIX),
-    Fault("distant pixels count as much", "unmix", with_constant("SPREAD", 1e6), UNMIX),
-    Fault("only what touches", "unmix", with_constant("REACH", 1), UNMIX),
-    Fault("adds to its output", "unmix", accumulating("disparity_out"), UNMIX),
-    Fault("one pixel off", "unmix", after(one_off, "disparity_out"), UNMIX),
-    Fault("nothing done, seen in a program", "unmix", option("share", lambda _: -1e6), PROGRAM),
+    Fault("nothing done", "refine_boundaries", option("share", lambda _: -1e6), UNMIX),
+    Fault("share a little larger", "refine_boundaries", option("share", lambda s: 1.2 * s), UNMIX),
+    Fault("contrast ignored", "refine_boundaries", option("contrast", lambda _: 0.0), UNMIX),
+    Fault("step larger", "refine_boundaries", option("step", lambda s: 1.5 * s), UNMIX),
+    Fault("one channel only", "refine_boundaries", argument(0, lambda image: image[..., :1]), UNMIX),
+    Fault("what is in front is behind", "refine_boundaries", argument(1, lambda d: -d), UNMIX),
+    Fault("mixtures count in full", "refine_boundaries", with_constant("BESIDE", 1.0), UNMIX),
+    Fault("distant pixels count as much", "refine_boundaries", with_constant("SPREAD", 1e6), UNMIX),
+    Fault("only what touches", "refine_boundaries", with_constant("REACH", 1), UNMIX),
+    Fault("adds to its output", "refine_boundaries", accumulating("disparity_out"), UNMIX),
+    Fault("one pixel off", "refine_boundaries", after(one_off, "disparity_out"), UNMIX),
+    Fault("nothing done, seen in a program", "refine_boundaries", option("share", lambda _: -1e6), PROGRAM),
 )
 
 

@@ -24,7 +24,7 @@ from alignment_cases import (
 from checks import Operation, compute
 from test_reference import REFERENCE
 
-from lfgpu.types import half_window
+from lfgpu.contract import half_window
 
 SMALL = [case for case in ALIGNMENT_CASES if math.prod(case.size) <= 200]
 
@@ -50,7 +50,7 @@ def test_nearest_surface_is_what_comparing_every_two_pixels_says(case: Alignment
 
 
 def aligned(i: SimpleNamespace) -> tuple[np.ndarray, np.ndarray]:
-    """Curvature and slope pixel by pixel: the definition in `lfgpu/types.py`, written out."""
+    """Curvature and slope pixel by pixel: the definition in `lfgpu/contract`, written out."""
     (height, width), w = i.disparity.shape, i.gradient_weight
     others = [n for n, offset in enumerate(i.offsets.astype(float)) if math.hypot(*offset) > 1e-3]
     views = {n: i.scale * i.recorded[n].astype(float) for n in others} | {-1: i.image.astype(float)}

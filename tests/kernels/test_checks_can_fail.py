@@ -28,7 +28,7 @@ import volume_checks
 from lfgpu.kernels.reference import lbfgs as lbfgs_module
 
 from lfgpu._backends import load
-from lfgpu.types import KernelSet, half_window
+from lfgpu.contract import KernelSet, half_window
 
 REFERENCE = load("reference")
 SPLAT = cases.SplatCase("splat", offsets=cases.IRREGULAR, masked=True, dtype="uint8")
@@ -804,11 +804,11 @@ FAULTS = (
     Fault("infinite", "divide", lambda right: quotient, value_of("divide")),
     Fault("nothing done", "fill", lambda right: lambda value, out: None, value_of("fill")),
     Fault("first element skipped", "fill", lambda right: lambda value, out: right(value, out[1:]), value_of("fill")),
-    Fault("0 is chosen", "choose", argument(0, lambda condition: condition >= 0), value_of("choose")),
-    Fault("exchanged", "choose", lambda right: lambda c, x, y, out: right(c, y, x, out), value_of("choose")),
-    Fault("the threshold too", "at_least", argument(1, lambda least: least + 1e-12), value_of("at_least")),
+    Fault("0 is chosen", "select", argument(0, lambda condition: condition >= 0), value_of("select")),
+    Fault("exchanged", "select", lambda right: lambda c, x, y, out: right(c, y, x, out), value_of("select")),
+    Fault("the threshold too", "threshold", argument(1, lambda least: least + 1e-12), value_of("threshold")),
     Fault(
-        "clamped", "at_least", lambda right: lambda x, least, out: np.maximum(x, least, out=out), value_of("at_least")
+        "clamped", "threshold", lambda right: lambda x, least, out: np.maximum(x, least, out=out), value_of("threshold")
     ),
     Fault("upper bound ignored", "clamp", argument(2, lambda _: 1e9), value_of("clamp")),
     Fault("changes its input", "clamp", changing_its_input, value_of("clamp")),

@@ -15,12 +15,13 @@ import test_checks_can_fail
 import test_reference
 
 from lfgpu._backends import load
-from lfgpu.config import PriorConfig, RefinementConfig
-from lfgpu.energy import Energy
-from lfgpu.lightfield import LightField
-from lfgpu.model import ForwardModel
-from lfgpu.prior import UNLIKE_ANY, NonLocalMeans
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
+from lfgpu.data.lightfield import LightField
+from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
+from lfgpu.methods.sections import PriorConfig
+from lfgpu.methods.synthesis.config import RefinementConfig
+from lfgpu.methods.synthesis.energy import Energy
+from lfgpu.methods.synthesis.model import ForwardModel
 
 REFERENCE = load("reference")
 

@@ -22,7 +22,8 @@ import sweep_checks
 import volume_cases
 import volume_checks
 
-from lfgpu import _backends, types
+from lfgpu import _backends
+from lfgpu import contract as types
 
 CASES: dict[str, tuple[Any, ...]] = {
     "splat": cases.SPLAT_CASES,
@@ -72,7 +73,7 @@ PROGRAMS = (
     volume_checks.finding_the_lowest,
     alignment_checks.stepping,
 )
-UNORDERED = ("splat", "splat_jvp", "splat_occluding", "occluding_data_term")
+UNORDERED = ("splat", "splat_jvp", "splat_z_buffered", "z_buffered_data_term")
 """Operations that no estimate needs, so that they may add atomically on a GPU."""
 
 CELLS = [

@@ -15,7 +15,7 @@ from checks import Operation, compute, largest_error
 from occlusion_cases import LOSSES, OCCLUSION_CASES, OcclusionCase, occlusion_inputs
 from test_reference import REFERENCE, STEP, assert_gradient, away_from_joints, central_differences, changed, tent_of_any
 
-from lfgpu.types import Loss
+from lfgpu.contract import Loss
 
 SMALL = [case for case in OCCLUSION_CASES if math.prod(case.size) <= 200]
 
@@ -25,7 +25,7 @@ def run(operation: Operation, inputs: SimpleNamespace) -> dict[str, np.ndarray]:
 
 
 def mean_of_what_lands(i: SimpleNamespace, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """View n and its coverage, pixel by pixel: the definition in `lfgpu/types.py`, written out."""
+    """View n and its coverage, pixel by pixel: the definition in `lfgpu/contract`, written out."""
     height, width = i.disparity.shape
     du, dv = i.offsets[n].astype(float)
     d, image = i.disparity.astype(float), i.image.astype(float)
@@ -178,7 +178,7 @@ def seen_of_a_slanted_plane(slope: float, offset: float, tolerance: float) -> tu
 @pytest.mark.parametrize("slope", [-0.4, 0.2, 0.45])
 @pytest.mark.parametrize("offset", [-1.0, 1.0])
 def test_a_slanted_plane_hides_nothing_of_itself(slope: float, offset: float) -> None:
-    """As long as the tolerance is what `lfgpu/types.py` says."""
+    """As long as the tolerance is what `lfgpu/contract` says."""
     tolerance = 1.001 * abs(slope) / abs(1 - slope * offset)
     np.testing.assert_array_equal(*seen_of_a_slanted_plane(slope, offset, tolerance))
 

@@ -18,9 +18,9 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import lsq_linear, minimize
 
 from lfgpu._backends import load
-from lfgpu.config import LocalConfig
-from lfgpu.initial import structure_filters
-from lfgpu.types import half_window
+from lfgpu.contract import half_window
+from lfgpu.methods.sections import LocalConfig
+from lfgpu.methods.structure_tensor import structure_filters
 
 REFERENCE = load("reference")
 STEP = 1e-6  # of central differences: in disparity, pixels per view step

@@ -30,7 +30,7 @@ from test_checks_can_fail import (
     zeroed,
 )
 
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 CASE = SweepCase("any", offsets=IRREGULAR, masked=True, least=2)
 WITH_REFERENCE = replace(CASE, offsets=(*IRREGULAR, (0.0, 0.0)))
@@ -91,7 +91,7 @@ def within(name: str, value: Any) -> Callable[..., Any]:
 
         return wrong
 
-    return lambda right: method("apertures", broken)(method("seen", broken)(right))
+    return lambda right: method("by_view_sets", broken)(method("by_visibility", broken)(right))
 
 
 def wrapped_around(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,7 +124,7 @@ def without_border(size: int, shift: float) -> plane_sweep.Axis:
     return axis._replace(inside=(place > 0) & (place < size - 1))
 
 
-GRID = value_of(replace(CASE, offsets=grid(3, 3)))  # whose apertures all differ
+GRID = value_of(replace(CASE, offsets=grid(3, 3)))  # whose view_sets all differ
 HALVES = value_of(replace(CASE, first=-1.5, step=1.0, count=4, offsets=((1.0, 0.0), (0.0, -1.0), (-1.0, 1.0))))
 
 NAME = "plane_sweep"
@@ -141,10 +141,10 @@ FAULTS = (
     Fault("tolerance ignored", NAME, option("tolerance", lambda _: 0.0), VALUE),
     Fault("one is enough", NAME, option("least", lambda _: 1), VALUE),
     Fault("one more is needed", NAME, option("least", lambda least: least + 1), VALUE),
-    Fault("first aperture only", NAME, argument(2, lambda a: a[:1]), VALUE),
-    Fault("last aperture skipped", NAME, argument(2, lambda a: a[:-1]), GRID),
-    Fault("all in all apertures", NAME, argument(2, np.ones_like), VALUE),
-    Fault("all in all apertures, seen by one side", NAME, argument(2, np.ones_like), SIDE),
+    Fault("first view_set only", NAME, argument(2, lambda a: a[:1]), VALUE),
+    Fault("last view_set skipped", NAME, argument(2, lambda a: a[:-1]), GRID),
+    Fault("all in all view_sets", NAME, argument(2, np.ones_like), VALUE),
+    Fault("all in all view_sets, seen by one side", NAME, argument(2, np.ones_like), SIDE),
     Fault("reference view counts", NAME, argument(1, lambda o: np.where(o == 0, 0.002, o)), REFERENCE_THERE),
     Fault("no penalty", NAME, within("PENALTY", 0.0), VALUE),
     Fault("forward differences", NAME, within("central_differences", forward_differences), VALUE),
@@ -159,12 +159,12 @@ FAULTS = (
     Fault("first light field kept", NAME, method("load", loading_once), VALUE),
     Fault("scale doubled, seen in a program", NAME, option("scale", lambda s: 2 * s), PROGRAM),
     Fault("mask kept", NAME, method("load", keeping_its_mask), UNMASKED),
-    Fault("one pixel off", NAME, output("apertures", one_off), VALUE),
+    Fault("one pixel off", NAME, output("view_sets", one_off), VALUE),
     Fault("one seen pixel off", NAME, output("seen", one_off), VALUE),
-    Fault("last disparity skipped", NAME, output("apertures", zeroed(-1)), VALUE),
+    Fault("last disparity skipped", NAME, output("view_sets", zeroed(-1)), VALUE),
     Fault("last row skipped", NAME, output("seen", zeroed(np.s_[:, -1])), VALUE),
-    Fault("adds to its output", NAME, method("apertures", adding), VALUE),
-    Fault("adds to what is seen", NAME, method("seen", adding), VALUE),
+    Fault("adds to its output", NAME, method("by_view_sets", adding), VALUE),
+    Fault("adds to what is seen", NAME, method("by_visibility", adding), VALUE),
 )
 
 

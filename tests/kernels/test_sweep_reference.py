@@ -12,14 +12,14 @@ from checks import compute
 from sweep_cases import SWEEP_CASES, SweepCase, sweep_inputs
 from test_reference import REFERENCE
 
-from lfgpu.types import sweep_shifts
+from lfgpu.contract import sweep_shifts
 
 SMALL = [case for case in SWEEP_CASES if math.prod(case.size) <= 200]
 PIXELS = 4  # of each case are computed
 
 
 class Written:
-    """The definition in `lfgpu/types.py`, written out for one view at one disparity."""
+    """The definition in `lfgpu/contract`, written out for one view at one disparity."""
 
     def __init__(self, i: SimpleNamespace, label: int, n: int) -> None:
         self.i, self.n = i, n
@@ -83,27 +83,27 @@ def test_sweep_is_the_definition(case: SweepCase, rng: np.random.Generator) -> N
         views = [Written(i, label, n) for n in range(len(i.offsets))]
         costs = {n: view.cost(x, y) for n, view in enumerate(views) if view.takes_part(x, y)}
         lowest = most
-        for m, members in enumerate(i.apertures):
+        for m, members in enumerate(i.view_sets):
             inside = [cost for n, cost in costs.items() if members[n]]
             if inside:
                 lowest = min(lowest, mean(inside) * (1 + case.preference) + 1e-4 if m else mean(inside))
-        assert got["apertures"][label, y, x] == pytest.approx(lowest, abs=1e-12)
+        assert got["view_sets"][label, y, x] == pytest.approx(lowest, abs=1e-12)
         seeing = [cost for n, cost in costs.items() if views[n].sees(x, y)]
         want = mean(seeing) if len(seeing) >= case.least else most
         assert got["seen"][label, y, x] == pytest.approx(want, abs=1e-12)
 
 
 def test_cases_reach_what_they_should(rng: np.random.Generator) -> None:
-    """Costs lie on both sides of what truncates them, other apertures than the first win, and some see too little."""
+    """Costs lie on both sides of what truncates them, other view_sets than the first win, and some see too little."""
     i = sweep_inputs(SweepCase("any", size=(23, 21), masked=True), rng)
     got = compute(REFERENCE, "cpu", sweep_checks.SWEEP, i)
-    alone = compute(REFERENCE, "cpu", sweep_checks.SWEEP, sweep_checks.changed(i, apertures=i.apertures[:1]))
-    assert 0.1 < (got["apertures"] < alone["apertures"]).mean() < 0.99
+    alone = compute(REFERENCE, "cpu", sweep_checks.SWEEP, sweep_checks.changed(i, view_sets=i.view_sets[:1]))
+    assert 0.1 < (got["view_sets"] < alone["view_sets"]).mean() < 0.99
     assert 0.001 < (got["seen"] == sweep_checks.most(i)).mean() < 0.9
     limits = i.options["truncation"], i.options["gradient_truncation"]
     for truncation, name in zip(limits, ("truncation", "gradient_truncation"), strict=True):
         more = sweep_checks.changed(i, options={**i.options, name: 1.5 * truncation})
-        differs = compute(REFERENCE, "cpu", sweep_checks.SWEEP, more)["apertures"] != got["apertures"]
+        differs = compute(REFERENCE, "cpu", sweep_checks.SWEEP, more)["view_sets"] != got["view_sets"]
         assert 0.1 < differs.mean() <= 1
 
 

@@ -27,7 +27,7 @@ from test_checks_can_fail import (
 )
 from volume_cases import VolumeCase, volume_inputs
 
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 CASE = VolumeCase("any", size=(12, 13), count=6)
 
@@ -127,15 +127,15 @@ FAULTS = (
     Fault("one pixel off", "semi_global", after(one_off, "sum_out"), SEMI_GLOBAL),
     Fault("adds to its output", "semi_global", accumulating("sum_out"), SEMI_GLOBAL),
     Fault("a mean, seen in a program", "semi_global", after(scaled(1 / 8), "sum_out"), PROGRAM),
-    Fault("the last of the least", "lowest", the_last, LOWEST),
-    Fault("without parabola", "lowest", whole, LOWEST),
-    Fault("to the ends", "lowest", beyond, LOWEST),
-    Fault("hills are valleys", "lowest", with_another(cost_volume, "LEAST_BEND", lambda _: -np.inf), LOWEST),
-    Fault("first ignored", "lowest", option("first", lambda _: 0.0), LOWEST),
-    Fault("step a little larger", "lowest", option("step", lambda step: 1.001 * step), LOWEST),
-    Fault("step ignored, seen in a program", "lowest", option("step", lambda _: 1.0), PROGRAM),
-    Fault("one pixel off", "lowest", after(one_off, "disparity_out"), LOWEST),
-    Fault("adds to its output", "lowest", accumulating("disparity_out"), LOWEST),
+    Fault("the last of the least", "winner_takes_all", the_last, LOWEST),
+    Fault("without parabola", "winner_takes_all", whole, LOWEST),
+    Fault("to the ends", "winner_takes_all", beyond, LOWEST),
+    Fault("hills are valleys", "winner_takes_all", with_another(cost_volume, "LEAST_BEND", lambda _: -np.inf), LOWEST),
+    Fault("first ignored", "winner_takes_all", option("first", lambda _: 0.0), LOWEST),
+    Fault("step a little larger", "winner_takes_all", option("step", lambda step: 1.001 * step), LOWEST),
+    Fault("step ignored, seen in a program", "winner_takes_all", option("step", lambda _: 1.0), PROGRAM),
+    Fault("one pixel off", "winner_takes_all", after(one_off, "disparity_out"), LOWEST),
+    Fault("adds to its output", "winner_takes_all", accumulating("disparity_out"), LOWEST),
 )
 
 

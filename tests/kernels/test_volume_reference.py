@@ -12,7 +12,7 @@ from checks import Operation, compute
 from test_reference import REFERENCE
 from volume_cases import VOLUME_CASES, VolumeCase, volume_inputs
 
-from lfgpu.types import half_window
+from lfgpu.contract import half_window
 
 SMALL = [case for case in VOLUME_CASES if math.prod(case.size) * case.count <= 1000]
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 from checks import WINDOW, Desk, Operation, Outputs, Program, Values, largest_error, relative_to_terms, size
 
-from lfgpu.types import KernelSet
+from lfgpu.contract import KernelSet
 
 ROUNDING = 2.0**-22
 """Of the bend of a parabola, relative to the differences that it is made of."""
@@ -25,11 +25,11 @@ def semi_global(desk: Desk, i: SimpleNamespace) -> Outputs:
     return {"sum": out}
 
 
-def lowest(desk: Desk, i: SimpleNamespace) -> Outputs:
+def winner_takes_all(desk: Desk, i: SimpleNamespace) -> Outputs:
     """Of a random volume, and of one in which many costs are the least."""
     out = {name: desk.out(i.volume.shape[1:]) for name in ("random", "alike")}
-    desk.kernels.lowest(desk.field(i.volume), **i.row, disparity_out=out["random"])
-    desk.kernels.lowest(desk.field(i.alike), **i.row, disparity_out=out["alike"])
+    desk.kernels.winner_takes_all(desk.field(i.volume), **i.row, disparity_out=out["random"])
+    desk.kernels.winner_takes_all(desk.field(i.alike), **i.row, disparity_out=out["alike"])
     return out
 
 
@@ -58,7 +58,7 @@ def lowest_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleName
 OPERATIONS = (
     Operation(nlm_average, "volume", relative_to_terms(average=lambda i: size(i.volume))),
     Operation(semi_global, "volume", relative_to_terms(sum=lambda i: size(i.volume))),
-    Operation(lowest, "volume", lowest_errors),
+    Operation(winner_takes_all, "volume", lowest_errors),
 )
 AVERAGE, SEMI_GLOBAL, LOWEST = OPERATIONS
 
@@ -80,6 +80,6 @@ def finding_the_lowest(kernels: KernelSet, device: str, values: dict[str, Values
         plan(image, weights)
         kernels.nlm_average(weights, volume, window=WINDOW, average_out=average)
         kernels.semi_global(average, image, small=0.01, large=0.05, contrast=0.25, sum_out=total)
-        kernels.lowest(volume, first=-1.0, step=0.5, disparity_out=disparity)
+        kernels.winner_takes_all(volume, first=-1.0, step=0.5, disparity_out=disparity)
 
     return Program({"image": image, "volume": volume}, work, {"sum": total, "disparity": disparity})

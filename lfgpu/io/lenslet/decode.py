@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.lenslet import bayer as mosaics
 from lfgpu.io.lenslet.capture import Capture, read_capture
 from lfgpu.io.lenslet.microlenses import find_microlenses, is_upright
 from lfgpu.io.lenslet.resampling import sample_views, view_grid
 from lfgpu.io.lenslet.vignetting import Float32Array, MeanMicrolens, field_gains, from_white_image
-from lfgpu.lightfield import LightField
 
 STEP = 1.0
 """Pixels of the sensor between neighbouring views."""

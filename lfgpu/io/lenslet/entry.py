@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.images import read_image
 from lfgpu.io.lenslet import capture, container
-from lfgpu.lightfield import LightField
 
 _LEAST_SIDE = 256  # pixels: no sensor under microlenses is smaller
 _LOOKED_AT = 1024  # pixels along each side, in the middle of a picture

@@ -1,0 +1,95 @@
+"""Pixels at outlines that show a little of what is nearer; `kernels/reference/boundaries.py` says why and which."""
+
+from typing import Any
+
+import taichi as ti
+
+from lfgpu.contract import REACH
+
+from .memory import DeviceArray, flat
+from .runtime import once, run
+
+_SPREAD = 0.7  # pixels²: how fast neighbours count less with their distance
+_BESIDE = 1e-3  # what a pixel counts that may itself be a mixture
+
+
+@ti.func
+def _reaches(disparity: ti.template(), y: int, x: int, height: int, width: int, step: float, sign: float):
+    """Whether one of the pixels around is farther than this one by more than `step`; nearer, if `sign` is -1."""
+    here = sign * disparity[y * width + x]
+    found = False
+    for j in range(ti.max(y - 1, 0), ti.min(y + 2, height)):
+        for i in range(ti.max(x - 1, 0), ti.min(x + 2, width)):
+            if here - sign * disparity[j * width + i] > step:
+                found = True
+    return found
+
+
+@once
+def _unmix_kernel(channels: int) -> Any:
+    pixel = ti.types.vector(channels, ti.f32)
+
+    @ti.kernel
+    def unmix_kernel(
+        image: flat(channels=channels),
+        disparity: flat(),
+        height: int,
+        width: int,
+        step: float,
+        contrast: float,
+        share: float,
+        disparity_out: flat(),
+    ):
+        for p in range(height * width):
+            x = p % width
+            y = p // width
+            here = disparity[p]
+            result = here
+            if _reaches(disparity, y, x, height, width, step, 1.0):
+                front = pixel(0.0)
+                behind = pixel(0.0)
+                front_weight = 0.0
+                behind_weight = 0.0
+                depth = 0.0
+                for qy in range(ti.max(y - REACH, 0), ti.min(y + REACH + 1, height)):
+                    for qx in range(ti.max(x - REACH, 0), ti.min(x + REACH + 1, width)):
+                        away = (qy - y) * (qy - y) + (qx - x) * (qx - x)
+                        if away > 0:
+                            q = qy * width + qx
+                            apart = disparity[q] - here
+                            weight = ti.exp(ti.cast(away, ti.f32) * (-1.0 / _SPREAD))
+                            if apart < -step:
+                                if _reaches(disparity, qy, qx, height, width, step, -1.0):
+                                    weight = weight * _BESIDE
+                                behind_weight += weight
+                                depth += weight * apart
+                                behind += weight * image[q]
+                            elif apart <= step and not _reaches(disparity, qy, qx, height, width, step, 1.0):
+                                front_weight += weight
+                                front += weight * image[q]
+                if front_weight > 0.0 and behind_weight > 0.0:
+                    square = 0.0
+                    product = 0.0
+                    for c in ti.static(range(channels)):
+                        back = behind[c] / behind_weight
+                        difference = front[c] / front_weight - back
+                        square += difference * difference
+                        product += difference * (image[p][c] - back)
+                    if square > channels * contrast * contrast and product < share * square:
+                        result = here + depth / behind_weight
+            disparity_out[p] = result
+
+    return unmix_kernel
+
+
+def refine_boundaries(
+    image: DeviceArray,
+    disparity: DeviceArray,
+    *,
+    step: float,
+    contrast: float,
+    share: float,
+    disparity_out: DeviceArray,
+) -> None:
+    kernel = _unmix_kernel(image.channels)
+    run(kernel, image.values, disparity.values, *disparity.shape, step, contrast, share, disparity_out.values)

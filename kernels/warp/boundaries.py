@@ -1,0 +1,93 @@
+"""Pixels at outlines that show a little of what is nearer; `kernels/reference/boundaries.py` says why and which."""
+
+from typing import Any
+
+import warp as wp
+
+from lfgpu.contract import REACH
+
+from .memory import pixel_type
+from .threads import launch_rows, once
+
+wp.set_module_options({"enable_backward": False})
+
+_SPREAD = 0.7  # pixels²: how fast neighbours count less with their distance
+_BESIDE = 1e-3  # what a pixel counts that may itself be a mixture
+
+
+@wp.func
+def _reaches(disparity: wp.array2d(dtype=float), y: int, x: int, step: float, sign: float):
+    """Whether one of the pixels around is farther than this one by more than `step`; nearer, if `sign` is -1."""
+    here = sign * disparity[y, x]
+    found = bool(False)
+    for j in range(wp.max(y - 1, 0), wp.min(y + 2, disparity.shape[0])):
+        for i in range(wp.max(x - 1, 0), wp.min(x + 2, disparity.shape[1])):
+            if here - sign * disparity[j, i] > step:
+                found = True
+    return found
+
+
+@once
+def _unmix_kernel(channels: int) -> Any:
+    pixel = pixel_type(channels)
+
+    @wp.kernel(module=f"lfgpu_outlines_{channels}", enable_backward=False)
+    def unmix_kernel(
+        image: wp.array2d(dtype=pixel),
+        disparity: wp.array2d(dtype=float),
+        step: float,
+        contrast: float,
+        share: float,
+        row: int,
+        lanes: int,
+        disparity_out: wp.array2d(dtype=float),
+    ):
+        i = wp.tid()
+        y = row + i / lanes
+        for x in range(i % lanes, disparity.shape[1], lanes):
+            here = disparity[y, x]
+            result = here
+            if _reaches(disparity, y, x, step, 1.0):
+                front = pixel()
+                behind = pixel()
+                front_weight = float(0.0)
+                behind_weight = float(0.0)
+                depth = float(0.0)
+                for qy in range(wp.max(y - wp.static(REACH), 0), wp.min(y + wp.static(REACH + 1), disparity.shape[0])):
+                    for qx in range(
+                        wp.max(x - wp.static(REACH), 0), wp.min(x + wp.static(REACH + 1), disparity.shape[1])
+                    ):
+                        away = (qy - y) * (qy - y) + (qx - x) * (qx - x)
+                        if away > 0:
+                            apart = disparity[qy, qx] - here
+                            weight = wp.exp(float(away) * wp.static(-1.0 / _SPREAD))
+                            if apart < -step:
+                                if _reaches(disparity, qy, qx, step, -1.0):
+                                    weight = weight * wp.static(_BESIDE)
+                                behind_weight = behind_weight + weight
+                                depth = depth + weight * apart
+                                for c in range(wp.static(channels)):
+                                    behind[c] = behind[c] + weight * image[qy, qx][c]
+                            elif apart <= step and not _reaches(disparity, qy, qx, step, 1.0):
+                                front_weight = front_weight + weight
+                                for c in range(wp.static(channels)):
+                                    front[c] = front[c] + weight * image[qy, qx][c]
+                if front_weight > 0.0 and behind_weight > 0.0:
+                    square = float(0.0)
+                    product = float(0.0)
+                    for c in range(wp.static(channels)):
+                        back = behind[c] / behind_weight
+                        difference = front[c] / front_weight - back
+                        square = square + difference * difference
+                        product = product + difference * (image[y, x][c] - back)
+                    if square > wp.static(float(channels)) * contrast * contrast and product < share * square:
+                        result = here + depth / behind_weight
+            disparity_out[y, x] = result
+
+    return unmix_kernel
+
+
+def refine_boundaries(
+    image: Any, disparity: Any, *, step: float, contrast: float, share: float, disparity_out: Any
+) -> None:
+    launch_rows(_unmix_kernel(image.dtype._length_), [image, disparity, step, contrast, share], disparity_out)

@@ -1,0 +1,51 @@
+"""The contract between the host side and the kernels: what a backend is.
+
+Shapes are written [n, y, x, c]: view, row, column, channel. Disparities are in pixels per view step, larger is nearer;
+offsets are (du, dv) in view steps; intensities lie in [0, 1], stored ones after multiplication with `scale`.
+
+A backend is the operations of `KernelSet` on arrays of its own and nothing else. Operations write into arrays that the
+caller allocated (names end in `_out`) and run on the device that holds them. What is called again and again is a plan
+(`DataTerm`, `PlaneSweep`): it allocates what it needs once, when it is made.
+
+One file is one topic. `streaming` and `recording` are optional: a backend without them has None there.
+"""
+
+from lfgpu.contract.arrays import Array, Float32Array, Float64Array, Scalar
+from lfgpu.contract.backend import KernelSet
+from lfgpu.contract.images import Normalization
+from lfgpu.contract.matching import REACH, Alignment, PlaneSweep, ZBuffer, sweep_shifts
+from lfgpu.contract.prior import NlmWeights, half_window
+from lfgpu.contract.recording import Recording
+from lfgpu.contract.solvers import Lbfgs, Residuals
+from lfgpu.contract.streaming import Lease, Maps, Slot, Streaming, Transport
+from lfgpu.contract.structure_tensor import LocalEstimate, StructureFilters
+from lfgpu.contract.synthesis import DataTerm, Loss, SplatDataTerm
+
+__all__ = [
+    "REACH",
+    "Alignment",
+    "Array",
+    "DataTerm",
+    "Float32Array",
+    "Float64Array",
+    "KernelSet",
+    "Lbfgs",
+    "Lease",
+    "LocalEstimate",
+    "Loss",
+    "Maps",
+    "NlmWeights",
+    "Normalization",
+    "PlaneSweep",
+    "Recording",
+    "Residuals",
+    "Scalar",
+    "Slot",
+    "SplatDataTerm",
+    "Streaming",
+    "StructureFilters",
+    "Transport",
+    "ZBuffer",
+    "half_window",
+    "sweep_shifts",
+]

@@ -1,0 +1,39 @@
+"""A whole backend: the operations by topic, and what only some backends can do."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+
+from lfgpu.contract.control import Control
+from lfgpu.contract.images import Images
+from lfgpu.contract.matching import Matching
+from lfgpu.contract.memory import Memory
+from lfgpu.contract.prior import Prior
+from lfgpu.contract.recording import Recording
+from lfgpu.contract.solvers import Solvers
+from lfgpu.contract.streaming import Streaming
+from lfgpu.contract.structure_tensor import StructureTensors
+from lfgpu.contract.synthesis import Synthesis
+from lfgpu.contract.vectors import Vectors
+
+
+class KernelSet(Memory, Control, Images, Prior, StructureTensors, Matching, Synthesis, Vectors, Solvers, Protocol):
+    """One backend: memory, the operations of the methods, and the vector operations of a solver."""
+
+    @property
+    def name(self) -> str:
+        """The name under which the backend is asked for."""
+
+    @property
+    def dtype(self) -> type[np.floating[Any]]:
+        """What fields are made of: float32 on devices, float64 in the reference."""
+
+    @property
+    def streaming(self) -> Streaming | None:
+        """Frames and maps on their way while the device works; None if the backend has no streams."""
+
+    @property
+    def recording(self) -> Recording | None:
+        """Work as a file for programs without Python; None if the backend cannot write it."""

@@ -1,0 +1,36 @@
+"""Loops that the device decides about, work that it repeats as a whole, and who may ask it for work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Protocol
+
+from lfgpu.contract.arrays import Scalar
+
+
+class Control(Protocol):
+    """How a device is asked for work."""
+
+    def is_deterministic(self, device: str) -> bool:
+        """Whether an estimate on this device has the same bits each time, whatever the number of threads."""
+
+    def asking(self, device: str) -> AbstractContextManager[object]:
+        """Held while a device is asked for work, so that no capture of another thread records it.
+
+        Many threads may ask at once. `capture` waits until none of them does, and they wait for it. The same thread may
+        enter it again.
+        """
+
+    def repeat(self, body: Callable[[], None], go_on: Scalar, most: int) -> None:
+        """Call `body` as long as `go_on` is not 0, which is looked at before each call, and at most `most` times.
+
+        `body` asks for operations only, and one of them sets `go_on`. While work is captured (`capture`) the device
+        itself repeats it.
+        """
+
+    def capture(self, work: Callable[[], None], device: str) -> Callable[[], None] | None:
+        """What does `work` again as a whole, without the host; None where the device cannot be given work that way.
+
+        `work` asks for operations only. It must have run once before, so that all kernels are loaded.
+        """

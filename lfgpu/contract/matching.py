@@ -1,0 +1,168 @@
+"""How well views agree with each other, and the surface through that."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract.arrays import Array, Float64Array
+
+REACH = 2
+"""Rows and columns from a pixel to the farthest ones that `Matching.refine_boundaries` looks at."""
+
+
+class PlaneSweep(Protocol):
+    """How well the views agree with the reference view if all of the scene lay at one disparity, for a row of them.
+
+    Planned for light fields of one kind: views [n, y, x, c], disparities d_l = first + l * step, l < count. With
+    W_n(p) = scale * recorded_n at p - d_l o_n (bilinear, the position moved into the frame), D = W_n - I and G its
+    central differences in x and y, (D(p + 1) - D(p - 1)) / 2 with the border pixels of D repeated,
+
+        c_n(p) = (min(mean_c |D|, truncation) + w min(mean_(c, x, y) |G|, gradient_truncation)) / (1 + w),
+        w = gradient_weight.
+
+    View n takes part at p if it is not the reference (|o_n| > 1e-3), p - d_l o_n lies in the frame (0 to width - 1, 0
+    to height - 1) and the recorded pixel nearest to it (x + 1/2 rounded down) is valid. What no view takes part in
+    costs the most there is, (truncation + w gradient_truncation) / (1 + w). The shifts -d_l o_n are `sweep_shifts`, so
+    that no rounding in float32 decides what lies in the frame and which pixel is nearest.
+    """
+
+    def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
+        """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None."""
+
+    def by_view_sets(self, volume_out: Array) -> None:
+        """volume [l, y, x]: the least over the view_sets of the mean of c_n over the views of the view_set that take
+        part; that of the first view_set as it is, of the others times (1 + preference), plus 1e-4.
+
+        Where something nearer hides p from some views, an view_set without these still sees it (those on one side
+        of the reference). The preference keeps noise from choosing.
+        """
+
+    def by_visibility(self, nearest: Array, volume_out: Array) -> None:
+        """volume [l, y, x]: the mean of c_n over the views that take part and see p at d_l, if there are `least`.
+
+        View n sees it if d_l >= nearest [n, y, x] - tolerance at the pixel nearest to p - d_l o_n: see
+        `KernelSet.z_buffer`.
+        """
+
+
+class ZBuffer(Protocol):
+    """The nearest surface that comes near each pixel of each view, planned for light fields of one kind."""
+
+    def __call__(self, disparity: Array, nearest_out: Array) -> None:
+        """nearest [n, y, x]: the largest of the disparities [y, x] that come near a pixel of a view.
+
+        It is the maximum of d_p over the reference pixels p for which p - d_p o_n, rounded (x + 1/2 down), is at most
+        `reach` pixels away in x and in y, also beyond the frame; where there is none, at most `reach` + 1; where
+        there is still none, -1e6.
+        """
+
+
+class Alignment(Protocol):
+    """Gauss-Newton on how well the views agree with each other at a disparity map, planned for light fields of a kind.
+
+    With the features f(V) = (V, w V_x, w V_y), V = scale * recorded continued beyond its border by its border pixels,
+    central differences and w = gradient_weight; F_n(p) = f(V_n) at p - d(p) o_n, bilinear, and F_n' its derivative with
+    respect to d, -(o_n . grad f), grad by central differences of f interpolated bilinearly in the same place. View n
+    takes part where `PlaneSweep` says and where d(p) >= nearest_n - tolerance at the pixel nearest to p - d(p) o_n.
+    Its weight is k_n(r) = 1 / (1 + mean r^2 / robust^2)^2, mean over the features, 0 where it takes no part.
+    """
+
+    def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
+        """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None."""
+
+    def __call__(self, disparity: Array, nearest: Array, curvature_out: Array, slope_out: Array) -> None:
+        """Fields [y, x]: curvature = sum_n k_n mean F_n'^2 / N and slope = -sum_n k_n mean F_n' (F_n - F) / N.
+
+        What the views are compared with is their own robust mean F = (f(I) + sum_n k_n F_n) / (1 + sum_n k_n), these
+        k_n at F_n - f(I), those above at F_n - F: so the noise of the reference view is but one of many. N counts all
+        views but the reference, whose |o_n| is at most 1e-3; without any other, both are 0. slope / curvature is the
+        step that Gauss and Newton would take.
+        """
+
+
+class Matching(Protocol):
+    """Plane sweeps, cost volumes [l, y, x], alignment and boundaries."""
+
+    def plane_sweep(
+        self,
+        shape: Sequence[int],
+        offsets: Array,
+        view_sets: Array,
+        *,
+        first: float,
+        step: float,
+        count: int,
+        scale: float,
+        truncation: float,
+        gradient_weight: float,
+        gradient_truncation: float,
+        preference: float,
+        tolerance: float,
+        least: int,
+    ) -> PlaneSweep:
+        """Plan a sweep over views of `shape` [n, y, x, c]; `view_sets` [m, n] is a field of 1 and 0, row 0 all 1.
+
+        There are at most 32 view_sets; truncations, weight, preference and tolerance are >= 0, `count` and `least` > 0.
+        What `offsets` and `view_sets` hold is read once, when the sweep is planned.
+        """
+
+    def z_buffer(self, shape: Sequence[int], offsets: Array, *, reach: int) -> ZBuffer:
+        """Plan the nearest surfaces of views of `shape` [n, y, x, c]; `reach` is in pixels, >= 0."""
+
+    def alignment(
+        self,
+        shape: Sequence[int],
+        offsets: Array,
+        *,
+        scale: float,
+        gradient_weight: float,
+        robust: float,
+        tolerance: float,
+    ) -> Alignment:
+        """Plan the alignment of views of `shape` [n, y, x, c]."""
+
+    def semi_global(
+        self, volume: Array, image: Array, *, small: float, large: float, contrast: float, sum_out: Array
+    ) -> None:
+        """The sum [l, y, x] over eight directions r of the costs of the best path to each pixel (Hirschmüller 2008).
+
+        L_r(p, l) = C(p, l) + min(L_r(p - r, l), L_r(p - r, l -+ 1) + s, min_k L_r(p - r, k) + t) - min_k L_r(p - r, k),
+        and C itself where p - r lies outside. With a = exp(-mean_c |I(p) - I(p - r)| / contrast) a step of one costs
+        s = small * max(a, 0.2) and one of more t = max(large * a, 1.2 * small). `image` is float32 [y, x, c].
+        """
+
+    def winner_takes_all(self, volume: Array, *, first: float, step: float, disparity_out: Array) -> None:
+        """The disparity [y, x] of least cost: first + step * (k + t), count >= 3.
+
+        k is the first of the least costs, but at least 1 and at most count - 2; t the minimum of the parabola through
+        the costs at k - 1, k and k + 1, in -1 to 1, 0 where they do not bend upwards by more than 1e-9.
+        """
+
+    def refine_boundaries(
+        self, image: Array, disparity: Array, *, step: float, contrast: float, share: float, disparity_out: Array
+    ) -> None:
+        """Give pixels that show little of what is nearer to what is behind it; `image` is float32 [y, x, c].
+
+        Of the pixels q at most REACH rows and columns from p, other than p, those are in front whose disparity differs
+        from d_p by at most `step` and beside which, in 3 x 3 pixels, none is farther by more than `step`; those are
+        behind for which d_q < d_p - step. With weights exp(-|q - p|^2 / 0.7) the first give the mean colour F, and the
+        second the mean colour B and the mean disparity D; of these, q beside which there is something nearer by more
+        than `step` count a thousandth, as they may be mixtures too.
+
+        p becomes D if something beside it is farther by more than `step`, there are pixels of both kinds, and
+        (I_p - B) . (F - B) < share |F - B|^2 with |F - B|^2 > c contrast^2 (sums over c channels); all else stays.
+        `disparity_out` is not `disparity`.
+        """
+
+
+def sweep_shifts(offsets: NDArray[Any], *, first: float, step: float, count: int) -> Float64Array:
+    """What a plane sweep adds to positions, [l, n, 2] in x and y: -d_l o_n, d_l = first + l * step, l < count.
+
+    Rounded to whole multiples of 2^-16: position and shift then add up exactly, and a shift that should be whole is.
+    """
+    disparities = first + step * np.arange(count)
+    return -np.rint(2.0**16 * disparities[:, None, None] * np.asarray(offsets, np.float64)) / 2.0**16

@@ -1,0 +1,53 @@
+"""Arrays and numbers on a device, and what they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract.arrays import Array, Scalar
+
+
+class Memory(Protocol):
+    """How arrays come to a device and back."""
+
+    def devices(self) -> tuple[str, ...]:
+        """Names of the devices that can be used here, the default first."""
+
+    def field(self, values: NDArray[Any], device: str) -> Array:
+        """A copy of `values` (any shape) on the device as scalars of `dtype`."""
+
+    def image(self, values: NDArray[Any], device: str) -> Array:
+        """`values` [..., c] (uint8, uint16, float16, float32; c = 1 or 3) on the device as they are stored."""
+
+    def zeros(self, shape: Sequence[int], device: str) -> Array:
+        """A field of zeros."""
+
+    def zeros_image(self, shape: Sequence[int], device: str, stored: Any = np.float32) -> Array:
+        """An image of zeros of the NumPy type `stored`; `shape` is [..., c]."""
+
+    def scalar(self, value: float, device: str) -> Scalar:
+        """A number on the device."""
+
+    def upload(self, values: NDArray[Any], array_out: Array) -> None:
+        """New contents of a field or an image, of the same shape and, for an image, the type that it is stored in.
+
+        A backend may also take arrays of other libraries (`__dlpack__` or `__cuda_array_interface__`) on the device
+        itself, and then copies there: after what their library was asked for before, and before what it is asked for
+        later.
+        """
+
+    def shared(self, field: Array) -> Any:
+        """The field itself as an array that other libraries take without a copy: `__dlpack__`, and on the host
+        `__array_interface__`, on a GPU `__cuda_array_interface__`; who takes it reads it after what was asked for
+        before. BackendError where a backend has no such arrays.
+        """
+
+    def numpy(self, array: Array) -> NDArray[Any]:
+        """What a field or an image holds, as a NumPy array with the channels last; waits for the device."""
+
+    def number(self, scalar: Scalar) -> float:
+        """What a scalar holds; waits for the device."""

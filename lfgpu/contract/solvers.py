@@ -1,0 +1,93 @@
+"""The memory of iterative solvers on a device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from lfgpu.contract.arrays import Array, Scalar
+
+
+class Residuals(Protocol):
+    """What is left after each iteration of a linear solver, and whether that is little enough, on a device."""
+
+    go_on: Scalar
+    """1 while there is something to do, else 0."""
+
+    def begin(self, norm: Scalar) -> None:
+        """Forget everything; residuals are relative to `norm`, or to 1 if that is 0."""
+
+    def add(self, residual: Scalar) -> None:
+        """Add sqrt(max(residual, 0) / norm) to the trace; `go_on` becomes 1 if it is larger than the tolerance and less
+        than `most` + 1 are there, else 0.
+        """
+
+    def report(self) -> list[float]:
+        """The trace; waits for the device."""
+
+
+class Lbfgs(Protocol):
+    """The memory of a limited-memory BFGS solver for fields of one shape within bounds, on a device.
+
+    It holds the last m steps s_j and gradient differences y_j, the direction, the step length and what it takes to
+    decide without the host. `solvers/lbfgs.py` is the algorithm. Pixels have units of their own: with c the curvature
+    that `begin` is given, x is measured in 1 / √c and the gradient in √c, in inner products and in the recursion.
+    """
+
+    go_on: Scalar
+    """1 while there is something to do, else 0."""
+
+    def begin(self, x: Array, gradient: Array, value: Scalar, curvature: Array | None = None) -> None:
+        """Forget everything; the first direction is against the gradient where the bounds leave it free.
+
+        Its length is such that the root mean square of the first step, in those units, is `first_step`. `curvature`
+        [y, x] > 0 is about the second derivative by each pixel, up to a factor; None is 1 everywhere.
+        """
+
+    def propose(self, x: Array, trial_out: Array) -> None:
+        """trial = x + step * direction, moved into the bounds."""
+
+    def judge(self, value: Scalar, trial_value: Scalar) -> None:
+        """Accept the trial if trial_value <= value + 1e-4 * step * slope, the slope being gradient . direction.
+
+        Accepted, `value` becomes `trial_value`, which is added to the trace, and `go_on` becomes 0 if the trace is flat
+        (see `solvers/lbfgs.py`) or as long as it may be. Not accepted, the step shrinks to the minimum of the parabola
+        through both values and the slope, but between 0.1 and 0.5 of what it was; `go_on` becomes 0 after 20 in a row.
+        """
+
+    def learn(self, x: Array, gradient: Array, trial: Array, trial_gradient: Array) -> None:
+        """If the trial was accepted: keep s = trial - x and y = trial_gradient - gradient, if s . y is clearly positive
+        (> 1e-10 |s| |y|), and let x and gradient become those of the trial. The next direction is that of the two-loop
+        recursion (Nocedal 1980) on the gradient, with 0 where the bounds stop it, and its step is 1. A pixel at a bound
+        that its gradient holds there does not move, whatever the recursion says.
+        """
+
+    def report(self) -> tuple[list[float], int, bool]:
+        """The values accepted so far, the first included, the number of values judged plus 1, and whether they are
+        flat; waits for the device."""
+
+
+class Solvers(Protocol):
+    """What solvers keep from one iteration to the next."""
+
+    def residuals(self, device: str, *, tolerance: float, most: int) -> Residuals:
+        """Plan the bookkeeping of an iterative linear solver that makes at most `most` iterations."""
+
+    def lbfgs(
+        self,
+        shape: Sequence[int],
+        device: str,
+        *,
+        memory: int,
+        low: float,
+        high: float,
+        first_step: float,
+        tolerance: float,
+        patience: int,
+        most: int,
+    ) -> Lbfgs:
+        """Plan an L-BFGS memory of `memory` pairs for fields of `shape` [y, x]; `most` is the longest trace less 1.
+
+        The trace is flat when its last `patience` steps together lowered the value by at most patience * tolerance *
+        |first value|.
+        """

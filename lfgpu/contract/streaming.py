@@ -1,0 +1,126 @@
+"""An optional capability of a backend: frames that come and maps that go while the device works."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract.arrays import Array, Float32Array, Scalar
+
+Maps: TypeAlias = Any
+"""Memory for the results of one frame, of whatever type the backend uses."""
+
+
+class Slot(Protocol):
+    """Where a frame waits for its turn."""
+
+    host: NDArray[Any]
+    """The views [n, y, x, c], as stored, in memory of the host."""
+
+    present: NDArray[np.float32]
+    """Which views are there, 1 or 0, [n]."""
+
+    is_resident: bool
+    """Whether the frame waits in memory of the device (`Transport.take`) instead of `host`."""
+
+
+class Lease(Protocol):
+    """The results of one frame in somebody's hands. When nobody holds it any more, its memory is used again."""
+
+    def shared(self, index: int) -> Any:
+        """Disparity (0) or confidence (1) for other libraries, as `Memory.shared`."""
+
+    def numpy(self, index: int) -> Float32Array:
+        """A copy of the same in memory of the host, float32 [y, x]."""
+
+
+class Transport(Protocol):
+    """The traffic of one stream. Each thread that asks the device, or waits for it, calls `enter` once."""
+
+    made: int
+    """How many results there is memory for."""
+
+    def enter(self) -> None:
+        """Prepare the calling thread for the device."""
+
+    def slot(self) -> Slot:
+        """Room for one more waiting frame."""
+
+    def take(self, values: Any, slot: Slot, views: list[int] | None) -> None:
+        """Copy an array of another library on the same device into a slot, in the order of that library's stream."""
+
+    def bring(self, slot: Slot) -> float:
+        """Take a frame to the device. Returns which share of the samples of the reference view changed, 0 to 1.
+
+        The device may still work on the frame before. The slot may be used again afterwards.
+        """
+
+    def mask(self, base: Array | None, mask_out: Array) -> None:
+        """mask [n, y, x] = whether view n of the frame brought last is there, times `base` unless that is None."""
+
+    def captured(self, work: Callable[[], None]) -> Callable[[], None]:
+        """Work as one graph of the device, if it has graphs; else `work` itself. It must have run once before."""
+
+    def solve(self, work: Callable[[], None], before: Callable[[], None] | None) -> Maps:
+        """Ask for a map of the frame that was brought last: `before`, if given, and `work`. The maps come later."""
+
+    def wait(self, maps: Maps) -> tuple[float, float, float]:
+        """Wait until maps are on the host: seconds that the device worked on them, and the method's two numbers."""
+
+    def lease(self, maps: Maps) -> Lease:
+        """Maps for somebody to hold."""
+
+    def give(self, maps: Maps) -> None:
+        """Maps that nobody will hold."""
+
+    def synchronize(self) -> None:
+        """Wait for all that was asked for."""
+
+
+class Streaming(Protocol):
+    """What streams need beyond the operations of a single estimate."""
+
+    def transport(
+        self,
+        views: Array,
+        sources: tuple[Array, Array, Scalar, Scalar],
+        *,
+        reference: int,
+        scale: float,
+        tolerance: float,
+        results: int,
+    ) -> Transport:
+        """The traffic of one stream.
+
+        Parameters
+        ----------
+        views
+            What the method reads, [n, y, x, c] as stored.
+        sources
+            Disparity and confidence, fields [y, x], and two numbers of the method.
+        reference, scale, tolerance
+            Index of the reference view; the factor from stored values to intensities; the mean difference over the
+            channels, intensity, from which on a sample has changed.
+        results
+            How many results there is memory for at first.
+        """
+
+    def sameness(self, image: Array, last: Array, *, tolerance: float, same_out: Array) -> None:
+        """1 / (1 + (m / tolerance)^8) [y, x]: m is the mean change of intensity over 3 x 3 pixels and the channels."""
+
+    def bias(
+        self, past: Array, trust: Array, volume: Array, *, first: float, step: float, strength: float, reach: float
+    ) -> None:
+        """volume [l, y, x] += strength * trust * min(|first + l step - past| / step, reach) / reach."""
+
+    def blend(
+        self, past: Array, same: Array, frames: Array, disparity: Array, *, persistence: float, support: float
+    ) -> None:
+        """The mean of the past map, which `frames` [y, x] went into, and the one of now; both become the new ones.
+
+        With b = persistence * same * frames / (1 + ((past - disparity) / support)^4):
+        disparity = (disparity + b past) / (1 + b), frames = 1 + b.
+        """

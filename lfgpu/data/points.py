@@ -1,0 +1,100 @@
+"""What a disparity map shows as points in space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfgpu.contract import Float32Array
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.errors import LightFieldError
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points in space, one for each pixel of a map that has a finite depth.
+
+    Parameters
+    ----------
+    points
+        float32 [n, 3]. With a geometry: metres to the right, down and away, from the camera that `Geometry.points`
+        says. Without: pixels to the right of and below the middle of the image, and -disparity, in pixels per view
+        step: what is farther away has a larger third coordinate in both.
+    colors
+        uint8 [n, 3], red, green and blue; None without an image.
+    confidence
+        float32 [n], 0 to 1; None if the map has none.
+    pixels
+        int64 [n, 2], (column, row) of the pixel that shows the point.
+    metric
+        Whether the points are in metres.
+    """
+
+    points: Float32Array
+    colors: NDArray[np.uint8] | None
+    confidence: Float32Array | None
+    pixels: NDArray[np.int64]
+    metric: bool
+
+
+def point_cloud(
+    result: DepthResult | DisparityMap, *, image: ArrayLike | None = None, least_confidence: float = 0.0
+) -> PointCloud:
+    """The points that a disparity map shows, in metres if its geometry is known.
+
+    Parameters
+    ----------
+    result
+        A result or a map.
+    image
+        [y, x, c] or [y, x], c = 1 or 3, uint8, uint16 or float in [0, 1]: the view, for colours. Default: none.
+    least_confidence
+        Pixels of less confidence are left out; 0 (default) to 1.
+
+    Raises
+    ------
+    LightFieldError
+        If the image is not of the map's size, or no pixel is left.
+    """
+    disparity = result.disparity
+    height, width = disparity.shape
+    if result.geometry is None:
+        y, x = np.mgrid[:height, :width]
+        grid = np.stack([x - (width - 1) / 2, y - (height - 1) / 2, -disparity.astype(np.float64)], axis=-1)
+    else:
+        grid = result.geometry.points(disparity, position=result.position)
+    kept = np.isfinite(grid).all(axis=2)
+    if least_confidence > 0 and result.confidence is not None:
+        kept &= result.confidence >= least_confidence
+    if not kept.any():
+        raise LightFieldError(
+            "no pixel of the map has a finite depth and enough confidence: there is no cloud of points."
+        )
+    colors = None if image is None else _colors(np.asarray(image), (height, width))[kept]
+    rows, columns = np.nonzero(kept)
+    return PointCloud(
+        grid[kept].astype(np.float32),
+        colors,
+        None if result.confidence is None else result.confidence[kept],
+        np.stack([columns, rows], axis=1).astype(np.int64),
+        result.geometry is not None,
+    )
+
+
+def _colors(image: NDArray[Any], size: tuple[int, int]) -> NDArray[np.uint8]:
+    if image.ndim == 2:
+        image = image[..., None]
+    if image.ndim != 3 or image.shape[:2] != size or image.shape[2] not in (1, 3):
+        raise LightFieldError(
+            f"the image must be [y, x], [y, x, 1] or [y, x, 3] of {size[0]} x {size[1]} pixels, found {image.shape}."
+        )
+    if image.dtype.kind == "f":
+        image = np.rint(255 * np.clip(image, 0, 1))
+    elif image.dtype == np.uint16:
+        image = np.rint(image / 257)
+    elif image.dtype != np.uint8:
+        raise LightFieldError(f"the image must be uint8, uint16 or float, found {image.dtype}.")
+    return np.broadcast_to(image, (*size, 3)).astype(np.uint8)

@@ -1,0 +1,143 @@
+"""What an estimate returns: the map, how far to trust it, and all that is needed to know how it came about."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfgpu.config import Config
+from lfgpu.contract import Float32Array
+from lfgpu.data import hooks
+from lfgpu.data.geometry import Geometry
+
+
+@dataclass(frozen=True, eq=False)
+class DepthResult:
+    """A disparity map of the reference view.
+
+    Parameters
+    ----------
+    disparity
+        float32 [y, x], pixels per view step, larger is nearer: the point at (x, y) of the reference view is at
+        (x - d*du, y - d*dv) in the view (du, dv) view steps to the right of and below it.
+    confidence
+        float32 [y, x], 0 to 1, larger is surer; what it means depends on the method.
+
+        Matching: about the share of such pixels that are within 0.07 pixels per view step of the truth. It is
+        1 / (1 + (1 - c) / 2 + (s / 0.22)²). c, 0 to 1, is how far texture decided, in the views that see the pixel; s
+        is the root mean square distance of its disparity from what the matches had been, pixels per view step; both are
+        taken over its window with the weights of the prior. So it is low at edges of depth between alike colours, where
+        something is hidden, and where later stages disagree with the first. Without texture it is at most 2/3: such
+        pixels are filled in from around them. Where the reference is not valid it is 0, and the map says nothing.
+        Form and numbers were chosen on synthetic scenes: on others the share may be another, so trust the order more
+        than the value.
+
+        Synthesis (the preset "paper"): the coherence of the local estimates that a pixel rests on, averaged likewise.
+        It orders pixels and is no share; 0 means that a pixel was filled in from elsewhere.
+    stages
+        The map after each stage. Matching: `swept`, `matched` (if occlusions are looked at twice), `aligned`
+        and `settled`; synthesis: `local` (NaN where undefined), `propagated` and `refined`.
+    position
+        (u, v) of the reference view, as in `LightField.positions`.
+    disparity_range
+        (low, high), the bounds of the estimate.
+    config
+        All parameters.
+    status
+        Why the solvers stopped, in sentences.
+    converged
+        Whether the refinement met its tolerance.
+    trace
+        The energy before the refinement and after each of its iterations.
+    timings
+        Seconds of each stage and in total.
+    backend, device
+        What it was computed with.
+    versions
+        Versions of lfgpu and of the packages that computed it, that of the backend among them.
+    geometry
+        What turns disparity into metres; None if unknown.
+    name
+        The light field's name.
+    """
+
+    disparity: Float32Array
+    confidence: Float32Array
+    stages: dict[str, Float32Array]
+    position: tuple[float, float]
+    disparity_range: tuple[float, float]
+    config: Config
+    status: str
+    converged: bool
+    trace: tuple[float, ...]
+    timings: dict[str, float]
+    backend: str
+    device: str
+    versions: dict[str, str] = field(default_factory=dict)
+    geometry: Geometry | None = None
+    name: str = "light field"
+
+    @property
+    def depth(self) -> NDArray[np.float32] | None:
+        """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""
+        return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)
+
+    def _repr_html_(self) -> str:
+        """What notebooks show."""
+        return str(hooks.call("result_html", self))
+
+    @property
+    def map(self) -> DisparityMap:
+        """The map by itself, with what it takes to read it right."""
+        return DisparityMap(
+            self.disparity,
+            self.confidence,
+            position=self.position,
+            geometry=self.geometry,
+            name=self.name,
+            versions=self.versions,
+        )
+
+    def save(self, path: str | os.PathLike[str], *, image: ArrayLike | None = None) -> None:
+        """Write the result (.npz), its map (.pfm, .png, .tif, .exr) or its points (.ply); see `lfgpu.save`."""
+        hooks.call("save", self, path, image=image)
+
+
+@dataclass(frozen=True, eq=False)
+class DisparityMap:
+    """A disparity map of one view and what it takes to read it right: what files of maps hold.
+
+    Parameters
+    ----------
+    disparity
+        float32 [y, x], as in `DepthResult`; NaN where it is not known.
+    confidence
+        float32 [y, x], 0 to 1; None if unknown.
+    position
+        (u, v) of the view, as in `LightField.positions`; None if unknown.
+    geometry
+        What turns disparity into metres; None if unknown.
+    name
+        The light field's name.
+    versions
+        Versions of what computed it.
+    """
+
+    disparity: Float32Array
+    confidence: Float32Array | None = None
+    position: tuple[float, float] | None = None
+    geometry: Geometry | None = None
+    name: str = "light field"
+    versions: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def depth(self) -> NDArray[np.float32] | None:
+        """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""
+        return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)
+
+    def save(self, path: str | os.PathLike[str], *, image: ArrayLike | None = None) -> None:
+        """Write the map (.npz, .pfm, .png, .tif, .exr) or its points (.ply); see `lfgpu.save`."""
+        hooks.call("save", self, path, image=image)

@@ -1,0 +1,82 @@
+"""What an estimate of all views returns."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract import Float32Array
+from lfgpu.data import hooks
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.errors import LightFieldError
+
+_SAME_PLACE = 1e-6  # view steps
+
+
+@dataclass(frozen=True, eq=False)
+class ViewsResult:
+    """Disparity maps of all views of a light field.
+
+    Parameters
+    ----------
+    disparities
+        float32 [n, y, x] in the order of `LightField.views`, pixels per view step, larger is nearer: the point at
+        (x, y) of view a is at (x - d*du, y - d*dv) in the view du steps to the right of and dv steps below view a.
+    confidences
+        float32 [n, y, x], 0 to 1: the mean confidence of the key views that agree, times their share among those that
+        agree or see through. 0 means that no key view shows the pixel and it was filled from the farther side.
+    positions
+        float64 [n, 2], (u, v) of each view, as `LightField.positions`.
+    keys
+        Indices of the views that were estimated themselves; the first is the reference.
+    reference
+        The estimate of the reference view by itself, as from `estimate_depth`: with its stages, status and parameters.
+        Its map is what went into `disparities`, before the other key views had their say.
+    timings
+        Seconds: `keys` for estimating them, `join` for all views' maps from theirs, `total`.
+    """
+
+    disparities: Float32Array
+    confidences: Float32Array
+    positions: NDArray[np.float64]
+    keys: tuple[int, ...]
+    reference: DepthResult
+    timings: dict[str, float]
+
+    def index_of(self, row: float, column: float) -> int:
+        """Index of the view at position v = `row`, u = `column`; LightFieldError if there is none."""
+        distance = np.abs(self.positions - (column, row)).max(1)
+        if not distance.min() < _SAME_PLACE:
+            raise LightFieldError(f"there is no map of a view at row {row:g}, column {column:g}.")
+        return int(np.argmin(distance))
+
+    def map(self, index: int) -> DisparityMap:
+        """The map of view `index` by itself, with what it takes to read it right."""
+        u, v = (float(value) for value in self.positions[index])
+        about = self.reference
+        return DisparityMap(
+            self.disparities[index],
+            self.confidences[index],
+            position=(u, v),
+            geometry=about.geometry,
+            name=about.name,
+            versions=about.versions,
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write all maps as .npz; see `lfgpu.save`."""
+        hooks.call("save", self, path)
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """What turns disparity into metres, the same for all views; None if unknown."""
+        return self.reference.geometry
+
+    @property
+    def depths(self) -> NDArray[np.float32] | None:
+        """Metric depth in metres, float32 [n, y, x], infinity beyond the horizon; None without a geometry."""
+        return None if self.geometry is None else self.geometry.depth(self.disparities).astype(np.float32)

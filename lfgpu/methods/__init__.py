@@ -1,0 +1,65 @@
+"""Methods: how a disparity map is found. Each has a room of its own and one row here.
+
+`lfgpu/methods/base.py` says what a method is.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from lfgpu.config import Config
+from lfgpu.errors import LightFieldError
+from lfgpu.methods.entry import Entry
+from lfgpu.methods.matching import config as _matching
+from lfgpu.methods.synthesis import config as _synthesis
+
+if TYPE_CHECKING:
+    from lfgpu.methods.base import Method
+
+METHODS: dict[str, Entry] = {
+    "matching": Entry(
+        _matching.MatchingConfig,
+        _matching.PRESETS,
+        "lfgpu.methods.matching.method:Matching",
+        "finds the surface on which the views agree, with occlusions",
+    ),
+    "synthesis": Entry(
+        _synthesis.SynthesisConfig,
+        _synthesis.PRESETS,
+        "lfgpu.methods.synthesis.method:Synthesis",
+        "finds the map that predicts all views best (Sajjadi et al. 2016)",
+    ),
+}
+"""All methods by name. A new method is a folder here and a row in this table."""
+
+PRESETS: dict[str, Config] = {name: config for entry in METHODS.values() for name, config in entry.presets.items()}
+"""Complete parameters by name, the default preset first."""
+
+PresetName: TypeAlias = Literal["accurate", "fast", "paper"]
+"""The names of `PRESETS`, for type checkers."""
+
+
+def preset(name: str) -> Config:
+    """The parameters of a preset; LightFieldError if there is none of that name."""
+    if name not in PRESETS:
+        raise LightFieldError(f"unknown preset {name!r}; take one of {', '.join(PRESETS)}.")
+    return PRESETS[name]
+
+
+def configured(config: Config | str) -> Config:
+    """The parameters that `config` is or names; LightFieldError if it is neither."""
+    parameters = preset(config) if isinstance(config, str) else config
+    if not isinstance(parameters, Config):
+        raise LightFieldError(
+            f"config must be the name of a preset ({', '.join(PRESETS)}) or a Config, not {type(config).__name__}."
+        )
+    return parameters
+
+
+def method_of(config: Config | str) -> Method[Any]:
+    """The method with these parameters, or with those of a preset; LightFieldError if there is no such preset."""
+    parameters = configured(config)
+    module, _, name = METHODS[parameters.method].home.partition(":")
+    method: Method[Any] = getattr(importlib.import_module(module), name)(parameters)
+    return method

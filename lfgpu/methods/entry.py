@@ -1,0 +1,30 @@
+"""A row of the registry of methods."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from lfgpu.config import Config
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row of the registry of methods.
+
+    Parameters
+    ----------
+    config
+        The configuration class; its `method` is the name.
+    presets
+        Complete parameters by name.
+    home
+        Module and class of the method, `module:Class`, loaded when it is first used.
+    label
+        What the method does, in a few words.
+    """
+
+    config: type[Config]
+    presets: Mapping[str, Config]
+    home: str
+    label: str

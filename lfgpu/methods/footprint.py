@@ -1,0 +1,38 @@
+"""How much memory an estimate takes, from sizes alone; `tests/test_tiles.py` measures that it does."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from numbers import Real
+
+from lfgpu.errors import LightFieldError
+
+PROCESS = 500 * 2**20  # bytes: Python, the libraries and the compiled kernels
+GPU_CONTEXT = 640 * 2**20  # bytes: what a process takes of a GPU whatever the sizes, most of it before it has any array
+_SLACK = 1.1  # what allocators round up, and small buffers
+_UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
+
+
+def parse_memory(value: str | float) -> int:
+    """Bytes from a number of them or from text such as "8GiB", "500 MB" or "2g"; LightFieldError for anything else."""
+    if isinstance(value, Real) and not isinstance(value, bool) and 1 <= float(value) < math.inf:
+        return int(value)
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([kmgt]i?|)b?\s*", str(value).lower())
+    size = int(float(match[1]) * _UNITS[match[2]]) if match and isinstance(value, str) else 0
+    if size < 1:
+        raise LightFieldError(f"max_memory must be a size such as 8GiB or 500MB, not {value!r}.")
+    return size
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Bytes that a `DepthPipeline` takes: so many for each pixel of a view, and so many besides."""
+
+    per_pixel: float
+    besides: int
+
+    def bytes(self, height: int, width: int) -> int:
+        """Of a pipeline for views of that size, the process or the context of the GPU included."""
+        return self.besides + int(_SLACK * self.per_pixel * height * width)

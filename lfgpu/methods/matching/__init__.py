@@ -1,0 +1,1 @@
+"""Matching: the surface on which the views agree, with occlusions."""

@@ -1,0 +1,109 @@
+"""Matching as a method: what it measures, how much memory it takes and how far a pixel reaches."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lfgpu.contract import KernelSet, Streaming
+from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.methods.base import Method, Stage
+from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
+from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.noise import measured_noise
+from lfgpu.methods.matching.plan import MatchingPlan
+from lfgpu.methods.matching.sweep import labels, used_views
+from lfgpu.methods.matching.temporal import TemporalMatching
+from lfgpu.methods.measured import Measured, checked_range
+from lfgpu.methods.sections import LocalConfig
+from lfgpu.methods.temporal_prior import TemporalPrior
+
+_SLICES = 16  # that work on a CPU is cut into, some of which have a workspace of their own
+_PATHS = 32  # pixels at the edge of a tile from which semi-global matching learns where its paths come from
+
+
+class Matching(Method[MatchingConfig]):
+    """The surface on which the views agree, each as far as nothing hides it (`lfgpu/methods/matching/plan.py`)."""
+
+    STAGES = (
+        Stage("sweep", "plane sweep"),
+        Stage("resweep", "second plane sweep"),
+        Stage("align", "alignment", "step", "px per view step, rms"),
+        Stage("boundaries", "boundary refinement and hole filling"),
+    )
+    TRACED = "align"
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        twice = self.config.sweep.occlusions == "twice"
+        return tuple(stage for stage in self.STAGES if twice or stage.name != "resweep")
+
+    @property
+    def local(self) -> LocalConfig:
+        return self.config.local
+
+    @property
+    def is_recordable(self) -> bool:
+        return True
+
+    def iterations(self, stage: str) -> int | None:
+        return self.config.alignment.iterations if stage == "align" else None
+
+    def used_views(self, lf: LightField) -> list[int]:
+        return used_views(lf, self.config.sweep.views)
+
+    def measure_noise(self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str) -> float:
+        return self.config.sweep.noise or measured_noise(lf, bounds, self.config.sweep, kernels, device)
+
+    def given(
+        self, lf: LightField, disparity_range: tuple[float, float] | None, noise: float | None = None
+    ) -> Measured | None:
+        known = self.config.sweep.noise or noise
+        return None if disparity_range is None or known is None else Measured(checked_range(disparity_range, lf), known)
+
+    def same_surface(self, lf: LightField) -> float:
+        return self.config.alignment.support / farthest(lf.offsets)
+
+    def footprint(self, lf: LightField, measured: Measured, *, on_gpu: bool) -> Footprint:
+        config, channels, stored = self.config, lf.channels, lf.views.dtype.itemsize
+        used = len(self.used_views(lf))
+        views = used * channels * stored
+        masks = 0 if lf.valid is None else 5 * used
+        host = 0 if on_gpu else views + masks  # the tile as it was cut out
+        packed = used * (4 if channels == 3 else 2) * stored  # a pixel with whether it is valid
+        swept = views if not on_gpu else packed
+        volumes = 2 * 4 * labels(measured.disparity_range, lf.offsets, config.sweep)[2]
+        weights = 3 * 4 * ((config.prior.window**2 - 1) // 2) + 4 * 3 * channels
+        if config.semi_global.window != config.prior.window:
+            weights += 2 * 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels
+        workspaces = 0 if on_gpu else 2 * 4 * _SLICES
+        fields = 4 * (24 + 2 * channels)
+        per_pixel = host + views + swept + packed + 4 * used + volumes + weights + workspaces + fields + masks
+        return Footprint(per_pixel, GPU_CONTEXT if on_gpu else PROCESS)
+
+    def halo(self, lf: LightField, measured: Measured) -> tuple[int, int]:
+        low, high = measured.disparity_range
+        # The largest shift in any view, and the largest difference of shifts: what may hide a pixel there.
+        reach = [
+            math.ceil(axis * max(abs(low), abs(high))) + math.ceil(axis * (high - low))
+            for axis in np.abs(lf.offsets).max(0)
+        ]
+        passes = 1 + (self.config.sweep.occlusions == "twice") + 2 * self.config.alignment.iterations
+        windows = (self.config.prior.window // 2) * passes + self.config.prior.patch // 2 + 2
+        return reach[1] + windows + _PATHS, reach[0] + windows + _PATHS
+
+    def plan(self, lf: LightField, measured: Measured, kernels: KernelSet, device: str) -> MatchingPlan:
+        return MatchingPlan(lf, measured, self.config, kernels, device)
+
+    def live_plan(
+        self,
+        lf: LightField,
+        measured: Measured,
+        kernels: KernelSet,
+        device: str,
+        *,
+        streaming: Streaming,
+        prior: TemporalPrior,
+    ) -> TemporalMatching:
+        return TemporalMatching(lf, measured, self.config, kernels, device, streaming=streaming, prior=prior)

@@ -1,0 +1,277 @@
+"""Matching: what every pixel of the reference view looks most like in the other views, with occlusions.
+
+Four stages. `sweep` compares the views with the reference at a row of disparities and finds the best surface through
+these costs. Partial view sets see past occluders. `resweep` compares again, now only with the views that see a pixel
+past the first surface. `align` makes the disparity continuous: Gauss-Newton steps on what the views that see a pixel
+have in common, averaged over similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side
+whose colour it has, and fills surfaces without texture from those around them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from lfgpu.contract import Array, Float32Array, KernelSet
+from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.errors import LightFieldError
+from lfgpu.methods.base import Callback, Work
+from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.hole_filling import HoleFilling
+from lfgpu.methods.matching.noise import in_units_of
+from lfgpu.methods.matching.sweep import labels, planned_sweep, used_views
+from lfgpu.methods.measured import Measured
+from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
+from lfgpu.solvers.solution import Solution
+
+_LEAST_CURVATURE = 1e-3  # over robust²: no division by 0 where there is no texture
+_STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
+
+_DOUBT = 0.22  # pixels per view step, rms, that make a pixel as likely off by more than 0.07 as not
+_CONVERGED = 0.02  # pixels per view step, rms of the last step
+
+
+class MatchingPlan:
+    """Matching for light fields of one kind, with all memory allocated.
+
+    Parameters
+    ----------
+    lf
+        A light field of that kind. Its cameras, size, stored type, masks and reference view count, its views do not.
+    measured
+        The disparity range and the noise.
+    config
+        All parameters.
+    kernels, device
+        Where it is computed. It takes two volumes of one float for each pixel and disparity, and what kernels keep.
+    """
+
+    decided = "align"
+
+    def __init__(
+        self, lf: LightField, measured: Measured, config: MatchingConfig, kernels: KernelSet, device: str
+    ) -> None:
+        assert measured.noise is not None  # this method measures it
+        config, bounds = in_units_of(measured.noise, config), measured.disparity_range
+        self._kernels, self._bounds, self._config = kernels, bounds, config
+        self._twice = config.sweep.occlusions == "twice"
+        self._used, self._chosen = used_views(lf, config.sweep.views), None
+        if len(self._used) < len(lf.views):
+            lf = lf.subset(self._used)
+            self._chosen = kernels.zeros_image(lf.views.shape, device, lf.views.dtype)
+        self._reference, self._scale, self._farthest = lf.reference_index, lf.scale, farthest(lf.offsets)
+        shape, image = (len(lf.views), *lf.size, lf.channels), (*lf.size, lf.channels)
+        self._offsets = kernels.field(lf.offsets, device)
+        self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
+        self._known = None if lf.valid is None else kernels.field(lf.valid[lf.reference_index], device)
+        self._far = None if lf.valid is None else kernels.field(np.full(lf.size, bounds[0]), device)
+        held = config.hole_filling.stiffness * config.alignment.robust**2  # as strongly as one similar neighbour
+        self._held = None if lf.valid is None else kernels.field(np.full(lf.size, held), device)
+        self._image = kernels.zeros_image(image, device)
+        self._prior = NonLocalMeans(image, config.prior, kernels, device)
+        # Costs of what is nearer reach as far into its corners as they are averaged; maps need more against noise.
+        self._near = self._prior
+        if config.semi_global.window != config.prior.window:
+            self._near = NonLocalMeans(image, replace(config.prior, window=config.semi_global.window), kernels, device)
+        self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
+        self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
+        self._nearest = kernels.zeros(shape[:3], device)
+        self._sweep = planned_sweep(lf, (self._first, self._step, count), config.sweep, kernels, device)
+        self._hiding = kernels.z_buffer(shape, self._offsets, reach=0) if self._twice else None
+        self._hiding_beside = kernels.z_buffer(shape, self._offsets, reach=1)
+        self._align = kernels.alignment(
+            shape,
+            self._offsets,
+            scale=lf.scale,
+            gradient_weight=config.alignment.gradient_weight,
+            robust=config.alignment.robust,
+            tolerance=config.sweep.tolerance / self._farthest,
+        )
+        self._swept, self._aligned, self.disparity, self.confidence = (kernels.zeros(lf.size, device) for _ in range(4))
+        """`disparity` and `confidence` are the results, fields [y, x]."""
+        self._matched = kernels.zeros(lf.size, device) if self._twice else self._swept
+        self._hole_filling = HoleFilling(lf.size, self._prior, config.hole_filling)
+        self._curvature, self._slope, self._certainty = (kernels.zeros(lf.size, device) for _ in range(3))
+        self._workspace = kernels.zeros(lf.size, device)
+        self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
+        self._trust, self._size = kernels.scalar(0.0, device), lf.size
+        self._steps = len(self._moves)
+
+    def stages(self, views: Array) -> dict[str, Work]:
+        """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
+        again: dict[str, Work] = {"resweep": self._compare_visible} if self._twice else {}
+        return {
+            "sweep": lambda _: self._compare(views),
+            **again,
+            "align": self._improve,
+            "boundaries": self._complete,
+        }
+
+    def check(self, name: str) -> None:
+        """LightFieldError, with the light field's name, if nothing came of the last run; waits for the device."""
+        if not self._kernels.number(self._trust) > 0:
+            raise LightFieldError(
+                f"{name}: no pixel shows anything that other views show as well: the views have no texture, are "
+                "masked, or the disparity range is wrong; give another one."
+            )
+
+    def is_finite(self) -> bool:
+        """Whether the last run met finite numbers only; waits for the device."""
+        return bool(np.isfinite(self._kernels.number(self._moves[0])))
+
+    def maps(self) -> dict[str, Float32Array]:
+        """The map after each stage, float32 [y, x]; waits for the device."""
+        again = {"resweep": self._matched} if self._twice else {}
+        kept = {"sweep": self._swept, **again, "align": self._aligned, "boundaries": self.disparity}
+        return {name: self._kernels.numpy(field).astype(np.float32) for name, field in kept.items()}
+
+    def solution(self) -> Solution:
+        """How the alignment went: its trace is the root mean square step of each iteration, in pixels per view step."""
+        height, width = self._size
+        trace = tuple(math.sqrt(self._kernels.number(move) / (height * width)) for move in self._moves)
+        return Solution(
+            converged=trace[-1] <= _CONVERGED,
+            status=f"Views that agree differ by {self._config.sweep.noise:.2g} in intensity. Alignment: the last of "
+            f"{len(trace)} iterations moved pixels by {trace[-1]:.2g} px (rms).",
+            iterations=len(trace),
+            evaluations=len(trace),
+            trace=trace,
+        )
+
+    def _compare(self, views: Array) -> None:
+        self._load(views)
+        self._sweep.by_view_sets(self._volume)
+        self._find_surface(self._swept)
+
+    def _load(self, views: Array) -> None:
+        kernels = self._kernels
+        if self._chosen is not None:
+            kernels.line_of_views(views, self._used, vertical=False, epis_out=self._chosen)
+            views = self._chosen
+        kernels.intensities(
+            views, self._reference, self._valid, scale=self._scale, fill=UNLIKE_ANY, image_out=self._image
+        )
+        self._prior.load(self._image)
+        if self._near is not self._prior:
+            self._near.load(self._image)
+        self._sweep.load(self._image, views, self._valid)
+        self._align.load(self._image, views, self._valid)
+
+    def _compare_visible(self, _: Callback | None) -> None:
+        assert self._hiding is not None  # there is no such stage otherwise
+        self._hiding(self._swept, self._nearest)
+        self._sweep.by_visibility(self._nearest, self._volume)
+        self._find_surface(self._matched)
+
+    def _find_surface(self, disparity_out: Array) -> None:
+        """From costs to the map of the best surface through them; both volumes change."""
+        semi_global = self._config.semi_global
+        self._near.average(self._volume, self._smooth)
+        self._expect(self._smooth)
+        self._kernels.semi_global(
+            self._smooth,
+            self._image,
+            small=semi_global.small_penalty,
+            large=semi_global.large_penalty,
+            contrast=semi_global.contrast,
+            sum_out=self._volume,
+        )
+        self._kernels.winner_takes_all(self._volume, first=self._first, step=self._step, disparity_out=disparity_out)
+        if self._known is not None:  # what the reference did not record hides nothing
+            self._kernels.select(self._known, disparity_out, self._far, disparity_out)
+
+    def _improve(self, callback: Callback | None) -> None:
+        """Gauss-Newton steps on the sums over each pixel's surface around it, and then its mean."""
+        kernels, config, map_, workspace = self._kernels, self._config.alignment, self._aligned, self._workspace
+        longest = config.longest_step / self._farthest
+        kernels.copy(self._matched, map_)
+        for iteration, moved in enumerate(self._moves[: self._steps], 1):
+            # Beside an edge in another view, what is seen there is mixed with what is nearer: one pixel is left out.
+            self._hiding_beside(map_, self._nearest)
+            self._align(map_, self._nearest, self._curvature, self._slope)
+            self._on_surface(self._slope, self._curvature, _LEAST_CURVATURE * config.robust**2, workspace)
+            kernels.clamp(workspace, -longest, longest, workspace)
+            kernels.dot(workspace, workspace, moved)
+            kernels.axpby(1.0, map_, 1.0, workspace, map_)
+            kernels.clamp(map_, *self._bounds, map_)
+            self._weigh_texture(config.stiffness * config.robust**2)
+            kernels.multiply(map_, self._certainty, workspace)
+            self._on_surface(workspace, self._certainty, 0.0, self._slope)
+            kernels.copy(self._slope, map_)
+            if callback is not None:
+                callback(iteration, math.sqrt(kernels.number(moved) / (self._size[0] * self._size[1])))
+        kernels.axpby(1.0, self._certainty, -_STILL, self._prior.ones, workspace)
+        kernels.dot(workspace, self._prior.ones, self._trust)
+
+    def _complete(self, _: Callback | None) -> None:
+        """Outlines where the colours have them, and surfaces without texture as what is around them goes on."""
+        config = self._config
+        self._kernels.refine_boundaries(
+            self._image,
+            self._aligned,
+            step=config.sweep.tolerance / self._farthest,
+            contrast=config.boundaries.contrast,
+            share=config.boundaries.share,
+            disparity_out=self.disparity,
+        )
+        if self._known is not None:  # what the reference did not record is like nothing, and is left as it is
+            self._kernels.select(self._known, self._curvature, self._held, self._curvature)
+        self._hole_filling.run(
+            self.disparity,
+            self._curvature,
+            noise=config.alignment.robust**2,
+            support=config.alignment.support / self._farthest,
+        )
+        self._kernels.clamp(self.disparity, *self._bounds, self.disparity)
+        self._judge()
+
+    def _expect(self, costs: Array) -> None:
+        """For those who know something about the surface beforehand: change the costs [l, y, x] of its disparities."""
+
+    def _judge(self) -> None:
+        """confidence = 1 / (1 + odds), odds = (1 - c) / 2 + (s / _DOUBT)² being those of a pixel being off.
+
+        c is the mean certainty of the pixel's window, so that odds are 1 to 2 where it has no texture. s² is the mean
+        of (matched_q - disparity_p)² over the window: edges of depth between pixels that look alike, and what later
+        stages had to move, make it large.
+        """
+        kernels, prior, ones, workspace = self._kernels, self._prior, self._prior.ones, self._workspace
+        seen, matched, spread = self._certainty, self._slope, self._curvature
+        kernels.axpby(1.0, self._certainty, -_STILL, ones, workspace)
+        prior.mean(workspace, seen)
+
+        middle = sum(self._bounds) / 2  # squares of small numbers lose less in their difference
+        kernels.axpby(1.0, self._matched, -middle, ones, workspace)
+        prior.mean(workspace, matched)
+        kernels.multiply(workspace, workspace, workspace)
+        prior.mean(workspace, spread)
+        kernels.axpby(1.0, self.disparity, -middle, ones, workspace)
+        kernels.axpby(1.0, workspace, -2.0, matched, matched)
+        kernels.multiply(workspace, matched, matched)
+        kernels.axpby(1.0, spread, 1.0, matched, spread)
+
+        kernels.axpby(-0.5, seen, 1 / _DOUBT**2, spread, spread)
+        kernels.axpby(1.0, spread, 1.5, ones, spread)
+        kernels.divide(ones, spread, self.confidence)
+        kernels.clamp(self.confidence, 0.0, 1.0, self.confidence)  # where rounding made s² negative
+        if self._known is not None:
+            kernels.multiply(self.confidence, self._known, self.confidence)
+
+    def _weigh_texture(self, stiffness: float) -> None:
+        """certainty = curvature / (curvature + stiffness) + a little, so that where nothing is certain means exist."""
+        kernels, ones = self._kernels, self._prior.ones
+        kernels.axpby(1.0, self._curvature, stiffness, ones, self._certainty)
+        kernels.divide(self._curvature, self._certainty, self._certainty)
+        kernels.axpby(1.0, self._certainty, _STILL, ones, self._certainty)
+
+    def _on_surface(self, numerator: Array, denominator: Array, floor: float, ratio_out: Array) -> None:
+        self._prior.ratio(
+            self._aligned,
+            numerator,
+            denominator,
+            support=self._config.alignment.support / self._farthest,
+            floor=floor,
+            ratio_out=ratio_out,
+        )

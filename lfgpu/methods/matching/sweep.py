@@ -1,0 +1,69 @@
+"""What a plane sweep compares: which views, in which partial sets, at which disparities."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lfgpu.contract import Float64Array, KernelSet, PlaneSweep
+from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.methods.matching.config import SweepConfig
+
+_DIRECTIONS = 8  # in which some of the views lie
+_FEWEST = 4  # views beside the reference that a pattern must have
+_ON_LINE = 1e-3  # view steps
+
+
+def planned_sweep(
+    lf: LightField, place: tuple[float, float, int], config: SweepConfig, kernels: KernelSet, device: str
+) -> PlaneSweep:
+    first, step, count = place
+    return kernels.plane_sweep(
+        (len(lf.views), *lf.size, lf.channels),
+        kernels.field(lf.offsets, device),
+        kernels.field(view_sets(lf.offsets, config.view_set_angle), device),
+        first=first,
+        step=step,
+        count=count,
+        scale=lf.scale,
+        truncation=config.truncation,
+        gradient_weight=config.gradient_weight,
+        gradient_truncation=config.gradient_truncation,
+        preference=config.view_set_penalty,
+        tolerance=config.tolerance / farthest(lf.offsets),
+        least=max(1, math.ceil(config.min_share * (len(lf.views) - 1))),
+    )
+
+
+def used_views(lf: LightField, pattern: str) -> list[int]:
+    """Indices of the views of a pattern, in order, or of all if fewer than four beside the reference are in it."""
+    used = [int(index) for index in np.flatnonzero(lf.pattern(pattern))]
+    return used if len(used) > _FEWEST else list(range(len(lf.views)))
+
+
+def labels(bounds: tuple[float, float], offsets: Float64Array, config: SweepConfig) -> tuple[float, float, int]:
+    """First, distance and number of the disparities that are compared: even, from bound to bound.
+
+    They are `config.step` pixels apart in the farthest view, or as far as it takes for `config.max_labels` of them.
+    """
+    low, high = bounds
+    steps = math.ceil((high - low) * farthest(offsets) / config.step)
+    count = min(max(steps + 1, 3), config.max_labels)
+    return low, (high - low) / (count - 1), count
+
+
+def view_sets(offsets: Float64Array, angle: float) -> Float64Array:
+    """Which views belong together, [m, n] of 1 and 0: first all, then those within an angle (degrees) around the
+    reference, each with the views on its borders; those that repeat others or are empty left out.
+    """
+    turns = 2 * np.pi * np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS
+    along = np.cos(turns) * offsets[:, 0] + np.sin(turns) * offsets[:, 1]
+    ahead = along - math.cos(math.radians(angle) / 2) * np.hypot(*offsets.T) > -_ON_LINE
+    others = np.abs(offsets).max(1) > _ON_LINE
+    found: dict[bytes, Float64Array] = {}
+    for view_set in (np.ones(len(offsets), bool), *ahead):
+        used = np.asarray(view_set & others, np.float64)
+        if used.any():
+            found.setdefault(used.tobytes(), np.asarray(view_set, np.float64))
+    return np.stack(list(found.values()))

@@ -1,0 +1,149 @@
+"""What one frame of a stream leaves for the next: where surfaces were, for how long, and what they looked like.
+
+Three things come from the last map. The views that saw its surfaces are those that are compared, which spares the first
+sweep. Costs get strength * same * confidence * min(|d - past|, reach) / reach on top, so that what looks alike at
+several disparities does not jump between them. And the new map is averaged with the old one, pixel by pixel: with the
+number of frames that went into a pixel so far,
+
+    before = persistence * same * frames / (1 + ((past - d) / support)^4),   d <- (d + before past) / (1 + before),
+    frames <- 1 + before,
+
+which is a Kalman filter whose measurements are all as good as each other. `same` is 1 where the reference view looks
+as it did, 0 where it does not. The past is mixed in after the last average over the image, so that nothing is blurred
+again and again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from lfgpu.contract import Array, KernelSet, Scalar, Streaming
+from lfgpu.data.lightfield import LightField
+from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.plan import MatchingPlan
+from lfgpu.methods.measured import Measured
+from lfgpu.methods.temporal_prior import TemporalPrior
+
+
+class TemporalMatching(MatchingPlan):
+    """Matching that may start from the frame before, with all memory allocated.
+
+    A cold frame knows nothing of the past, a warm one begins with the last map. Each makes its map the past of the next
+    frame.
+
+    Parameters
+    ----------
+    lf, measured, config, kernels, device
+        As for `MatchingPlan`; `alignment.iterations` is the most steps that a frame may take.
+    streaming
+        The kernels that only streams need.
+    prior
+        How much the last map says.
+    """
+
+    def __init__(
+        self,
+        lf: LightField,
+        measured: Measured,
+        config: MatchingConfig,
+        kernels: KernelSet,
+        device: str,
+        *,
+        streaming: Streaming,
+        prior: TemporalPrior,
+    ) -> None:
+        super().__init__(lf, measured, config, kernels, device)
+        # What compares only once has no use for it otherwise.
+        shape = (*self._nearest.shape, lf.channels)
+        self._past_hiding = self._hiding or kernels.z_buffer(shape, self._offsets, reach=0)
+        self._temporal, self._streaming, self._is_warm = prior, streaming, False
+        self._past, self._frames, self._same, self._believed = (kernels.zeros(lf.size, device) for _ in range(4))
+        self._last_image = kernels.zeros_image((*lf.size, lf.channels), device)
+
+    @property
+    def noise(self) -> float:
+        """How much views differ where they agree, intensity."""
+        return self._config.sweep.noise
+
+    @property
+    def numbers(self) -> tuple[Scalar, Scalar]:
+        """How much texture there was, 0 if none; and the size of the first step, NaN if something was not finite."""
+        return self._trust, self._moves[0]
+
+    def mask(self, valid: Array | None) -> None:
+        """Which pixels of the used views count from now on, a field [n, y, x]; None if all do."""
+        self._valid = valid
+
+    @property
+    def levels(self) -> tuple[tuple[int, Callable[[Array], None]], ...]:
+        """(steps, work) for a frame on its own, from the least to the most work."""
+        steps = range(1, self._config.alignment.iterations + 1)
+        quick = [(1, lambda views: self.cold(views, 1, twice=False))] if self._twice else []
+        return (*quick, *((n, lambda views, n=n: self.cold(views, n, twice=True)) for n in steps))
+
+    @property
+    def warm_levels(self) -> tuple[tuple[int, Callable[[Array], None]], ...]:
+        """The same for a frame that starts from the map before."""
+        steps = range(1, self._config.alignment.iterations + 1)
+        return tuple((n, lambda views, n=n: self.warm(views, n)) for n in steps)
+
+    def cold(self, views: Array, steps: int, *, twice: bool) -> None:
+        """The map of `views` [n, y, x, c] alone, by `steps` of the alignment; compared again only if `twice`."""
+        self._is_warm, self._steps = False, steps
+        self._compare(views)
+        if self._twice and twice:
+            self._compare_visible(None)
+        elif self._twice:
+            self._kernels.copy(self._swept, self._matched)
+        self._improve(None)
+        self._complete(None)
+        self._remember()
+
+    def warm(self, views: Array, steps: int) -> None:
+        """A map of `views` that starts from the last one: the views that saw that are those that are compared, once."""
+        kernels = self._kernels
+        self._is_warm, self._steps = True, steps
+        self._load(views)
+        tolerance = self._temporal.tolerance * self.noise
+        self._streaming.sameness(self._image, self._last_image, tolerance=tolerance, same_out=self._same)
+        kernels.multiply(self._same, self.confidence, self._believed)
+        self._past_hiding(self._past, self._nearest)
+        self._sweep.by_visibility(self._nearest, self._volume)
+        self._find_surface(self._swept)
+        if self._twice:
+            kernels.copy(self._swept, self._matched)
+        self._improve(None)
+        self._complete(None)
+        self._remember()
+
+    def _remember(self) -> None:
+        copy = self._kernels.copy
+        copy(self.disparity, self._past)
+        copy(self._image, self._last_image)
+
+    def _expect(self, costs: Array) -> None:
+        strength = self._temporal.strength * self._config.semi_global.large_penalty
+        if self._is_warm and strength > 0:
+            self._streaming.bias(
+                self._past,
+                self._believed,
+                costs,
+                first=self._first,
+                step=self._step,
+                strength=strength,
+                reach=self._temporal.reach,
+            )
+
+    def _judge(self) -> None:
+        if self._is_warm and self._temporal.persistence > 0:
+            self._streaming.blend(
+                self._past,
+                self._same,
+                self._frames,
+                self.disparity,
+                persistence=self._temporal.persistence,
+                support=self._temporal.support / self._farthest,
+            )
+        else:
+            self._kernels.fill(1.0, self._frames)
+        super()._judge()

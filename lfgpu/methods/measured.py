@@ -1,0 +1,47 @@
+"""What is measured on a light field before it is estimated: found once, checked once, handed on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The disparity range and the noise of a light field.
+
+    Parameters
+    ----------
+    disparity_range
+        (low, high) in pixels per view step.
+    noise
+        Difference between views that agree, intensity; None if the method does not use it.
+    """
+
+    disparity_range: tuple[float, float]
+    noise: float | None = None
+
+
+def checked_range(disparity_range: tuple[float, float], lf: LightField) -> tuple[float, float]:
+    """A range that somebody gave, as two numbers; LightFieldError if it cannot be one of this light field."""
+    try:
+        low, high = (float(bound) for bound in disparity_range)
+    except (TypeError, ValueError):
+        low = high = np.nan
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise LightFieldError(
+            "disparity range must be two finite numbers, low < high, in pixels per view step; found "
+            f"{disparity_range!r}."
+        )
+    distances = np.abs(lf.offsets).max(1)
+    nearest, size = distances[distances > 0].min(), max(lf.size)
+    if max(abs(low), abs(high)) * nearest >= size:
+        raise LightFieldError(
+            f"disparity range {low:g}, {high:g} is in pixels per view step: already the nearest view would be shifted "
+            f"by {max(abs(low), abs(high)) * nearest:g} px, out of views of {size} px; give smaller disparities."
+        )
+    return low, high

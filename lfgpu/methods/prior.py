@@ -1,0 +1,84 @@
+"""The non-local-means prior of one reference image: its weights and what they do to a map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lfgpu.contract import Array, KernelSet, Scalar, half_window
+from lfgpu.methods.sections import PriorConfig
+
+UNLIKE_ANY = 10.0
+"""An intensity far from all recorded ones: where the reference is not valid, similar to nothing but to its like."""
+
+
+class NonLocalMeans:
+    """Weights w_pq of the pixels in each other's window, computed from a reference image, and their operators.
+
+    Parameters
+    ----------
+    shape
+        (height, width, channels) of the reference image.
+    config
+        Window, patch and scales of the weights.
+    kernels, device
+        Where the weights live; they and what it takes to compute them are window² floats a pixel.
+    """
+
+    def __init__(self, shape: Sequence[int], config: PriorConfig, kernels: KernelSet, device: str) -> None:
+        self.kernels, self.device, self.window = kernels, device, config.window
+        self.weights = kernels.zeros((len(half_window(config.window)), *shape[:2]), device)
+        """[k, y, x] in the order of `half_window`."""
+        self._weigh = kernels.nlm_weights(
+            shape,
+            device,
+            window=config.window,
+            patch=config.patch,
+            sigma_color=config.sigma_color,
+            sigma_gradient=config.sigma_gradient,
+            floor=config.floor,
+        )
+        self.ones, self.degree = kernels.zeros(shape[:2], device), kernels.zeros(shape[:2], device)
+        """1; and W 1, the sum of the weights of each pixel's window, its own 1 included; fields [y, x]."""
+
+    def load(self, image: Array) -> None:
+        """Take another reference image, float32 [y, x, c] in [0, 1], or UNLIKE_ANY where it is not valid."""
+        self._weigh(image, self.weights)
+        self.kernels.fill(1.0, self.ones)
+        self.neighbors(self.ones, self.degree)
+
+    def neighbors(self, values: Array, sums_out: Array) -> None:
+        """W v: the weighted sum over each pixel's window, itself included."""
+        self.kernels.nlm_neighbors(self.weights, values, window=self.window, sums_out=sums_out)
+
+    def mean(self, values: Array, means_out: Array) -> None:
+        """W v / W 1: the weighted mean over each pixel's window."""
+        self.neighbors(values, means_out)
+        self.kernels.divide(means_out, self.degree, means_out)
+
+    def laplacian(self, values: Array, laplacian_out: Array) -> None:
+        """L v, with R(v) = Σ_p Σ_{q∈N(p)} w_pq (v_p - v_q)² = 2 vᵀ L v and ∇R = 4 L v."""
+        self.kernels.nlm_laplacian(self.weights, values, window=self.window, laplacian_out=laplacian_out)
+
+    def half(self, values: Array, laplacian_out: Array, half_out: Scalar) -> None:
+        """L v, and R(v) / 2 = vᵀ L v."""
+        self.laplacian(values, laplacian_out)
+        self.kernels.dot(values, laplacian_out, half_out)
+
+    def average(self, volume: Array, average_out: Array) -> None:
+        """W v / W 1 of each slice of a volume [l, y, x]."""
+        self.kernels.nlm_average(self.weights, volume, window=self.window, average_out=average_out)
+
+    def ratio(
+        self, guide: Array, numerator: Array, denominator: Array, *, support: float, floor: float, ratio_out: Array
+    ) -> None:
+        """W' numerator / W' (denominator + floor), W' being the weights of pixels on the same surface of the guide."""
+        self.kernels.nlm_ratio(
+            self.weights,
+            guide,
+            numerator,
+            denominator,
+            window=self.window,
+            support=support,
+            floor=floor,
+            ratio_out=ratio_out,
+        )

@@ -1,0 +1,52 @@
+"""The energy that the refinement minimises: data term plus weighted prior, with its exact gradient."""
+
+from __future__ import annotations
+
+from lfgpu.contract import Array, Scalar
+from lfgpu.methods.prior import NonLocalMeans
+from lfgpu.methods.synthesis.model import ForwardModel
+
+_EVENNESS = 0.75  # how much of the curvature is its mean
+
+
+class Energy:
+    """E(d) = mean over views and channels of ‖L̃_d - L‖² + λ R(d) (paper, the refinement objective).
+
+    Parameters
+    ----------
+    model, prior
+        The two terms, on one device.
+    smoothness
+        λ, >= 0.
+    """
+
+    def __init__(self, model: ForwardModel, prior: NonLocalMeans, smoothness: float) -> None:
+        self._model, self._prior, self._smoothness = model, prior, smoothness
+        self._laplacian = prior.kernels.zeros(model.size, prior.device)
+        self._half, self._share = (prior.kernels.scalar(0.0, prior.device) for _ in range(2))
+        self._even_share = prior.kernels.scalar((1.0 - _EVENNESS) * model.size[0] * model.size[1], prior.device)
+        self.curvature = prior.kernels.zeros(model.size, prior.device)
+        """About the second derivative by each pixel, in units of its mean, a field [y, x] > 0, as `load` leaves it.
+
+        What is seen best has the largest one, and a solver that knows moves all pixels alike. The mean has the larger
+        part in it: the second derivative by one pixel alone is not that by many together, and where there is little to
+        see a pixel would otherwise run ahead and follow the noise.
+        """
+
+    def load(self) -> None:
+        """Take what model and prior have loaded."""
+        kernels, prior, curvature, weight = self._prior.kernels, self._prior, self.curvature, 4.0 * self._smoothness
+        self._model.curvature(curvature)
+        kernels.axpby(self._model.mean, curvature, weight, prior.degree, curvature)
+        kernels.axpby(1.0, curvature, -weight, prior.ones, curvature)  # a pixel is not its own neighbour
+        kernels.dot(curvature, prior.ones, self._share)
+        kernels.ratio(self._even_share, self._share, self._share)
+        kernels.axpby(self._share, curvature, _EVENNESS, prior.ones, curvature)
+
+    def __call__(self, disparity: Array, gradient_out: Array, value_out: Scalar) -> None:
+        """Value and gradient at a disparity map, fields [y, x], pixels per view step."""
+        kernels, mean = self._prior.kernels, self._model.mean
+        self._model.squared_error(disparity, gradient_out, value_out)
+        self._prior.half(disparity, self._laplacian, self._half)
+        kernels.axpby(mean, value_out, 2.0 * self._smoothness, self._half, value_out)
+        kernels.axpby(mean, gradient_out, 4.0 * self._smoothness, self._laplacian, gradient_out)

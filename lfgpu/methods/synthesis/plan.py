@@ -1,0 +1,120 @@
+"""Synthesis: the method of the paper (Sajjadi et al. 2016), in three stages.
+
+`local`: structure tensors on epipolar plane images where the views are coherent. `propagate`: the rest is filled from
+pixels that look alike. `refine`: the map that predicts all recorded views best, under the same prior.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from lfgpu.contract import Array, Float32Array, KernelSet
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.methods.base import Callback, Work
+from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
+from lfgpu.methods.structure_tensor import LocalEstimator
+from lfgpu.methods.synthesis.config import SynthesisConfig
+from lfgpu.methods.synthesis.energy import Energy
+from lfgpu.methods.synthesis.model import ForwardModel
+from lfgpu.methods.synthesis.propagation import Propagation
+from lfgpu.solvers.lbfgs import BoundedLbfgs
+from lfgpu.solvers.lbfgsb import ScipyLbfgsb
+from lfgpu.solvers.solution import Solution
+
+_SOLVERS: dict[str, type[BoundedLbfgs] | type[ScipyLbfgsb]] = {"lbfgs": BoundedLbfgs, "lbfgsb": ScipyLbfgsb}
+
+
+class SynthesisPlan:
+    """The method of the preset "paper" for light fields of one kind.
+
+    Parameters
+    ----------
+    lf
+        A light field of that kind: its cameras, size, stored type, masks and reference view count, its views do not.
+    bounds
+        (low, high) of the disparities, pixels per view step.
+    config
+        `local`, `prior`, `propagation` and `refinement` count.
+    kernels, device
+        Where it is done.
+
+    Raises
+    ------
+    LightFieldError
+        If no second view is in line with the reference.
+    """
+
+    decided = "propagate"
+
+    def __init__(
+        self, lf: LightField, bounds: tuple[float, float], config: SynthesisConfig, kernels: KernelSet, device: str
+    ) -> None:
+        where, shape = (kernels, device), (*lf.size, lf.channels)
+        self._kernels, self._reference, self._scale = kernels, lf.reference_index, lf.scale
+        self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
+        self._image = kernels.zeros_image(shape, device)
+        self._local = LocalEstimator(lf, bounds, config.local, *where)
+        self._prior = NonLocalMeans(shape, config.prior, *where)
+        self._propagation = Propagation(lf.size, bounds, self._prior, config.propagation)
+        self.disparity, self.confidence = (kernels.zeros(lf.size, device) for _ in range(2))
+        """The results, fields [y, x]."""
+        self._model = ForwardModel(lf, config.refinement, *where)
+        self._energy = Energy(self._model, self._prior, config.refinement.smoothness)
+        self._refinement = _SOLVERS[config.refinement.solver](
+            lf.size,
+            bounds,
+            *where,
+            tolerance=config.refinement.tolerance,
+            max_iterations=config.refinement.max_iterations,
+        )
+
+    def stages(self, views: Array) -> dict[str, Work]:
+        """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
+        return {
+            "local": lambda _: self._local.run(views),
+            "propagate": lambda callback: self._fill(views, callback),
+            "refine": lambda callback: self._refine(views, callback),
+        }
+
+    def check(self, name: str) -> None:
+        """LightFieldError, with the light field's name, if nothing came of the last run; waits for the device."""
+        if self._kernels.number(self._propagation.trusted) == 0:
+            raise LightFieldError(
+                f"{name}: no pixel has a coherent estimate within the disparity range: the views have no texture, are "
+                "masked, or the range is wrong; give another one, or lower local.coherence_threshold."
+            )
+
+    def is_finite(self) -> bool:
+        """Whether the last run met finite numbers only; waits for the device."""
+        return bool(np.isfinite(self._refinement.report().trace[0]))
+
+    def maps(self) -> dict[str, Float32Array]:
+        """The map after each stage, float32 [y, x], NaN where it is undefined; waits for the device."""
+        local, coherence, filled, refined = (
+            self._kernels.numpy(field).astype(np.float32, copy=False)
+            for field in (self._local.disparity, self._local.coherence, self._propagation.filled, self.disparity)
+        )
+        return {"local": np.where(coherence > 0, local, np.float32(np.nan)), "propagate": filled, "refine": refined}
+
+    def solution(self) -> Solution:
+        """How the last run went: the trace is the energy of the refinement; waits for the device."""
+        refined = self._refinement.report()
+        status = f"Propagation: {self._propagation.report().status} Refinement: {refined.status}"
+        return dataclasses.replace(refined, status=status)
+
+    def _fill(self, views: Array, callback: Callback | None) -> None:
+        self._kernels.intensities(
+            views, self._reference, self._valid, scale=self._scale, fill=UNLIKE_ANY, image_out=self._image
+        )
+        self._prior.load(self._image)
+        self._propagation.run(self._local.disparity, self._local.coherence, callback)
+        self._prior.mean(self._local.coherence, self.confidence)
+
+    def _refine(self, views: Array, callback: Callback | None) -> None:
+        self._model.load(views, self._propagation.filled)
+        self._kernels.copy(self._propagation.filled, self.disparity)
+        self._energy.load()
+        self._refinement.minimize(self._energy, self.disparity, callback, curvature=self._energy.curvature)

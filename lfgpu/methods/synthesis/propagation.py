@@ -1,0 +1,86 @@
+"""Filling the gaps of the local estimate from pixels that look alike (paper §4.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from lfgpu.contract import Array, Scalar
+from lfgpu.methods.prior import NonLocalMeans
+from lfgpu.methods.synthesis.config import PropagationConfig
+from lfgpu.solvers.cg import ConjugateGradients
+from lfgpu.solvers.lbfgsb import ScipyLbfgsb
+from lfgpu.solvers.solution import Solution
+
+
+class Propagation:
+    """argmin_m Σ_p Σ_{q∈N(p)} w_pq [(m_p - m_q)² + C_p (m0_p - m_q)²] for estimates m0 of coherence C.
+
+    With L the Laplacian and W the neighbour sums of the weights the normal equations are
+    (2 L + diag(W C)) m = W (C m0). The minimum lies within the range of the defined m0.
+
+    Parameters
+    ----------
+    shape
+        (height, width) of the map.
+    bounds
+        (low, high) of the estimates.
+    prior
+        The weights.
+    config
+        Solver, tolerance and limit.
+    """
+
+    def __init__(
+        self, shape: Sequence[int], bounds: tuple[float, float], prior: NonLocalMeans, config: PropagationConfig
+    ) -> None:
+        kernels, device = prior.kernels, prior.device
+        self._prior, self._kernels = prior, kernels
+        tolerance, most = config.tolerance, config.max_iterations
+        self._linear = ConjugateGradients(shape, kernels, device, tolerance=tolerance, max_iterations=most)
+        self._by_gradient = None
+        if config.solver == "lbfgsb":
+            self._by_gradient = ScipyLbfgsb(shape, bounds, kernels, device, tolerance=tolerance, max_iterations=most)
+        self._trust, self._target, self._workspace, self._inverse = (kernels.zeros(shape, device) for _ in range(4))
+        self._mean, self._linear_part = kernels.scalar(0.0, device), kernels.scalar(0.0, device)
+        self.trusted = kernels.scalar(0.0, device)
+        """Σ C: 0 if nothing was defined, and then the filled map means nothing."""
+        self.filled = kernels.zeros(shape, device)
+        """The map, a field [y, x]."""
+
+    def run(self, disparity: Array, coherence: Array, callback: Callable[[int, float], None] | None = None) -> None:
+        """Fill a map [y, x] where its coherence [y, x] is 0, and smooth it elsewhere by as much as it is not 1."""
+        k, prior, workspace, inverse = self._kernels, self._prior, self._workspace, self._inverse
+        k.multiply(coherence, disparity, workspace)
+        prior.neighbors(coherence, self._trust)
+        prior.neighbors(workspace, self._target)
+        k.dot(coherence, prior.ones, self.trusted)
+        k.dot(workspace, prior.ones, self._mean)
+        k.ratio(self._mean, self.trusted, self._mean)
+        k.fill(self._mean, self.filled)
+        k.select(coherence, disparity, self.filled, self.filled)
+        if self._by_gradient is not None:
+            self._by_gradient.minimize(self._energy, self.filled, callback)
+            return
+        k.axpby(2.0, prior.degree, 1.0, self._trust, inverse)
+        k.axpby(1.0, inverse, -2.0, prior.ones, inverse)  # a pixel is not its own neighbour
+        k.divide(prior.ones, inverse, inverse)
+        self._linear.solve(self._apply, self._target, inverse, self.filled, callback)
+
+    def report(self) -> Solution:
+        """How the last run went; waits for the device."""
+        return (self._by_gradient or self._linear).report()
+
+    def _apply(self, m: Array, result_out: Array) -> None:
+        """(2 L + diag(W C)) m"""
+        self._prior.laplacian(m, result_out)
+        self._kernels.multiply(self._trust, m, self._workspace)
+        self._kernels.axpby(2.0, result_out, 1.0, self._workspace, result_out)
+
+    def _energy(self, m: Array, gradient_out: Array, value_out: Scalar) -> None:
+        """mᵀ A m - 2 bᵀ m: the energy up to a constant."""
+        k = self._kernels
+        self._apply(m, gradient_out)
+        k.dot(m, gradient_out, value_out)
+        k.dot(m, self._target, self._linear_part)
+        k.axpby(1.0, value_out, -2.0, self._linear_part, value_out)
+        k.axpby(2.0, gradient_out, -2.0, self._target, gradient_out)

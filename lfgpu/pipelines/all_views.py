@@ -1,0 +1,286 @@
+"""A disparity map for every view of a light field, all of one scene: what one says, the others confirm.
+
+A few key views are estimated, spread as far apart as can be. Their maps are carried into each other view, where what is
+nearest lands on top; where they tell different things, they vote; and what agrees is averaged at sub-pixel precision.
+Estimating every view on its own would cost more, and its maps would differ by as much as each is wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from numbers import Integral
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu.config import Config
+from lfgpu.contract import Float32Array, Float64Array, KernelSet
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data.views_result import ViewsResult
+from lfgpu.errors import LightFieldError
+from lfgpu.methods import configured, method_of
+from lfgpu.methods.measured import Measured
+from lfgpu.pipelines.pipeline import DepthPipeline, Progress
+
+_KEYS = 9
+_LEAST_VALID = 0.5  # share of a view's pixels, for it to become a key
+_LANDED = -1e5  # px per view step: `z_buffer` writes less where nothing lands
+_UNKNOWN = 1e6  # px per view step: so near that it hides everything, farther away than all that lands if negative
+_SEEN_THROUGH = 0.5  # of a vote: beside an edge a key that sees through is wrong more often than one that agrees
+
+
+def estimate_all_views(
+    lf: LightField,
+    *,
+    keys: int = _KEYS,
+    config: Config | str = "accurate",
+    disparity_range: tuple[float, float] | None = None,
+    backend: str = DEFAULT,
+    device: str | None = None,
+    deterministic: bool = False,
+    on_progress: Progress | None = None,
+) -> ViewsResult:
+    """Estimate the disparity of every view of a light field, consistent with each other.
+
+    Parameters
+    ----------
+    lf
+        The light field.
+    keys
+        How many views are estimated, >= 1, 9 by default: the reference, and then each time the view that is farthest
+        from those before, if at least half of its pixels are valid. Time is nearly in proportion to them; from as many
+        as there are views on, all are.
+    config, disparity_range, backend, device, deterministic
+        As for `estimate_depth`. The range and the noise are found once, from the reference view. Disparities that
+        differ by up to `Method.same_surface` are of one surface.
+    on_progress
+        Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
+        view: `keys` estimates key views, `join` makes the maps of all views, and value is the share that is done.
+
+    Raises
+    ------
+    LightFieldError
+        As `estimate_depth`; if `keys` is no whole number >= 1; or if a view shows nothing that a key view shows.
+    BackendError
+        As `estimate_depth`.
+    """
+    if isinstance(keys, bool) or not isinstance(keys, Integral) or keys < 1:
+        raise LightFieldError(f"keys must be a whole number >= 1, found {keys!r}.")
+    report = on_progress or (lambda stage, iteration, value: None)
+    usable = None if lf.valid is None else lf.valid.mean((1, 2)) >= _LEAST_VALID
+    chosen = spread_out(lf.positions, lf.reference_index, int(keys), usable)
+    start = perf_counter()
+
+    report("keys", 0, 0.0)
+    estimates: list[DepthResult] = []
+    for pipeline in _pipelines(lf, chosen, configured(config), disparity_range, backend, device, deterministic):
+        estimates.append(pipeline.estimate())
+        report("keys", len(estimates), len(estimates) / len(chosen))
+    estimated = perf_counter()
+
+    report("join", 0, 0.0)
+    kernels = load(backend)
+    join = Join(
+        estimates,
+        None if lf.valid is None else lf.valid[chosen],
+        kernels,
+        pick_device(kernels, device),
+        tolerance=method_of(config).same_surface(lf),
+    )
+    disparities, confidences = (np.empty(lf.views.shape[:3], np.float32) for _ in range(2))
+    for index, position in enumerate(lf.positions):
+        disparity, confidence = join(position)
+        if np.isnan(disparity).all():
+            u, v = position
+            raise LightFieldError(
+                f"{lf.name}: view {index} (row {v:g}, column {u:g}) shows nothing that one of the {len(chosen)} key "
+                "views shows; take more keys."
+            )
+        disparities[index], confidences[index] = filled_from_behind(disparity), confidence
+        report("join", index + 1, (index + 1) / len(lf.positions))
+    end = perf_counter()
+    return ViewsResult(
+        disparities,
+        confidences,
+        lf.positions,
+        tuple(chosen),
+        estimates[0],
+        {"keys": estimated - start, "join": end - estimated, "total": end - start},
+    )
+
+
+def spread_out(positions: Float64Array, first: int, count: int, usable: NDArray[np.bool_] | None = None) -> list[int]:
+    """Indices of up to `count` of the positions [n, 2]: `first`, then each time the one farthest from all before.
+
+    Only those that are `usable` [n] (None: all) come after the first.
+    """
+    chosen = [first]
+    distance = np.full(len(positions), np.inf) if usable is None else np.where(usable, np.inf, 0.0)
+    while len(chosen) < count:
+        distance = np.minimum(distance, np.hypot(*(positions - positions[chosen[-1]]).T))
+        if distance.max() == 0:
+            break
+        chosen.append(int(np.argmax(distance)))
+    return chosen
+
+
+def filled_from_behind(disparity: Float32Array) -> Float32Array:
+    """[y, x] with each NaN replaced: of the next values to the left, right, above and below by the farthest.
+
+    What is behind is hidden by what is before, not the other way round. NaN that have no value in their row and column
+    take it from such neighbours.
+    """
+    values = np.where(np.isnan(disparity), np.inf, disparity)
+    while np.isinf(values).any():
+        sides = [_next_value(np.rot90(values, turns)) for turns in range(4)]
+        farthest = np.min([np.rot90(side, -turns) for turns, side in enumerate(sides)], axis=0)
+        values = np.where(np.isinf(values), farthest, values)
+    return values.astype(np.float32)
+
+
+def _next_value(values: Float32Array) -> Float32Array:
+    """Each infinity replaced by the next value to the left, where there is one."""
+    columns = np.where(np.isinf(values), 0, np.arange(values.shape[1]))
+    return np.take_along_axis(values, np.maximum.accumulate(columns, axis=1), axis=1)
+
+
+def _pipelines(
+    lf: LightField,
+    chosen: Sequence[int],
+    config: Config,
+    disparity_range: tuple[float, float] | None,
+    backend: str,
+    device: str | None,
+    deterministic: bool,
+) -> Iterator[DepthPipeline]:
+    """One for each view, made when it is its turn; range and noise are those of the first."""
+    measured: Measured | None = None
+    for index in chosen:
+        pipeline = DepthPipeline(
+            lf.with_reference(index),
+            config=config,
+            disparity_range=disparity_range,
+            backend=backend,
+            device=device,
+            deterministic=deterministic,
+            measured=measured,
+        )
+        measured = pipeline.measured
+        yield pipeline
+
+
+class Join:
+    """What the maps of the key views say together about any view.
+
+    Parameters
+    ----------
+    estimates
+        Those of the key views.
+    valid
+        bool [k, y, x]: where these say something; None is everywhere.
+    kernels, device
+        Where maps are carried into other views; the rest is done on the host.
+    tolerance
+        Disparities that differ by more belong to different surfaces, pixels per view step.
+    """
+
+    def __init__(
+        self,
+        estimates: Sequence[DepthResult | DisparityMap],
+        valid: NDArray[np.bool_] | None,
+        kernels: KernelSet,
+        device: str,
+        *,
+        tolerance: float,
+    ) -> None:
+        self._kernels, self._device = kernels, device
+        self._tolerance, self._size = tolerance, estimates[0].disparity.shape
+        self._positions = [np.asarray(estimate.position) for estimate in estimates]
+        self._confidences = [
+            np.ones(self._size, np.float32) if estimate.confidence is None else estimate.confidence
+            for estimate in estimates
+        ]
+        maps = np.stack([estimate.disparity for estimate in estimates])
+        known = np.ones(maps.shape, np.bool_) if valid is None else valid
+        # What is not known lands nowhere, and has no voice where it is looked at.
+        self._landing = [kernels.field(values, device) for values in np.where(known, maps, np.float32(-_UNKNOWN))]
+        self._maps = np.where(known, maps, np.float32(_UNKNOWN))
+        self._landed = kernels.zeros((1, *self._size), device)
+
+    def __call__(self, position: Float64Array) -> tuple[Float32Array, Float32Array]:
+        """Disparity, NaN where no key view shows what is there, and confidence of the view at `position`; [y, x]."""
+        steps = [key - position for key in self._positions]
+        disparity = self._most_agreed(steps)
+        total, agreeing, opposed, trust = (np.zeros(self._size, np.float32) for _ in range(4))
+        y, x = np.mgrid[: self._size[0], : self._size[1]].astype(np.float32)
+        for values, confidence, (du, dv) in zip(self._maps, self._confidences, steps, strict=True):
+            place = _Place(x - disparity * np.float32(du), y - disparity * np.float32(dv), self._size)
+            seen = place.bilinear(values)
+            agrees = place.inside & (np.abs(seen - disparity) <= self._tolerance)
+            total += np.where(agrees, seen, 0)
+            agreeing += agrees
+            opposed += place.inside & (seen < disparity - self._tolerance)
+            trust += np.where(agrees, place.nearest(confidence), 0)
+        mean = np.where(agreeing > 0, total / np.maximum(agreeing, 1), np.nan)
+        return mean.astype(np.float32), trust / np.maximum(agreeing + opposed, 1)
+
+    def _most_agreed(self, steps: Sequence[Float64Array]) -> Float32Array:
+        """Of what lands on each pixel from the key views, that for which most of them are; 0 where nothing lands, so
+        that the keys say whether that is true.
+
+        A key is for a disparity if it has the same one where that points to, and against it if it sees through: only
+        there, as what is nearer in the key may hide the pixel. The farther one wins a tie.
+        """
+        landed = np.sort(np.stack([self._carried(n, step) for n, step in enumerate(steps)]), axis=0)
+        nothing = landed < _LANDED
+        highest, lowest = landed[-1], np.where(nothing, np.inf, landed).min(0)
+        best = np.where(nothing.all(0), 0, lowest).astype(np.float32)
+        y, x = np.nonzero(highest - lowest > self._tolerance)
+        candidates = landed[:, y, x]
+        votes = np.full(candidates.shape, -np.inf, np.float32)
+        for candidate, vote in zip(candidates, votes, strict=True):
+            there = np.flatnonzero(candidate >= _LANDED)
+            vote[there] = self._vote(steps, x[there], y[there], candidate[there])
+        best[y, x] = np.take_along_axis(candidates, votes.argmax(0)[None], 0)[0]
+        return best
+
+    def _vote(
+        self, steps: Sequence[Float64Array], x: NDArray[np.intp], y: NDArray[np.intp], disparity: Float32Array
+    ) -> Float32Array:
+        votes = np.zeros(disparity.shape, np.float32)
+        for values, (du, dv) in zip(self._maps, steps, strict=True):
+            place = _Place(x - disparity * np.float32(du), y - disparity * np.float32(dv), self._size)
+            nearer = place.nearest(values) - disparity
+            agrees, sees_through = np.abs(nearer) <= self._tolerance, nearer < -self._tolerance
+            votes += place.inside * (agrees - np.float32(_SEEN_THROUGH) * sees_through)
+        return votes
+
+    def _carried(self, key: int, step: Float64Array) -> Float32Array:
+        """The map of a key view in the view from which it is `step` away, [y, x]; below _LANDED where nothing lands."""
+        offset = self._kernels.field(-step[None], self._device)
+        carry = self._kernels.z_buffer((1, *self._size, 1), offset, reach=0)
+        carry(self._landing[key], self._landed)
+        return self._kernels.numpy(self._landed)[0].astype(np.float32)
+
+
+class _Place:
+    """Places (x, y) in a map of that size; those outside are moved to its border."""
+
+    def __init__(self, x: Float32Array, y: Float32Array, size: tuple[int, ...]) -> None:
+        bottom, right = size[0] - 1, size[1] - 1
+        self.inside = (x >= 0) & (x <= right) & (y >= 0) & (y <= bottom)
+        self._x, self._y, self._right, self._bottom = np.clip(x, 0, right), np.clip(y, 0, bottom), right, bottom
+
+    def nearest(self, values: Float32Array) -> Float32Array:
+        return values[(self._y + 0.5).astype(np.intp), (self._x + 0.5).astype(np.intp)]
+
+    def bilinear(self, values: Float32Array) -> Float32Array:
+        left, top = self._x.astype(np.intp), self._y.astype(np.intp)
+        across, down = self._x - left, self._y - top
+        right, below = np.minimum(left + 1, self._right), np.minimum(top + 1, self._bottom)
+        upper = (1 - across) * values[top, left] + across * values[top, right]
+        lower = (1 - across) * values[below, left] + across * values[below, right]
+        return np.asarray((1 - down) * upper + down * lower, np.float32)

@@ -1,0 +1,119 @@
+"""A pipeline as files, for programs without Python."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from importlib.resources import files
+from pathlib import Path
+
+from lfgpu._backends import DEFAULT, load
+from lfgpu.config import Config, as_dict
+from lfgpu.contract import Recording
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import BackendError, LightFieldError
+from lfgpu.io.about import CONVENTION
+from lfgpu.io.atomic import atomic_folder, check_writable
+from lfgpu.methods import method_of
+from lfgpu.pipelines.pipeline import DepthPipeline
+from lfgpu.threads import limited_threads
+
+_PROGRAM = "replay.cpp"
+
+_README = """\
+What `lfgpu export` wrote: the estimate of disparity for light fields of one kind, to be run without Python.
+
+pipeline.wrp, pipeline_modules/  the recorded work and its compiled kernels, for {device}
+pipeline.json                    shapes, types, cameras, range and parameters
+replay.cpp                       a program that loads it, gives it frames from a file and writes the maps
+
+It belongs to Warp {version} and to processors like the one it was written on. Where Warp's package is installed
+(its folder is {package} here), build and run the program with
+
+    g++ -O2 -std=c++17 replay.cpp -o replay -L"$WARP/bin" -l:warp.so -l:warp-clang.so -Wl,-rpath,"$WARP/bin"
+    ./replay . frames.raw maps.raw
+
+with WARP set to that folder. frames.raw holds frames one after the other, each {frame_bytes} bytes: the views
+[n, y, x, c] = {shape}, {dtype}. For each frame maps.raw gets {map_bytes} bytes of disparity and as many of
+confidence, float32 [y, x]. They have the same bits as those of lfgpu on the same device. On a CPU one thread does it
+all.
+"""
+
+
+def export_pipeline(
+    lf: LightField,
+    out: str | os.PathLike[str],
+    *,
+    config: Config | str = "accurate",
+    disparity_range: tuple[float, float] | None = None,
+    backend: str = DEFAULT,
+    device: str | None = "cpu",
+) -> None:
+    """Write what a `DepthPipeline` does, for programs that replay it through Warp's C interface; whole or not at all.
+
+    Parameters
+    ----------
+    lf
+        A light field of the kind, as for `DepthPipeline`. Its cameras and masks stay what they are.
+    out
+        The folder; README.txt in it says what is there. Files of an older export are written over.
+    config, disparity_range
+        As for `estimate_depth`. The method must be one that can be exported, as matching is.
+    backend
+        "warp" (default), the only one that can write pipelines.
+    device
+        "cpu" (default), "cuda" or "cuda:1".
+
+    Raises
+    ------
+    LightFieldError, BackendError
+        As `DepthPipeline`, if the method or the backend cannot be exported, or if the folder cannot be written.
+    """
+    check_writable(out)
+    method, recording = method_of(config), load(backend).recording
+    if recording is None:
+        raise BackendError(f"backend {backend!r} cannot write pipelines as files; take backend {DEFAULT!r}.")
+    if not method.is_recordable:
+        raise LightFieldError(
+            f"the method {method.name} cannot be exported: its number of iterations depends on the views; take the "
+            "preset accurate or fast."
+        )
+    with limited_threads(1):  # what other threads ask for would not be recorded
+        pipeline = DepthPipeline(lf, config=config, disparity_range=disparity_range, backend=backend, device=device)
+        pipeline.run()
+        views, maps = pipeline.buffers()
+        with atomic_folder(out) as folder:
+            recording.save(
+                pipeline.work, folder / "pipeline.wrp", device=pipeline.device, inputs={"views": views}, outputs=maps
+            )
+            _describe(folder, lf, pipeline, recording)
+
+
+def _describe(folder: Path, lf: LightField, pipeline: DepthPipeline, recording: Recording) -> None:
+    height, width = lf.size
+    about = {
+        "convention": CONVENTION,
+        "device": pipeline.device,
+        "warp": recording.version(),
+        "views": {"shape": list(lf.views.shape), "dtype": str(lf.views.dtype), "order": "n, y, x, c"},
+        "maps": {"names": ["disparity", "confidence"], "shape": [height, width], "dtype": "float32"},
+        "offsets": lf.offsets.tolist(),
+        "disparity_range": list(pipeline.bounds),
+        "config": as_dict(pipeline.config),
+    }
+    readme = _README.format(
+        device=pipeline.device,
+        version=recording.version(),
+        package=recording.libraries()[0].parent,
+        frame_bytes=lf.views.nbytes,
+        shape=list(lf.views.shape),
+        dtype=lf.views.dtype,
+        map_bytes=4 * height * width,
+    )
+    (folder / "pipeline.json").write_text(json.dumps(about, indent=1), encoding="utf-8")
+    (folder / "README.txt").write_text(readme, encoding="utf-8")
+    (folder / "device.txt").write_text(pipeline.device + "\n", encoding="utf-8")
+    (folder / "warp-version.txt").write_text(recording.version() + "\n", encoding="utf-8")
+    with files("lfgpu").joinpath("native", _PROGRAM).open("rb") as source, (folder / _PROGRAM).open("wb") as target:
+        shutil.copyfileobj(source, target)

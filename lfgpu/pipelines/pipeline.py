@@ -1,0 +1,254 @@
+"""A method with all memory allocated: views go in as often as they come, and maps come out."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from lfgpu._backends import DEFAULT, load, package_of, pick_device
+from lfgpu.config import Config
+from lfgpu.contract import Array, Float32Array
+from lfgpu.data import interop
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
+from lfgpu.errors import BackendError, LightFieldError
+from lfgpu.methods import configured, method_of
+from lfgpu.methods.base import Callback, Plan, Work
+from lfgpu.methods.measured import Measured
+
+_NOT_FINITE = "views hold values that are not finite (NaN or infinity); mask or replace them."
+
+Progress = Callable[[str, int, float], None]
+"""Called as progress(stage, iteration, value)."""
+
+
+class DepthPipeline:
+    """The method for light fields of one kind: everything is allocated once, and views go in as often as they come.
+
+        pipeline = DepthPipeline(lf, disparity_range=(-2, 2))
+        pipeline.upload(views)          # [n, y, x, c], like lf.views
+        pipeline.run()                  # asks for all work and returns
+        pipeline.disparity()            # float32 [y, x]; waits for the device
+
+    On a GPU, `run` is one graph of work that the device goes through without the host, once it has been captured:
+    the second run does that.
+
+    Parameters
+    ----------
+    lf
+        A light field of that kind: its cameras, size, stored type, masks and reference view count. Its views are the
+        first to be there; the range of disparities, if it is not given, and the noise are found on them.
+    config, disparity_range, backend, device, deterministic
+        As for `estimate_depth`.
+    measured
+        The disparity range and the noise, where they were measured before; `disparity_range` does not count then.
+        Default None: measured on the views of `lf`.
+
+    Raises
+    ------
+    LightFieldError, BackendError
+        As `estimate_depth`.
+    """
+
+    def __init__(
+        self,
+        lf: LightField,
+        *,
+        config: Config | str = "accurate",
+        disparity_range: tuple[float, float] | None = None,
+        backend: str = DEFAULT,
+        device: str | None = None,
+        deterministic: bool = False,
+        measured: Measured | None = None,
+    ) -> None:
+        self.method, self.config = method_of(config), configured(config)
+        self.kernels = load(backend)
+        self.device = pick_device(self.kernels, device)
+        if deterministic and not self.kernels.is_deterministic(self.device):
+            raise BackendError(
+                f"backend {backend!r} on {self.device} adds up in an order that differs from run to run; use backend "
+                f"{DEFAULT!r}, or the CPU."
+            )
+        self._lf, self._backend = lf, backend
+        self._timings: dict[str, float] = {}
+        self._graph: Callable[[], None] | None = None
+        self._runs = 0
+        self._unseen = False  # whether the views came from a GPU, where NaN is not looked for
+        start = perf_counter()
+        with self.kernels.asking(self.device):
+            self.measured = measured or self.method.measure(
+                lf, self.kernels, self.device, disparity_range=disparity_range
+            )
+            self._views = self.kernels.image(lf.views, self.device)
+            self._waited_for = self.kernels.scalar(0.0, self.device)  # who reads it waits for all that was asked for
+            self._plan: Plan = self.method.plan(lf, self.measured, self.kernels, self.device)
+        self._preparation = perf_counter() - start
+
+    def upload(self, views: Any) -> None:
+        """Take other views [n, y, x, c], of the shape and type of the light field's, with any strides.
+
+        NumPy, or an array of another library that has DLPack or `__cuda_array_interface__` (PyTorch, CuPy, JAX, Numba).
+        One of the pipeline's own GPU is copied there, without the host, by the "warp" backend. The copy takes its turn
+        on the stream on which PyTorch or CuPy work at this moment: it waits for what they were asked for, and what they
+        are asked for next waits for it, so that the array may be changed or dropped at once. For other libraries the
+        host waits for the copy, as it does for arrays in its own memory.
+
+        Values that are not finite are refused at once, but on a GPU, where nothing is looked at on the way:
+        `disparity` and `result` refuse to answer then, and `device_disparity` means nothing.
+
+        Raises
+        ------
+        LightFieldError
+            If shape, type or device are not the pipeline's, or values are not finite.
+        """
+        place = interop.place_of("views", views)
+        (found, shape), expected = interop.kind_of("views", views), self._lf.views
+        if shape != expected.shape or found != str(expected.dtype):
+            raise LightFieldError(
+                f"views must be {expected.dtype} {list(expected.shape)} as those that the pipeline was made for, found "
+                f"{found} {list(shape)}."
+            )
+        if place == "cpu":
+            views = interop.on_host("views", views)
+            if views.dtype.kind == "f" and not np.isfinite(views).all():
+                raise LightFieldError(_NOT_FINITE)
+        elif self._backend != "warp" or self.device == "cpu":
+            raise LightFieldError(
+                f"views are on {place} and the pipeline on {self.device} with backend {self._backend!r}; copy them to "
+                "the CPU first, or make the pipeline for that GPU with backend 'warp'."
+            )
+        elif place not in (self.device, interop.SOME_GPU):
+            raise LightFieldError(f"views are on {place} and the pipeline on {self.device}; copy them there first.")
+        try:
+            with self.kernels.asking(self.device):
+                self.kernels.upload(views, self._views)
+        except (BufferError, RuntimeError) as error:  # of the array's library
+            raise LightFieldError(f"views cannot be taken: {' '.join(str(error).split())}") from error
+        self._unseen = place != "cpu" and expected.dtype.kind == "f"
+
+    def run(self) -> None:
+        """Estimate from the views that are there."""
+        if self._graph is None and self._runs > 0 and self.method.is_on_device:
+            self._graph = self.kernels.capture(self.work, self.device)
+        with self.kernels.asking(self.device):
+            (self._graph or self.work)()
+        self._runs += 1
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """(low, high) of the disparities, pixels per view step."""
+        return self.measured.disparity_range
+
+    @property
+    def device_disparity(self) -> Any:
+        """The map of the last run where it was computed, [y, x], float32 (float64 with backend "reference").
+
+            torch.from_dlpack(pipeline.device_disparity)
+            cupy.asarray(pipeline.device_disparity)
+
+        It has DLPack, and `__cuda_array_interface__` on a GPU or `__array_interface__` on a CPU, and is not copied.
+        Whoever takes it waits, on a stream of its own, for what was asked for by then: take it anew after each run. The
+        next run writes over it. If the views of that run are uploaded from the stream that reads this map, they come
+        after; otherwise be done with it before. BackendError from backend "taichi", which has nothing to share.
+        """
+        return self.kernels.shared(self._plan.disparity)
+
+    @property
+    def device_confidence(self) -> Any:
+        """The confidence of the last run where it was computed, [y, x], 0 to 1; as `device_disparity`."""
+        return self.kernels.shared(self._plan.confidence)
+
+    def disparity(self) -> Float32Array:
+        """The map of the last run, float32 [y, x]; waits for the device.
+
+        LightFieldError if nothing was coherent, or views came from a GPU and are not finite.
+        """
+        self._check()
+        return self._map(self._plan.disparity)
+
+    def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
+        """Run and return everything; waits for the device after each stage."""
+        stages = self.stages()
+        with self._timed("total"):
+            for stage, work in stages.items():
+                with self._timed(stage):
+                    if on_progress is not None:
+                        on_progress(stage, 0, 0.0)
+                    with self.kernels.asking(self.device):
+                        work(None if on_progress is None else _of_stage(on_progress, stage))
+                    self.kernels.number(self._waited_for)
+                if stage == self._plan.decided:
+                    self._runs += 1
+                    self._plan.check(self._lf.name)
+        if self._runs == 1:
+            for name in (next(iter(stages)), "total"):  # finding the range was a part of them
+                self._timings[name] += self._preparation
+        return self.result()
+
+    def result(self) -> DepthResult:
+        """Everything about the last run; waits for the device. LightFieldError as from `disparity`."""
+        self._check()
+        lf, solution, maps = self._lf, self._plan.solution(), self._plan.maps()
+        position = lf.positions[lf.reference_index]
+        return DepthResult(
+            disparity=self._map(self._plan.disparity),
+            confidence=self._map(self._plan.confidence),
+            stages=maps,
+            position=(float(position[0]), float(position[1])),
+            disparity_range=self.measured.disparity_range,
+            config=self.config,
+            status=solution.status,
+            converged=solution.converged,
+            trace=solution.trace,
+            timings=dict(self._timings),
+            backend=self._backend,
+            device=self.device,
+            versions={
+                name: importlib.metadata.version(name)
+                for name in ("lfgpu", *dict.fromkeys(("numpy", "scipy", package_of(self._backend))))
+            },
+            geometry=lf.geometry,
+            name=lf.name,
+        )
+
+    def stages(self) -> dict[str, Work]:
+        """What a run asks for, by name and in order; each stage needs those before it.
+
+        `method.stages` says what each of them is. A stage is called with what to call as callback(iteration, value)
+        after each iteration, or None; only with None can it be captured. `run` and `estimate` do all of them.
+        """
+        return self._plan.stages(self._views)
+
+    def buffers(self) -> tuple[Array, dict[str, Array]]:
+        """What `work` reads, the views, and what it writes, by name: arrays of the backend, for those who record it."""
+        return self._views, {"disparity": self._plan.disparity, "confidence": self._plan.confidence}
+
+    def work(self) -> None:
+        """Ask for all stages, one operation after the other; `run` does so until it has captured them."""
+        for stage in self.stages().values():
+            stage(None)
+
+    def _map(self, field: Array) -> Float32Array:
+        return self.kernels.numpy(field).astype(np.float32, copy=False)
+
+    def _check(self) -> None:
+        if self._runs == 0:
+            raise LightFieldError(f"{self._lf.name}: nothing has been estimated yet; call run() or estimate() first.")
+        if self._unseen and not self._plan.is_finite():
+            raise LightFieldError(_NOT_FINITE)
+        self._plan.check(self._lf.name)
+
+    @contextmanager
+    def _timed(self, stage: str) -> Iterator[None]:
+        start = perf_counter()
+        yield
+        self._timings[stage] = perf_counter() - start
+
+
+def _of_stage(on_progress: Progress, stage: str) -> Callback:
+    return lambda iteration, value: on_progress(stage, iteration, value)

@@ -1,0 +1,161 @@
+"""Where frames come from when depth runs along, and what feeds them to a stream."""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import re
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.pipelines.stream import DepthStream, StreamResult
+
+Frames = Iterator[Any]
+"""A `LightField` first, then light fields of its kind, arrays like its views, or pairs of these and what is valid."""
+
+_RENDERED = 24  # frames of a synthetic scene, which are then repeated
+
+
+def open_source(source: str, *, scene_options: dict[str, Any] | None = None) -> tuple[LightField, Frames]:
+    """The first frame of a source, and all frames, the first included.
+
+    Parameters
+    ----------
+    source
+        A folder of light fields, taken in the order of their names, numbers by value; the name of a synthetic scene
+        ("moving" goes round for ever, the others stand still); or `module:function`, a grabber. It is called without
+        arguments and yields `LightField`s, or after the first one also views [n, y, x, c] as arrays of any library, or
+        pairs (views, valid) with bool [n], False for cameras that gave nothing. The module is looked for in the current
+        folder, too.
+    scene_options
+        `grid`, `size`, `disparity_range`, `noise` and `seed` of `scenes.make`.
+
+    Raises
+    ------
+    LightFieldError
+        If there is no such source, or it is empty.
+    """
+    frames = _frames(source, scene_options or {})
+    try:
+        first = next(frames)
+    except StopIteration:
+        raise LightFieldError(f"{source} gave no frame.") from None
+    if not isinstance(first, LightField):
+        raise LightFieldError(
+            f"{source} must yield a LightField first, which says where the cameras stand; found {type(first).__name__}."
+        )
+    return first, itertools.chain([first], frames)
+
+
+def feed(
+    stream: DepthStream,
+    frames: Frames,
+    *,
+    fps: float | None = None,
+    most: int | None = None,
+    on_done: Callable[[StreamResult], None] | None = None,
+) -> None:
+    """Push frames into a stream until they end, and wait for the last map.
+
+    Parameters
+    ----------
+    frames
+        As from `open_source`; those that are no arrays fail in the stream, as wrong frames do.
+    fps
+        Frames a second at most; None takes them as they come.
+    most
+        How many frames; None takes all.
+    on_done
+        Called with each result in order, in the thread that feeds: also those that failed or were dropped.
+    """
+    pending: deque[StreamResult] = deque()
+
+    def look(*, wait: bool) -> None:
+        while pending and (wait or pending[0].done):
+            result = pending.popleft()
+            result.wait()
+            if on_done is not None:
+                on_done(result)
+
+    start = time.perf_counter()
+    for index, frame in enumerate(frames if most is None else itertools.islice(frames, most)):
+        if fps is not None:
+            time.sleep(max(0.0, start + index / fps - time.perf_counter()))
+        views, valid = frame if isinstance(frame, tuple) and len(frame) == 2 else (frame, None)
+        pending.append(stream.push(views.views if isinstance(views, LightField) else views, valid=valid, tag=index))
+        look(wait=False)
+    look(wait=True)
+
+
+def _frames(source: str, scene_options: dict[str, Any]) -> Frames:
+    from lfgpu.scenes import NAMES
+
+    path = Path(source)
+    if path.is_dir():
+        return _of_folder(path)
+    if ":" in source and not path.exists():
+        return _of_grabber(source)
+    if source in NAMES and not path.exists():
+        return _of_scene(source, scene_options)
+    what = "is a file" if path.exists() else "does not exist"
+    raise LightFieldError(
+        f"{source} {what}; give a folder of light fields, a grabber as module:function, or a scene "
+        f"({', '.join(NAMES)})."
+    )
+
+
+def _of_folder(path: Path) -> Frames:
+    from lfgpu.io import read
+
+    found = sorted((entry for entry in path.iterdir() if not entry.name.startswith(".")), key=_natural)
+    folders = [entry for entry in found if entry.is_dir()]
+    if not folders:
+        raise LightFieldError(f"{path} holds no folders; give a folder that holds a light field for each frame.")
+    first: LightField | None = None
+    for folder in folders:
+        lf = read(folder)
+        if first is not None and not np.array_equal(lf.positions, first.positions):
+            raise LightFieldError(f"{folder} has other cameras than {folders[0]}; a stream is made for one array.")
+        first = first or lf
+        yield lf
+
+
+def _of_scene(name: str, options: dict[str, Any]) -> Frames:
+    from lfgpu.scenes import make, sequence
+
+    if name != "moving":
+        yield from itertools.repeat(make(name, **options))
+    kept = []
+    for lf in sequence(name, frames=_RENDERED, **options):
+        kept.append(lf)
+        yield lf
+    yield from itertools.cycle(kept)
+
+
+def _of_grabber(source: str) -> Frames:
+    module_name, _, function_name = source.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        grabber = getattr(importlib.import_module(module_name), function_name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise LightFieldError(f"{source} cannot be loaded: {error}.") from error
+    frames = grabber() if callable(grabber) else None
+    if not isinstance(frames, Iterable):
+        raise LightFieldError(f"{source} must be a function without arguments that yields frames.")
+    return iter(frames)
+
+
+def _natural(path: Path) -> list[tuple[int, int, str]]:
+    """frame_2 before frame_10."""
+    parts = re.split(r"(\d+)", path.name)
+    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]

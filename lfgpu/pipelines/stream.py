@@ -1,0 +1,624 @@
+"""Depth for each frame of a camera array while it records: built once, fed from any thread, never in the way."""
+
+from __future__ import annotations
+
+import atexit
+import queue
+import threading
+import weakref
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from functools import partial
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, DTypeLike, NDArray
+
+from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu.config import Config
+from lfgpu.contract import Float32Array, KernelSet
+from lfgpu.data import interop
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import BackendError, LfgpuError, LightFieldError
+from lfgpu.methods import configured, method_of
+from lfgpu.methods.measured import Measured
+from lfgpu.methods.temporal_prior import TemporalPrior
+from lfgpu.pipelines import stream_stats
+from lfgpu.pipelines.inbox import POLICIES, Inbox
+from lfgpu.threads import get_threads
+
+_USUAL_NOISE = 0.004  # intensity, of cameras that nothing is known about
+_SEEN_CHANGE = 4.0  # noises that make a sample of the reference view another one
+_AT_ONCE = 2**22  # bytes that one thread copies as fast as several
+_MOST_COPIERS = 8
+_SMOOTHING = 0.1  # weight of the latest frame in the mean time of a level of work
+
+OnResult = Callable[["StreamResult"], None]
+"""Called with each result, from a thread of the stream."""
+
+
+class FrameDroppedError(LfgpuError):
+    """A frame was given up: there was no room for it, or the stream was closed."""
+
+
+class StreamResult:
+    """What becomes of one frame: a promise first, then a map and a confidence on the device, or an error.
+
+    Attributes
+    ----------
+    index
+        Number of the frame, from 0, in the order in which they were pushed.
+    tag
+        What `push` was given along with the frame, such as its time stamp.
+    cold
+        Whether the map does not start from the last one; `cut` if a change of the scene is why.
+    steps
+        Steps of the alignment that it took.
+    latency
+        Seconds from `push` to the map on the host; NaN until then. `work`, those of them that the device needed.
+    """
+
+    def __init__(self, index: int, tag: Any, valid: NDArray[np.bool_]) -> None:
+        self.index, self.tag, self.valid = index, tag, valid
+        self.cold, self.cut, self.steps = True, False, 0
+        self.latency = self.work = float("nan")
+        self._pushed, self._ready = perf_counter(), threading.Event()
+        self._error: LfgpuError | None = None
+        self._lease: Any = None
+
+    @property
+    def done(self) -> bool:
+        """Whether there is a map or an error."""
+        return self._ready.is_set()
+
+    @property
+    def dropped(self) -> bool:
+        """Whether the frame was given up."""
+        return isinstance(self._error, FrameDroppedError)
+
+    @property
+    def error(self) -> LfgpuError | None:
+        """Why there is no map; None if there is one, or nothing is known yet."""
+        return self._error
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until `done`, at most `timeout` seconds; whether it is."""
+        return self._ready.wait(timeout)
+
+    def numpy(self) -> Float32Array:
+        """The disparity, float32 [y, x], pixels per view step; a copy. Waits, and raises `error` if there is one."""
+        return np.asarray(self._maps().numpy(0))
+
+    def confidence(self) -> Float32Array:
+        """The confidence, float32 [y, x], 0 to 1; a copy. As `numpy`."""
+        return np.asarray(self._maps().numpy(1))
+
+    @property
+    def device_disparity(self) -> Any:
+        """The disparity where it was computed, with DLPack and `__cuda_array_interface__`; not copied. As `numpy`.
+
+        The memory is this frame's as long as this result, or an array made of it, is there. Then a later frame gets it,
+        so be done with reading, not only with asking for it.
+        """
+        return self._maps().shared(0)
+
+    @property
+    def device_confidence(self) -> Any:
+        """The confidence, as `device_disparity`."""
+        return self._maps().shared(1)
+
+    def _maps(self) -> Any:
+        self._ready.wait()
+        if self._error is not None:
+            raise self._error
+        return self._lease
+
+    def _finish(self, lease: Any) -> None:
+        self._lease = lease
+        self._ready.set()
+
+    def _fail(self, error: LfgpuError) -> None:
+        self._error = error
+        self._ready.set()
+
+
+@dataclass
+class _Level:
+    """An amount of work for a frame, ready to be asked for."""
+
+    steps: int
+    work: Callable[[], None]
+    seconds: float = 0.0
+
+
+class DepthStream:
+    """Disparity maps of light fields from the same cameras, one after the other, as fast as they come.
+
+        with lfgpu.DepthStream(lf, disparity_range=(-2, 2)) as stream:
+            for frame in camera:                # [n, y, x, c], like lf.views
+                result = stream.push(frame)     # at once
+                ...
+                disparity = result.numpy()      # waits
+
+    All memory is allocated and, on a GPU, all work captured when the stream is made. While the device works on one
+    frame, the next one comes and the map before goes. A frame starts from the last map where the scene is still the
+    same (`TemporalPrior`). A frame without a map before it gets the map of `estimate_depth`.
+
+    What is wrong with a frame (shape, type, values, no reference view) is the `error` of its result; the stream goes
+    on.
+
+    Parameters
+    ----------
+    lf
+        A light field of that kind: its cameras, size, stored type, masks and reference view count. The range of
+        disparities, if it is not given, and the noise are found on its views. See `for_cameras` where there are none
+        yet.
+    config
+        All parameters, or the name of a preset: "accurate" (default) or "fast".
+    disparity_range
+        (low, high) bounds of the disparity in pixels per view step, larger is nearer. Default: found from the views.
+    backend
+        "warp" (default), the only one with streams.
+    device
+        "cpu", "cuda", "cuda:1"; default is the best there is.
+    prior
+        How much the last map says; None makes each frame on its own.
+    cut
+        Share of the reference view that must look different for a frame to start anew, 0 to 1; default 0.5.
+    policy
+        What happens to frames that come too fast. "latest" (default): one waits, and a newer one takes its place.
+        "block": `push` waits. "queue": some wait, and when they are too many the oldest is given up.
+    waiting
+        How many frames may wait, >= 1; default 2 for "block", 4 for "queue"; always 1 for "latest".
+    budget_ms
+        Milliseconds that the device may take for a frame: the stream does as many steps, and as much else, as fits by
+        what frames took so far; the least there is if nothing does. None (default) does all that `config` says.
+    on_result
+        Called with each `StreamResult` that has a map, in order, from a thread of the stream; also an attribute that
+        may be set at any time. It should be quick. Its exceptions are counted (`stats`) and otherwise ignored.
+
+    measured
+        The disparity range and the noise, where they were measured before; `disparity_range` does not count then.
+        Default None: measured on the views of `lf`.
+
+    Raises
+    ------
+    LightFieldError, BackendError
+        As `estimate_depth`, and if a parameter is wrong or the method or the backend has no streams.
+    """
+
+    def __init__(
+        self,
+        lf: LightField,
+        *,
+        config: Config | str = "accurate",
+        disparity_range: tuple[float, float] | None = None,
+        backend: str = DEFAULT,
+        device: str | None = None,
+        prior: TemporalPrior | None = TemporalPrior(),  # noqa: B008 - it is frozen
+        cut: float = 0.5,
+        policy: str = "latest",
+        waiting: int | None = None,
+        budget_ms: float | None = None,
+        on_result: OnResult | None = None,
+        measured: Measured | None = None,
+    ) -> None:
+        _check(cut, budget_ms)
+        most = _waiting(policy, waiting)
+        method, kernels = method_of(config), load(backend)
+        streaming = kernels.streaming
+        if streaming is None:
+            raise BackendError(f"backend {backend!r} has no streams; take backend {DEFAULT!r}.")
+        self.device = pick_device(kernels, device)
+        self.config, self.geometry, self.name = configured(config), lf.geometry, lf.name
+        self._expected, self._grid = (lf.views.shape, lf.views.dtype), lf.grid_shape
+        self._used = method.used_views(lf)
+        self._reference, self._all = lf.reference_index, len(self._used) == len(lf.views)
+
+        with kernels.asking(self.device):
+            self.measured = measured or method.measure(lf, kernels, self.device, disparity_range=disparity_range)
+            lf = lf if self._all else lf.subset(self._used)
+            self._views = kernels.image(lf.views, self.device)
+            self._plan = method.live_plan(
+                lf, self.measured, kernels, self.device, streaming=streaming, prior=prior or TemporalPrior()
+            )
+            self._transport = streaming.transport(
+                self._views,
+                (self._plan.disparity, self._plan.confidence, *self._plan.numbers),
+                reference=lf.reference_index,
+                scale=lf.scale,
+                tolerance=_SEEN_CHANGE * self._plan.noise,
+                results=most + 4,
+            )
+            self._base = None if lf.valid is None else kernels.field(lf.valid, self.device)
+            self._mask = kernels.field(np.ones(lf.views.shape[:3]), self.device)
+            self._present = np.ones(len(lf.views), bool)
+            self._set_mask()
+        self._budget = budget_ms
+        self._cold, self._warm = self._prepared(kernels, warm=prior is not None)
+        self._cut = cut
+        self._fresh = True  # whether there is no past to start from
+        self.on_result = on_result
+
+        self._counters = stream_stats.Counters()
+        self._index, self._numbering = 0, threading.Lock()
+        slots = [self._transport.slot() for _ in range(most + 2)]
+        self._copying = max(1, min(_MOST_COPIERS, get_threads(), len(self._used)))
+        self._copiers = ThreadPoolExecutor(self._copying, thread_name_prefix="lfgpu-copy")
+        self._inbox: Inbox[StreamResult, Any] = Inbox(policy, most, slots, self._drop)
+        self._under_way: queue.SimpleQueue[tuple[StreamResult, Any, _Level] | None] = queue.SimpleQueue()
+        self._threads = [
+            threading.Thread(target=target, name=f"lfgpu-{name}", daemon=True)
+            for name, target in (("solve", self._serve), ("deliver", self._deliver))
+        ]
+        for thread in self._threads:
+            thread.start()
+        self._at_exit = _close_at_exit(self)
+
+    @classmethod
+    def for_cameras(
+        cls,
+        positions: ArrayLike,
+        size: tuple[int, int],
+        *,
+        disparity_range: tuple[float, float],
+        dtype: DTypeLike = np.uint8,
+        channels: int = 3,
+        reference: int | None = None,
+        noise: float = _USUAL_NOISE,
+        config: Config | str = "accurate",
+        **options: Any,
+    ) -> DepthStream:
+        """A stream before there is any frame.
+
+        Parameters
+        ----------
+        positions, reference
+            As for `LightField`: [n, 2], (u, v) of each camera in view steps.
+        size
+            (height, width) of the views in pixels.
+        disparity_range
+            As for `DepthStream`.
+        dtype, channels
+            uint8 (default), uint16 or float32 in [0, 1]; 1 or 3 (default).
+        noise
+            How much views differ where they agree, intensity; default 0.004.
+        config, options
+            As for `DepthStream`.
+        """
+        places = np.asarray(positions, np.float64)
+        views = np.zeros((len(places), *size, channels), dtype)
+        lf = LightField(views, places, reference=reference)
+        measured = method_of(config).given(lf, disparity_range, noise)
+        return cls(lf, config=config, measured=measured, **options)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """(low, high) of the disparities, pixels per view step."""
+        return self.measured.disparity_range
+
+    # --- for those who record ---
+
+    def push(
+        self, frame: Any, *, valid: Sequence[bool] | NDArray[np.bool_] | None = None, tag: Any = None
+    ) -> StreamResult:
+        """Give the stream a frame; from any thread. The array may be changed as soon as this returns.
+
+        Parameters
+        ----------
+        frame
+            Views [n, y, x, c] of the shape and type of the stream, with any strides: NumPy, or whatever has DLPack or
+            `__cuda_array_interface__`, on the CPU or the stream's GPU. Of a full grid [v, u, y, x, c] will do, and of
+            grey views [n, y, x].
+        valid
+            bool [n], False for cameras that gave nothing this time; what their views hold does not matter. The
+            reference must be there, and another one. Default: all are there.
+        tag
+            Anything; the result has it.
+
+        Returns
+        -------
+        StreamResult
+            At once, but with the policy "block", if frames wait already.
+
+        Raises
+        ------
+        LfgpuError
+            If the stream is closed. Nothing else.
+        """
+        there = np.ones(self._expected[0][0], bool) if valid is None else valid
+        with self._numbering:
+            if self._inbox.closed:
+                raise LfgpuError("the stream is closed; make another one.")
+            result = StreamResult(self._index, tag, np.asarray(there))
+            self._index += 1
+            self._counters.add("frames_pushed")
+        try:
+            result.valid = self._checked_valid(there)
+            checked, on_gpu = self._checked(frame)
+            slot = self._inbox.slot()
+        except LightFieldError as error:
+            self._fail(result, error)
+            return result
+        except LfgpuError:  # closed meanwhile
+            self._drop(result)
+            raise
+        try:
+            self._fill(slot, checked, result.valid, on_gpu=on_gpu)
+        except Exception as error:  # whatever the frame's library raises is this frame's affair
+            self._inbox.give_back(slot)
+            known = error if isinstance(error, LightFieldError) else _cannot_be_taken(error)
+            self._fail(result, known)
+            return result
+        self._inbox.put(result, slot)
+        return result
+
+    def restart(self) -> None:
+        """Forget the past: the next frame starts cold."""
+        self._fresh = True
+
+    def stats(self) -> dict[str, Any]:
+        """What happened so far, as plain numbers; from any thread, at any time.
+
+        Counts `frames_pushed`, `_done`, `_dropped`, `_failed`, `_in_work` (the first is the sum of the others),
+        `_cold`, `_with_missing_views`, `_over_budget`, `scene_cuts`, `callback_errors`; `frames_waiting`;
+        `frames_per_second` over the last two seconds; `latency_p50_ms`, `p95`, `p99` from `push` to the map on the host
+        and `work_p50_ms` and so on of the device, over the latest 1024 results, NaN without any; `result_buffers`, how
+        many results there is memory for: it grows if more are held.
+        """
+        return {
+            **self._counters.stats(),
+            "frames_waiting": len(self._inbox),
+            "result_buffers": self._transport.made,
+        }
+
+    def prometheus(self) -> str:
+        """`stats` in the text format of Prometheus, to be served or written by whoever has a server."""
+        return stream_stats.prometheus(self.stats())
+
+    def close(self, *, finish: bool = True) -> None:
+        """End the stream: refuse frames, finish those that wait (or drop them, if not `finish`), and end its threads.
+
+        May be called at any time, from any thread but those of `on_result`, and more than once.
+        """
+        self._inbox.close(finish=finish)
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join()
+        self._copiers.shutdown()
+        atexit.unregister(self._at_exit)
+
+    def __enter__(self) -> DepthStream:
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        self.close(finish=kind is None)
+
+    # --- taking frames ---
+
+    def _checked_valid(self, valid: Any) -> NDArray[np.bool_]:
+        there = np.asarray(valid)
+        if there.shape != self._expected[0][:1] or there.dtype != np.bool_:
+            raise LightFieldError(
+                f"valid must be bool [{self._expected[0][0]}], one for each view, found {there.dtype} "
+                f"{list(there.shape)}."
+            )
+        if not there[self._reference]:
+            raise LightFieldError(f"the reference view ({self._reference}) is missing: its disparity is asked for.")
+        if there[self._used].sum() < 2:
+            raise LightFieldError("only the reference view is there of those that are used; depth needs another one.")
+        return there
+
+    def _checked(self, frame: Any) -> tuple[Any, bool]:
+        """The frame as [n, y, x, c], on the host as NumPy; and whether it is on the GPU."""
+        place = interop.place_of("views", frame)
+        found, shape = interop.kind_of("views", frame)
+        expected, dtype = self._expected
+        others = [expected[:3]] if expected[3] == 1 else []
+        if self._grid is not None and self._grid[0] * self._grid[1] == expected[0]:
+            others += [(*self._grid, *form[1:]) for form in (expected, *others)]
+        if found != str(dtype) or shape not in (expected, *others):
+            raise LightFieldError(
+                f"views must be {dtype} {list(expected)} as those that the stream was made for, found {found} "
+                f"{list(shape)}."
+            )
+        if place == "cpu":
+            return interop.on_host("views", frame).reshape(expected), False
+        if self.device == "cpu" or place not in (self.device, interop.SOME_GPU):
+            raise LightFieldError(f"views are on {place} and the stream on {self.device}; copy them there first.")
+        if shape != expected:
+            if not hasattr(frame, "reshape"):
+                raise LightFieldError(f"views on a GPU must be {list(expected)}, found {list(shape)}.")
+            frame = frame.reshape(expected)
+        return frame, True
+
+    def _fill(self, slot: Any, frame: Any, valid: NDArray[np.bool_], *, on_gpu: bool) -> None:
+        slot.is_resident = on_gpu
+        slot.present[:] = valid[self._used]
+        if on_gpu:
+            self._transport.enter()
+            self._transport.take(frame, slot, None if self._all else self._used)
+            return
+
+        def copy(place: int) -> None:
+            view = self._used[place]
+            if not valid[view]:
+                slot.host[place] = 0  # what is there may be NaN
+                return
+            slot.host[place] = frame[view]
+            if frame.dtype.kind == "f":
+                low, high = float(slot.host[place].min()), float(slot.host[place].max())
+                if not np.isfinite(low + high):
+                    raise LightFieldError(f"view {view} holds values that are not finite; say that it is not valid.")
+
+        def copy_some(places: range) -> None:
+            for place in places:
+                copy(place)
+
+        count, parts = len(self._used), 1 if slot.host.nbytes < _AT_ONCE else self._copying
+        cuts = [count * part // parts for part in range(parts + 1)]
+        others = [self._copiers.submit(copy_some, range(*cuts[part : part + 2])) for part in range(1, parts)]
+        try:
+            copy_some(range(*cuts[:2]))
+        finally:
+            wait(others)  # the slot must not be given back before
+        for other in others:
+            other.result()
+
+    # --- the work ---
+
+    def _prepared(self, kernels: KernelSet, *, warm: bool) -> tuple[list[_Level], list[_Level]]:
+        """What may be done for a frame, from least to most, captured and timed; without a budget only the most."""
+        views = self._views
+
+        def bound(levels: Sequence[tuple[int, Callable[[Any], None]]]) -> list[_Level]:
+            return [_Level(steps, partial(work, views)) for steps, work in levels]
+
+        cold, levels = bound(self._plan.levels), bound(self._plan.warm_levels) if warm else []
+        if self._budget is None:
+            cold, levels = cold[-1:], levels[-1:]
+        for level in (*cold, *levels):
+            with kernels.asking(self.device):
+                level.work()
+            level.work = self._transport.captured(level.work)
+        for level in (*cold, *levels) if self._budget is not None else ():
+            self._transport.synchronize()
+            start = perf_counter()
+            level.work()
+            self._transport.synchronize()
+            level.seconds = perf_counter() - start
+        return cold, levels
+
+    def _level(self, levels: list[_Level]) -> _Level:
+        """The most work that fits into the budget."""
+        fitting = [level for level in levels if self._budget is None or level.seconds * 1000 <= self._budget]
+        return fitting[-1] if fitting else levels[0]
+
+    def _serve(self) -> None:
+        """The thread that asks the device."""
+        self._transport.enter()
+        while (taken := self._inbox.get()) is not None:
+            result, slot = taken
+            read = False
+            try:
+                changed = self._transport.bring(slot)
+                self._inbox.give_back(slot, filled=True)
+                read = True
+                result.cut = not self._fresh and bool(self._warm) and changed > self._cut
+                result.cold = self._fresh or result.cut or not self._warm
+                level = self._level(self._cold if result.cold else self._warm)
+                result.steps, self._fresh = level.steps, False
+                maps = self._transport.solve(level.work, self._masking(result.valid[self._used]))
+            except Exception as error:  # a device that fails is no reason to leave those hanging who wait
+                if not read:
+                    self._inbox.give_back(slot, filled=True)
+                self._fresh, self._present = True, np.zeros_like(self._present)
+                self._fail(result, LfgpuError(f"the device failed: {' '.join(str(error).split())}"))
+                continue
+            self._under_way.put((result, maps, level))
+        self._under_way.put(None)
+
+    def _masking(self, present: NDArray[np.bool_]) -> Callable[[], None] | None:
+        """What there is to do before the work if other cameras are there than last time."""
+        if np.array_equal(present, self._present):
+            return None
+        self._present = present
+        return self._set_mask
+
+    def _set_mask(self) -> None:
+        if self.device == "cpu" and self._base is None and self._present.all():
+            self._plan.mask(None)  # nothing to look at is quicker; what is captured on a GPU looks anyway
+            return
+        self._transport.mask(self._base, self._mask)
+        self._plan.mask(self._mask)
+
+    def _deliver(self) -> None:
+        """The thread that waits for the device."""
+        self._transport.enter()
+        while (item := self._under_way.get()) is not None:
+            result, maps, level = item
+            try:
+                work, trust, moved = self._transport.wait(maps)
+            except Exception as error:
+                self._fresh = True
+                self._fail(result, LfgpuError(f"the device failed: {' '.join(str(error).split())}"))
+                continue
+            level.seconds += _SMOOTHING * (work - level.seconds)
+            problem = None
+            if not np.isfinite(moved):
+                problem = "views hold values that are not finite (NaN or infinity); mask or replace them."
+            elif not trust > 0:
+                problem = (
+                    "no pixel shows anything that other views show as well: there is no texture, or all is masked."
+                )
+            if problem is not None:
+                self._fresh = True
+                self._transport.give(maps)
+                self._fail(result, LightFieldError(f"frame {result.index}: {problem}"))
+                continue
+            self._complete(result, maps, work)
+            del result, maps, item  # what nobody holds is used again
+
+    def _complete(self, result: StreamResult, maps: Any, work: float) -> None:
+        result.latency, result.work = perf_counter() - result._pushed, work
+        over = self._budget is not None and work * 1000 > self._budget
+        extra = {
+            "frames_cold": result.cold,
+            "scene_cuts": result.cut,
+            "frames_with_missing_views": not result.valid.all(),
+            "frames_over_budget": over,
+        }
+        self._counters.done(result.latency, work, *(name for name, counts in extra.items() if counts))
+        result._finish(self._transport.lease(maps))
+        callback = self.on_result
+        if callback is not None:
+            try:
+                callback(result)
+            except Exception:  # the stream must not end for what others do with its results
+                self._counters.add("callback_errors")
+
+    def _fail(self, result: StreamResult, error: LfgpuError) -> None:
+        self._counters.add("frames_failed")
+        result._fail(error)
+
+    def _drop(self, result: StreamResult) -> None:
+        self._counters.add("frames_dropped")
+        result._fail(
+            FrameDroppedError(f"frame {result.index} was given up: frames came faster than maps, or the end came.")
+        )
+
+
+def _check(cut: float, budget_ms: float | None) -> None:
+    if not 0 <= cut <= 1:
+        raise LightFieldError(f"cut must be a share, 0 to 1, not {cut!r}.")
+    if budget_ms is not None and not budget_ms > 0:
+        raise LightFieldError(f"budget_ms must be a number of milliseconds > 0, not {budget_ms!r}.")
+
+
+def _waiting(policy: str, waiting: int | None) -> int:
+    if policy not in POLICIES:
+        raise LightFieldError(f"policy must be one of {', '.join(POLICIES)}, not {policy!r}.")
+    if waiting is None:
+        return POLICIES[policy]
+    if isinstance(waiting, bool) or int(waiting) != waiting or waiting < 1 or (policy == "latest" and waiting != 1):
+        raise LightFieldError(f"waiting must be a whole number >= 1, and 1 for the policy latest; found {waiting!r}.")
+    return int(waiting)
+
+
+def _cannot_be_taken(error: Exception) -> LightFieldError:
+    return LightFieldError(f"views cannot be taken: {' '.join(str(error).split())}")
+
+
+def _close_at_exit(stream: DepthStream) -> Callable[[], None]:
+    """Nothing of a device may run while the interpreter ends."""
+    known = weakref.ref(stream)
+
+    def close() -> None:
+        left = known()
+        if left is not None:
+            left.close(finish=False)
+
+    atexit.register(close)
+    return close

@@ -1,0 +1,321 @@
+"""Light fields that are larger than the memory: tiles that overlap, estimated one after the other and joined.
+
+A tile is the same window of every view. It is wider than what is kept of it by a halo: what its pixels look at in the
+other views, what may hide them there, and the windows of the prior. The noise of the views and the range of the
+disparities are those of the whole light field. What is left of the differences from an estimate in one piece is in the
+semi-global matching, whose paths begin at the edge of a tile instead of the edge of the image, and for the method of
+the paper in its solvers.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import queue
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu._backends import load, pick_device
+from lfgpu.config import Config
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.mapping import each_view, forget, is_mapped
+from lfgpu.data.result import DepthResult
+from lfgpu.errors import LightFieldError
+from lfgpu.methods import method_of
+from lfgpu.methods.base import Method
+from lfgpu.methods.footprint import Footprint
+from lfgpu.pipelines.pipeline import DepthPipeline, Progress
+
+_RAMP = 16  # pixels over which one tile passes into the next
+_LEAST_STRIDE = 16  # pixels from a tile to the next: below that, all is halo
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Where tiles of one size lie: `starts` are their (top, left), row by row."""
+
+    size: tuple[int, int]
+    starts: tuple[tuple[int, int], ...]
+    halo: tuple[int, int]
+    """Pixels (y, x) at inner edges of a tile of which nothing is kept."""
+
+
+def plan_tiles(
+    size: tuple[int, int], halo: tuple[int, int], needed: Footprint, limit: int, *, taken: int = 0, devices: int = 1
+) -> Plan:
+    """The tiles that cover views of `size` (height, width) and are done the soonest.
+
+    One at a time fits into `limit` bytes, of which something else has `taken` some. The soonest is with the fewest
+    pixels on the device that has most of them. LightFieldError if none fit.
+    """
+    along = [_cuts(length, edge) for length, edge in zip(size, halo, strict=True)]
+    plans = [
+        (math.ceil(rows * columns / devices) * height * width, rows * columns, (height, width), (rows, columns))
+        for (rows, height), (columns, width) in itertools.product(*along)
+        if needed.bytes(height, width) + taken <= limit
+    ]
+    if not plans:
+        least = needed.bytes(*(min(length for _, length in cuts) for cuts in along))
+        raise LightFieldError(
+            f"max_memory of {_mebibytes(limit)} does not suffice: it takes {_mebibytes(least + taken)}, of which "
+            f"{_mebibytes(needed.besides)} are for the process itself, {_mebibytes(taken)} for views in memory and the "
+            "map, and the rest for the smallest tile with the pixels around it; give more, fewer views, or a narrower "
+            "disparity range."
+        )
+    *_, tile, counts = min(plans)
+    rows, columns = (_places(length, side, count) for length, side, count in zip(size, tile, counts, strict=True))
+    return Plan(tile, tuple(itertools.product(rows, columns)), halo)
+
+
+def _mebibytes(size: int) -> str:
+    return f"{math.ceil(size / 2**20)} MiB"
+
+
+def estimate_in_tiles(
+    lf: LightField,
+    *,
+    config: Config,
+    disparity_range: tuple[float, float] | None,
+    backend: str,
+    device: str | None,
+    deterministic: bool,
+    on_progress: Progress | None,
+    max_memory: int,
+) -> DepthResult:
+    """`estimate_depth` within `max_memory` bytes: of the process on a CPU, of each GPU there.
+
+    Without `device`, tiles are spread over all GPUs. Views that are not on disk (`lfgpu.read(..., lazy=True)`) count
+    on a CPU.
+    """
+    start = perf_counter()
+    kernels = load(backend)
+    first = pick_device(kernels, device)
+    on_gpu = first != "cpu"
+    several = device is None and on_gpu and backend == "warp"
+    devices = [name for name in kernels.devices() if name != "cpu"] if several else [first]
+    method = method_of(config)
+    measured = method.measure(lf, kernels, first, disparity_range=disparity_range)
+    forget(lf.views)
+
+    in_memory = 0 if on_gpu or is_mapped(lf.views) else lf.views.nbytes
+    kept = 4 * 8 * lf.size[0] * lf.size[1]  # maps of all tiles, and joined
+    needed = method.footprint(lf, measured, on_gpu=on_gpu)
+    taken = 0 if on_gpu else in_memory + kept
+    plan = plan_tiles(lf.size, method.halo(lf, measured), needed, max_memory, taken=taken, devices=len(devices))
+    options = {
+        "config": config,
+        "measured": measured,
+        "backend": backend,
+        "deterministic": deterministic,
+    }
+    results = _estimate_all(lf, method, plan, devices, options, on_progress)
+    joined = _joined(lf, plan, results, method.same_surface(lf))
+    timings = {name: sum(result.timings[name] for result in results if result is not None) for name in joined.timings}
+    return replace(joined, timings={**timings, "total": perf_counter() - start})
+
+
+def _estimate_all(
+    lf: LightField,
+    method: Method[Any],
+    plan: Plan,
+    devices: Sequence[str],
+    options: dict[str, Any],
+    on_progress: Progress | None,
+) -> list[DepthResult | None]:
+    """The result of each tile, None where a tile shows nothing; each device takes the next tile when it is done."""
+    used = method.used_views(lf)
+    results: list[DepthResult | None] = [None] * len(plan.starts)
+    left: queue.SimpleQueue[int] = queue.SimpleQueue()
+    for index in range(len(plan.starts)):
+        left.put(index)
+    failed: list[LightFieldError] = []
+    done, lock, stop = 0, threading.Lock(), threading.Event()
+
+    def go(device: str) -> None:
+        nonlocal done
+        estimate = _Estimator(device, options)
+        while not stop.is_set():
+            try:
+                index = left.get_nowait()
+            except queue.Empty:
+                return
+            try:
+                results[index] = estimate(_tile(lf, used, plan.starts[index], plan.size))
+            except LightFieldError as error:  # it may be a piece of sky: the others say whether anything is there
+                failed.append(error)
+            with lock:
+                done += 1
+                if on_progress is not None:
+                    on_progress("tiles", done, done / len(plan.starts))
+
+    if on_progress is not None:
+        on_progress("tiles", 0, 0.0)
+    busy = devices[: len(plan.starts)]
+    if len(busy) == 1:
+        go(busy[0])
+    else:
+        with ThreadPoolExecutor(len(busy)) as pool:
+            waiting = [pool.submit(go, device) for device in busy]
+            try:
+                for future in waiting:
+                    future.result()
+            finally:
+                stop.set()
+    if len(failed) == len(results):
+        raise failed[0]
+    return results
+
+
+class _Estimator:
+    """Estimates tiles of one size on one device, in one pipeline as long as masks allow it."""
+
+    def __init__(self, device: str, options: dict[str, Any]) -> None:
+        self._options = {**options, "device": device}
+        self._pipeline: DepthPipeline | None = None
+
+    def __call__(self, tile: LightField) -> DepthResult:
+        if self._pipeline is None or tile.valid is not None:
+            self._pipeline = None  # its memory first
+            self._pipeline = DepthPipeline(tile, **self._options)
+        else:
+            self._pipeline.upload(tile.views)
+        # Stage by stage: a capture of all stages concerns all threads of the process, and others may be at work.
+        return self._pipeline.estimate()
+
+
+def _tile(lf: LightField, used: Sequence[int], start: tuple[int, int], size: tuple[int, int]) -> LightField:
+    y, x = (slice(first, first + side) for first, side in zip(start, size, strict=True))
+    window, chosen = lf.crop(y, x), list(used)
+    views = np.empty((len(chosen), *window.views.shape[1:]), window.views.dtype)
+
+    def copy(place: int, view: NDArray[Any]) -> None:
+        views[place] = view
+
+    each_view(window.views, chosen, copy)
+    return replace(
+        window,
+        views=views,
+        positions=lf.positions[chosen],
+        reference=chosen.index(lf.reference_index),
+        valid=None if window.valid is None else window.valid[chosen],
+        grid_shape=None,
+    )
+
+
+def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None], same: float) -> DepthResult:
+    """One result from those of all tiles."""
+    there = [result for result in results if result is not None]
+    first = there[0]
+    names = list(first.stages)
+    weights = _Weights(lf.size, plan)
+    join = {name: _Join(lf.size, same) for name in names}
+    disparity, confidence = _Join(lf.size, same), _Join(lf.size, math.inf)
+    for start, result in zip(plan.starts, results, strict=True):
+        if result is None:
+            continue
+        weight = weights.of(start)
+        taken = disparity.add(result.disparity, weight, start)
+        confidence.add(result.confidence, weight, start, taken)
+        for name in names:
+            join[name].add(result.stages[name], weight, start)
+    height, width = plan.size
+    what = (
+        "In one piece"
+        if len(plan.starts) == 1
+        else f"{len(plan.starts)} tiles of {width} x {height} pixels, of the first"
+    )
+    status = f"{what}: {first.status}"
+    if len(there) < len(results):
+        status += f" {len(results) - len(there)} tiles show nothing that other views show as well."
+    return replace(
+        first,
+        disparity=disparity.values,
+        confidence=np.nan_to_num(confidence.values, nan=0.0),
+        stages={name: values.values for name, values in join.items()},
+        status=status,
+        converged=all(result.converged for result in there),
+        trace=_mean_trace([result.trace for result in there]),
+        geometry=lf.geometry,
+        name=lf.name,
+    )
+
+
+class _Weights:
+    """How much a tile counts at its pixels: 0 in the halo, 1 inside, with a ramp between; all at edges of the image."""
+
+    def __init__(self, size: tuple[int, int], plan: Plan) -> None:
+        self._size, self._plan = size, plan
+
+    def of(self, start: tuple[int, int]) -> NDArray[np.float32]:
+        """[y, x] of the tile that begins there."""
+        rows, columns = (
+            _ramps(first, side, length, edge)
+            for first, side, length, edge in zip(start, self._plan.size, self._size, self._plan.halo, strict=True)
+        )
+        return np.outer(rows, columns).astype(np.float32)
+
+
+class _Join:
+    """Maps of tiles added to one of the whole image: means where they agree, else the one that counts more."""
+
+    def __init__(self, size: tuple[int, int], same: float) -> None:
+        self.values = np.full(size, np.nan, np.float32)
+        self._weight, self._same = np.zeros(size, np.float32), same
+
+    def add(
+        self,
+        values: NDArray[np.float32],
+        weight: NDArray[np.float32],
+        start: tuple[int, int],
+        taken: NDArray[np.float32] | None = None,
+    ) -> NDArray[np.float32]:
+        """Add a tile; how far, 0 to 1, each of its pixels has become the map. `taken` is that if it is decided."""
+        window = tuple(slice(first, first + side) for first, side in zip(start, values.shape, strict=True))
+        before, sums = self.values[window], self._weight[window]
+        if taken is None:
+            weight = np.where(np.isfinite(values), weight, np.float32(0))
+            alike = np.abs(values - before) <= self._same  # False where there is nothing yet
+            share = np.where(alike, weight / np.maximum(weight + sums, np.float32(1e-12)), weight > sums)
+            taken = np.where(sums > 0, share, weight > 0).astype(np.float32)
+        mixed = (1 - taken) * np.nan_to_num(before) + taken * np.nan_to_num(values)
+        touched = (taken > 0) | (sums > 0)
+        self.values[window] = np.where(touched, mixed, before)
+        self._weight[window] = np.where(taken >= 1, weight, np.where(taken > 0, sums + weight, sums))
+        return np.asarray(taken, np.float32)
+
+
+def _cuts(length: int, edge: int) -> list[tuple[int, int]]:
+    """(number, length) of the tiles along one axis, all that make sense; one tile is the whole axis."""
+    overlap, found = 2 * edge + _RAMP, [(1, length)]
+    for count in itertools.count(2):
+        side = math.ceil((length + (count - 1) * overlap) / count)
+        if side >= length or side - overlap < _LEAST_STRIDE:
+            return found
+        found.append((count, side))
+    raise AssertionError("the stride of tiles falls below any bound")
+
+
+def _places(length: int, side: int, count: int) -> list[int]:
+    return [round(k * (length - side) / max(count - 1, 1)) for k in range(count)]
+
+
+def _ramps(first: int, side: int, length: int, edge: int) -> NDArray[np.float64]:
+    """Weights along one axis of a tile."""
+    places = np.arange(side) + 0.5
+    rising = np.ones(side) if first == 0 else (places - edge) / _RAMP
+    falling = np.ones(side) if first + side == length else (side - edge - places) / _RAMP
+    return np.clip(np.minimum(rising, falling), 0, 1)
+
+
+def _mean_trace(traces: Sequence[tuple[float, ...]]) -> tuple[float, ...]:
+    """The mean over tiles, of which one that stopped earlier stays as it was."""
+    longest = max(map(len, traces))
+    padded = [trace + trace[-1:] * (longest - len(trace)) for trace in traces]
+    return tuple(float(np.mean(values)) for values in zip(*padded, strict=True))

@@ -1,0 +1,1 @@
+"""Looking: figures, panels, refocusing, rendering of new views, notebooks."""

@@ -1,0 +1,208 @@
+"""New views of a recorded scene: each pixel takes its colour from the recorded views that see the same surface.
+
+The maps of the recorded views around the new one are carried into it, where they agree on a disparity for each pixel
+(`all_views.Join`). With it every pixel is looked up in these views, between their pixels by cubic splines. A view
+counts the more the nearer it stands, and as far as its own map shows that disparity there: else, what it sees is
+something that hides the surface. Looking colours up keeps them sharper than splatting them does, and averages noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.data.views_result import ViewsResult
+from lfgpu.errors import LightFieldError
+from lfgpu.pipelines.all_views import Join, filled_from_behind
+from lfgpu.threads import in_threads
+from lfgpu.viz.splines import colours, sampled, spline, valid_at
+
+FOR_RENDERING = {"outlines.contrast": 10.0}
+"""Parameters of maps for rendering: what mixes both sides of an outline shows best with the nearer one."""
+
+_SOURCES = 8
+_SAME = 0.6  # pixels in the farthest view: disparities that differ by this are as likely of one surface as not
+_AGREE = 0.4  # pixels in the farthest view: maps that differ by less are averaged
+_NEAR = 0.1  # view steps: keeps the weight of a view in the very place finite
+_SOMETHING = 1e-3  # least sum of weights: what gets less is seen by nobody
+_FARTHEST = 3.0  # of the grid's extent: nothing is left to show beyond
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedView:
+    """A view from where no camera stood.
+
+    Parameters
+    ----------
+    image
+        float32 [y, x, c] in [0, 1], c as in the light field.
+    disparity
+        float32 [y, x], the map of this view, pixels per view step, larger is nearer.
+    known
+        bool [y, x], False where no recorded view shows what is there: filled from beside, from the farther side.
+    position
+        (u, v) of the view, as in `LightField.positions`.
+    """
+
+    image: Float32Array
+    disparity: Float32Array
+    known: NDArray[np.bool_]
+    position: tuple[float, float]
+
+
+class Renderer:
+    """Renders views of one light field; what views need again and again is kept.
+
+    Parameters
+    ----------
+    lf
+        The light field; its masks count, its reference view does not.
+    maps
+        The maps of all its views, from `estimate_all_views`.
+    sources
+        How many recorded views, the nearest ones, each new view is made of, >= 1; 8 by default.
+    backend, device
+        Where maps are carried into new views, as for `estimate_depth`; the rest is done on the host.
+
+    Raises
+    ------
+    LightFieldError
+        If the maps are not of the views, or `sources` is less than 1.
+    BackendError
+        If the backend or the device is not there.
+    """
+
+    def __init__(
+        self,
+        lf: LightField,
+        maps: ViewsResult,
+        *,
+        sources: int = _SOURCES,
+        backend: str = DEFAULT,
+        device: str | None = None,
+    ) -> None:
+        if maps.disparities.shape != lf.views.shape[:3] or not np.allclose(maps.positions, lf.positions, atol=1e-6):
+            raise LightFieldError(
+                f"the maps are of {len(maps.disparities)} views of {maps.disparities.shape[1]} x "
+                f"{maps.disparities.shape[2]} pixels, {lf.name} has {len(lf.views)} of {lf.size[0]} x {lf.size[1]} or "
+                "other cameras; give the maps of these views."
+            )
+        if sources < 1:
+            raise LightFieldError(f"sources must be at least 1, not {sources}.")
+        self._lf, self._maps, self._sources = lf, maps, int(sources)
+        self._kernels = load(backend)
+        self._device = pick_device(self._kernels, device)
+        self._splines: dict[int, Float32Array] = {}
+
+    def __call__(self, position: ArrayLike) -> RenderedView:
+        """The view at `position` (u, v), as in `LightField.positions`; need not be whole, nor within the grid.
+
+        LightFieldError if it is no pair of finite numbers, or so far away that nothing of the scene is left.
+        """
+        place = self._checked(position)
+        lf, reach = self._lf, farthest(self._lf.offsets)
+        distance = np.hypot(*(lf.positions - place).T)
+        chosen = [int(n) for n in np.argsort(distance, kind="stable")[: self._sources]]
+        join = Join(
+            [self._maps.map(n) for n in chosen],
+            None if lf.valid is None else lf.valid[chosen],
+            self._kernels,
+            self._device,
+            tolerance=_AGREE / reach,
+        )
+        disparity, _ = join(place)
+        if np.isnan(disparity).all():
+            raise LightFieldError(f"{lf.name}: nothing recorded is seen from row {place[1]:g}, column {place[0]:g}.")
+        disparity = filled_from_behind(disparity)
+        looks = in_threads(lambda n: self._look(n, place, disparity, _SAME / reach), chosen)
+        image, known = _blended(looks, distance[chosen])
+        u, v = place
+        return RenderedView(image, disparity, known, (float(u), float(v)))
+
+    def _checked(self, position: ArrayLike) -> Float64Array:
+        place = np.asarray(position, np.float64)
+        if place.shape != (2,) or not np.isfinite(place).all():
+            raise LightFieldError(f"a position must be two finite numbers (u, v), not {position!r}.")
+        low, high = self._lf.positions.min(0), self._lf.positions.max(0)
+        if (np.abs(place - (low + high) / 2) > _FARTHEST * max(*(high - low), 1.0)).any():
+            raise LightFieldError(
+                f"row {place[1]:g}, column {place[0]:g} is too far away from the cameras, which stand in rows "
+                f"{low[1]:g} to {high[1]:g} and columns {low[0]:g} to {high[0]:g}."
+            )
+        return place
+
+    def _look(
+        self, index: int, place: Float64Array, disparity: Float32Array, tolerance: float
+    ) -> tuple[Float32Array, Float32Array, Float32Array]:
+        """What view `index` shows of the pixels of a new view: colour [y, x, c], how surely that is the surface itself,
+        and the same if nothing else is known of it, [y, x]."""
+        height, width = disparity.shape
+        du, dv = self._lf.positions[index] - place
+        y, x = np.mgrid[:height, :width].astype(np.float32)
+        across, down = x - disparity * np.float32(du), y - disparity * np.float32(dv)
+        inside = (across >= 0) & (across <= width - 1) & (down >= 0) & (down <= height - 1)
+        at = np.stack([np.clip(down, 0, height - 1), np.clip(across, 0, width - 1)])
+        if self._lf.valid is not None:
+            inside &= valid_at(self._lf.valid[index], at)
+        seen = [sampled(self._maps.disparities[index], at, order) for order in (0, 1)]
+        # At an edge of depth the mean of both sides is neither: the nearest pixel tells one of them.
+        difference = np.min([np.abs(values - disparity) for values in seen], axis=0)
+        before = np.maximum(seen[0] - disparity, 0)
+        agreeing = inside / (1 + (difference / np.float32(tolerance)) ** 4)
+        # Where nobody agrees, what is farther is better than what is nearer, and anything than nothing.
+        otherwise = (inside + np.float32(1e-6)) / (1 + before / np.float32(tolerance)) ** 4
+        return colours(self._spline(index), at), agreeing.astype(np.float32), otherwise.astype(np.float32)
+
+    def _spline(self, index: int) -> Float32Array:
+        """The coefficients [c, y, x] of the spline through a view."""
+        if index not in self._splines:
+            self._splines[index] = spline(self._lf.image(index))
+        return self._splines[index]
+
+
+def render_view(
+    lf: LightField,
+    maps: ViewsResult,
+    position: ArrayLike,
+    *,
+    sources: int = _SOURCES,
+    backend: str = DEFAULT,
+    device: str | None = None,
+) -> RenderedView:
+    """Render one view of a recorded scene from where no camera stood; for many of them, make a `Renderer` once.
+
+    Parameters
+    ----------
+    lf, maps, sources, backend, device
+        As for `Renderer`.
+    position
+        (u, v) of the view, as in `LightField.positions`: u is the column, v the row of a grid, fractions allowed. It
+        may lie beyond the grid; there, what no view shows is filled.
+
+    Raises
+    ------
+    LightFieldError, BackendError
+        As `Renderer`.
+    """
+    return Renderer(lf, maps, sources=sources, backend=backend, device=device)(position)
+
+
+def _blended(
+    looks: list[tuple[Float32Array, Float32Array, Float32Array]], distance: Float64Array
+) -> tuple[Float32Array, NDArray[np.bool_]]:
+    """The mean colour [y, x, c] and where some view sees it, [y, x]."""
+    nearness = (1 / (distance + _NEAR) ** 2).astype(np.float32)
+    nearness /= nearness.max()
+    agreeing = sum(near * look[1] for near, look in zip(nearness, looks, strict=True))
+    known = np.asarray(agreeing > _SOMETHING)
+    colour, total = np.zeros_like(looks[0][0]), np.zeros_like(looks[0][1])
+    for near, (seen, agrees, otherwise) in zip(nearness, looks, strict=True):
+        weight = near * np.where(known, agrees, otherwise)
+        colour += weight[..., None] * seen
+        total += weight
+    return np.clip(colour / total[..., None], 0, 1), known
