@@ -13,9 +13,9 @@ from benchmarks.errors import BenchmarkError
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
-from lfgpu.methods import PRESETS
+from lfgpu.methods import method_of
 from lfgpu.pipelines.all_views import estimate_all_views
-from lfgpu.viz.rendering import FOR_RENDERING, Renderer
+from lfgpu.viz.rendering import Renderer
 
 DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
 SCENES = ("cotton", "kitchen", "lytro_2067")
@@ -80,7 +80,7 @@ def split(lf: LightField) -> tuple[LightField, list[int]]:
 
 def _measure(name: str, lf: LightField, preset: str, every: int, say: Callable[[str], None]) -> Row:
     kept, left_out = split(lf)
-    render = Renderer(kept, estimate_all_views(kept, config=PRESETS[preset].with_values(FOR_RENDERING)))
+    render = Renderer(kept, estimate_all_views(kept, config=method_of(preset).for_rendering))
     wanted = left_out[::every]
     whole, inner = (np.empty((len(wanted), len(METHODS))) for _ in range(2))
     known = []

@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from lfgpu import DepthPipeline, LightFieldError, estimate_depth, scenes, tiles
+from lfgpu import DepthPipeline, LightFieldError, estimate_depth, scenes
 from lfgpu._backends import load
 from lfgpu.batch.cluster import BatchError, Cluster, _Task
 from lfgpu.batch.items import Item, find_items, fingerprint
@@ -34,7 +34,7 @@ from lfgpu.batch.run import Batch, Summary, _jobs
 from lfgpu.batch.work import Settings, work
 from lfgpu.cli import app
 from lfgpu.io import read, read_result, write_hci
-from lfgpu.methods import preset
+from lfgpu.methods import method_of, preset
 
 pytest.importorskip("distributed", reason="a batch needs Dask: pip install 'lfgpu[batch]'")
 
@@ -122,6 +122,13 @@ def test_light_fields_are_found_at_any_depth_and_named(recorded: Path, tmp_path:
     assert [item.name for item in items] == ["two", "a/one", "third.npy", "c/one"]
     assert [path.name for path in barren] == ["empty"]
     assert {item.sequence for item in items} == {""}
+
+
+@pytest.mark.parametrize("name", ["scan_2²", "scan_٣", "①"])
+def test_digits_that_are_no_numbers_are_parts_of_names(name: str, recorded: Path, tmp_path: Path) -> None:
+    shutil.copytree(recorded / "scene_0", tmp_path / "in" / name)
+    items, _ = find_items([str(tmp_path / "in")], sequence=True)
+    assert [item.name for item in items] == [name]
 
 
 def test_patterns_order_and_outputs(recorded: Path, tmp_path: Path) -> None:
@@ -234,8 +241,8 @@ def test_frames_have_range_and_noise_of_the_first_that_can_be_read(recorded: Pat
     settings = Settings(preset("fast"))
     todo = jobs(frames, tmp_path / "out", settings, sequence=True)
     first = read(frames / "frame_1")
-    bounds, config = tiles.whole_light_field(first, None, settings.config, load("warp"), "cpu")
-    pipeline = DepthPipeline(first, config=config, disparity_range=bounds, device="cpu")
+    measured = method_of("fast").measure(first, load("warp"), "cpu")
+    pipeline = DepthPipeline(first, config="fast", measured=measured, device="cpu")
     entries = [work(job, "cpu") for job in (todo[0], todo[2], todo[1])]  # in whatever order
     assert [entry["status"] for entry in entries] == [FAILED, DONE, DONE]
     for name in ("frame_1", "frame_2"):

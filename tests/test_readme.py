@@ -3,32 +3,18 @@
 import re
 from pathlib import Path
 
+import parameters_page
+
 import lfgpu
 from lfgpu import scenes
-from lfgpu.config import parameters
 from lfgpu.io import FORMATS
-from lfgpu.methods import PRESETS
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 
 
-def _cells(first: str) -> list[str]:
-    line = next(line for line in README.splitlines() if line.startswith(f"| `{first}` |"))
-    return [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
-
-
-def test_every_parameter_stands_in_the_table_with_its_default_range_and_meaning() -> None:
-    table = README.split("<!-- parameters -->")[1].split("<!-- /parameters -->")[0]
-    for name, field in parameters(PRESETS["paper"]):
-        meta = field.metadata
-        if "choices" in meta:
-            default, extent = f"`{field.default}`", ", ".join(meta["choices"])
-        else:
-            default = f"{field.default:g}"
-            extent = f"{meta['low']:g} to {meta['high']:g}" + (", odd" if meta["odd"] else "")
-        symbol = meta["symbol"].replace("|", r"\|")
-        assert _cells(name) == [f"`{name}`", symbol, default, extent, meta["doc"]]
-    assert table.count("\n| `") == len(dict(parameters(PRESETS["paper"])))
+def test_the_page_of_parameters_is_what_they_say_of_themselves() -> None:
+    found = parameters_page.PAGE.read_text(encoding="utf-8")
+    assert found == parameters_page.page(), "run: python tests/parameters_page.py"
 
 
 def test_every_format_and_scene_is_named() -> None:

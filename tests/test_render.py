@@ -20,9 +20,8 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.frames import write_frames, write_image
-from lfgpu.methods import PRESETS
+from lfgpu.methods import method_of
 from lfgpu.pipelines.all_views import estimate_all_views
-from lfgpu.viz.rendering import FOR_RENDERING
 
 SIZE = (80, 96)
 
@@ -45,7 +44,7 @@ def kept(name: str = "boxes") -> LightField:
 
 @cache
 def maps(name: str = "boxes") -> ViewsResult:
-    config = PRESETS["accurate"].with_values(FOR_RENDERING)
+    config = method_of("accurate").for_rendering
     return estimate_all_views(kept(name), config=config, disparity_range=(-1.6, 1.7))
 
 

@@ -18,6 +18,7 @@ import pytest
 
 import lfgpu
 from lfgpu import scenes
+from lfgpu._backends import load
 from lfgpu.data.lightfield import LightField
 
 RANGE = (-1.5, 1.5)
@@ -54,7 +55,7 @@ def made(lf: LightField | None = None, **options: Any) -> lfgpu.DepthStream:
 @contextmanager
 def held(stream: lfgpu.DepthStream) -> Iterator[None]:
     """The stream gets no further than the frame that it works on."""
-    with stream._transporting.ASKING:
+    with load("warp").asking(stream.device):
         yield
 
 
@@ -454,7 +455,7 @@ def test_stats_and_their_text() -> None:
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"config": "paper"}, "a stream matches"),
+        ({"config": "paper"}, "synthesis cannot; take the preset accurate or fast"),
         ({"config": 3}, "config must be"),
         ({"policy": "newest"}, "policy must be one of latest, block, queue"),
         ({"policy": "latest", "waiting": 2}, "waiting must be"),

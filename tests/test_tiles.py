@@ -13,15 +13,17 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from lfgpu import DepthResult, LightField, LightFieldError, estimate_depth, read, scenes, tiles
+from lfgpu import DepthResult, LightField, LightFieldError, estimate_depth, read, scenes
 from lfgpu._backends import load
 from lfgpu.cli import app
 from lfgpu.config import Config
 from lfgpu.data.mapping import forget, is_mapped
 from lfgpu.io import read_map, write_hci
 from lfgpu.io.disk import on_disk
-from lfgpu.methods import preset
-from lfgpu.methods.footprint import Footprint, footprint, parse_memory
+from lfgpu.methods import method_of, preset
+from lfgpu.methods.footprint import Footprint, parse_memory
+from lfgpu.methods.measured import Measured
+from lfgpu.pipelines import tiles
 
 ROOT = Path(__file__).parents[1]
 RANGE = (-0.8, 0.8)
@@ -36,10 +38,11 @@ def scene() -> LightField:
 
 @pytest.fixture(scope="module")
 def parameters(scene: LightField) -> Config:
-    bounds, config = tiles.whole_light_field(scene, RANGE, preset("accurate"), load("warp"), "cpu")
-    assert bounds == RANGE
-    assert config.sweep.noise > 0
-    return config
+    """With the noise of the whole scene, so that all tiles have the same."""
+    measured = method_of("accurate").measure(scene, load("warp"), "cpu", disparity_range=RANGE)
+    assert measured.disparity_range == RANGE
+    assert measured.noise is not None
+    return preset("accurate").with_values({"sweep.noise": measured.noise})
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +50,13 @@ def whole(scene: LightField, parameters: Config) -> DepthResult:
     return estimate_depth(scene, config=parameters, disparity_range=RANGE, device="cpu")
 
 
+def halo(lf: LightField, config: Config) -> tuple[int, int]:
+    return method_of(config).halo(lf, Measured(RANGE))
+
+
 def memory_for(lf: LightField, config: Config, height: int, width: int) -> int:
     """What makes tiles of that size the largest ones that fit."""
-    needed = footprint(lf, RANGE, config, on_gpu=False).bytes(height, width)
+    needed = method_of(config).footprint(lf, Measured(RANGE), on_gpu=False).bytes(height, width)
     return needed + lf.views.nbytes + 4 * 8 * lf.size[0] * lf.size[1]
 
 
@@ -63,7 +70,7 @@ def in_tiles(lf: LightField, config: Config, memory: int) -> DepthResult:
 def test_tiles_give_the_map_that_is_found_in_one_piece(
     scene: LightField, parameters: Config, whole: DepthResult
 ) -> None:
-    edge = tiles.halo(scene, RANGE, parameters)
+    edge = halo(scene, parameters)
     (_, height), (_, width) = (tiles._cuts(side, e)[1] for side, e in zip(scene.size, edge, strict=True))
     found = in_tiles(scene, parameters, memory_for(scene, parameters, height, width))
     assert found.status.startswith(f"4 tiles of {width} x {height} pixels")
@@ -80,7 +87,7 @@ def test_without_a_halo_the_map_would_differ(
     scene: LightField, parameters: Config, whole: DepthResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """That the comparison can fail."""
-    monkeypatch.setattr(tiles, "halo", lambda *_: (1, 1))
+    monkeypatch.setattr(type(method_of(parameters)), "halo", lambda *_: (1, 1))
     found = in_tiles(scene, parameters, memory_for(scene, parameters, 120, 120))
     assert np.abs(found.disparity - whole.disparity).max() > 10 * TOLERANCE
 
@@ -98,12 +105,12 @@ def test_noise_and_range_are_those_of_the_whole(scene: LightField) -> None:
 def test_several_devices_give_the_same(scene: LightField, parameters: Config) -> None:
     """Each in a thread with a pipeline of its own, here twice the CPU."""
     config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
-    edge = tiles.halo(scene, RANGE, config)
+    edge = halo(scene, config)
     plan = tiles.plan_tiles(scene.size, edge, Footprint(1.0, 0), 190 * 190)
     assert len(plan.starts) > 1
     options = {"config": config, "disparity_range": RANGE, "backend": "warp", "deterministic": False}
-    one = tiles._estimate_all(scene, plan, ["cpu"], options, None)
-    two = tiles._estimate_all(scene, plan, ["cpu", "cpu"], options, None)
+    one = tiles._estimate_all(scene, method_of(config), plan, ["cpu"], options, None)
+    two = tiles._estimate_all(scene, method_of(config), plan, ["cpu", "cpu"], options, None)
     for a, b in zip(one, two, strict=True):
         assert a is not None
         assert b is not None
@@ -115,7 +122,7 @@ def test_a_tile_that_shows_nothing_does_not_end_the_others(scene: LightField, pa
     views[:, :, :175] = 0
     config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
     dark = replace(scene, views=views, truth=None)
-    width = tiles._cuts(200, tiles.halo(dark, RANGE, config)[1])[-1][1]
+    width = tiles._cuts(200, halo(dark, config)[1])[-1][1]
     assert width < 175
     found = in_tiles(dark, config, memory_for(dark, config, 190, width))
     assert "show nothing" in found.status
@@ -130,7 +137,7 @@ def test_masks_are_those_of_each_tile(scene: LightField, parameters: Config) -> 
     masked = replace(scene, valid=valid)
     config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
     whole = estimate_depth(masked, config=config, disparity_range=RANGE, device="cpu")
-    width = tiles._cuts(200, tiles.halo(masked, RANGE, config)[1])[1][1]
+    width = tiles._cuts(200, halo(masked, config)[1])[1][1]
     found = in_tiles(masked, config, memory_for(masked, config, 190, width))
     assert found.status.startswith("2 tiles")
     assert np.abs(found.disparity - whole.disparity).max() < TOLERANCE
@@ -210,8 +217,8 @@ import sys
 import numpy as np
 from benchmarks.memory import host_peak, reset_host_peak
 from lfgpu import DepthPipeline, LightField
-from lfgpu.methods import preset
-from lfgpu.methods.footprint import footprint
+from lfgpu.methods import method_of
+from lfgpu.methods.measured import Measured
 
 name, device = sys.argv[1:]
 on_gpu = device != "cpu"
@@ -219,15 +226,16 @@ on_gpu = device != "cpu"
 def run(height, width):
     views = np.random.default_rng(0).integers(0, 256, (5, 5, height, width, 3), np.uint8)
     lf = LightField.from_grid(views)
-    config = preset(name).with_values({"sweep.noise": 0.01, "alignment.iterations": 1})
-    used = lf.subset("cross") if name == "fast" else lf
+    method = method_of(name)
+    measured = Measured((-1.5, 1.5), 0.01)
+    used = lf.subset(method.used_views(lf))
     del lf, views
-    pipeline = DepthPipeline(used, config=config, disparity_range=(-1.5, 1.5), device=device)
+    pipeline = DepthPipeline(used, config=name, measured=measured, device=device)
     pipeline.estimate()
     pipeline.run()
     pipeline.run()
     pipeline.disparity()
-    return footprint(used, (-1.5, 1.5), config, on_gpu=on_gpu)
+    return method.footprint(used, measured, on_gpu=on_gpu)
 
 if on_gpu:  # where others may use the GPU as well: without the context
     import warp

@@ -5,14 +5,13 @@ from __future__ import annotations
 import glob
 import hashlib
 import os
-import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.folders import entries, image_files
+from lfgpu.io.folders import entries, image_files, natural_order
 from lfgpu.io.formats import recognise
 from lfgpu.io.images import IMAGE_SUFFIXES
 from lfgpu.io.numpy_file import holds_views
@@ -68,7 +67,7 @@ def find_items(
             everything.append(path)
         else:
             everything += search.below(path)
-    paths = sorted({path.absolute() for path in everything}, key=_natural)
+    paths = sorted({path.absolute() for path in everything}, key=lambda path: natural_order(str(path)))
     if not paths:
         raise LightFieldError(f"no light field was found in {', '.join(inputs)}; give folders of views, or of such.")
     names = _names(paths)
@@ -180,8 +179,3 @@ def _names(paths: Sequence[Path]) -> dict[Path, str]:
 
 def _comparable(name: str) -> str:
     return name.casefold()  # of file systems to which these are the same
-
-
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    """The order in which people count: frame_2 before frame_10."""
-    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", str(path)) if part]

@@ -81,10 +81,10 @@ def render(
     check_writable(out, folder=not out.suffix)
     place = None if view is None else values.parse_place("--view", view)
     reference = None if reference_view is None else values.parse_place("--reference-view", reference_view)
-    from lfgpu.viz.rendering import FOR_RENDERING
+    from lfgpu.methods import method_of
 
     estimation = Estimation(
-        values.configured(preset, ()).with_values(FOR_RENDERING),
+        method_of(preset).for_rendering,
         None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
         backend,
         device,

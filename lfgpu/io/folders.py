@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -15,6 +16,14 @@ def listed(paths: Sequence[Path]) -> str:
     """The names of the first few paths and how many there are besides: "a.png, b.png, c.png and 5 more"."""
     more = f" and {len(paths) - _LISTED} more" if len(paths) > _LISTED else ""
     return ", ".join(path.name for path in paths[:_LISTED]) + more
+
+
+def natural_order(text: str) -> list[tuple[int, int, str]]:
+    """A key that sorts names as people count: frame_2 before frame_10.
+
+    Runs of the digits 0 to 9, and of decimal digits of other scripts, count as numbers; signs such as ² do not.
+    """
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in re.split(r"(\d+)", text) if part]
 
 
 def image_files(folder: Path) -> list[Path]:

@@ -161,6 +161,11 @@ class Method(ABC, Generic[C]):
         """Whether a run is the same sequence of operations for all views, so that it can be written as a file."""
         return False
 
+    @property
+    def for_rendering(self) -> C:
+        """The parameters for maps that new views are rendered from."""
+        return self.config
+
     # --- what it needs to know about a light field ---
 
     def measure(

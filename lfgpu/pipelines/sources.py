@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import itertools
-import re
 import sys
 import time
 from collections import deque
@@ -16,6 +15,7 @@ import numpy as np
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io.folders import natural_order
 from lfgpu.pipelines.stream import DepthStream, StreamResult
 
 Frames = Iterator[Any]
@@ -115,7 +115,10 @@ def _frames(source: str, scene_options: dict[str, Any]) -> Frames:
 def _of_folder(path: Path) -> Frames:
     from lfgpu.io import read
 
-    found = sorted((entry for entry in path.iterdir() if not entry.name.startswith(".")), key=_natural)
+    found = sorted(
+        (entry for entry in path.iterdir() if not entry.name.startswith(".")),
+        key=lambda entry: natural_order(entry.name),
+    )
     folders = [entry for entry in found if entry.is_dir()]
     if not folders:
         raise LightFieldError(f"{path} holds no folders; give a folder that holds a light field for each frame.")
@@ -153,9 +156,3 @@ def _of_grabber(source: str) -> Frames:
     if not isinstance(frames, Iterable):
         raise LightFieldError(f"{source} must be a function without arguments that yields frames.")
     return iter(frames)
-
-
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    """frame_2 before frame_10."""
-    parts = re.split(r"(\d+)", path.name)
-    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]

@@ -22,9 +22,6 @@ from lfgpu.pipelines.all_views import Join, filled_from_behind
 from lfgpu.threads import in_threads
 from lfgpu.viz.splines import colours, sampled, spline, valid_at
 
-FOR_RENDERING = {"outlines.contrast": 10.0}
-"""Parameters of maps for rendering: what mixes both sides of an outline shows best with the nearer one."""
-
 _SOURCES = 8
 _SAME = 0.6  # pixels in the farthest view: disparities that differ by this are as likely of one surface as not
 _AGREE = 0.4  # pixels in the farthest view: maps that differ by less are averaged
