@@ -115,13 +115,24 @@ def circles() -> list[list[str]]:
     return found
 
 
+def implied(graph: dict[str, set[str]], name: str, target: str) -> bool:
+    """Whether a room reaches another one through a third one as well."""
+    reached, left = set[str](), list(graph[name] - {target})
+    while left:
+        place = left.pop()
+        if place not in reached:
+            reached.add(place)
+            left += graph.get(place, ())
+    return target in reached
+
+
 def lines(name: str) -> int:
     """Lines of code in a room."""
     return sum(len(path.read_text().splitlines()) for module, path in files().items() if room(module) == name)
 
 
 def drawing() -> str:
-    """The rooms on their floors, with an arrow for each room that imports from another, as SVG."""
+    """The rooms on their floors as SVG. An arrow is left out where others lead to the same room."""
     width, wide, tall, pitch = 960, 150, 34, 92
     places = {
         name: (width * (k + 0.5) / len(floor), 24 + level * pitch)
@@ -135,8 +146,9 @@ def drawing() -> str:
         '<path d="M0 0 8 4 0 8z" fill="#57606a"/></marker></defs>',
         '<rect width="100%" height="100%" fill="#ffffff"/>',
     ]
-    for name, targets in sorted(between_rooms().items()):
-        for target in sorted(targets):
+    graph = between_rooms()
+    for name, targets in sorted(graph.items()):
+        for target in sorted(target for target in targets if not implied(graph, name, target)):
             (x0, y0), (x1, y1) = places[name], places[target]
             lean = (x1 - x0) / width
             if y0 == y1:
