@@ -22,6 +22,7 @@ from lfgpu.io import (
     hci_old,
     lenslet,
     lftoolbox,
+    lytro,
     mosaic,
     named_views,
     numpy_file,
@@ -34,6 +35,7 @@ from lfgpu.io.disk import on_disk, wanted_on_disk
 from lfgpu.io.flips import check_flip, flipped
 from lfgpu.io.folders import entries, head, listed
 from lfgpu.io.images import IMAGE_SUFFIXES
+from lfgpu.io.inside import Inside
 from lfgpu.io.parallax import axes_agree
 
 
@@ -55,6 +57,8 @@ class Format:
     """The extra of the package that (some files of) the format needs: pip install 'lfgpu[EXTRA]'."""
     takes: tuple[str, ...] = ()
     """Which further keywords of `read` have a meaning for it."""
+    inside: Callable[[Path], Inside] | None = None
+    """What else its files hold; None where that is nothing."""
 
 
 def _read_source(path: Path, **options: Any) -> LightField:
@@ -152,10 +156,19 @@ FORMATS: tuple[Format, ...] = (
         takes=("grid", "every"),
     ),
     Format(
+        name="lytro",
+        description="a processed Lytro container (.lfp): the views in it, as Lytro's program computed them",
+        recognise=lytro.recognise,
+        read=lytro.read_lytro,
+        extra="video",
+        inside=lytro.inside,
+    ),
+    Format(
         name="lenslet",
         description="a raw capture of a lenslet camera: .lfp, .lfr or .raw of Lytro, or a grey picture of its sensor",
         recognise=lenslet.recognise,
         read=lenslet.read_lenslet,
+        inside=lenslet.inside,
     ),
 )
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import lytro_samples
 import numpy as np
 from PIL import Image
 
@@ -174,6 +175,48 @@ def _json(lf: LightField, place: Path) -> Path:
     return place / "json" / "array.json"
 
 
+def _lytro(lf: LightField, place: Path) -> Path:
+    """Views in a video without loss, as the first Lytro's program stores them."""
+    import imageio_ffmpeg
+
+    height, width = lf.size
+    writer = imageio_ffmpeg.write_frames(
+        str(place / "views.h264"),
+        (width, height),
+        codec="libx264rgb",
+        pix_fmt_in="rgb24",
+        pix_fmt_out="rgb24",
+        quality=None,
+        output_params=["-crf", "0"],
+        macro_block_size=1,
+        ffmpeg_log_level="error",
+    )
+    writer.send(None)
+    for view in lf.views:
+        writer.send(np.ascontiguousarray(view))
+    writer.close()
+    video = (place / "views.h264").read_bytes()
+    (place / "views.h264").unlink()
+    content, sections = lytro_samples.video(video, lf.size, [{"coord": xy} for xy in _coordinates(lf)])
+    file = place / "IMG_0001-stk.lfp"
+    file.write_bytes(lytro_samples.processed([("edofParallax", content)], sections))
+    return file
+
+
+def _lytro_pictures(lf: LightField, place: Path) -> Path:
+    """Views as pictures, beside a focal stack and a depth table."""
+    content, sections = lytro_samples.pictures(lf.views, [{"coord": xy} for xy in _coordinates(lf)])
+    stack, more = lytro_samples.focal_stack(lf.views[:2])
+    file = place / "IMG_0002-stk.lfp"
+    listed = [("refocusStack", stack), ("edofParallax", content)]
+    file.write_bytes(lytro_samples.processed(listed, [*sections, *more]))
+    return file
+
+
+def _coordinates(lf: LightField) -> list[dict[str, float]]:
+    return [{"x": 0.1 * du, "y": 0.1 * dv} for du, dv in lf.offsets.tolist()]
+
+
 @dataclass(frozen=True)
 class Sample:
     """How the scene is written, and what of it comes back."""
@@ -204,6 +247,8 @@ SAMPLES = {
     "tiff-stack": Sample("tiff-stack", _tiff),
     "mosaic": Sample("mosaic", _mosaic, options={"grid": (5, 5)}),
     "video": Sample("video", _video, views="row"),
+    "lytro": Sample("lytro", _lytro),
+    "lytro-pictures": Sample("lytro", _lytro_pictures),
     "named-views": Sample("named-views", lambda lf, place: _named(lf, place / "named")),
     "camera-row": Sample("camera-row", _row, views="row", exact=False),
     "toml": Sample("lightfield-toml", _toml),

@@ -10,8 +10,11 @@ from PIL import Image
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io import lytro
 from lfgpu.io.images import read_image
-from lfgpu.io.lenslet import capture, container
+from lfgpu.io.inside import Inside
+from lfgpu.io.lenslet import capture
+from lfgpu.io.lytro.container import is_container
 
 _LEAST_SIDE = 256  # pixels: no sensor under microlenses is smaller
 _LOOKED_AT = 1024  # pixels along each side, in the middle of a picture
@@ -21,7 +24,7 @@ def recognise(path: Path) -> str | None:
     """Why a file is taken for a raw capture; None if it is not."""
     if not path.is_file():
         return None
-    if container.is_container(path):
+    if is_container(path):
         return "it is a container of a Lytro camera"
     if camera := capture.bare_raw(path):
         return f"it has the name and the length of a raw file of {camera}"
@@ -43,6 +46,11 @@ def read_lenslet(
     from lfgpu.io.lenslet.decode import decode  # scipy is not for those who read something else
 
     return decode(path, bayer=bayer, white=white, views=views).light_field
+
+
+def inside(path: Path) -> Inside:
+    """What else a container holds than its raw picture; nothing for other files."""
+    return lytro.inside(path) if is_container(path) else Inside(())
 
 
 def _may_be_a_sensor(path: Path) -> bool:
