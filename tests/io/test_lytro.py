@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,13 @@ from hypothesis import strategies as st
 from lenslet_samples import container, metadata, packed, section
 from samples import refusal, refused_or_not
 
-from lfgpu.io import read, read_map, recognise
+from lfgpu.io import parallax, read, read_map, recognise
 from lfgpu.io.lytro import inside
 from lfgpu.io.lytro.contents import read_contents
 from lfgpu.io.lytro.pictures import confidence_table, decoded, depth_table
 from lfgpu.io.lytro.written import write_contents
 
+DATA = Path(os.environ.get("LFGPU_DATA", Path(__file__).parents[3] / "shared" / "data"))
 IMAGES = np.random.default_rng(0).integers(0, 256, (3, 16, 24, 3), np.uint8)
 TABLE = np.linspace(-4, 6, 120, dtype=np.float32).reshape(10, 12)
 
@@ -146,6 +148,54 @@ def test_what_is_written_reads_back(tmp_path: Path) -> None:
     about = json.loads((tmp_path / "out" / "lytro.json").read_text())
     assert about["focal_stacks"][0][2] == {"file": "focus_02.jpg", "lambda": 1.0}
     assert about["camera"]["camera"].startswith("Lytro, Inc. F01")
+
+
+# --- real files ---
+
+
+def real(name: str) -> Path:
+    file = DATA / "real" / "lytro" / name
+    if not file.is_file():
+        pytest.skip(f"{file} is not there: set LFGPU_DATA to the folder of the real light fields")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("name", "contents"),
+    [
+        ("IMG_0001-stk.lfp", "a focal stack of 12 pictures of 1080 x 1080 px, a depth table of 20 x 20"),
+        ("IMG_0002-dm.lfp", "a depth table of 330 x 330"),
+        ("flowers-stk.lfp", "a focal stack of 10 pictures of 1080 x 1080 px, a depth table of 20 x 20"),
+        ("buddha.lfp", "a focal stack of 5 pictures of 1080 x 1080 px, a depth table of 328 x 328"),
+        ("illum_demo.LFP", "a focal stack of 10 pictures of 704 x 480 px, a depth table of 88 x 60"),
+    ],
+)
+def test_real_containers_without_views(name: str, contents: str) -> None:
+    file = real(name)
+    assert recognise(file)[0].name == "lytro"
+    said = inside(file)
+    assert dict(said.facts)["contents"] == contents
+    assert said.no_depth is not None
+    assert said.no_depth in refusal(lambda: read(file))
+
+
+def test_real_views_run_against_lytros_depth() -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    found = read(real("IMG_0002-stk.lfp"))
+    assert found.views.shape == (37, 1080, 1080, 3)
+    assert found.offsets[found.reference_index].tolist() == [0, 0]
+    np.testing.assert_allclose(np.sort(np.hypot(*found.offsets.T))[:8], [0, 1, 1, 1, 1, 1, 1, np.sqrt(3)], atol=1e-6)
+    assert parallax.axes_agree(found) is True
+    contents = read_contents(real("IMG_0002-dm.lfp"))
+    assert contents.depth is not None
+    table = depth_table(contents.container, contents.depth)
+    for axis in (0, 1):
+        measured = parallax.measured(found, axis)
+        assert measured is not None
+        disparity, weight = measured
+        places = [(np.arange(side) + 0.5) * 330 / side for side in disparity.shape]
+        there = table[np.ix_(*(np.floor(place).astype(int) for place in places))]
+        assert parallax.agreement(disparity, -there.astype(float), weight) > 0.8
 
 
 # --- damage ---
