@@ -27,7 +27,9 @@ def scene(grid: tuple[int, int] = (5, 5), size: tuple[int, int] = (40, 48)) -> L
 def _named(lf: LightField, folder: Path, pattern: str = "view_{0:02d}_{1:02d}.png") -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for view, (u, v) in zip(lf.views, lf.positions, strict=True):
-        Image.fromarray(view).save(folder / pattern.format(round(v), round(u)))
+        row, column = round(v), round(u)
+        middle = [round(side // 2) for side in lf.grid_shape or (0, 0)]
+        Image.fromarray(view).save(folder / pattern.format(row, column, row - middle[0], column - middle[1]))
     return folder
 
 
@@ -160,6 +162,18 @@ def _row(lf: LightField, place: Path) -> Path:
     return folder
 
 
+def _row_folders(lf: LightField, place: Path) -> Path:
+    for view, (u, v) in zip(lf.views, lf.positions, strict=True):
+        folder = place / "rows" / f"row_{round(v) + 1:02d}"
+        folder.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(view).save(folder / f"{round(u) + 1:03d}.bmp")
+    return place / "rows"
+
+
+def _signed(lf: LightField, place: Path) -> Path:
+    return _named(lf, place / "signed", "image_{2:+d}_{3:+d}.tif")
+
+
 def _toml(lf: LightField, place: Path) -> Path:
     from lfgpu.io import read
 
@@ -250,6 +264,8 @@ SAMPLES = {
     "lytro": Sample("lytro", _lytro),
     "lytro-pictures": Sample("lytro", _lytro_pictures),
     "named-views": Sample("named-views", lambda lf, place: _named(lf, place / "named")),
+    "signed-names": Sample("named-views", _signed),
+    "row-folders": Sample("row-folders", _row_folders),
     "camera-row": Sample("camera-row", _row, views="row", exact=False),
     "toml": Sample("lightfield-toml", _toml),
     "json": Sample("lightfield-toml", _json),

@@ -52,7 +52,7 @@ def save(path: Path, image: NDArray[Any] | None = None) -> None:
 def save_named(folder: Path, places: Iterable[tuple[int, int]], pattern: str = "view_{0:02d}_{1:02d}.png") -> Path:
     """Views at places of a grid, each with its own content (seed 100 * row + column)."""
     for row, column in places:
-        save(folder / pattern.format(row, column), picture(100 * row + column))
+        save(folder / pattern.format(row, column), picture(abs(100 * row + column)))
     return folder
 
 
