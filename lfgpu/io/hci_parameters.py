@@ -8,7 +8,6 @@ from pathlib import Path
 
 from lfgpu.data.geometry import Geometry
 from lfgpu.errors import LightFieldError
-from lfgpu.data.geometry import Geometry
 from lfgpu.io.git_lfs import check_fetched
 
 PARAMETERS_FILE = "parameters.cfg"

@@ -12,7 +12,6 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.folders import image_files, listed, sub_folders
 from lfgpu.io.grid import by_place, read_grid
-from lfgpu.data.lightfield import LightField
 from lfgpu.io.images import image_size
 
 # The last two numbers of a name. Row and column have at most three digits, so that dates and times are none.

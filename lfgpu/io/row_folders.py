@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.camera_row import numbered_images
 from lfgpu.io.folders import sub_folders
 from lfgpu.io.grid import Place, by_place, read_grid
 from lfgpu.io.images import read_image
-from lfgpu.data.lightfield import LightField
 
 _ROW = re.compile(r"(?:|r|row|v|y|line)[-_ ]?([0-9]{1,3})", re.IGNORECASE)
 _SIDE = 24  # pixels to which views are shrunk to be compared

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import field_of
 from lfgpu.io.inside import Inside
@@ -14,7 +15,6 @@ from lfgpu.io.limits import check_memory
 from lfgpu.io.lytro.container import is_container
 from lfgpu.io.lytro.contents import Contents, Views, read_contents
 from lfgpu.io.lytro.pictures import decoded, depth_table
-from lfgpu.data.lightfield import LightField
 
 
 def recognise(path: Path) -> str | None:
