@@ -82,7 +82,7 @@ class Members:
         if not isinstance(value, kind):
             found = "nothing" if key not in self.values else f"a JSON {type(value).__name__}"
             raise LightFieldError(
-                f"{self._path} is damaged or of an unknown camera: its metadata has {found} for {self._full(key)}, "
+                f"{self._path} is damaged or of an unknown kind: its metadata has {found} for {self._full(key)}, "
                 f"where {wanted} should be."
             )
         return value

@@ -18,6 +18,8 @@ from lfgpu.io.lytro.contents import Contents, read_contents
 from lfgpu.io.members import Members
 
 _SIDES = (8, 32768)  # pixels that a container may claim
+_LEVELS = (0.1, 99.9)  # percentiles
+_OFFSET = 0.5  # of the brightest values, for the darkest ones, from which they are taken for black
 _PLACES = ("r", "gr", "gb", "b")
 
 
@@ -115,9 +117,25 @@ def _from_image(path: Path) -> Capture:
             f"{path} is a colour picture; a raw capture is grey, with the mosaic of the sensor in it: save it without "
             "demosaicing."
         )
-    top = 1.0 if image.dtype == np.float32 else float(np.iinfo(image.dtype).max)
-    mosaic = image[..., 0].astype(np.float32) / np.float32(top)
-    return Capture(np.clip(mosaic, 0.0, 1.0), None, (1.0, 1.0, 1.0), f"grey picture, {image.dtype}")
+    mosaic, notes = scaled(image[..., 0])
+    return Capture(mosaic, None, (1.0, 1.0, 1.0), f"grey picture, {image.dtype}", notes)
+
+
+def scaled(image: NDArray[Any]) -> tuple[Float32Array, tuple[str, ...]]:
+    """A grey picture with black at 0 and white at 1, and what was assumed of these levels.
+
+    Between microlenses it is dark. Where a picture is not, as those of thermal sensors are, its values have an offset.
+    """
+    whole = image.dtype != np.float32
+    low, high = (float(level) for level in np.percentile(image, _LEVELS))
+    black, white = 0.0, float(np.iinfo(image.dtype).max) if whole else 1.0
+    of_white = low <= _OFFSET * high and (whole or (low >= 0.0 and high <= 1.0))
+    if not of_white:
+        black = low if low < 0.0 or low > _OFFSET * high else 0.0
+        white = max(float(image.max()), black + 1e-6)
+    mosaic = (image.astype(np.float32) - np.float32(black)) / np.float32(white - black)
+    note = f"Black level {black:g} and white level {white:g} are assumed: the picture's values are no shares of white."
+    return np.clip(mosaic, 0.0, 1.0), () if of_white else (note,)
 
 
 def _camera(path: Path) -> _Camera | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
 from lfgpu.data.lightfield import LightField
@@ -17,6 +16,7 @@ from lfgpu.io.lenslet import capture
 from lfgpu.io.lytro.container import is_container
 
 _LEAST_SIDE = 256  # pixels: no sensor under microlenses is smaller
+_JPEG_BLOCK, _EXACT = 8.0, 0.01  # pixels: the squares that JPEG leaves in a picture, and how exact they are
 _LOOKED_AT = 1024  # pixels along each side, in the middle of a picture
 
 
@@ -30,8 +30,8 @@ def recognise(path: Path) -> str | None:
         return f"it has the name and the length of a raw file of {camera}"
     if not (capture.is_image(path) and _may_be_a_sensor(path)):
         return None
-    pitch = _pitch(path)
-    return None if pitch is None else f"it is a grey picture of microlenses, a hexagonal grid {pitch:.2f} px apart"
+    lattice = _lattice(path)
+    return None if lattice is None else f"it is a grey picture of microlenses, {lattice}"
 
 
 def read_lenslet(
@@ -62,14 +62,25 @@ def _may_be_a_sensor(path: Path) -> bool:
         return False
 
 
-def _pitch(path: Path) -> float | None:
-    """The pitch of the microlenses in the middle of a picture, or None if there are none, or it cannot be read."""
-    from lfgpu.io.lenslet.microlenses import find_peaks
+def _lattice(path: Path) -> str | None:
+    """The lattice of microlenses in the middle of a picture, in words; None if there is none, or it cannot be read."""
+    from lfgpu.io.lenslet.microlenses import find_microlenses
+    from lfgpu.io.lenslet.spectrum import find_peaks
 
     try:
-        image = read_image(path)[0][..., 0]
+        image, _ = capture.scaled(read_image(path)[0][..., 0])
     except LightFieldError:
         return None
     top, left = (max(0, (side - _LOOKED_AT) // 2) for side in image.shape)
-    peaks = find_peaks(image[top : top + _LOOKED_AT, left : left + _LOOKED_AT].astype(np.float32))
-    return None if peaks is None else float(2 / np.sqrt(3) / np.hypot(*peaks.frequencies.T).mean())
+    middle = image[top : top + _LOOKED_AT, left : left + _LOOKED_AT]
+    peaks = find_peaks(middle)
+    if peaks is None:
+        return None
+    if not peaks.square:
+        return f"a hexagonal lattice {peaks.pitch:.2f} px apart"
+    try:  # squares are sooner there by chance: they have to be the same ones everywhere
+        lenses = find_microlenses(middle, name=str(path))
+    except LightFieldError:
+        return None
+    of_blocks = abs(lenses.pitch - _JPEG_BLOCK) < _EXACT and abs(lenses.rotation) < _EXACT
+    return None if of_blocks or not lenses.square else f"a square lattice {lenses.pitch:.2f} px apart"
