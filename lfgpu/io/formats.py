@@ -16,6 +16,7 @@ from lfgpu.data.mapping import forget
 from lfgpu.data.vignette import without_black_corners
 from lfgpu.errors import LightFieldError
 from lfgpu.io import (
+    blender,
     camera_row,
     description,
     hci,
@@ -73,6 +74,13 @@ def _read_source(path: Path, **options: Any) -> LightField:
 
 FORMATS: tuple[Format, ...] = (
     # Those that are named more distinctly come first: the first one that recognises a path is taken.
+    Format(
+        name="blender",
+        description="what the IDLab light field add-on of Blender rendered: lightfield.json, exr/ or png/",
+        recognise=blender.recognise,
+        read=blender.read_blender,
+        extra="exr",
+    ),
     Format(
         name="lightfield-toml",
         description="a description lightfield.toml (or .json) of any array of cameras",

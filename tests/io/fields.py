@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -189,6 +190,50 @@ def _json(lf: LightField, place: Path) -> Path:
     return place / "json" / "array.json"
 
 
+BLENDER_STEP, BLENDER_FOCAL = 0.05, 60.0
+"""Metres between cameras, and pixels."""
+
+
+def blender_depth(lf: LightField) -> Any:
+    """The depth of the middle view; there is none behind infinity, where disparities are negative."""
+    assert lf.truth is not None
+    return BLENDER_STEP * BLENDER_FOCAL / np.maximum(lf.truth.disparity.astype(np.float64), 1e-4)
+
+
+def _blender(lf: LightField, place: Path) -> Path:
+    """What the add-on writes: cameras before the wall of a room, turned and off the origin."""
+    import OpenEXR
+
+    folder = place / "LFPlane"
+    (folder / "exr").mkdir(parents=True)
+    height, width = lf.size
+    turn = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # right, up and back, a column each
+    rows = 2 * BLENDER_FOCAL
+    matrix = [[rows / width, 0, 0, 0], [0, rows / height, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]]
+    frames = []
+    for index, (view, (du, dv)) in enumerate(zip(lf.views, lf.offsets, strict=True)):
+        name = f"view_{index:04d}f"
+        at = np.array([3.0, -2.0, 1.5]) + BLENDER_STEP * (du * turn[:, 0] - dv * turn[:, 1])
+        world = np.eye(4)
+        world[:3, :3], world[:3, 3] = turn, at
+        frames.append({"name": name, "position": at.tolist(), "world_matrix": world.tolist()})
+        coded = view.astype(np.float64) / 255
+        linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)
+        channels = {c: np.ascontiguousarray(linear[..., i]) for i, c in enumerate("RGB")}
+        channels["Z"] = np.ascontiguousarray(blender_depth(lf), np.float32)
+        with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels) as file:
+            file.write(str(folder / "exr" / f"{name}.exr"))
+    about = {
+        "camera": {"type": "PERSP", "lens_unit": "MILLIMETERS", "focal_length": 50, "projection_matrix": matrix},
+        "lf_type": "PLANE",
+        "resolution": [width, height],
+        "sensor_size": [36, 36 * height / width],
+        "frames": frames,
+    }
+    (folder / "lightfield.json").write_text(json.dumps(about))
+    return folder
+
+
 def _lytro(lf: LightField, place: Path) -> Path:
     """Views in a video without loss, as the first Lytro's program stores them."""
     import imageio_ffmpeg
@@ -252,6 +297,7 @@ SAMPLES = {
     "hci": Sample("hci", _hci, truth=True),
     "hci-export": Sample("hci-export", _export, truth=True),
     "hci-hdf5": Sample("hci-hdf5", _hdf5, truth=True),
+    "blender": Sample("blender", _blender),
     "stanford": Sample("stanford", _stanford),
     "plenopticam": Sample("plenopticam", _plenopticam),
     "lftoolbox-5": Sample("lftoolbox", _mat5),

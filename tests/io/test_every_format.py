@@ -115,6 +115,7 @@ def test_written_descriptions_read_back(name: str, written: dict[str, Path], tmp
 
 
 EXTRAS = {
+    "blender": "OpenEXR",
     "hci-hdf5": "h5py",
     "lftoolbox-7.3": "h5py",
     "tiff-stack": "tifffile",
