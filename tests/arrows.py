@@ -23,7 +23,7 @@ FLOORS = (
     ("viz",),
     ("pipelines",),
     ("io", "comparison"),
-    ("methods", "scenes", "metrics"),
+    ("methods", "scenes", "metrics", "region_metrics"),
     ("data", "solvers", "kernels"),
     ("_backends",),
     ("contract", "config", "threads"),

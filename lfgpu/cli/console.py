@@ -71,6 +71,21 @@ def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
     console.print(Padding(table, (0, 0, 0, 2), expand=False))
 
 
+def region_scores(console: Console, rows: Mapping[str, Mapping[str, float]]) -> None:
+    """The benchmark's measures of regions from top to bottom, maps from left to right."""
+    from lfgpu.region_metrics import REGION_METRICS
+
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
+    table.add_column("")
+    for name in rows:
+        table.add_column(Text(name), justify="right")
+    for metric in REGION_METRICS:
+        values = [scores[metric.name] for scores in rows.values() if metric.name in scores]
+        if values:
+            table.add_row(f"{metric.name} ({metric.unit})", *(f"{value:.2f}" for value in values))
+    console.print(Padding(table, (0, 0, 0, 2), expand=False))
+
+
 def comparison(console: Console, scored: Compared) -> None:
     """Scenes and metrics from top to bottom, methods from left to right, the best of each row in bold."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")

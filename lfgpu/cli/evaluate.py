@@ -44,6 +44,15 @@ def evaluate(
         typer.Option(metavar="FILE", help="Image, not zero where it is scored.", show_default="that of TRUTH"),
     ] = None,
     border: Annotated[int | None, typer.Option(help="Pixels left out at each side.", show_default="15")] = None,
+    submission: Annotated[
+        Path | None,
+        typer.Option(
+            "--hci-submission",
+            metavar="FOLDER",
+            help="Write maps and runtimes as the HCI benchmark takes them, instead: of each RESULT, a folder that "
+            "depth wrote, named as the scene.",
+        ),
+    ] = None,
 ) -> None:
     """Score a disparity map with the metrics of the HCI 4D Light Field Benchmark; smaller is better throughout.
 
@@ -51,6 +60,13 @@ def evaluate(
     give one table, and with -o files: table.md, table.tex, table.csv and errors.png. So do whole batches, but for the
     picture: all their items that have ground truth, and the averages.
     """
+    if submission is not None:
+        if scenes or out is not None or mask is not None or border is not None:
+            raise LightFieldError(
+                "--hci-submission goes with results only; leave --scene, --out, --mask, --border out."
+            )
+        _submit(paths, submission)
+        return
     if scenes:
         if mask is not None:
             raise LightFieldError("--mask belongs to one scene; with --scene, the masks of the light fields are used.")
@@ -75,9 +91,11 @@ def evaluate(
 
 def _score(result: Path, truth: Path, mask: Path | None, border: int | None) -> None:
     from lfgpu import metrics
-    from lfgpu.cli.console import output, remark, scores, sparsification
+    from lfgpu.cli.console import output, region_scores, remark, scores, sparsification
     from lfgpu.cli.summary import scored_where
     from lfgpu.io import read_mask
+    from lfgpu.io.hci_submission import read_region_masks
+    from lfgpu.region_metrics import evaluate_regions
 
     left_out = metrics.BORDER if border is None else border
     maps, estimate = _maps(result, truth)
@@ -89,11 +107,42 @@ def _score(result: Path, truth: Path, mask: Path | None, border: int | None) -> 
     console = output()
     scores(console, rows)
     remark(console, scored_where(next(iter(rows.values())).count, left_out))
+    if truth.is_dir() and (regions := read_region_masks(truth)):
+        region_scores(
+            console,
+            {name: evaluate_regions(values, true.disparity, regions, border=left_out) for name, values in maps.items()},
+        )
     if estimate is not None and estimate.confidence is not None:
         curve = metrics.sparsification(
             estimate.disparity, estimate.confidence, true.disparity, mask=where, border=left_out
         )
         sparsification(console, curve)
+
+
+def _submit(results: list[Path], out: Path) -> None:
+    """Write a submission from folders that depth wrote; what is missing is said."""
+    from lfgpu.cli.console import output, remark
+    from lfgpu.cli.summary import show_outputs
+    from lfgpu.data.result import DepthResult
+    from lfgpu.io import check_writable, load
+    from lfgpu.io.hci_submission import write_submission
+
+    check_writable(out)
+    found = {}
+    for path in results:
+        _check_exists(path)
+        result = load(_inside(path) if path.is_dir() else path)
+        if not isinstance(result, DepthResult) or "total" not in result.timings:
+            raise LightFieldError(f"{path} does not say how long it took; give folders that depth wrote.")
+        scene = path.resolve().name.lower() if path.is_dir() else path.stem.lower()
+        if scene in found:
+            raise LightFieldError(f"{path} is a second result of the scene {scene!r}; give one of each.")
+        found[scene] = (result.disparity, result.timings["total"])
+    missing = write_submission(out, found)
+    console = output()
+    show_outputs(console, out, [("disp_maps/", f"{len(found)} maps"), ("runtimes/", "seconds, of the estimate alone")])
+    if missing:
+        remark(console, f"The benchmark takes all twelve scenes; {len(missing)} are missing: {', '.join(missing)}.")
 
 
 def _maps(path: Path, truth: Path) -> tuple[dict[str, NDArray[np.float32]], DepthResult | DisparityMap | None]:

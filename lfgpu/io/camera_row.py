@@ -21,9 +21,9 @@ def recognise(path: Path) -> str | None:
     """Why a path is taken for a folder of numbered images; None if it is not."""
     if not path.is_dir():
         return None
-    if len(views := _views(path)) > 1:
+    if len(views := numbered_images(path)) > 1:
         return f"it is a folder with numbered images, such as {views[0][1].name}"
-    folders = [folder for folder in sub_folders(path) if len(_views(folder)) > 1]
+    folders = [folder for folder in sub_folders(path) if len(numbered_images(folder)) > 1]
     return f"its folder {folders[0].name} has numbered images" if folders else None
 
 
@@ -50,7 +50,7 @@ def read_camera_row(
         If there are no such images, they leave open how they stand, or they are damaged.
     """
     folder = _folder(path)
-    views = _views(folder)
+    views = numbered_images(folder)
     notes = [] if folder == path else [f"The views are in the folder {folder.name}."]
     named = {file for _, file in views}
     if others := [file for file in image_files(folder) if file not in named]:
@@ -78,7 +78,7 @@ def read_camera_row(
     return read_grid(places, shape, folder=path, allow_missing=allow_missing, notes=notes)
 
 
-def _views(folder: Path) -> list[tuple[int, Path]]:
+def numbered_images(folder: Path) -> list[tuple[int, Path]]:
     """(number, file) of the images of the most frequent name, by number."""
     matches = [(file, match) for file in image_files(folder) if (match := _NAME.fullmatch(file.stem))]
     kinds = Counter((match[1], match[3]) for _, match in matches)
@@ -91,9 +91,9 @@ def _views(folder: Path) -> list[tuple[int, Path]]:
 def _folder(path: Path) -> Path:
     if not path.is_dir():
         raise LightFieldError(f"{path} is not a folder of numbered images.")
-    if len(_views(path)) > 1:
+    if len(numbered_images(path)) > 1:
         return path
-    folders = [folder for folder in sub_folders(path) if len(_views(folder)) > 1]
+    folders = [folder for folder in sub_folders(path) if len(numbered_images(folder)) > 1]
     if not folders:
         raise LightFieldError(f"{path} has no numbered images, such as view_0012.png; give the folder that holds them.")
     if len(folders) > 1:

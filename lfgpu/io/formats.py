@@ -16,16 +16,20 @@ from lfgpu.data.mapping import forget
 from lfgpu.data.vignette import without_black_corners
 from lfgpu.errors import LightFieldError
 from lfgpu.io import (
+    blender,
     camera_row,
     description,
     hci,
     hci_old,
     lenslet,
     lftoolbox,
+    lytro,
     mosaic,
     named_views,
     numpy_file,
     plenopticam,
+    row_folders,
+    several,
     stanford,
     tiff_stack,
     video,
@@ -33,7 +37,9 @@ from lfgpu.io import (
 from lfgpu.io.disk import on_disk, wanted_on_disk
 from lfgpu.io.flips import check_flip, flipped
 from lfgpu.io.folders import entries, head, listed
+from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.images import IMAGE_SUFFIXES
+from lfgpu.io.inside import Inside
 from lfgpu.io.parallax import axes_agree
 
 
@@ -55,6 +61,10 @@ class Format:
     """The extra of the package that (some files of) the format needs: pip install 'lfgpu[EXTRA]'."""
     takes: tuple[str, ...] = ()
     """Which further keywords of `read` have a meaning for it."""
+    inside: Callable[[Path], Inside] | None = None
+    """What else its files hold; None where that is nothing."""
+    looks_below: bool = False
+    """Whether a folder is of this format if only one of its sub-folders has the views."""
 
 
 def _read_source(path: Path, **options: Any) -> LightField:
@@ -64,6 +74,13 @@ def _read_source(path: Path, **options: Any) -> LightField:
 
 FORMATS: tuple[Format, ...] = (
     # Those that are named more distinctly come first: the first one that recognises a path is taken.
+    Format(
+        name="blender",
+        description="what the IDLab light field add-on of Blender rendered: lightfield.json, exr/ or png/",
+        recognise=blender.recognise,
+        read=blender.read_blender,
+        extra="exr",
+    ),
     Format(
         name="lightfield-toml",
         description="a description lightfield.toml (or .json) of any array of cameras",
@@ -87,6 +104,7 @@ FORMATS: tuple[Format, ...] = (
         description="Stanford Light Field Archive: a folder of out_ROW_COLUMN_Y_X.png",
         recognise=stanford.recognise,
         read=stanford.read_stanford,
+        looks_below=True,
     ),
     Format(
         name="plenopticam",
@@ -136,6 +154,13 @@ FORMATS: tuple[Format, ...] = (
         description="a folder of images named by row and column, such as view_00_03.png or 5_5.bmp",
         recognise=named_views.recognise,
         read=named_views.read_named_views,
+        looks_below=True,
+    ),
+    Format(
+        name="row-folders",
+        description="a folder of folders, one for each row of cameras, with numbered images",
+        recognise=row_folders.recognise,
+        read=row_folders.read_row_folders,
     ),
     Format(
         name="hci-hdf5",
@@ -149,13 +174,23 @@ FORMATS: tuple[Format, ...] = (
         description="a folder of numbered images, such as view_0034.jpg: a row of cameras",
         recognise=camera_row.recognise,
         read=camera_row.read_camera_row,
+        looks_below=True,
         takes=("grid", "every"),
+    ),
+    Format(
+        name="lytro",
+        description="a processed Lytro container (.lfp): the views in it, as Lytro's program computed them",
+        recognise=lytro.recognise,
+        read=lytro.read_lytro,
+        extra="video",
+        inside=lytro.inside,
     ),
     Format(
         name="lenslet",
         description="a raw capture of a lenslet camera: .lfp, .lfr or .raw of Lytro, or a grey picture of its sensor",
         recognise=lenslet.recognise,
         read=lenslet.read_lenslet,
+        inside=lenslet.inside,
     ),
 )
 
@@ -242,11 +277,22 @@ def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
     for candidate in FORMATS:
         reason = candidate.recognise(path)
         if reason is not None:
+            if candidate.looks_below:
+                several.check_one(path, candidate.name, _kind)
             return candidate, reason
+    several.check_no_captures(path)
     raise LightFieldError(
         f"{path} is not a light field of a known format: it is {_what(path)}. "
         f"Known are {', '.join(entry.name for entry in FORMATS)}."
     )
+
+
+def _kind(path: Path) -> str | None:
+    """The name of the format of a path; None if it is no light field, or several."""
+    try:
+        return recognise(path)[0].name
+    except LightFieldError:
+        return None
 
 
 def _named(name: str) -> Format:
@@ -266,6 +312,7 @@ def check_exists(path: Path, what: str = "a folder of views or a light field fil
         raise LightFieldError(f"{path} cannot be opened: {getattr(error, 'strerror', None) or error}.") from error
     if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):  # a pipe would be waited for, a device never ends
         raise LightFieldError(f"{path} is neither a file nor a folder; give {what}.")
+    check_fetched(path)
 
 
 _ARCHIVES = {b"PK\x03\x04": "zip", b"PK\x05\x06": "zip", b"7z\xbc\xaf": "7z", b"Rar!": "rar", b"\x1f\x8b": "gzip"}

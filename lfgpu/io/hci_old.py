@@ -18,6 +18,7 @@ from lfgpu.io import hdf5
 from lfgpu.io.arrays import grid_field
 from lfgpu.io.flips import flipped
 from lfgpu.io.folders import entries, head, sub_folders
+from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.maps import check_size, read_mask
 from lfgpu.io.named_views import read_named_views
 from lfgpu.io.parallax import runs_as_truth
@@ -166,6 +167,7 @@ def read_hci_export(path: Path, *, allow_missing: bool = False) -> LightField:
         )
     depth = None
     if (path / DEPTH_FILE).is_file():
+        check_fetched(path / DEPTH_FILE)
         height, width = light_field.size
         if (path / DEPTH_FILE).stat().st_size != 4 * height * width:
             raise LightFieldError(

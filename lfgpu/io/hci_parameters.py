@@ -8,6 +8,7 @@ from pathlib import Path
 
 from lfgpu.data.geometry import Geometry
 from lfgpu.errors import LightFieldError
+from lfgpu.io.git_lfs import check_fetched
 
 PARAMETERS_FILE = "parameters.cfg"
 
@@ -30,6 +31,7 @@ class Parameters:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._config = configparser.ConfigParser(interpolation=None)
+        check_fetched(path)
         try:
             self._config.read_string(path.read_text(encoding="utf-8-sig"), source=path.name)
         except OSError as error:

@@ -15,6 +15,7 @@ from PIL import Image, UnidentifiedImageError
 from PIL.TiffImagePlugin import TiffImageFile
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.limits import check_claim
 
 IMAGE_SUFFIXES = frozenset({".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff"})
@@ -86,11 +87,21 @@ def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[ND
     except LightFieldError:
         raise
     except UnidentifiedImageError as error:
+        check_fetched(path)
         raise LightFieldError(f"{path} cannot be read as an image: it is none, or its beginning is damaged.") from error
     except Exception as error:  # decoders raise whatever comes to them when a file is damaged
         reason = str(getattr(error, "strerror", None) or error).rstrip(".")
         raise LightFieldError(f"{path} cannot be read as an image: {reason}.") from error
     return _normalised(path, image, finite=finite)
+
+
+def image_size(path: Path) -> tuple[int, int] | None:
+    """(height, width) by the header of an image file; None if that cannot be read, which `read_image` explains."""
+    try:
+        with _FILTERS, Image.open(path) as image:
+            return image.height, image.width
+    except Exception:  # decoders raise whatever comes to them when a file is damaged
+        return None
 
 
 def _decode(path: Path) -> NDArray[Any]:

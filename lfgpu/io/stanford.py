@@ -17,7 +17,7 @@ from lfgpu.io.parallax import axes_agree
 from lfgpu.io.views import load_views
 
 _NUMBER = r"(-?[0-9]{1,9}(?:\.[0-9]{1,12})?)"
-_NAME = re.compile(rf"(?:.*_)?([0-9]{{1,3}})_([0-9]{{1,3}})_{_NUMBER}_{_NUMBER}(_?)", re.DOTALL)
+_NAME = re.compile(rf"(?:.*_)?([0-9]{{1,3}})_([0-9]{{1,3}})_{_NUMBER}_{_NUMBER}_?", re.DOTALL)
 
 
 def recognise(path: Path) -> str | None:
@@ -33,8 +33,8 @@ def read_stanford(path: Path, *, allow_missing: bool = False) -> LightField:
 
     Positions are irregular, in the unit of the gantry. They become view steps by the median distance of neighbours in
     a row (in a column where there is one only); both axes have the same unit, so that disparities mean the same on
-    both. X counts to the right. Y counts downwards in names that end in an underscore and upwards in others; where the
-    pictures tell otherwise they are followed, with a note.
+    both. X counts to the right and Y downwards, whatever the rows and columns of the names do; where the pictures tell
+    otherwise of Y they are followed, with a note.
 
     Parameters
     ----------
@@ -59,15 +59,10 @@ def read_stanford(path: Path, *, allow_missing: bool = False) -> LightField:
     if others := sorted(set(image_files(folder)) - set(files)):
         notes.append(f"Left out {len(others)} of the images, not named by position: {listed(others)}.")
     rows, columns, y, x = np.array([[float(match[group]) for group in (1, 2, 3, 4)] for _, match in named]).T
-    upwards = {match[5] == "" for _, match in named}
-    if len(upwards) > 1:
-        raise LightFieldError(
-            f"{folder} has images named in different ways: with and without an underscore at the end."
-        )
     step = _step(x, rows, columns) or _step(y, columns, rows)
     if step is None:
         raise LightFieldError(f"{folder}: all cameras stand in one place by the names of their images.")
-    positions = np.stack([x, -y if upwards.pop() else y], axis=1) / step
+    positions = np.stack([x, y], axis=1) / step
     positions -= positions.min(axis=0)
     views, image_notes = load_views(files)
     try:

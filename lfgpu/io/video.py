@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io import ffmpeg
 from lfgpu.io.arrays import field_of, grid_shape, positions
-from lfgpu.io.extras import require
 from lfgpu.io.folders import head
 from lfgpu.io.limits import check_memory
 
@@ -51,16 +50,7 @@ def read_video(
     """
     if recognise(path) is None:
         raise LightFieldError(f"{path} is not a video file that can be read; known are MP4, MOV, MKV, WebM and AVI.")
-    ffmpeg = require("imageio_ffmpeg", "video", path)
-    try:
-        frames = _frames(path, ffmpeg, every or 1)
-    except LightFieldError:
-        raise
-    except Exception as error:  # what ffmpeg writes on damaged files is long: the last line says why
-        reason = str(error).strip().splitlines()[-1:] or [type(error).__name__]
-        raise LightFieldError(
-            f"{path} cannot be read as a video: {' '.join(reason[0].split()).rstrip('.')}."
-        ) from error
+    frames = _taken(path, every or 1)
     if len(frames) < 2:
         raise LightFieldError(f"{path} has {len(frames)} frames to take; depth needs at least two views of the scene.")
     shape = (1, len(frames)) if grid is None else grid_shape(path, len(frames), grid)
@@ -68,16 +58,10 @@ def read_video(
     return field_of(path, np.stack(frames), positions(shape), grid_shape=shape, notes=(note,))
 
 
-def _frames(path: Path, ffmpeg: Any, every: int) -> list[NDArray[np.uint8]]:
-    # Nothing but files: a playlist inside the file must not reach out to the network.
-    reader = ffmpeg.read_frames(str(path.resolve()), input_params=["-protocol_whitelist", "file"])
-    try:
-        width, height = next(reader)["size"]
-        frames: list[NDArray[np.uint8]] = []
-        for index, data in enumerate(reader):
-            if index % every == 0:
-                check_memory(path, 2 * (len(frames) + 1) * len(data), advice=_ADVICE)  # twice: they are stacked
-                frames.append(np.frombuffer(data, np.uint8).reshape(height, width, 3))
-        return frames
-    finally:
-        reader.close()
+def _taken(path: Path, every: int) -> list[NDArray[np.uint8]]:
+    taken: list[NDArray[np.uint8]] = []
+    for index, frame in enumerate(ffmpeg.frames(path)):
+        if index % every == 0:
+            check_memory(path, 2 * (len(taken) + 1) * frame.nbytes, advice=_ADVICE)  # twice: they are stacked
+            taken.append(frame)
+    return taken

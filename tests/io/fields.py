@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import lytro_samples
 import numpy as np
 from PIL import Image
 
@@ -26,7 +28,9 @@ def scene(grid: tuple[int, int] = (5, 5), size: tuple[int, int] = (40, 48)) -> L
 def _named(lf: LightField, folder: Path, pattern: str = "view_{0:02d}_{1:02d}.png") -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for view, (u, v) in zip(lf.views, lf.positions, strict=True):
-        Image.fromarray(view).save(folder / pattern.format(round(v), round(u)))
+        row, column = round(v), round(u)
+        middle = [round(side // 2) for side in lf.grid_shape or (0, 0)]
+        Image.fromarray(view).save(folder / pattern.format(row, column, row - middle[0], column - middle[1]))
     return folder
 
 
@@ -159,6 +163,18 @@ def _row(lf: LightField, place: Path) -> Path:
     return folder
 
 
+def _row_folders(lf: LightField, place: Path) -> Path:
+    for view, (u, v) in zip(lf.views, lf.positions, strict=True):
+        folder = place / "rows" / f"row_{round(v) + 1:02d}"
+        folder.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(view).save(folder / f"{round(u) + 1:03d}.bmp")
+    return place / "rows"
+
+
+def _signed(lf: LightField, place: Path) -> Path:
+    return _named(lf, place / "signed", "image_{2:+d}_{3:+d}.tif")
+
+
 def _toml(lf: LightField, place: Path) -> Path:
     from lfgpu.io import read
 
@@ -172,6 +188,92 @@ def _json(lf: LightField, place: Path) -> Path:
 
     write_description(read(_named(lf, place / "json")), place / "json" / "array.json", source={})
     return place / "json" / "array.json"
+
+
+BLENDER_STEP, BLENDER_FOCAL = 0.05, 60.0
+"""Metres between cameras, and pixels."""
+
+
+def blender_depth(lf: LightField) -> Any:
+    """The depth of the middle view; there is none behind infinity, where disparities are negative."""
+    assert lf.truth is not None
+    return BLENDER_STEP * BLENDER_FOCAL / np.maximum(lf.truth.disparity.astype(np.float64), 1e-4)
+
+
+def _blender(lf: LightField, place: Path) -> Path:
+    """What the add-on writes: cameras before the wall of a room, turned and off the origin."""
+    import OpenEXR
+
+    folder = place / "LFPlane"
+    (folder / "exr").mkdir(parents=True)
+    height, width = lf.size
+    turn = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # right, up and back, a column each
+    rows = 2 * BLENDER_FOCAL
+    matrix = [[rows / width, 0, 0, 0], [0, rows / height, 0, 0], [0, 0, -1, -0.2], [0, 0, -1, 0]]
+    frames = []
+    for index, (view, (du, dv)) in enumerate(zip(lf.views, lf.offsets, strict=True)):
+        name = f"view_{index:04d}f"
+        at = np.array([3.0, -2.0, 1.5]) + BLENDER_STEP * (du * turn[:, 0] - dv * turn[:, 1])
+        world = np.eye(4)
+        world[:3, :3], world[:3, 3] = turn, at
+        frames.append({"name": name, "position": at.tolist(), "world_matrix": world.tolist()})
+        coded = view.astype(np.float64) / 255
+        linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)
+        channels = {c: np.ascontiguousarray(linear[..., i]) for i, c in enumerate("RGB")}
+        channels["Z"] = np.ascontiguousarray(blender_depth(lf), np.float32)
+        with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels) as file:
+            file.write(str(folder / "exr" / f"{name}.exr"))
+    about = {
+        "camera": {"type": "PERSP", "lens_unit": "MILLIMETERS", "focal_length": 50, "projection_matrix": matrix},
+        "lf_type": "PLANE",
+        "resolution": [width, height],
+        "sensor_size": [36, 36 * height / width],
+        "frames": frames,
+    }
+    (folder / "lightfield.json").write_text(json.dumps(about))
+    return folder
+
+
+def _lytro(lf: LightField, place: Path) -> Path:
+    """Views in a video without loss, as the first Lytro's program stores them."""
+    import imageio_ffmpeg
+
+    height, width = lf.size
+    writer = imageio_ffmpeg.write_frames(
+        str(place / "views.h264"),
+        (width, height),
+        codec="libx264rgb",
+        pix_fmt_in="rgb24",
+        pix_fmt_out="rgb24",
+        quality=None,
+        output_params=["-crf", "0"],
+        macro_block_size=1,
+        ffmpeg_log_level="error",
+    )
+    writer.send(None)
+    for view in lf.views:
+        writer.send(np.ascontiguousarray(view))
+    writer.close()
+    video = (place / "views.h264").read_bytes()
+    (place / "views.h264").unlink()
+    content, sections = lytro_samples.video(video, lf.size, [{"coord": xy} for xy in _coordinates(lf)])
+    file = place / "IMG_0001-stk.lfp"
+    file.write_bytes(lytro_samples.processed([("edofParallax", content)], sections))
+    return file
+
+
+def _lytro_pictures(lf: LightField, place: Path) -> Path:
+    """Views as pictures, beside a focal stack and a depth table."""
+    content, sections = lytro_samples.pictures(lf.views, [{"coord": xy} for xy in _coordinates(lf)])
+    stack, more = lytro_samples.focal_stack(lf.views[:2])
+    file = place / "IMG_0002-stk.lfp"
+    listed = [("refocusStack", stack), ("edofParallax", content)]
+    file.write_bytes(lytro_samples.processed(listed, [*sections, *more]))
+    return file
+
+
+def _coordinates(lf: LightField) -> list[dict[str, float]]:
+    return [{"x": 0.1 * du, "y": 0.1 * dv} for du, dv in lf.offsets.tolist()]
 
 
 @dataclass(frozen=True)
@@ -195,6 +297,7 @@ SAMPLES = {
     "hci": Sample("hci", _hci, truth=True),
     "hci-export": Sample("hci-export", _export, truth=True),
     "hci-hdf5": Sample("hci-hdf5", _hdf5, truth=True),
+    "blender": Sample("blender", _blender),
     "stanford": Sample("stanford", _stanford),
     "plenopticam": Sample("plenopticam", _plenopticam),
     "lftoolbox-5": Sample("lftoolbox", _mat5),
@@ -204,7 +307,11 @@ SAMPLES = {
     "tiff-stack": Sample("tiff-stack", _tiff),
     "mosaic": Sample("mosaic", _mosaic, options={"grid": (5, 5)}),
     "video": Sample("video", _video, views="row"),
+    "lytro": Sample("lytro", _lytro),
+    "lytro-pictures": Sample("lytro", _lytro_pictures),
     "named-views": Sample("named-views", lambda lf, place: _named(lf, place / "named")),
+    "signed-names": Sample("named-views", _signed),
+    "row-folders": Sample("row-folders", _row_folders),
     "camera-row": Sample("camera-row", _row, views="row", exact=False),
     "toml": Sample("lightfield-toml", _toml),
     "json": Sample("lightfield-toml", _json),

@@ -27,6 +27,7 @@ class Camera:
     phase: tuple[float, float] = (0.3, -0.2)
     """Where the middle lens is, off the middle of the sensor."""
     upright: bool = False
+    square: bool = False
 
     @property
     def axes(self) -> NDArray[np.float64]:
@@ -35,7 +36,12 @@ class Camera:
 
     @property
     def row_distance(self) -> float:
-        return self.pitch * math.sqrt(3) / 2
+        return self.pitch * (1 if self.square else math.sqrt(3) / 2)
+
+    @property
+    def shift(self) -> float:
+        """Of every second row, in pitches."""
+        return 0.0 if self.square else 0.5
 
     @property
     def middle(self) -> NDArray[np.float64]:
@@ -46,9 +52,9 @@ class Camera:
         y, x = np.mgrid[: self.size[0], : self.size[1]].astype(np.float64)
         q = np.einsum("ij,jyx->iyx", self.axes, np.stack([x - self.middle[0], y - self.middle[1]]))
         best, nearest = np.full(self.size, np.inf), np.zeros_like(q)
-        for odd in (0, 1):  # a hexagonal grid is two rectangular ones
+        for odd in (0, 1):  # a hexagonal lattice is two rectangular ones
             row = 2 * np.rint((q[1] / self.row_distance - odd) / 2) + odd
-            k = np.rint(q[0] / self.pitch - odd / 2) + odd / 2
+            k = np.rint(q[0] / self.pitch - odd * self.shift) + odd * self.shift
             centre = np.stack([k * self.pitch, row * self.row_distance])
             distance = np.hypot(*(q - centre))
             nearest = np.where(distance < best, centre, nearest)
@@ -59,7 +65,7 @@ class Camera:
         """(x, y) of all lenses on the sensor, [n, 2]."""
         reach = int(max(self.size) / self.pitch) + 2
         row, k = np.mgrid[-reach : reach + 1, -reach : reach + 1]
-        q = np.stack([(k + 0.5 * (row % 2)) * self.pitch, row * self.row_distance], axis=-1).reshape(-1, 2)
+        q = np.stack([(k + self.shift * (row % 2)) * self.pitch, row * self.row_distance], axis=-1).reshape(-1, 2)
         points = self.middle + q @ self.axes
         inside = (points > self.pitch).all(1) & (points < np.array(self.size[::-1]) - self.pitch).all(1)
         return points[inside]

@@ -114,7 +114,14 @@ def test_written_descriptions_read_back(name: str, written: dict[str, Path], tmp
         np.testing.assert_array_equal(again.valid, first.valid)
 
 
-EXTRAS = {"hci-hdf5": "h5py", "lftoolbox-7.3": "h5py", "tiff-stack": "tifffile", "video": "imageio_ffmpeg"}
+EXTRAS = {
+    "blender": "OpenEXR",
+    "hci-hdf5": "h5py",
+    "lftoolbox-7.3": "h5py",
+    "tiff-stack": "tifffile",
+    "video": "imageio_ffmpeg",
+    "lytro": "imageio_ffmpeg",
+}
 
 
 @pytest.mark.parametrize("name", EXTRAS)

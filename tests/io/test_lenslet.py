@@ -20,7 +20,9 @@ from lfgpu.io import read, recognise
 from lfgpu.io.lenslet import read_lenslet, write_decoded
 from lfgpu.io.lenslet.bayer import PATTERNS, demosaic, green_diagonal, transposed
 from lfgpu.io.lenslet.decode import decode
-from lfgpu.io.lenslet.microlenses import Microlenses, find_microlenses, find_peaks, is_upright
+from lfgpu.io.lenslet.lattice import Microlenses
+from lfgpu.io.lenslet.microlenses import find_microlenses, is_upright
+from lfgpu.io.lenslet.spectrum import find_peaks
 from lfgpu.io.lenslet.vignetting import field_gains
 from lfgpu.methods import preset
 from lfgpu.scenes import make
@@ -30,6 +32,8 @@ CAMERAS = [
     Camera(pitch=7.4, degrees=-2.5, bayer="grbg"),
     Camera(pitch=14.29, degrees=0.02, size=(700, 720), bayer="gbrg"),
     Camera(pitch=9.93, degrees=8, bayer="rggb"),
+    Camera(pitch=9.3, degrees=1.5, square=True),
+    Camera(pitch=12.4, degrees=-4, square=True, bayer="grbg"),
 ]
 
 
@@ -67,6 +71,89 @@ def off_grid(grid: Microlenses, camera: Camera) -> float:
 # --- the grid ---
 
 
+def spots(lenses: Microlenses, size: tuple[int, int], *, width: float = 0.28, noise: float = 0.1) -> Any:
+    """A picture of round spots at the places of a lattice, `width` (standard deviation) in pitches."""
+    x, y = np.arange(size[1], dtype=np.float32), np.arange(size[0], dtype=np.float32)
+    k, row = lenses.nearest(x, y)
+    centres = lenses.centres(k.astype(float), row.astype(float))
+    distance = np.hypot(x - centres[..., 0], y[:, None] - centres[..., 1]) / lenses.pitch
+    light = np.exp(-(distance**2) / (2 * width**2))
+    return (light * (1 + np.random.default_rng(0).normal(0, noise, size))).astype(np.float32)
+
+
+def off_centres(found: Microlenses, true: Microlenses, size: tuple[int, int]) -> float:
+    """Root mean square distance of the true centres inside a picture from those found, pixels."""
+    k, row = true.inside(size, 0)
+    centres = true.centres(k.astype(float), row.astype(float))
+    near = np.array([found.near(centre).origin for centre in centres[:: max(1, len(centres) // 300)]])
+    return float(np.sqrt(((near - centres[:: max(1, len(centres) // 300)]) ** 2).sum(1).mean()))
+
+
+def lattice(pitch: float, degrees: float, *, square: bool, slant: tuple[float, float] = (0, 0)) -> Microlenses:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    down = [0.0, pitch] if square else [pitch / 2, pitch * np.sqrt(3) / 2]
+    steps = np.array([[pitch, 0.0], down]) @ np.array([[c, s], [-s, c]])
+    return Microlenses(np.array([260.3, 251.8]), steps[0], steps[1], square, np.array(slant, float))
+
+
+@pytest.mark.parametrize(
+    "true",
+    [
+        lattice(7.7, -2, square=True, slant=(8e-4, 3e-5)),
+        lattice(12.3, 20, square=True),
+        lattice(11.1, 5, square=False, slant=(-3e-4, 5e-4)),
+        lattice(21.2, 1, square=False),
+        lattice(55.0, 0, square=False),
+        lattice(73.0, 3, square=True),
+    ],
+    ids=lambda true: f"{true.pitch:.1f}-{'square' if true.square else 'hexagonal'}-{true.slant.any()}",
+)
+def test_centres_of_spots(true: Microlenses) -> None:
+    size = (512, 540)
+    found = find_microlenses(spots(true, size), name="it")
+    assert found.square == true.square
+    assert off_centres(found, true, size) < 0.05
+
+
+def test_blocks_of_jpeg_are_no_microlenses(tmp_path: Path) -> None:
+    view = make("relief", grid=(1, 2), size=(400, 416), channels=1).views[0][..., 0]
+    Image.fromarray(view).save(tmp_path / "a.jpg", quality=8)
+    assert "is not a light field" in refusal(lambda: read(tmp_path / "a.jpg"))
+
+
+def test_a_slanted_lattice_is_counted_from_any_lens() -> None:
+    true = lattice(9.0, 2, square=False, slant=(1e-3, -7e-4))
+    k, row = np.array([3.0, -12.0, 20.0]), np.array([5.0, 0.0, -9.0])
+    moved = true.near(true.centres(k, row)[1])
+    np.testing.assert_allclose(moved.origin, true.centres(k, row)[1])
+    np.testing.assert_allclose(moved.centres(k + 12, row), true.centres(k, row), atol=1e-9)
+    found = moved.places(*(true.centres(k, row)[:1, i].astype(np.float32) for i in (0, 1)))
+    np.testing.assert_allclose([float(a[0, 0]) for a in found], [15, 5], atol=1e-3)
+
+
+def test_what_the_camera_says_of_its_lattice_goes_before_the_spectrum(monkeypatch: pytest.MonkeyPatch) -> None:
+    true = lattice(10.0, 0.11, square=False)
+    picture = spots(true, (512, 540))
+    monkeypatch.setattr("lfgpu.io.lenslet.microlenses.find_peaks", lambda picture: None)
+    assert off_centres(find_microlenses(picture, name="it", expected=true), true, picture.shape) < 0.05
+    monkeypatch.undo()
+    other = lattice(14.3, -3, square=False)  # of another camera
+    assert off_centres(find_microlenses(picture, name="it", expected=other), true, picture.shape) < 0.05
+
+
+def test_thermal_pictures_have_an_offset(tmp_path: Path, sample: Sample) -> None:
+    Image.fromarray(eight_bit(sample.raw)).save(tmp_path / "plain.png")
+    Image.fromarray(7000 + 4 * eight_bit(sample.raw).astype(np.uint16)).save(tmp_path / "offset.png")
+    Image.fromarray((280 + 20 * sample.raw).astype(np.float32)).save(tmp_path / "kelvin.tif")
+    plain = read_lenslet(tmp_path / "plain.png")
+    for name in ("offset.png", "kelvin.tif"):
+        assert recognise(tmp_path / name)[0].name == "lenslet"
+        found = read_lenslet(tmp_path / name)
+        assert any("are assumed" in note for note in found.notes)
+        assert found.views.shape == plain.views.shape
+        assert np.abs(found.views.astype(float) - plain.views).mean() / 65535 < 0.03
+
+
 @pytest.mark.parametrize("camera", CAMERAS, ids=str)
 def test_the_grid_is_found(camera: Camera, scene: LightField) -> None:
     sample = capture(scene, camera, noise=0.01)
@@ -97,14 +184,12 @@ def test_harmonics_are_not_taken_for_the_grid(sample: Sample) -> None:
 def test_what_shows_no_microlenses(tmp_path: Path) -> None:
     y, x = np.mgrid[:400, :420]
     rng = np.random.default_rng(0)
-    square = 0.5 + 0.2 * np.cos(2 * np.pi * x / 9) + 0.2 * np.cos(2 * np.pi * y / 9)
     stripes = 0.5 + 0.4 * np.cos(2 * np.pi * (x * 0.1 + y * 0.03))
     view = make("boxes", grid=(1, 2), size=(400, 420), channels=1).image(0)[..., 0]
     for name, values in {
         "noise": rng.random((400, 420)),
         "flat": np.full((400, 420), 0.5),
         "black": np.zeros((400, 420)),
-        "square": square,
         "stripes": stripes,
         "view": view,
         "small": np.full((40, 40), 0.5),
@@ -113,7 +198,7 @@ def test_what_shows_no_microlenses(tmp_path: Path) -> None:
         assert find_peaks(values.astype(np.float32)) is None
         text = refusal(lambda path=path: read(path, format="lenslet"))
         assert f"{name}.png shows no microlenses" in text
-        assert "hexagonal grid" in text
+        assert "hexagonal or square lattice" in text
         assert "is not a light field of a known format" in refusal(lambda path=path: read(path))
 
 
@@ -281,7 +366,7 @@ def test_a_capture_is_recognised(sample: Sample, tmp_path: Path) -> None:
     raw, _ = saved(sample, tmp_path)
     entry, reason = recognise(raw)
     assert entry.name == "lenslet"
-    assert reason.startswith("it is a grey picture of microlenses, a hexagonal grid 9.")
+    assert reason.startswith("it is a grey picture of microlenses, a hexagonal lattice 9.")
     light_field = read(raw)
     assert light_field.name == "raw"
     assert "Microlenses 9.3" in light_field.notes[-1]

@@ -42,7 +42,7 @@ def test_decode_writes_what_is_read_again(raw: Path, tmp_path: Path) -> None:
 
 def test_depth_and_info_take_the_raw_file(raw: Path, tmp_path: Path) -> None:
     said = " ".join(lfgpu("info", raw).stdout.split())
-    assert "lenslet, because it is a grey picture of microlenses, a hexagonal grid 9." in said
+    assert "lenslet, because it is a grey picture of microlenses, a hexagonal lattice 9." in said
     outcome = lfgpu("depth", raw, "-o", tmp_path / "out", "--preset", "fast", "--disparity-range=-1,1")
     assert outcome.exit_code == 0, outcome.stderr
     assert read_map(tmp_path / "out" / "disparity.pfm").shape == read(raw).size

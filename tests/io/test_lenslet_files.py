@@ -6,8 +6,6 @@ import copy
 import json
 import struct
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +15,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lenslet_samples import Camera, Sample, capture, container, eight_bit, metadata, packed, section
 from PIL import Image
-from samples import refusal
+from samples import refusal, refused_or_not
 
-from lfgpu.errors import LightFieldError
 from lfgpu.io import read, recognise
 from lfgpu.io.lenslet.capture import read_capture, unpack
-from lfgpu.io.lenslet.container import read_container
 from lfgpu.io.lenslet.decode import decode
 from lfgpu.scenes import make
 
@@ -51,16 +47,6 @@ def small(bits: int = 12, **changes: Any) -> bytes:
         else:
             place[last] = value
     return container(packed(values(bits), bits), about, illum=bits == 10)
-
-
-@contextmanager
-def refused_or_not() -> Iterator[list[str]]:
-    """Lets a LightFieldError pass, whose sentence is in the list then; nothing else."""
-    said: list[str] = []
-    try:
-        yield said
-    except LightFieldError as error:
-        said.append(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -211,16 +197,19 @@ def test_containers_that_are_damaged_or_of_other_kinds(tmp_path: Path) -> None:
     says(head + section(b"M", b"\xff\xfe\xfa")[0], "is not JSON")
     says(head + 2 * section(b"M", b"{}")[0], "2 tables of contents")
     refocused = json.dumps({"picture": {"frameArray": [], "accelerationArray": [1]}}).encode()
-    says(head + section(b"M", refocused)[0], "has no raw picture: it is a Lytro container with 'picture' only")
-    lost = json.dumps({"frames": [{"frame": {"imageRef": "sha1-0", "metadataRef": 7}}]}).encode()
-    says(head + section(b"M", lost)[0], "its metadataRef names 7, and there is no such section")
+    says(head + section(b"M", refocused)[0], "has no list of objects as picture.accelerationArray")
+    nothing = json.dumps({"picture": {}}).encode()
+    says(head + section(b"M", nothing)[0], "it holds nothing; give the container with the raw picture")
+    picture, name = section(b"C", b"values")
+    lost = json.dumps({"frames": [{"frame": {"imageRef": name, "metadataRef": 7}}]}).encode()
+    says(head + section(b"M", lost)[0] + picture, "its metadataRef names '7', and there is no such section")
 
 
 def test_a_changed_picture_is_noticed(tmp_path: Path) -> None:
     data = bytearray(small())
     start = bytes(data).index(packed(values(12), 12))
     data[start + 5] ^= 1
-    assert "SHA-1" in read_container(write(tmp_path / "a.lfp", bytes(data))).notes[0]
+    assert "SHA-1" in read_capture(write(tmp_path / "a.lfp", bytes(data))).notes[0]
 
 
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

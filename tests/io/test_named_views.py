@@ -6,9 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from samples import HEIGHT, WIDTH, box, cross, picture, refusal, save, save_named, star
+from lenslet_samples import Camera, capture, container, eight_bit, metadata, packed
+from PIL import Image
+from samples import HEIGHT, WIDTH, box, cross, picture, refusal, save, save_hci, save_named, star
 
+from lfgpu.batch.items import find_items
 from lfgpu.io import read
+from lfgpu.scenes import make
 
 
 @pytest.mark.parametrize(
@@ -166,4 +170,101 @@ def test_without_the_centre_view_the_nearest_is_the_reference(tmp_path: Path) ->
     assert abs(row - 1) + abs(column - 1) == 1
     assert light_field.notes[-1] == (
         f"The centre view (row 1, column 1) is missing; the reference is the view at row {row}, column {column}."
+    )
+
+
+# --- signs, sizes, folders of several ---
+
+
+def test_numbers_with_signs_count_from_their_lowest_one(tmp_path: Path) -> None:
+    places = [(row, column) for row in range(-2, 3) for column in range(-4, 5)]
+    light_field = read(save_named(tmp_path, places, "image_{0:+d}_{1:+d}.tif"))
+    assert (light_field.grid_shape, light_field.missing) == ((5, 9), ())
+    assert light_field.positions[light_field.reference_index].tolist() == [4, 2]
+    assert light_field.files[0].endswith("image_-2_-4.tif")
+    assert light_field.notes == ("The file names count rows from -2 and columns from -4.",)
+
+
+def test_the_view_at_zero_is_the_reference_of_lopsided_numbers(tmp_path: Path) -> None:
+    light_field = read(save_named(tmp_path, [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1, 2, 3)], "a {0}, {1}.png"))
+    assert light_field.grid_shape == (3, 5)
+    assert light_field.files[light_field.reference_index].endswith("a 0, 0.png")
+
+
+def test_hyphens_are_no_signs(tmp_path: Path) -> None:
+    for number, pattern in enumerate(("view_-{0}_-{1}.png", "view-{0}-{1}.png", "view--{0}-{1}.png")):
+        light_field = read(save_named(tmp_path / str(number), box(2, 3), pattern))
+        assert light_field.grid_shape == (2, 3)
+        assert light_field.files[1].endswith(Path(pattern.format(0, 1)).name)
+
+
+def test_views_of_another_size_are_counted_and_can_be_left_out(tmp_path: Path) -> None:
+    save_named(tmp_path, box(3, 3))
+    save(tmp_path / "view_00_02.png", picture(1)[:-1])
+    text = refusal(lambda: read(tmp_path))
+    assert "there are 8 of 5 x 4 and 1 of 5 x 3 px, such as view_00_02.png" in text
+    assert "--allow-missing" in text
+    light_field = read(tmp_path, allow_missing=True)
+    assert light_field.missing == ((0, 2),)
+    assert light_field.notes[0] == "Left out 1 of 9 views, which are of another size: view_00_02.png."
+
+
+def test_corners_alone(tmp_path: Path) -> None:
+    light_field = read(save_named(tmp_path, [(1, 1), (1, 7), (7, 1), (7, 7)]))
+    assert (light_field.grid_shape, len(light_field.views)) == ((7, 7), 4)
+    assert np.abs(light_field.offsets).max() == 6
+    assert "The centre view (row 3, column 3) is missing" in light_field.notes[-1]
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "L", "P", "1"])
+def test_grids_of_16_x_16_bitmaps(mode: str, tmp_path: Path) -> None:
+    for row, column in box(16, 16):
+        Image.fromarray(picture(row + column)).convert(mode).save(tmp_path / f"{row:02d}_{column:02d}.bmp")
+    light_field = read(tmp_path)
+    assert (light_field.grid_shape, len(light_field.views)) == ((16, 16), 256)
+    assert light_field.positions[light_field.reference_index].tolist() == [8, 8]
+    assert light_field.channels == (1 if mode in "L1" else 3)
+
+
+def test_a_folder_of_raw_captures_is_several_light_fields(tmp_path: Path) -> None:
+    lens = capture(make("planes", grid=(9, 9), size=(30, 30), seed=3), Camera(size=(280, 300)))
+    for number in (1, 2):
+        Image.fromarray(eight_bit(lens.raw)).save(tmp_path / f"IMG_{number}.png")
+    text = refusal(lambda: read(tmp_path))
+    assert "holds 2 raw captures, each a light field of its own (IMG_1.png, IMG_2.png)" in text
+    assert "lfgpu batch" in text
+    items, _ = find_items([str(tmp_path)], sequence=False)
+    assert [item.name for item in items] == ["IMG_1.png", "IMG_2.png"]
+    containers = tmp_path / "containers"
+    containers.mkdir()
+    data = container(packed(np.zeros((8, 20), np.uint16), 12), metadata((8, 20)))
+    (containers / "a.lfr").write_bytes(data)
+    assert "holds 1 captures, each a light field" in refusal(lambda: read(containers))
+
+
+def test_a_folder_of_folders_is_several_light_fields(tmp_path: Path) -> None:
+    save_named(tmp_path / "views", box(2, 2))
+    save_hci(tmp_path / "hci", range(9))
+    assert "holds 2 light fields, each a light field of its own (hci, views)" in refusal(lambda: read(tmp_path))
+    assert len(find_items([str(tmp_path)], sequence=False)[0]) == 2
+
+
+def test_numbered_folders_of_other_scenes_are_no_rows(tmp_path: Path) -> None:
+    for number, kind in enumerate(("boxes", "relief")):
+        folder = tmp_path / f"{number}"
+        folder.mkdir()
+        for place, view in enumerate(make(kind, grid=(1, 5), size=(40, 48), seed=number).views):
+            Image.fromarray(view).save(folder / f"{place:03d}.png")
+    assert "several folders with numbered images (0, 1); give one" in refusal(lambda: read(tmp_path))
+
+
+@pytest.mark.parametrize("name", ["view_00_01.png", "parameters.cfg", "gt_disp_lowres.pfm", "a.h5", "a.lfp", "a.npy"])
+def test_files_that_git_lfs_did_not_fetch(name: str, tmp_path: Path) -> None:
+    save_named(tmp_path, box(2, 2)) if name.startswith("view") else save_hci(tmp_path, range(9))
+    pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
+    (tmp_path / name).write_text(pointer)
+    source = tmp_path / name if name.startswith("a.") else tmp_path
+    text = refusal(lambda: read(source))
+    assert text == (
+        f"{tmp_path / name} was not fetched: Git LFS left a pointer in its place; run 'git lfs pull' in its repository."
     )

@@ -246,12 +246,21 @@ def test_stanford_positions_are_irregular_view_steps(tmp_path: Path) -> None:
     assert "One view step is 10.5 in the unit" in found.notes[0]
 
 
-def test_stanford_y_counts_upwards_without_an_underscore_at_the_end(tmp_path: Path) -> None:
-    places = [(0, 0, 5.0, 1.0), (1, 0, 3.0, 1.0)]
-    found = read(save_stanford(tmp_path, places, "out_{0:02d}_{1:02d}_{2}_{3}.png"))
-    np.testing.assert_allclose(found.positions, [[0, 0], [0, 1]])
-    save_stanford(tmp_path, [(2, 0, 1.0, 1.0)])
-    assert "with and without an underscore" in refusal(lambda: read(tmp_path))
+def test_stanford_y_counts_downwards_whether_names_end_in_an_underscore_or_not(tmp_path: Path) -> None:
+    places = [(0, 0, -3.0, 1.0), (1, 0, -5.0, 1.0)]
+    for name, end in (("with", "_"), ("without", "")):
+        pattern = "out_{0:02d}_{1:02d}_{2}_{3}" + end + ".png"
+        found = read(save_stanford(tmp_path / name, places, pattern))
+        np.testing.assert_allclose(found.positions, [[0, 1], [0, 0]])
+
+
+def test_stanford_a_row_with_gaps(tmp_path: Path) -> None:
+    columns = [0, 1, 2, 5, 6, 9]
+    places = [(8, column, -451.0 + 0.3 * (column % 3), 1103.0 - 8.7 * column) for column in columns]
+    found = read(save_stanford(tmp_path, places))
+    np.testing.assert_allclose(found.positions[:, 0], 9 - np.array(columns), atol=1e-9)
+    np.testing.assert_allclose(found.positions[:, 1] * 8.7, 0.3 * (np.array(columns) % 3), atol=1e-9)
+    assert "One view step is 8.7 in the unit" in found.notes[0]
 
 
 def test_stanford_pictures_are_believed_against_names(tmp_path: Path, true: LightField) -> None:

@@ -140,6 +140,23 @@ def test_real_export_as_hdf5(tmp_path: Path) -> None:
     assert found.geometry == export.geometry
 
 
+def test_real_stanford_names() -> None:
+    """The floor before the knights is nearer than the wall behind them, in the directions that the names say."""
+    light_field = read(real("real/stanford_knights"))
+    assert light_field.views.shape == (289, 256, 256, 3)
+    assert light_field.notes == (
+        "One view step is 8.70886 in the unit of the names, the median distance of neighbours.",
+    )
+    for axis in (0, 1):
+        measured = parallax.measured(light_field, axis)
+        assert measured is not None
+        disparity, weight = measured
+        wall, floor = (
+            float(np.average(disparity[rows], weights=weight[rows])) for rows in (slice(12), slice(-8, None))
+        )
+        assert wall < -0.5 < 0.5 < floor
+
+
 def test_real_row_of_cameras() -> None:
     folder = real("mansion") / "images"
     light_field = read(folder)

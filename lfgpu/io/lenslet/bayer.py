@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.lenslet.microlenses import Microlenses
+from lfgpu.io.lenslet.lattice import Microlenses
 from lfgpu.io.lenslet.vignetting import Float32Array, bands
 
 RED, GREEN, BLUE = 0, 1, 2

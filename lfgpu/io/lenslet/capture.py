@@ -11,10 +11,15 @@ from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.images import IMAGE_SUFFIXES, read_image
-from lfgpu.io.lenslet import container
 from lfgpu.io.lenslet.vignetting import Float32Array
+from lfgpu.io.lytro.camera import Camera
+from lfgpu.io.lytro.container import is_container, is_sound
+from lfgpu.io.lytro.contents import Contents, read_contents
+from lfgpu.io.members import Members
 
 _SIDES = (8, 32768)  # pixels that a container may claim
+_LEVELS = (0.1, 99.9)  # percentiles
+_OFFSET = 0.5  # of the brightest values, for the darkest ones, from which they are taken for black
 _PLACES = ("r", "gr", "gb", "b")
 
 
@@ -31,6 +36,8 @@ class Capture:
     source: str
     """What it came in, for people."""
     notes: tuple[str, ...] = ()
+    camera: Camera | None = None
+    """What the file says of the camera."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,7 @@ def is_image(path: Path) -> bool:
 
 def read_capture(path: Path) -> Capture:
     """Read a capture; LightFieldError if the file is none, or damaged."""
-    if container.is_container(path):
+    if is_container(path):
         return _from_container(path)
     if path.suffix.lower() == ".raw":
         return _from_bare_raw(path)
@@ -110,9 +117,25 @@ def _from_image(path: Path) -> Capture:
             f"{path} is a colour picture; a raw capture is grey, with the mosaic of the sensor in it: save it without "
             "demosaicing."
         )
-    top = 1.0 if image.dtype == np.float32 else float(np.iinfo(image.dtype).max)
-    mosaic = image[..., 0].astype(np.float32) / np.float32(top)
-    return Capture(np.clip(mosaic, 0.0, 1.0), None, (1.0, 1.0, 1.0), f"grey picture, {image.dtype}")
+    mosaic, notes = scaled(image[..., 0])
+    return Capture(mosaic, None, (1.0, 1.0, 1.0), f"grey picture, {image.dtype}", notes)
+
+
+def scaled(image: NDArray[Any]) -> tuple[Float32Array, tuple[str, ...]]:
+    """A grey picture with black at 0 and white at 1, and what was assumed of these levels.
+
+    Between microlenses it is dark. Where a picture is not, as those of thermal sensors are, its values have an offset.
+    """
+    whole = image.dtype != np.float32
+    low, high = (float(level) for level in np.percentile(image, _LEVELS))
+    black, white = 0.0, float(np.iinfo(image.dtype).max) if whole else 1.0
+    of_white = low <= _OFFSET * high and (whole or (low >= 0.0 and high <= 1.0))
+    if not of_white:
+        black = low if low < 0.0 or low > _OFFSET * high else 0.0
+        white = max(float(image.max()), black + 1e-6)
+    mosaic = (image.astype(np.float32) - np.float32(black)) / np.float32(white - black)
+    note = f"Black level {black:g} and white level {white:g} are assumed: the picture's values are no shares of white."
+    return np.clip(mosaic, 0.0, 1.0), () if of_white else (note,)
 
 
 def _camera(path: Path) -> _Camera | None:
@@ -142,8 +165,10 @@ def _from_bare_raw(path: Path) -> Capture:
 
 
 def _from_container(path: Path) -> Capture:
-    contents = container.read_container(path)
-    image = _Object(path, contents.metadata).object("image")
+    contents = read_contents(path)
+    if contents.raw is None:
+        raise LightFieldError(f"{path} has no raw picture: {_instead(contents)}.")
+    image = Members(path, contents.raw.metadata).object("image")
     # The first Lytro keeps what it says of raw data apart.
     details = image.object("rawDetails") if "rawDetails" in image.values else image
     width, height = (image.integer(key, *_SIDES) for key in ("width", "height"))
@@ -151,12 +176,14 @@ def _from_container(path: Path) -> Capture:
     bits, endianness = packing.integer("bitsPerPixel", 8, 16), packing.text("endianness")
     if (bits, endianness) not in {(12, "big"), (10, "little"), (8, endianness), (16, "big"), (16, "little")}:
         raise LightFieldError(f"{path} has values of {bits} bits, {endianness} endian, which cannot be read.")
-    if len(contents.image) * 8 != width * height * bits:
+    stored = contents.container.length(contents.raw.section)
+    if stored * 8 != width * height * bits:
         raise LightFieldError(
             f"{path} is damaged: {width} x {height} values of {bits} bits are {width * height * bits // 8} bytes, "
-            f"its raw picture has {len(contents.image)}."
+            f"its raw picture has {stored}."
         )
-    values = unpack(contents.image, (height, width), bits, endianness)
+    data = contents.container.data(contents.raw.section)
+    values = unpack(data, (height, width), bits, endianness)
     places = _places(path, details.object("mosaic"))
     levels = details.object("pixelFormat")
     black, white = (
@@ -165,7 +192,9 @@ def _from_container(path: Path) -> Capture:
     )
     if (white <= black).any():
         raise LightFieldError(f"{path} is damaged: its white level is not above its black level.")
-    notes = list(contents.notes)
+    notes = []
+    if not is_sound(contents.raw.section, data):
+        notes.append("The picture's SHA-1 is not the one that the container names it by; it may be damaged.")
     if image.values.get("orientation", 1) != 1:
         notes.append("The camera was held turned, the views are as the sensor saw them.")
     return Capture(
@@ -174,10 +203,17 @@ def _from_container(path: Path) -> Capture:
         _balance(image),
         f"Lytro container, {width} x {height} of {bits} bits",
         tuple(notes),
+        contents.camera,
     )
 
 
-def _places(path: Path, mosaic: _Object) -> list[list[str]]:
+def _instead(contents: Contents) -> str:
+    """What a container without a raw picture holds, and what to do."""
+    lost = "" if contents.missing is None else f", and names {contents.missing!r}, for which there is no such section"
+    return f"it is a Lytro container with {contents.summary()}{lost}; give the one that the camera wrote"
+
+
+def _places(path: Path, mosaic: Members) -> list[list[str]]:
     """[2][2], the names of the places of the mosaic, from the tile "r,gr:gb,b" and the name of the pixel at (0, 0)."""
     tile = [row.split(",") for row in mosaic.text("tile").split(":")]
     first = mosaic.text("upperLeftPixel")
@@ -190,7 +226,7 @@ def _places(path: Path, mosaic: _Object) -> list[list[str]]:
     return [[tile[(top + i) % 2][(left + j) % 2] for j in (0, 1)] for i in (0, 1)]
 
 
-def _balance(image: _Object) -> tuple[float, float, float]:
+def _balance(image: Members) -> tuple[float, float, float]:
     """The camera's white balance where it has one; green is 1."""
     color = image.values.get("color")
     if not isinstance(color, dict) or "whiteBalanceGain" not in color:
@@ -207,48 +243,3 @@ def _levelled(values: NDArray[np.uint16], black: NDArray[Any], white: NDArray[An
             low, high = np.float32(black[i, j]), np.float32(white[i, j])
             mosaic[i::2, j::2] = (values[i::2, j::2] - low) / (high - low)
     return np.clip(mosaic, 0.0, 1.0, out=mosaic)
-
-
-class _Object:
-    """A JSON object whose members are asked for by type; what is not as it should be is refused by name."""
-
-    def __init__(self, path: Path, values: dict[str, Any], name: str = "") -> None:
-        self._path, self.values, self._name = path, values, name
-
-    def object(self, key: str) -> _Object:
-        """A member that is an object itself."""
-        return _Object(self._path, self._member(key, dict, "an object"), self._full(key))
-
-    def text(self, key: str) -> str:
-        """A member that is a text."""
-        return str(self._member(key, str, "a text"))
-
-    def number(self, key: str, lowest: float, highest: float) -> float:
-        """A member that is a number within bounds."""
-        value = self._member(key, (int, float), "a number")
-        if isinstance(value, bool) or not lowest <= value <= highest:
-            raise LightFieldError(
-                f"{self._path} is damaged: its metadata has {self._full(key)} = {value!r}, "
-                f"not a number from {lowest:g} to {highest:g}."
-            )
-        return float(value)
-
-    def integer(self, key: str, lowest: int, highest: int) -> int:
-        """A member that is a whole number within bounds."""
-        value = self.number(key, lowest, highest)
-        if not value.is_integer():
-            raise LightFieldError(f"{self._path} is damaged: its metadata has {self._full(key)} = {value!r}.")
-        return int(value)
-
-    def _member(self, key: str, kind: type | tuple[type, ...], wanted: str) -> Any:
-        value = self.values.get(key)
-        if not isinstance(value, kind):
-            found = "nothing" if key not in self.values else f"a JSON {type(value).__name__}"
-            raise LightFieldError(
-                f"{self._path} is damaged or of an unknown camera: its metadata has {found} for {self._full(key)}, "
-                f"where {wanted} should be."
-            )
-        return value
-
-    def _full(self, key: str) -> str:
-        return f"{self._name}.{key}" if self._name else key

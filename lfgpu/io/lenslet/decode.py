@@ -15,6 +15,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.lenslet import bayer as mosaics
 from lfgpu.io.lenslet.capture import Capture, read_capture
+from lfgpu.io.lenslet.lattice import Microlenses
 from lfgpu.io.lenslet.microlenses import find_microlenses, is_upright
 from lfgpu.io.lenslet.resampling import sample_views, view_grid
 from lfgpu.io.lenslet.vignetting import Float32Array, MeanMicrolens, field_gains, from_white_image
@@ -85,7 +86,14 @@ def decode(
     capture = read_capture(path)
     pattern, notes = (pattern, ()) if pattern else _pattern(capture)
     even = None if white is None else _white_image(Path(white), capture.mosaic.shape)
-    sensor = _Sensor(capture.mosaic, even, pattern, name=str(path), white_name=None if white is None else str(white))
+    sensor = _Sensor(
+        capture.mosaic,
+        even,
+        pattern,
+        name=str(path),
+        white_name=None if white is None else str(white),
+        expected=_expected(capture),
+    )
     count = views or _default_views(sensor.lenses.pitch)
     positions = _positions(sensor.lenses.pitch, count)
     linear, valid = sensor.views(positions - (count - 1) / 2)
@@ -110,6 +118,7 @@ def decode(
     about = {
         "source": path.name,
         "found": capture.source,
+        "camera": {} if capture.camera is None else dict(capture.camera.facts()),
         "bayer": pattern,
         "white_balance": list(capture.balance),
         **sensor.about(),
@@ -131,10 +140,17 @@ class _Sensor:
     """A sensor under its microlenses. Where their rows stand upright, all is done on the transposed sensor."""
 
     def __init__(
-        self, mosaic: Float32Array, even: Float32Array | None, pattern: str, *, name: str, white_name: str | None
+        self,
+        mosaic: Float32Array,
+        even: Float32Array | None,
+        pattern: str,
+        *,
+        name: str,
+        white_name: str | None,
+        expected: Microlenses | None,
     ) -> None:
         self._name, self._white_name = name, white_name
-        lenses = find_microlenses(mosaic if even is None else even, name=white_name or name)
+        lenses = find_microlenses(mosaic if even is None else even, name=white_name or name, expected=expected)
         self._upright = is_upright(lenses)
         if self._upright:
             mosaic, even = np.ascontiguousarray(mosaic.T), None if even is None else np.ascontiguousarray(even.T)
@@ -171,8 +187,9 @@ class _Sensor:
         """The grid in a sentence."""
         source = "the capture itself" if self._white_name is None else Path(self._white_name).name
         return (
-            f"Microlenses {self.lenses.pitch:.3f} px apart, rows {'upright' if self._upright else 'level'} and turned "
-            f"by {math.degrees(self.lenses.rotation):.3f} degrees; grid and vignetting from {source}."
+            f"Microlenses {self.lenses.pitch:.3f} px apart{' in squares' if self.lenses.square else ''}, rows "
+            f"{'upright' if self._upright else 'level'} and turned by {math.degrees(self.lenses.rotation):.3f} "
+            f"degrees; grid and vignetting from {source}."
         )
 
     def about(self) -> dict[str, Any]:
@@ -185,7 +202,10 @@ class _Sensor:
                 "origin_xy": lenses.origin.tolist(),
                 "along_xy": lenses.along.tolist(),
                 "down_xy": lenses.down.tolist(),
-                "convention": "lens k of row l is at origin + k * along + l * down; pixel centres are whole numbers",
+                "lattice": "square" if lenses.square else "hexagonal",
+                "slant": lenses.slant.tolist(),
+                "convention": "lens k of row l is at origin + (k * along + l * down) / (1 + k * slant[0] + l * "
+                "slant[1]); pixel centres are whole numbers",
             },
             "white_image": None if self._white_name is None else Path(self._white_name).name,
             "view_pixel": {
@@ -205,6 +225,17 @@ def _pattern(capture: Capture) -> tuple[str, tuple[str, ...]]:
     return found, (
         f"The mosaic is taken for {found}, as in Lytro cameras; if red and blue are exchanged, it is {other}.",
     )
+
+
+def _expected(capture: Capture) -> Microlenses | None:
+    """The lattice that the camera says it has; None where it says nothing."""
+    array = None if capture.camera is None else capture.camera.microlenses
+    if array is None:
+        return None
+    c, s = math.cos(array.rotation), math.sin(array.rotation)
+    row = math.sqrt(3) / 2 * array.stretch
+    steps = array.pitch * np.array([[1.0, 0.0], [0.5, row]]) @ np.array([[c, s], [-s, c]])
+    return Microlenses(np.zeros(2), steps[0], steps[1])
 
 
 def _white_image(path: Path, shape: tuple[int, ...]) -> Float32Array:

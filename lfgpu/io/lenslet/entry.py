@@ -5,15 +5,18 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io import lytro
 from lfgpu.io.images import read_image
-from lfgpu.io.lenslet import capture, container
+from lfgpu.io.inside import Inside
+from lfgpu.io.lenslet import capture
+from lfgpu.io.lytro.container import is_container
 
 _LEAST_SIDE = 256  # pixels: no sensor under microlenses is smaller
+_JPEG_BLOCK, _EXACT = 8.0, 0.01  # pixels: the squares that JPEG leaves in a picture, and how exact they are
 _LOOKED_AT = 1024  # pixels along each side, in the middle of a picture
 
 
@@ -21,14 +24,14 @@ def recognise(path: Path) -> str | None:
     """Why a file is taken for a raw capture; None if it is not."""
     if not path.is_file():
         return None
-    if container.is_container(path):
+    if is_container(path):
         return "it is a container of a Lytro camera"
     if camera := capture.bare_raw(path):
         return f"it has the name and the length of a raw file of {camera}"
     if not (capture.is_image(path) and _may_be_a_sensor(path)):
         return None
-    pitch = _pitch(path)
-    return None if pitch is None else f"it is a grey picture of microlenses, a hexagonal grid {pitch:.2f} px apart"
+    lattice = _lattice(path)
+    return None if lattice is None else f"it is a grey picture of microlenses, {lattice}"
 
 
 def read_lenslet(
@@ -45,6 +48,11 @@ def read_lenslet(
     return decode(path, bayer=bayer, white=white, views=views).light_field
 
 
+def inside(path: Path) -> Inside:
+    """What else a container holds than its raw picture; nothing for other files."""
+    return lytro.inside(path) if is_container(path) else Inside(())
+
+
 def _may_be_a_sensor(path: Path) -> bool:
     """Whether a picture is grey and large enough, by its header."""
     try:
@@ -54,14 +62,25 @@ def _may_be_a_sensor(path: Path) -> bool:
         return False
 
 
-def _pitch(path: Path) -> float | None:
-    """The pitch of the microlenses in the middle of a picture, or None if there are none, or it cannot be read."""
-    from lfgpu.io.lenslet.microlenses import find_peaks
+def _lattice(path: Path) -> str | None:
+    """The lattice of microlenses in the middle of a picture, in words; None if there is none, or it cannot be read."""
+    from lfgpu.io.lenslet.microlenses import find_microlenses
+    from lfgpu.io.lenslet.spectrum import find_peaks
 
     try:
-        image = read_image(path)[0][..., 0]
+        image, _ = capture.scaled(read_image(path)[0][..., 0])
     except LightFieldError:
         return None
     top, left = (max(0, (side - _LOOKED_AT) // 2) for side in image.shape)
-    peaks = find_peaks(image[top : top + _LOOKED_AT, left : left + _LOOKED_AT].astype(np.float32))
-    return None if peaks is None else float(2 / np.sqrt(3) / np.hypot(*peaks.frequencies.T).mean())
+    middle = image[top : top + _LOOKED_AT, left : left + _LOOKED_AT]
+    peaks = find_peaks(middle)
+    if peaks is None:
+        return None
+    if not peaks.square:
+        return f"a hexagonal lattice {peaks.pitch:.2f} px apart"
+    try:  # squares are sooner there by chance: they have to be the same ones everywhere
+        lenses = find_microlenses(middle, name=str(path))
+    except LightFieldError:
+        return None
+    of_blocks = abs(lenses.pitch - _JPEG_BLOCK) < _EXACT and abs(lenses.rotation) < _EXACT
+    return None if of_blocks or not lenses.square else f"a square lattice {lenses.pitch:.2f} px apart"

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.lenslet.microlenses import Microlenses
+from lfgpu.io.lenslet.lattice import Microlenses
 from lfgpu.io.lenslet.vignetting import Float32Array
 
 LEAST_SIZE = 8
 """Pixels along the shorter side of a view below which a capture is refused."""
 
+_SMALL_ANGLE = 0.7  # cosine of twice the angle
 _TAPS = 4  # of the cubic interpolation along a row of lenses
 
 
@@ -44,8 +45,11 @@ def view_grid(lenses: Microlenses, shape: tuple[int, ...], reach: float, *, name
     """The largest grid of view pixels that a sensor [y, x] holds, with `reach` pixels around all of them."""
     height, width = (side - 1 - 2 * reach for side in shape)
     c, s = abs(math.cos(lenses.rotation)), abs(math.sin(lenses.rotation))
-    # The largest upright rectangle in a sensor that is seen rotated, for small angles.
-    across, down = (width * c - height * s) / (c * c - s * s), (height * c - width * s) / (c * c - s * s)
+    if c * c - s * s > _SMALL_ANGLE:  # the largest upright rectangle in a sensor that is seen rotated
+        across, down = (width * c - height * s) / (c * c - s * s), (height * c - width * s) / (c * c - s * s)
+    else:  # the largest one of the sensor's own shape
+        share = min(width / (width * c + height * s), height / (width * s + height * c))
+        across, down = share * width, share * height
     pixel = lenses.row_distance
     half_rows = math.floor(down / 2 / pixel - 0.5)
     columns = math.floor(across / pixel) + 1
@@ -55,11 +59,31 @@ def view_grid(lenses: Microlenses, shape: tuple[int, ...], reach: float, *, name
             f"its views would have fewer than {LEAST_SIZE} pixels along a side."
         )
     middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
-    axes = lenses.axes
+    grid = _centred(lenses, middle, half_rows, columns)
+    while lenses.slant.any() and min(half_rows, columns // 2) > 1 and not _inside(grid, shape, reach):
+        half_rows, columns = half_rows - 1, columns - max(1, round(columns / (2 * half_rows + 1))) * 2
+        grid = _centred(lenses, middle, half_rows, columns)
+    return grid
+
+
+def _centred(lenses: Microlenses, middle: NDArray[np.float64], half_rows: int, columns: int) -> ViewGrid:
+    """The grid of so many rows and columns around a point of the sensor."""
+    pixel, axes = lenses.row_distance, lenses.axes
     middle_row = round(float((middle - lenses.origin) @ axes[1]) / pixel)
     off_row = float((middle - lenses.origin) @ axes[1]) - middle_row * pixel
     origin = middle - off_row * axes[1] - half_rows * pixel * axes[1] - (columns - 1) / 2 * pixel * axes[0]
     return ViewGrid(lenses, origin, (2 * half_rows + 1, columns), middle_row - half_rows)
+
+
+def _inside(grid: ViewGrid, shape: tuple[int, ...], reach: float) -> bool:
+    """Whether the corners of the grid lie at least `reach` pixels inside a sensor [y, x]."""
+    height, width = grid.shape
+    rows, columns = (np.array(a, np.float64) for a in ([0, 0, height - 1, height - 1], [0, width - 1, 0, width - 1]))
+    lenses = grid.lenses
+    along = (grid.origin - lenses.origin) @ lenses.axes[0] + columns * grid.pixel
+    k = (along - (rows + grid.first_row) * float(lenses.down @ lenses.axes[0])) / lenses.pitch
+    x, y = lenses.centres(k, rows + grid.first_row).T
+    return bool(min(x.min(), y.min(), shape[1] - 1 - x.max(), shape[0] - 1 - y.max()) >= reach)
 
 
 def sample_views(

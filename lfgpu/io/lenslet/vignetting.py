@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lfgpu.io.lenslet.microlenses import Microlenses
+from lfgpu.io.lenslet.lattice import Microlenses
 
 Float32Array: TypeAlias = NDArray[np.float32]
 
@@ -41,8 +41,9 @@ def offsets(grid: Microlenses, rows: slice, width: int) -> tuple[NDArray[np.int3
     x, y = np.arange(width, dtype=np.float32), np.arange(rows.start, rows.stop, dtype=np.float32)
     k, row = grid.nearest(x, y)
     origin, along, down = (step.astype(np.float32) for step in (grid.origin, grid.along, grid.down))
-    dx = x - origin[0] - k * along[0] - row * down[0]
-    dy = (y - origin[1])[:, None] - k * along[1] - row * down[1]
+    denser = 1 + k * np.float32(grid.slant[0]) + row * np.float32(grid.slant[1]) if grid.slant.any() else np.float32(1)
+    dx = x - origin[0] - (k * along[0] + row * down[0]) / denser
+    dy = (y - origin[1])[:, None] - (k * along[1] + row * down[1]) / denser
     axes = grid.axes.astype(np.float32)
     return k, row, np.stack([axes[0, 0] * dx + axes[0, 1] * dy, axes[1, 0] * dx + axes[1, 1] * dy])
 
@@ -126,7 +127,7 @@ class MeanMicrolens:
     """
 
     def __init__(self, mosaic: Float32Array, grid: Microlenses, colours: NDArray[np.int64]) -> None:
-        reach = grid.pitch * 0.6 + 1  # a bit beyond the corners of the hexagon
+        reach = grid.pitch * (0.75 if grid.square else 0.6) + 1  # a bit beyond the corners
         self._half = int(np.ceil(reach * _BINS))
         self.table = self._estimate(mosaic, grid, colours)
         """float32 [across, along], in [0, 1], 1 where it is brightest; the middle bin is the lens's centre."""

@@ -2,7 +2,7 @@
 
 The file begins with 16 bytes, `_MAGIC` and a version. A section has a header of 16 bytes: a magic that says what it is,
 and the length of its data, big endian. If that is not 0, 80 bytes with the section's name follow, then the data, then
-zeros up to a multiple of 16.
+zeros up to a multiple of 16. One section is the table of contents; it is JSON and names all others.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.folders import head
 
 _MAGIC, _TABLE, _DATA = (b"\x89LF" + kind + b"\r\n\x1a\n" for kind in (b"P", b"M", b"C"))
 _HEADER, _NAME = 16, 80  # bytes
 _MOST_SECTIONS = 1000
 _MOST_JSON = 1 << 24  # bytes
-_FRAMES = (("picture", "frameArray"), ("master", "picture", "frameArray"), ("frames",))
-"""Where the first Lytro, the Illum's desktop files and the Illum itself list what belongs to a picture."""
 
 
 @dataclass(frozen=True)
@@ -37,25 +36,49 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Contents:
-    """The raw picture of a container."""
+class Container:
+    """A container whose sections were found and whose table of contents was read. Data are read when asked for."""
 
-    metadata: dict[str, Any]
-    image: bytes
-    notes: tuple[str, ...]
+    path: Path
+    table: dict[str, Any]
+    sections: dict[str, Section]
+    """All sections of data by name."""
+
+    def has(self, name: object) -> bool:
+        """Whether a section of this name is there; `name` is whatever stood in JSON."""
+        return isinstance(name, str) and name in self.sections
+
+    def length(self, name: str) -> int:
+        """Bytes of data of a section."""
+        return self.sections[name].length
+
+    def data(self, name: str) -> bytes:
+        """The data of a section; LightFieldError if the file cannot be read."""
+        try:
+            with self.path.open("rb") as file:
+                return _read(file, self.sections[name])
+        except OSError as error:
+            raise LightFieldError(f"{self.path} cannot be read: {error.strerror or error}.") from error
+
+    def json(self, name: str, what: str) -> dict[str, Any]:
+        """The data of a section as a JSON object; LightFieldError, which calls it `what`, if they are none."""
+        if self.length(name) > _MOST_JSON:
+            raise LightFieldError(f"{self.path} is damaged: {what} is not JSON (it is too long).")
+        return _json(self.path, self.data(name), what)
 
 
 def is_container(path: Path) -> bool:
     """Whether a file begins as a container does."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_MAGIC)) == _MAGIC
-    except OSError:
-        return False
+    return head(path, len(_MAGIC)) == _MAGIC
 
 
-def read_container(path: Path) -> Contents:
-    """Read the raw picture of a container and what is said about it; LightFieldError if there is none, or damage."""
+def is_sound(name: str, data: bytes) -> bool:
+    """Whether data have the SHA-1 that their section is named by."""
+    return name == f"sha1-{hashlib.sha1(data, usedforsecurity=False).hexdigest()}"
+
+
+def open_container(path: Path) -> Container:
+    """Find the sections of a container and read its table of contents; LightFieldError if it is none, or damaged."""
     try:
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
@@ -63,16 +86,9 @@ def read_container(path: Path) -> Contents:
                 raise LightFieldError(f"{path} is not a Lytro container: it does not begin as one.")
             sections = list(_sections(path, file, size))
             table = _table(path, file, sections)
-            frame = _frame(path, table)
-            named = {section.name: section for section in sections}
-            metadata = _json(path, _read(file, _named(path, named, frame, "metadataRef")), "its metadata")
-            chosen = _named(path, named, frame, "imageRef")
-            image = _read(file, chosen)
     except OSError as error:
         raise LightFieldError(f"{path} cannot be read: {error.strerror or error}.") from error
-    sound = chosen.name == f"sha1-{hashlib.sha1(image, usedforsecurity=False).hexdigest()}"
-    notes = () if sound else ("The picture's SHA-1 is not the one that the container names it by; it may be damaged.",)
-    return Contents(metadata, image, notes)
+    return Container(path, table, {section.name: section for section in sections if section.kind == _DATA})
 
 
 def _sections(path: Path, file: BinaryIO, size: int) -> Iterator[Section]:
@@ -108,32 +124,9 @@ def _table(path: Path, file: BinaryIO, sections: list[Section]) -> dict[str, Any
         raise LightFieldError(
             f"{path} is a damaged Lytro container: it has {len(tables)} tables of contents, where there should be one."
         )
+    if tables[0].length > _MOST_JSON:
+        raise LightFieldError(f"{path} is damaged: its table of contents is not JSON (it is too long).")
     return _json(path, _read(file, tables[0]), "its table of contents")
-
-
-def _frame(path: Path, table: dict[str, Any]) -> dict[str, Any]:
-    for keys in _FRAMES:
-        frames: Any = table
-        for key in keys:
-            frames = frames.get(key) if isinstance(frames, dict) else None
-        if (
-            isinstance(frames, list)
-            and frames
-            and isinstance(frames[0], dict)
-            and isinstance(frames[0].get("frame"), dict)
-        ):
-            return frames[0]["frame"]
-    raise LightFieldError(
-        f"{path} has no raw picture: it is a Lytro container with {_keys(table)} only, perhaps one that was already "
-        "processed; give the one with the raw picture, as the camera wrote it."
-    )
-
-
-def _named(path: Path, named: dict[str, Section], frame: dict[str, Any], key: str) -> Section:
-    name = frame.get(key)
-    if not isinstance(name, str) or not name or name not in named:
-        raise LightFieldError(f"{path} is incomplete: its {key} names {name!r}, and there is no such section.")
-    return named[name]
 
 
 def _read(file: BinaryIO, section: Section) -> bytes:
@@ -143,15 +136,9 @@ def _read(file: BinaryIO, section: Section) -> bytes:
 
 def _json(path: Path, data: bytes, what: str) -> dict[str, Any]:
     try:
-        if len(data) > _MOST_JSON:
-            raise ValueError("it is too long")
         value = json.loads(data.rstrip(b"\0"))
     except (ValueError, RecursionError) as error:
         raise LightFieldError(f"{path} is damaged: {what} is not JSON ({' '.join(str(error).split())}).") from error
     if not isinstance(value, dict):
         raise LightFieldError(f"{path} is damaged: {what} is a JSON {type(value).__name__}, not an object.")
     return value
-
-
-def _keys(table: dict[str, Any]) -> str:
-    return ", ".join(repr(key) for key in list(table)[:5]) or "nothing"

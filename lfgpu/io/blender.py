@@ -1,0 +1,295 @@
+"""Light fields that the IDLab add-on of Blender rendered: lightfield.json, and an image for each camera.
+
+The file says how the camera projects, and where it stood for each image; OpenEXR images hold the depth as well.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import GroundTruth, LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.io.disk import Collected
+from lfgpu.io.exr import read_channels
+from lfgpu.io.members import Members
+from lfgpu.io.views import load_views
+
+CONFIGURATION_FILE = "lightfield.json"
+
+_LARGEST = 1 << 26  # bytes of the configuration; 100 000 cameras need less
+_PLACES = ("exr/{}.exr", "png/{}.png", "{}.exr", "{}.png")  # of the image of a camera, by its name
+_PARALLEL = 1e-3  # of the cameras' axes: what their directions may differ by
+_FLAT = 1e-2  # of a view step, and of the distance of the farthest cameras: how far one may stand off the plane
+_NOTHING = 1e9  # Blender's depth, in its unit, where nothing is in the way
+_LAYERS = ("", "Combined", "Image", "RGBA", "Depth")
+
+
+def recognise(path: Path) -> str | None:
+    """Why a path is taken for a light field of the add-on; None if it is not."""
+    file = _file(path)
+    if file is None:
+        return None
+    try:
+        with file.open(encoding="utf-8-sig", errors="replace") as text:
+            start = text.read(1 << 16)
+    except OSError:
+        return None
+    named = '"frames"' in start and '"camera"' in start
+    return f"it has a {file.name} as the light field add-on of Blender writes it" if named else None
+
+
+def read_blender(path: Path, *, allow_missing: bool = False) -> LightField:
+    """Read a light field that Blender rendered, of cameras that stand in a plane and look at right angles to it.
+
+    One view step is the median distance of neighbouring cameras. Colours of OpenEXR images are linear; they become
+    uint16 by the transfer function of sRGB, and what is brighter than white becomes white. The depth of the reference
+    view is the ground truth.
+
+    Parameters
+    ----------
+    path
+        lightfield.json, or the folder that holds it. The images are in its folders exr or png, or beside it.
+    allow_missing
+        Whether cameras whose image is not there are left out.
+
+    Raises
+    ------
+    LightFieldError
+        If the configuration or an image is missing or damaged, cameras look in several directions (those of a cylinder,
+        a sphere or a cuboid), or OpenEXR is missing.
+    """
+    file = _file(path)
+    if file is None:
+        raise LightFieldError(f"{path} has no {CONFIGURATION_FILE}; give the folder that Blender rendered to.")
+    whole = Members(file, _parsed(file))
+    frames = whole.objects("frames")
+    if len(frames) < 2:
+        raise LightFieldError(f"{file} has {len(frames)} cameras; depth needs at least two views of the scene.")
+    centres, step = _in_plane(file, frames)
+    images = [_image(file, frame.text("name")) for frame in frames]
+    notes = []
+    there = [index for index, image in enumerate(images) if image is not None]
+    if len(there) < len(images):
+        lost = next(frame.text("name") for frame, image in zip(frames, images, strict=True) if image is None)
+        if not allow_missing or len(there) < 2:
+            raise LightFieldError(
+                f"{file.parent} lacks the images of {len(images) - len(there)} of {len(images)} cameras, such as "
+                f"{lost}; render them, or pass allow_missing=True (--allow-missing on the command line)."
+            )
+        notes.append(f"Left out {len(images) - len(there)} of {len(images)} cameras, whose images are not there.")
+    chosen = [image for image in images if image is not None]
+    views, depth, more = _views(chosen, _middle(centres[there]))
+    geometry = _geometry(file, whole, views.shape[1:3], step)
+    positions = geometry.positions(centres[there])
+    positions -= positions.min(axis=0)
+    whole_steps = bool(np.abs(positions - np.rint(positions)).max() < _FLAT)
+    shape = tuple(int(n) + 1 for n in np.rint(positions.max(axis=0))[::-1])
+    gridded = whole_steps and math.prod(shape) <= 4 * len(there)
+    if gridded:
+        positions = np.rint(positions)
+    try:
+        light_field = LightField(
+            views,
+            positions,
+            reference=_middle(centres[there]),
+            grid_shape=(shape[0], shape[1]) if gridded else None,
+            geometry=geometry,
+            files=() if depth is not None else tuple(map(str, chosen)),
+            name=file.resolve().parent.name,
+            notes=(*notes, *more, f"One view step is {step:.6g} m, the distance of neighbouring cameras."),
+        )
+    except LightFieldError as error:
+        raise LightFieldError(f"{file}: {error}") from error
+    if depth is None:
+        return light_field
+    u, v = light_field.positions[light_field.reference_index]
+    return replace(light_field, truth=GroundTruth(_disparity(geometry, depth), (float(u), float(v))))
+
+
+def _file(path: Path) -> Path | None:
+    file = path / CONFIGURATION_FILE if path.is_dir() else path
+    return file if file.is_file() and file.suffix.lower() == ".json" else None
+
+
+def _parsed(file: Path) -> dict[str, Any]:
+    try:
+        if file.stat().st_size > _LARGEST:
+            raise ValueError("it is too long")
+        value = json.loads(file.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise LightFieldError(f"{file} cannot be read: {error.strerror}.") from error
+    except (ValueError, RecursionError) as error:
+        raise LightFieldError(f"{file} is not valid JSON: {' '.join(str(error).split()).rstrip('.')}.") from error
+    if not isinstance(value, dict):
+        raise LightFieldError(f"{file} is a JSON {type(value).__name__}, not an object.")
+    return value
+
+
+# --- cameras ---
+
+
+def _in_plane(file: Path, frames: list[Members]) -> tuple[NDArray[np.float64], float]:
+    """Where cameras stand in their plane, [n, 2] (right, down) in metres, and the distance of neighbours."""
+    axes, places = (np.array(a) for a in zip(*(_pose(file, frame) for frame in frames), strict=True))
+    if np.abs(axes - axes[0]).max() > _PARALLEL:
+        raise LightFieldError(
+            f"{file} has cameras that look in several directions, as those of a cylinder, a sphere or a cuboid do; a "
+            "light field needs parallel ones: render a plane, or write a description of one face."
+        )
+    # The columns of the matrix are the camera's right, up and back.
+    own = places @ axes[0]
+    centres = np.stack([own[:, 0], -own[:, 1]], axis=1)
+    order = np.unique(np.round(centres, 12), axis=0)
+    if len(order) < len(centres):
+        raise LightFieldError(f"{file} has several cameras in one place.")
+    nearest = _nearest(centres)
+    step = float(np.median(nearest))
+    off = float(np.ptp(own[:, 2]))
+    if off > _FLAT * step:
+        raise LightFieldError(
+            f"{file} has cameras that stand up to {off:.4g} m before others; a light field needs them in one plane, at "
+            "right angles to where they look."
+        )
+    return centres, step
+
+
+def _nearest(centres: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The distance of each camera's nearest neighbour."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(centres).query(centres, k=2)[0][:, 1])
+
+
+def _pose(file: Path, frame: Members) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The camera's axes [3, 3], one a column, and its place [3]."""
+    if frame.values.get("world_matrix") is not None:
+        matrix = _numbers(file, frame, "world_matrix", (4, 4))
+        axes, place = matrix[:3, :3], matrix[:3, 3]
+        axes = axes / np.maximum(np.linalg.norm(axes, axis=0), 1e-12)
+    else:
+        place = _numbers(file, frame, "position", (3,))
+        axes = _of_euler(*_numbers(file, frame, "rotation", (3,)))
+    if np.abs(axes.T @ axes - np.eye(3)).max() > 1e-3:
+        raise LightFieldError(f"{file} is damaged: the axes of the camera {frame.text('name')[:60]!r} are no axes.")
+    return axes, place
+
+
+def _of_euler(x: float, y: float, z: float) -> NDArray[np.float64]:
+    """The matrix of Blender's default rotation: about x first, then y, then z, in radians."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos([x, y, z]), np.sin([x, y, z])
+    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
+    return np.asarray(about_z @ about_y @ about_x)
+
+
+def _numbers(file: Path, of: Members, key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    try:
+        found = np.array(of.values.get(key), np.float64)
+    except (TypeError, ValueError, OverflowError):
+        found = np.zeros(0)
+    if found.shape != shape or not (np.abs(found) < 1e9).all():
+        raise LightFieldError(f"{file} is damaged: {key} must be {' x '.join(map(str, shape))} numbers.")
+    return found
+
+
+def _geometry(file: Path, whole: Members, size: tuple[int, ...], step: float) -> Geometry:
+    camera = whole.object("camera")
+    if camera.text("type") != "PERSP":
+        raise LightFieldError(
+            f"{file} is of cameras of the type {camera.text('type')[:20]!r}; light fields are of perspective ones."
+        )
+    height, width = size
+    told = _numbers(file, whole, "resolution", (2,))
+    if tuple(told) != (width, height):
+        raise LightFieldError(
+            f"{file} says {told[0]:g} x {told[1]:g} px, but the images are {width} x {height}: they are of another run."
+        )
+    if camera.values.get("projection_matrix") is not None:
+        matrix = _numbers(file, camera, "projection_matrix", (4, 4))
+        across, down = abs(matrix[0, 0]) * width / 2, abs(matrix[1, 1]) * height / 2
+        # Points before the camera have negative z: the axis meets the image at -(third column), from its middle.
+        point = ((1 - matrix[0, 2]) * width / 2 - 0.5, (1 + matrix[1, 2]) * height / 2 - 0.5)
+    elif "angle" in camera.values:
+        across = down = max(width, height) / 2 / math.tan(camera.number("angle", 1e-3, 3.1) / 2)
+        point = ((width - 1) / 2, (height - 1) / 2)
+    else:
+        sensor = _numbers(file, whole, "sensor_size", (2,))
+        across = down = camera.number("focal_length", 1e-3, 1e6) * width / max(float(sensor[0]), 1e-9)
+        point = ((width - 1) / 2, (height - 1) / 2)
+    if not (0 < across < 1e9 and 0 < down < 1e9):
+        raise LightFieldError(f"{file} is damaged: its focal length is {across:g} x {down:g} px.")
+    return Geometry(float(across), step, principal_point=point, pixel_aspect=float(down / across))
+
+
+def _middle(centres: NDArray[np.float64]) -> int:
+    """The camera in the middle; of several the one below and to the right."""
+    middle = (centres.min(axis=0) + centres.max(axis=0)) / 2
+    off = np.round(np.hypot(*(centres - middle).T), 9)
+    return int(max(np.flatnonzero(off == off.min()), key=lambda index: (centres[index, 1], centres[index, 0])))
+
+
+# --- images ---
+
+
+def _image(file: Path, name: str) -> Path | None:
+    if not name or Path(name).name != name or "\0" in name:
+        raise LightFieldError(f"{file} is damaged: {name[:60]!r} is no name of an image.")
+    return next((path for place in _PLACES if (path := file.parent / place.format(name)).is_file()), None)
+
+
+def _views(images: list[Path], reference: int) -> tuple[NDArray[Any], NDArray[np.float32] | None, tuple[str, ...]]:
+    """The views, the depth of the reference view, and notes."""
+    if images[reference].suffix.lower() != ".exr":
+        views, notes = load_views(images)
+        return views, None, notes
+    first = read_channels(images[reference])
+    colours = _encoded(images[reference], first)
+    stored = Collected(images[0].parent, len(images), colours)
+    for index, image in enumerate(images):
+        channels = first if index == reference else read_channels(image)
+        picture = _encoded(image, channels)
+        if picture.shape != colours.shape:
+            raise LightFieldError(
+                f"the views in {image.parent} are not alike: {images[reference].name} is "
+                f"{colours.shape[1]} x {colours.shape[0]}, {image.name} is {picture.shape[1]} x {picture.shape[0]}."
+            )
+        stored.put(index, picture)
+    notes = ("Colours are linear in the files; they were brought to sRGB, and cut off at white.",)
+    return stored.array(), _channel(first, ("Z", "V")), notes
+
+
+def _channel(channels: dict[str, NDArray[np.float32]], names: tuple[str, ...]) -> NDArray[np.float32] | None:
+    """The channel of one of these names, by itself or in a layer that Blender gives it."""
+    for layer in _LAYERS:
+        for name in names:
+            for full, values in channels.items():
+                *before, last = full.split(".")
+                if last == name and (before[-1:] or [""])[0] == layer:
+                    return values
+    return None
+
+
+def _encoded(file: Path, channels: dict[str, NDArray[np.float32]]) -> NDArray[np.uint16]:
+    """uint16 [y, x, 3] by the transfer function of sRGB (IEC 61966-2-1)."""
+    planes = [_channel(channels, (name,)) for name in "RGB"]
+    if any(plane is None for plane in planes):
+        raise LightFieldError(f"{file} has no channels R, G and B; it has {', '.join(list(channels)[:8]) or 'none'}.")
+    linear = np.clip(np.nan_to_num(np.stack([p for p in planes if p is not None], axis=-1), nan=0.0), 0.0, 1.0)
+    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.rint(coded * 65535).astype(np.uint16)
+
+
+def _disparity(geometry: Geometry, depth: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Of depths along the optical axis; 0 where nothing is in the way, NaN where there is no depth."""
+    known = np.where(depth > 0, depth, np.nan).astype(np.float64)
+    known[known >= _NOTHING] = np.inf
+    return geometry.disparity(known).astype(np.float32)

@@ -1,0 +1,54 @@
+"""OpenEXR files of many channels (extra `exr`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.io.extras import require
+from lfgpu.io.folders import head
+from lfgpu.io.git_lfs import check_fetched
+from lfgpu.io.limits import check_claim
+
+_MAGIC = b"\x76\x2f\x31\x01"
+_MOST_CHANNELS = 100
+
+
+def read_channels(path: Path) -> dict[str, NDArray[np.float32]]:
+    """The channels of an OpenEXR file by name, each float32 [y, x], as they are stored (NaN and infinities included).
+
+    LightFieldError if OpenEXR is missing, or the file is none, damaged, or claims more than it can hold.
+    """
+    exr = require("OpenEXR", "exr", path)
+    if head(path, 4) != _MAGIC:  # the library tells that on stderr, too
+        check_fetched(path)
+        raise LightFieldError(f"{path} is not an OpenEXR file, or its beginning is damaged.")
+    try:
+        with exr.File(str(path), separate_channels=True, header_only=True) as file:
+            header = file.header()
+            low, high = ([int(place) for place in corner] for corner in header["dataWindow"])
+            names = len(header["channels"])
+        shape = (high[1] - low[1] + 1, high[0] - low[0] + 1)
+        if names > _MOST_CHANNELS or min(shape) < 1:
+            raise ValueError(f"it claims {names} channels of {shape[1]} x {shape[0]} px")
+        check_claim(path, (names, *shape), np.float32)
+        with exr.File(str(path), separate_channels=True) as file:
+            return {name: _pixels(channel, shape) for name, channel in file.channels().items()}
+    except LightFieldError:
+        raise
+    except Exception as error:  # the library raises whatever comes to it when a file is damaged
+        raise LightFieldError(
+            f"{path} cannot be read as OpenEXR: {' '.join(str(error).split()).rstrip('.')}."
+        ) from error
+
+
+def _pixels(channel: Any, shape: tuple[int, int]) -> NDArray[np.float32]:
+    values = np.asarray(channel.pixels)
+    if values.shape != shape:
+        raise ValueError(f"a channel is {values.shape}, not {shape}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype(np.float32)

@@ -1,0 +1,15 @@
+"""What a file holds beside views, or instead of them: for people who ask what it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Inside:
+    """Facts about a file that no light field has a place for."""
+
+    facts: tuple[tuple[str, str], ...]
+    """(label, text) each, in the order of importance."""
+    no_depth: str | None = None
+    """Why there is no light field in it, a sentence; None if there is one."""

@@ -1,0 +1,10 @@
+"""Containers of Lytro cameras and of the programs that belong to them.
+
+`container` finds the sections, `contents` says what they are, `camera` what the camera wrote of itself, `pictures`
+decodes them, and `reader` makes a light field of the views that a processed container holds. Raw pictures are decoded
+by `lfgpu.io.lenslet`.
+"""
+
+from lfgpu.io.lytro.reader import inside, read_lytro, recognise
+
+__all__ = ["inside", "read_lytro", "recognise"]
