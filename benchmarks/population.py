@@ -16,11 +16,11 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.pipelines import METRICS
 from benchmarks.results import Record, Run
 from lfgpu import DepthResult, LightField, estimate_depth, evaluate, read, scenes
+from lfgpu.data.lightfield import GroundTruth
 from lfgpu.errors import LfgpuError
-from lfgpu.frames import rgb
-from lfgpu.lightfield import GroundTruth
 from lfgpu.metrics import BORDER, sparsification
 from lfgpu.threads import get_threads
+from lfgpu.viz.panels import rgb
 
 KIND = "accuracy"
 BASELINE = Path(__file__).with_name("results") / "accuracy-0.1.json"
