@@ -1,7 +1,8 @@
 """The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found.
 
-`ablation` leaves ingredients out, `rendering` renders views that were left out, `live`, `flicker` and `soak` are about
-streams, `scaling` takes several GPUs, `tiles` limits the memory, `gallery` draws the picture of the README.
+`accuracy` scores a population of light fields, `ablation` leaves ingredients out, `rendering` renders views that were
+left out, `live`, `flicker` and `soak` are about streams, `scaling` takes several GPUs, `tiles` limits the memory,
+`gallery` draws the picture of the README.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from benchmarks import (
     ablation,
     cases,
     compare,
+    error_sheet,
     flicker,
     gallery,
     live,
@@ -24,12 +26,14 @@ from benchmarks import (
     operations,
     pipelines,
     plot,
+    population,
     rendering,
     results,
     scaling,
     show,
     soak,
     suite,
+    tables,
     tiles,
 )
 from benchmarks.errors import BenchmarkError
@@ -122,6 +126,46 @@ def ablation_(
     if out is not None:
         check_writable(out, folder=False)
     _finish(ablation.run(plan, lambda what: typer.echo(what, err=True)), out)
+
+
+@app.command("accuracy")
+def accuracy_(
+    folders: Annotated[
+        list[Path] | None, typer.Argument(metavar="[FOLDER]...", help="More folders of the population.")
+    ] = None,
+    first: Annotated[
+        list[Path] | None,
+        typer.Option("--population", metavar="FOLDER", help="A light field with its truth, or a folder of some."),
+    ] = None,
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = ",".join(population.PRESETS),
+    ranges: Annotated[
+        str, typer.Option(metavar="NAME,...", help="found: by the estimate; true: the true one and 0.1 px more.")
+    ] = ",".join(population.RANGES),
+    baseline: Annotated[Path, typer.Option(metavar="FILE.json", help="A run to hold this one against.")] = (
+        population.BASELINE
+    ),
+    sheet: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Where the pictures of errors go.")] = None,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = None,
+) -> None:
+    """Score presets on a population of light fields, with the range found and the true one, against a baseline."""
+    where = [*(first or ()), *(folders or ())]
+    if not where:
+        raise BenchmarkError("no light fields to score: give folders with --population.")
+    if unknown := [name for name in _names(ranges) if name not in population.RANGES]:
+        raise BenchmarkError(f"unknown range {unknown[0]!r}; there are {', '.join(population.RANGES)}.")
+    for path in (out, sheet):
+        if path is not None:
+            check_writable(path, folder=False)
+    old = results.load(baseline) if baseline != population.BASELINE or baseline.exists() else None
+    pictures: list[population.Picture] = []
+    run = population.run(
+        where, _names(presets), _names(ranges), lambda what: typer.echo(what, err=True), pictures.append
+    )
+    if sheet is not None and pictures:
+        error_sheet.write(pictures, sheet)
+    _finish(run, out)
+    if old is not None:
+        show.table(tables.against(run, old))
 
 
 @app.command("rendering")

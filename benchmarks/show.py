@@ -15,9 +15,7 @@ _WIDEST = 240  # columns where the output goes to a file: nobody wraps it there
 
 def terminal(run: Run) -> None:
     """Print a run."""
-    console = Console(highlight=False, markup=False, emoji=False)
-    if not console.is_terminal:
-        console.width = _WIDEST
+    console = _console()
     for line in headings(run):
         console.print(line)
     for table in tables(run.records):
@@ -28,6 +26,12 @@ def terminal(run: Run) -> None:
         console.print(f"wrong: {line}")
 
 
+def table(found: Table) -> None:
+    """Print one table, if it has rows."""
+    if found.rows:
+        _console().print(_rich(found))
+
+
 def markdown(run: Run) -> str:
     """A run as a section of a README."""
     parts = [f"### {run.where}", *headings(run)[1:]]
@@ -36,6 +40,13 @@ def markdown(run: Run) -> str:
         if lines:
             parts.append(f"{heading}:\n\n" + "\n".join(f"- {line}" for line in lines))
     return "\n\n".join(parts) + "\n"
+
+
+def _console() -> Console:
+    console = Console(highlight=False, markup=False, emoji=False)
+    if not console.is_terminal:
+        console.width = _WIDEST
+    return console
 
 
 def _rich(table: Table) -> RichTable:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import geometric_mean
 
-from benchmarks import bandwidth
+from benchmarks import bandwidth, population
 from benchmarks.ablation import ALL
 from benchmarks.cases import CASES
 from benchmarks.pipelines import MATCHING, RESIDENT, SCIPY, SCRATCH
@@ -14,9 +14,10 @@ from benchmarks.results import Record, Run
 
 NONE = "–"
 _LEAST = {"mse_100": 0.01, "badpix_07": 0.1, "badpix_01": 0.1}  # errors that the ablation tells apart from none
-_RATIOS = ("MSE", "BadPix 0.07", "BadPix 0.01")
+_RATIOS = {"mse_100": "MSE", "badpix_07": "BadPix 0.07", "badpix_01": "BadPix 0.01"}
 _MATTERS = 1.05  # ratio of two MSE in the ablation
 _MANY = 50  # repeats, with which a 99 % quantile says something
+_FOUND, _TRUE = population.RANGES
 _METRICS = {
     "mse_100": "MSE×100",
     "badpix_07": "BadPix 0.07",
@@ -67,8 +68,17 @@ def tables(records: Sequence[Record]) -> list[Table]:
         _bandwidth(_of(done, "bandwidth")),
         _startup(_of(done, "startup")),
         *_ablations(_of(done, "ablation")),
+        *_accuracies(_of(done, population.KIND)),
     ]
     return [table for table in made if table.rows]
+
+
+def against(run: Run, baseline: Run) -> Table:
+    """Ratios of errors to a baseline of the same scenes, presets and ranges: geometric means, and the worst scene."""
+    old = {(r.name, r.case): r for r in _of(baseline.records, population.KIND) if not r.failed}
+    new = [r for r in _of(run.records, population.KIND) if not r.failed]
+    pairs = [(r, old[r.name, r.case]) for r in new if (r.name, r.case) in old]
+    return _compared("Accuracy, ratios to the baseline", pairs)
 
 
 def remarks(run: Run) -> list[str]:
@@ -248,7 +258,7 @@ def _worth(cases: list[list[Record]]) -> Table:
             better = sum(_MATTERS * r.errors["mse_100"] < whole.errors["mse_100"] for r, whole in pairs)
             row += [] if judging else [f"{worse} / {better} of {len(pairs)}"]
         rows.append(tuple(row))
-    columns = ("variant", *_RATIOS, "worse / better", *(f"{measure}, for judging" for measure in _RATIOS))
+    columns = ("variant", *_RATIOS.values(), "worse / better", *(f"{title}, for judging" for title in _RATIOS.values()))
     return Table("Ablation, ratios to accurate, geometric means over scenes", columns, 1, rows)
 
 
@@ -256,8 +266,47 @@ def _mean_ratio(pairs: list[tuple[Record, Record]], measure: str) -> str:
     """Geometric mean; what is below `_LEAST` counts as that, since ratios of a few pixels say nothing."""
     if not pairs:
         return NONE
-    least = _LEAST[measure]
-    return f"{geometric_mean(max(a.errors[measure], least) / max(b.errors[measure], least) for a, b in pairs):.2f}"
+    return f"{geometric_mean(_error_ratio(a, b, measure) for a, b in pairs):.2f}"
+
+
+def _error_ratio(new: Record, old: Record, measure: str) -> float:
+    return max(new.errors[measure], _LEAST[measure]) / max(old.errors[measure], _LEAST[measure])
+
+
+def _accuracies(records: list[Record]) -> Iterator[Table]:
+    """Each preset and range, and then what finding the range does."""
+    measures = {**_METRICS, "ause": "AUSE", "span": "range / true"}
+    for name in dict.fromkeys(r.name for r in records):
+        rows = [
+            (r.case, *(f"{r.errors[m]:.3g}" for m in measures), duration(r.seconds.median))
+            for r in records
+            if r.name == name and r.seconds is not None
+        ]
+        yield Table(f"Accuracy, {name}", ("scene", *measures.values(), "time"), 1, rows)
+    true = {(r.details["preset"], r.case): r for r in records if r.details["range"] == _TRUE}
+    found = [r for r in records if r.details["range"] == _FOUND and (r.details["preset"], r.case) in true]
+    yield _compared(
+        "Accuracy, the range found against the true one", [(r, true[r.details["preset"], r.case]) for r in found]
+    )
+
+
+def _compared(title: str, pairs: list[tuple[Record, Record]]) -> Table:
+    """Ratios of errors, geometric means and the worst by name, for each preset and range."""
+    rows = []
+    for name in dict.fromkeys(new.name for new, _ in pairs):
+        these = [(new, old) for new, old in pairs if new.name == name]
+        ratios = {measure: {new.case: _error_ratio(new, old, measure) for new, old in these} for measure in _RATIOS}
+        worst = {measure: max(ratios[measure].items(), key=lambda item: item[1]) for measure in _RATIOS}
+        rows.append(
+            (
+                name,
+                str(len(these)),
+                *(f"{geometric_mean(ratios[measure].values()):.2f}" for measure in _RATIOS),
+                *(f"{case} {ratio:.2f}" for case, ratio in worst.values()),
+            )
+        )
+    columns = ("preset", "scenes", *_RATIOS.values(), *(f"worst {title}" for title in _RATIOS.values()))
+    return Table(title, columns, 1, rows)
 
 
 def _of(records: Iterable[Record], kind: str, case: str | None = None) -> list[Record]:

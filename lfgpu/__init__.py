@@ -18,6 +18,7 @@ from lfgpu.data import hooks as _hooks
 if TYPE_CHECKING:
     from lfgpu._backends import BackendInfo, describe_backends, list_backends
     from lfgpu.config import Config
+    from lfgpu.data.filling import fill_unknown
     from lfgpu.data.geometry import Geometry
     from lfgpu.data.lightfield import GroundTruth, LightField
     from lfgpu.data.points import PointCloud, point_cloud
@@ -66,6 +67,7 @@ _HOMES = {
     "estimate_depth": "pipelines.estimate",
     "evaluate": "metrics",
     "export_pipeline": "pipelines.export",
+    "fill_unknown": "data.filling",
     "get_threads": "threads",
     "list_backends": "_backends",
     "load": "io",
@@ -105,6 +107,7 @@ __all__ = [
     "estimate_depth",
     "evaluate",
     "export_pipeline",
+    "fill_unknown",
     "get_threads",
     "list_backends",
     "load",

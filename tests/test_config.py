@@ -23,7 +23,6 @@ from lfgpu.methods.synthesis.config import PropagationConfig, RefinementConfig, 
 
 SECTIONS = {
     MatchingConfig: {
-        LocalConfig,
         PriorConfig,
         SweepConfig,
         SemiGlobalConfig,

@@ -14,7 +14,6 @@ from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.methods.sections import LocalConfig
 from lfgpu.methods.structure_tensor import LocalEstimator, structure_filters
 from lfgpu.metrics import Metrics, evaluate
@@ -212,17 +211,6 @@ def test_maps_are_float32_of_the_views_size() -> None:
         assert np.isfinite(values).all()
 
 
-@pytest.mark.parametrize("disparity_range", [RANGE, WIDE, (0.5, 2.0), (-2.5, -1.0)], ids=str)
-@pytest.mark.parametrize("name", ["relief", "planes", "boxes"])
-def test_the_range_of_the_scene_is_found(name: str, disparity_range: tuple[float, float]) -> None:
-    lf = scenes.make(name, grid=(5, 5), size=(96, 96), disparity_range=disparity_range)
-    low, high = find_disparity_range(lf, LocalConfig(), WARP, "cpu")
-    truth = lf.truth.disparity  # type: ignore[union-attr]
-    assert ((truth >= low) & (truth <= high)).mean() > 0.98
-    if name != "boxes":  # occlusions of a small picture leave coherent nonsense, which makes it wider than need be
-        assert high - low < np.ptp(truth) + 1.5
-
-
 # --- errors ---
 
 
@@ -236,14 +224,6 @@ def test_a_reference_alone_in_its_row_and_column_is_refused() -> None:
 def test_a_range_without_any_estimate_is_refused() -> None:
     with pytest.raises(LightFieldError, match="no pixel has a coherent estimate within the disparity range"):
         lfgpu.estimate_depth(relief(), disparity_range=(7.0, 7.0001), config="paper")
-
-
-def test_views_without_texture_have_no_range() -> None:
-    flat = LightField.from_grid(np.full((3, 3, 40, 40, 3), 128, np.uint8), name="wall")
-    with pytest.raises(LightFieldError) as error:
-        find_disparity_range(flat, LocalConfig(), WARP, "cpu")
-    for words in ("wall", "disparity_range", "local.coherence_threshold"):
-        assert words in str(error.value)
 
 
 def test_views_without_texture_are_undefined_everywhere() -> None:
@@ -269,11 +249,3 @@ def test_cameras_a_little_out_of_line_still_make_a_row() -> None:
     shaken = replace(lf, positions=lf.positions + jitter, grid_shape=None, truth=None)
     assert len(shaken.row()) == len(shaken.column()) == 7
     assert np.median(np.abs(estimated(shaken).disparity - estimated(lf).disparity)) < 0.02
-
-
-@pytest.mark.parametrize("extent", [(14.2, 18.8), (-20.0, -17.0)])
-def test_the_range_of_large_disparities_is_found(extent: tuple[float, float]) -> None:
-    lf = scenes.make("relief", grid=(5, 5), size=(256, 256), disparity_range=extent)
-    low, high = find_disparity_range(lf, LocalConfig(), WARP, "cpu")
-    assert extent[0] - 2 < low < extent[0] + 0.5
-    assert extent[1] - 0.5 < high < extent[1] + 2

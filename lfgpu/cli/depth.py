@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -93,6 +93,9 @@ def depth(
             help="Also write the map as this file in FOLDER: .exr, .tif, .png, .pfm, .npz, or its points: .ply.",
         ),
     ] = None,
+    fill: Annotated[
+        bool, typer.Option("--fill", help="Fill pixels that are not known (masked, NaN) from the farther side.")
+    ] = False,
     disparity_range: DisparityRange = None,
     backend: Backend = DEFAULT,
     device: Device = None,
@@ -123,6 +126,7 @@ def depth(
     from lfgpu.cli import summary
     from lfgpu.cli.console import output
     from lfgpu.cli.outputs import check_names, write_outputs, write_page, write_saved, write_view_maps
+    from lfgpu.data.filling import fill_unknown, filled
     from lfgpu.io import atomic_folder, check_writable, read
     from lfgpu.methods.footprint import parse_memory
 
@@ -157,6 +161,10 @@ def depth(
     lf = _chosen(lf, place, pattern)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)
+    if fill:
+        result = filled(result)
+        if views:
+            views = replace(views, disparities=fill_unknown(views.disparities), reference=result)
     with atomic_folder(out) as folder:
         files = write_outputs(folder, result)
         if views:

@@ -40,13 +40,16 @@ def show_result(console: Console, result: DepthResult, *, range_given: bool) -> 
     rows = [
         (
             "disparity",
-            f"{result.disparity.min():.3f} to {result.disparity.max():.3f} px per view step, larger is nearer "
+            f"{np.nanmin(result.disparity):.3f} to {np.nanmax(result.disparity):.3f} px per view step, larger is nearer "
             f"({searched})",
         ),
     ]
     if result.depth is not None:
-        nearest, farthest = result.depth.min(), result.depth.max()
+        nearest, farthest = np.nanmin(result.depth), np.nanmax(result.depth)
         rows.append(("depth", f"{nearest:.3g} to {'infinity' if np.isinf(farthest) else f'{farthest:.3g} m'}"))
+    unknown = 100 * float(np.isnan(result.disparity).mean())
+    if unknown:
+        rows.append(("unknown", f"{unknown:.2g} % of the pixels (NaN): masked in this view; --fill fills them"))
     rows += [
         ("time", _times(result)),
         ("converged", "yes" if result.converged else "no: more iterations may give a better map"),

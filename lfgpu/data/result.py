@@ -22,7 +22,8 @@ class DepthResult:
     ----------
     disparity
         float32 [y, x], pixels per view step, larger is nearer: the point at (x, y) of the reference view is at
-        (x - d*du, y - d*dv) in the view (du, dv) view steps to the right of and below it.
+        (x - d*du, y - d*dv) in the view (du, dv) view steps to the right of and below it. NaN where it is not known,
+        that is where the reference view is masked; `lfgpu.fill_unknown` fills such holes.
     confidence
         float32 [y, x], 0 to 1, larger is surer; what it means depends on the method.
 
@@ -31,7 +32,7 @@ class DepthResult:
         is the root mean square distance of its disparity from what the matches had been, pixels per view step; both are
         taken over its window with the weights of the prior. So it is low at edges of depth between alike colours, where
         something is hidden, and where later stages disagree with the first. Without texture it is at most 2/3: such
-        pixels are filled in from around them. Where the reference is not valid it is 0, and the map says nothing.
+        pixels are filled in from around them. Where the disparity is NaN it is 0.
         Form and numbers were chosen on synthetic scenes: on others the share may be another, so trust the order more
         than the value.
 

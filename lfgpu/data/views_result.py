@@ -25,10 +25,11 @@ class ViewsResult:
     ----------
     disparities
         float32 [n, y, x] in the order of `LightField.views`, pixels per view step, larger is nearer: the point at
-        (x, y) of view a is at (x - d*du, y - d*dv) in the view du steps to the right of and dv steps below view a.
+        (x, y) of view a is at (x - d*du, y - d*dv) in the view du steps to the right of and dv steps below view a. NaN
+        where no key view shows the pixel; `lfgpu.fill_unknown` fills them.
     confidences
         float32 [n, y, x], 0 to 1: the mean confidence of the key views that agree, times their share among those that
-        agree or see through. 0 means that no key view shows the pixel and it was filled from the farther side.
+        agree or see through. 0 where the disparity is NaN.
     positions
         float64 [n, 2], (u, v) of each view, as `LightField.positions`.
     keys

@@ -18,7 +18,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.limits import check_claim
 
-IMAGE_SUFFIXES = frozenset({".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff"})
+IMAGE_SUFFIXES = frozenset({".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
 """Suffixes, in lower case, of the files that are taken for images."""
 
 ALPHA_DROPPED = "alpha channel dropped"
@@ -64,7 +64,7 @@ def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[ND
     Parameters
     ----------
     path
-        A PNG, BMP, JPEG or TIFF file of 8 or 16 bits, or a TIFF of float32 or float64.
+        A PNG, BMP, JPEG, TIFF, WebP, PPM or PGM file of 8 or 16 bits, or a TIFF of float32 or float64.
     finite
         Whether NaN and infinities are refused.
 
@@ -123,7 +123,12 @@ def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
     if image.mode in ("1", "P", "PA"):
         grey = image.mode == "1"
         return np.asarray(image.convert("L" if grey else "RGBA" if image.has_transparency_data else "RGB"))
-    if image.mode == "I" and image.format == "PNG":  # older Pillow gives 16-bit grey in 32 bits
+    if getattr(image, "is_animated", False) and image.format == "WEBP":
+        count = getattr(image, "n_frames", 0)
+        raise LightFieldError(f"{path} is an animation of {count} images; a view is one image: save it as one.")
+    if image.format == "PPM" and _wide_ppm_colour(image):
+        raise LightFieldError(f"{path} is a PPM of 16-bit colour, which cannot be read; save it as PNG or TIFF.")
+    if image.mode == "I" and image.format in ("PNG", "PPM"):  # Pillow gives 16-bit grey in 32 bits
         return np.asarray(image).astype(np.uint16)
     if image.mode not in ("L", "LA", "RGB", "RGBA", "I;16", "I;16L", "I;16B", "F"):
         kind = "32-bit integers" if image.mode == "I" else f"colour mode {image.mode}"
@@ -131,6 +136,12 @@ def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
     if image.mode in ("RGB", "RGBA") and (raw := _raw_mode(image)).endswith(tuple(_OTHER_BYTE)):
         return _sixteen_bit_colour(path, image, raw)
     return np.asarray(image)
+
+
+def _wide_ppm_colour(image: Image.Image) -> bool:
+    """Whether it has colours of more than 8 bits, of which Pillow keeps 8."""
+    arguments = image.tile[0][3]  # type: ignore[attr-defined]  # (raw mode, largest value) or the raw mode alone
+    return image.mode == "RGB" and isinstance(arguments, tuple) and int(arguments[1]) > 255
 
 
 def _raw_mode(image: Image.Image) -> str:

@@ -22,7 +22,6 @@ from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.methods.footprint import Footprint
 from lfgpu.methods.measured import Measured, checked_range
-from lfgpu.methods.sections import LocalConfig
 from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.solvers.solution import Solution
 
@@ -183,10 +182,7 @@ class Method(ABC, Generic[C]):
         LightFieldError
             If the range cannot be one of this light field, or none is found.
         """
-        if disparity_range is not None:
-            bounds = checked_range(disparity_range, lf)
-        else:
-            bounds = find_disparity_range(lf, self.local, kernels, device)
+        bounds = checked_range(disparity_range, lf) if disparity_range is not None else find_disparity_range(lf)
         return Measured(bounds, self.measure_noise(lf, bounds, kernels, device))
 
     def measure_noise(
@@ -203,11 +199,6 @@ class Method(ABC, Generic[C]):
         `noise` stands in for a measured one, where the parameters do not give it.
         """
         return None if disparity_range is None else Measured(checked_range(disparity_range, lf))
-
-    @property
-    def local(self) -> LocalConfig:
-        """How structure tensors find the disparity range."""
-        return LocalConfig()
 
     # --- what it takes ---
 

@@ -76,7 +76,7 @@ class _Line:
         self._kernels, self._vertical, self._range = kernels, vertical, disparity_range
         self._line = [int(index) for index in (lf.column() if vertical else lf.row())]
         offsets = lf.offsets[self._line, int(vertical)]
-        self._spacing = spacing(offsets)
+        self._spacing = _spacing(offsets)
         offsets = offsets / self._spacing
         filters = structure_filters(offsets, config)
         height, width = reversed(lf.size) if vertical else lf.size
@@ -125,7 +125,7 @@ class _Line:
             )
 
 
-def spacing(offsets: Float64Array) -> float:
+def _spacing(offsets: Float64Array) -> float:
     """The distance of the nearest neighbours among views at `offsets`, in view steps; nearly equal ones are one."""
     gaps = np.diff(np.sort(offsets))
     return float(gaps[gaps > 1e-3 * gaps.max()].min())

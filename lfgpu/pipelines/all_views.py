@@ -99,7 +99,7 @@ def estimate_all_views(
                 f"{lf.name}: view {index} (row {v:g}, column {u:g}) shows nothing that one of the {len(chosen)} key "
                 "views shows; take more keys."
             )
-        disparities[index], confidences[index] = filled_from_behind(disparity), confidence
+        disparities[index], confidences[index] = disparity, confidence
         report("join", index + 1, (index + 1) / len(lf.positions))
     end = perf_counter()
     return ViewsResult(
@@ -125,26 +125,6 @@ def spread_out(positions: Float64Array, first: int, count: int, usable: NDArray[
             break
         chosen.append(int(np.argmax(distance)))
     return chosen
-
-
-def filled_from_behind(disparity: Float32Array) -> Float32Array:
-    """[y, x] with each NaN replaced: of the next values to the left, right, above and below by the farthest.
-
-    What is behind is hidden by what is before, not the other way round. NaN that have no value in their row and column
-    take it from such neighbours.
-    """
-    values = np.where(np.isnan(disparity), np.inf, disparity)
-    while np.isinf(values).any():
-        sides = [_next_value(np.rot90(values, turns)) for turns in range(4)]
-        farthest = np.min([np.rot90(side, -turns) for turns, side in enumerate(sides)], axis=0)
-        values = np.where(np.isinf(values), farthest, values)
-    return values.astype(np.float32)
-
-
-def _next_value(values: Float32Array) -> Float32Array:
-    """Each infinity replaced by the next value to the left, where there is one."""
-    columns = np.where(np.isinf(values), 0, np.arange(values.shape[1]))
-    return np.take_along_axis(values, np.maximum.accumulate(columns, axis=1), axis=1)
 
 
 def _pipelines(
@@ -204,7 +184,7 @@ class Join:
             for estimate in estimates
         ]
         maps = np.stack([estimate.disparity for estimate in estimates])
-        known = np.ones(maps.shape, np.bool_) if valid is None else valid
+        known = np.isfinite(maps) if valid is None else np.isfinite(maps) & valid
         # What is not known lands nowhere, and has no voice where it is looked at.
         self._landing = [kernels.field(values, device) for values in np.where(known, maps, np.float32(-_UNKNOWN))]
         self._maps = np.where(known, maps, np.float32(_UNKNOWN))

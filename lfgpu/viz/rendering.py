@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfgpu._backends import DEFAULT, load, pick_device
 from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data.filling import fill_unknown
 from lfgpu.data.lightfield import LightField, farthest
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.pipelines.all_views import Join, filled_from_behind
+from lfgpu.pipelines.all_views import Join
 from lfgpu.threads import in_threads
 from lfgpu.viz.splines import colours, sampled, spline, valid_at
 
@@ -115,7 +116,7 @@ class Renderer:
         disparity, _ = join(place)
         if np.isnan(disparity).all():
             raise LightFieldError(f"{lf.name}: nothing recorded is seen from row {place[1]:g}, column {place[0]:g}.")
-        disparity = filled_from_behind(disparity)
+        disparity = fill_unknown(disparity)
         looks = in_threads(lambda n: self._look(n, place, disparity, _SAME / reach), chosen)
         image, known = _blended(looks, distance[chosen])
         u, v = place

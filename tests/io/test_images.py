@@ -30,6 +30,9 @@ from lfgpu.io.png import write_png
         ("png", 1, np.uint16),
         ("bmp", 1, np.uint8),
         ("bmp", 3, np.uint8),
+        ("ppm", 3, np.uint8),
+        ("pgm", 1, np.uint8),
+        ("pgm", 1, np.uint16),
         ("tif", 1, np.uint8),
         ("tif", 3, np.uint8),
         ("tif", 1, np.uint16),
@@ -45,6 +48,25 @@ def test_values_are_kept(tmp_path: Path, suffix: str, channels: int, dtype: Any)
     np.testing.assert_array_equal(
         light_field.views[0], iio.imread(tmp_path / f"0_0.{suffix}", plugin="pillow").reshape(HEIGHT, WIDTH, -1)
     )
+
+
+def test_lossless_webp_is_read_as_it_is(tmp_path: Path) -> None:
+    for column in range(2):
+        Image.fromarray(picture(column)).save(tmp_path / f"0_{column}.webp", lossless=True)
+    light_field = read(tmp_path)
+    np.testing.assert_array_equal(light_field.views[1], picture(1))
+
+
+def test_animated_webp_is_refused(tmp_path: Path) -> None:
+    first, second = (Image.fromarray(picture(seed)) for seed in range(2))
+    first.save(tmp_path / "a.webp", save_all=True, append_images=[second])
+    assert "a.webp is an animation of 2 images" in refusal(lambda: read_image(tmp_path / "a.webp"))
+
+
+def test_ppm_of_16_bit_colour_is_refused_as_pillow_keeps_half_of_it(tmp_path: Path) -> None:
+    rows = picture(0, 3, np.uint16).astype(">u2").tobytes()
+    (tmp_path / "a.ppm").write_bytes(f"P6 {WIDTH} {HEIGHT} 65535\n".encode() + rows)
+    assert "a.ppm is a PPM of 16-bit colour" in refusal(lambda: read_image(tmp_path / "a.ppm"))
 
 
 def png_chunk(kind: bytes, data: bytes) -> bytes:

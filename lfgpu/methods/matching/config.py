@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lfgpu.config import Config, Section, choice, number
-from lfgpu.methods.sections import LocalConfig, PriorConfig
+from lfgpu.methods.sections import PriorConfig
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,6 @@ class MatchingConfig(Config):
         "filling": "hole_filling",
     }
 
-    local: LocalConfig = LocalConfig()
     prior: PriorConfig = PriorConfig(window=9, sigma_color=0.021, sigma_gradient=10.0)  # shadows' edges are no edges
     sweep: SweepConfig = SweepConfig()
     semi_global: SemiGlobalConfig = SemiGlobalConfig()

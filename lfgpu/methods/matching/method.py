@@ -16,7 +16,6 @@ from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.matching.sweep import labels, used_views
 from lfgpu.methods.matching.temporal import TemporalMatching
 from lfgpu.methods.measured import Measured, checked_range
-from lfgpu.methods.sections import LocalConfig
 from lfgpu.methods.temporal_prior import TemporalPrior
 
 _SLICES = 16  # that work on a CPU is cut into, some of which have a workspace of their own
@@ -38,10 +37,6 @@ class Matching(Method[MatchingConfig]):
     def stages(self) -> tuple[Stage, ...]:
         twice = self.config.sweep.occlusions == "twice"
         return tuple(stage for stage in self.STAGES if twice or stage.name != "resweep")
-
-    @property
-    def local(self) -> LocalConfig:
-        return self.config.local
 
     @property
     def is_recordable(self) -> bool:

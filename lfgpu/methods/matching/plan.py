@@ -67,6 +67,7 @@ class MatchingPlan:
         self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
         self._known = None if lf.valid is None else kernels.field(lf.valid[lf.reference_index], device)
         self._far = None if lf.valid is None else kernels.field(np.full(lf.size, bounds[0]), device)
+        self._unknown = None if lf.valid is None else kernels.field(np.full(lf.size, np.nan), device)
         held = config.hole_filling.stiffness * config.alignment.robust**2  # as strongly as one similar neighbour
         self._held = None if lf.valid is None else kernels.field(np.full(lf.size, held), device)
         self._image = kernels.zeros_image(image, device)
@@ -106,7 +107,7 @@ class MatchingPlan:
             "sweep": lambda _: self._compare(views),
             **again,
             "align": self._improve,
-            "boundaries": self._complete,
+            "boundaries": self._finish,
         }
 
     def check(self, name: str) -> None:
@@ -122,10 +123,14 @@ class MatchingPlan:
         return bool(np.isfinite(self._kernels.number(self._moves[0])))
 
     def maps(self) -> dict[str, Float32Array]:
-        """The map after each stage, float32 [y, x]; waits for the device."""
+        """The map after each stage, float32 [y, x], NaN where it is undefined; waits for the device."""
         again = {"resweep": self._matched} if self._twice else {}
         kept = {"sweep": self._swept, **again, "align": self._aligned, "boundaries": self.disparity}
-        return {name: self._kernels.numpy(field).astype(np.float32) for name, field in kept.items()}
+        found = {name: self._kernels.numpy(field).astype(np.float32) for name, field in kept.items()}
+        if self._known is None:
+            return found
+        known = self._kernels.numpy(self._known) > 0
+        return {name: np.where(known, map_, np.float32(np.nan)) for name, map_ in found.items()}
 
     def solution(self) -> Solution:
         """How the alignment went: its trace is the root mean square step of each iteration, in pixels per view step."""
@@ -205,7 +210,16 @@ class MatchingPlan:
         kernels.axpby(1.0, self._certainty, -_STILL, self._prior.ones, workspace)
         kernels.dot(workspace, self._prior.ones, self._trust)
 
-    def _complete(self, _: Callback | None) -> None:
+    def _finish(self, _: Callback | None) -> None:
+        self._complete()
+        self._leave_unknown()
+
+    def _leave_unknown(self) -> None:
+        """NaN where the reference recorded nothing: until here such pixels hold a number, for their neighbours' sums."""
+        if self._known is not None:
+            self._kernels.select(self._known, self.disparity, self._unknown, self.disparity)
+
+    def _complete(self) -> None:
         """Outlines where the colours have them, and surfaces without texture as what is around them goes on."""
         config = self._config
         self._kernels.refine_boundaries(

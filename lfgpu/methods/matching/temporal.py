@@ -96,8 +96,9 @@ class TemporalMatching(MatchingPlan):
         elif self._twice:
             self._kernels.copy(self._swept, self._matched)
         self._improve(None)
-        self._complete(None)
+        self._complete()
         self._remember()
+        self._leave_unknown()
 
     def warm(self, views: Array, steps: int) -> None:
         """A map of `views` that starts from the last one: the views that saw that are those that are compared, once."""
@@ -113,8 +114,9 @@ class TemporalMatching(MatchingPlan):
         if self._twice:
             kernels.copy(self._swept, self._matched)
         self._improve(None)
-        self._complete(None)
+        self._complete()
         self._remember()
+        self._leave_unknown()
 
     def _remember(self) -> None:
         copy = self._kernels.copy

@@ -11,7 +11,6 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.sections import LocalConfig
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.methods.synthesis.plan import SynthesisPlan
 
@@ -30,10 +29,6 @@ class Synthesis(Method[SynthesisConfig]):
         Stage("refine", "refinement", "energy"),
     )
     TRACED = "refine"
-
-    @property
-    def local(self) -> LocalConfig:
-        return self.config.local
 
     def iterations(self, stage: str) -> int | None:
         limits = {

@@ -55,6 +55,8 @@ class SynthesisPlan:
         where, shape = (kernels, device), (*lf.size, lf.channels)
         self._kernels, self._reference, self._scale = kernels, lf.reference_index, lf.scale
         self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
+        self._known = None if lf.valid is None else kernels.field(lf.valid[lf.reference_index], device)
+        self._unknown = None if lf.valid is None else kernels.field(np.full(lf.size, np.nan), device)
         self._image = kernels.zeros_image(shape, device)
         self._local = LocalEstimator(lf, bounds, config.local, *where)
         self._prior = NonLocalMeans(shape, config.prior, *where)
@@ -97,6 +99,8 @@ class SynthesisPlan:
             self._kernels.numpy(field).astype(np.float32, copy=False)
             for field in (self._local.disparity, self._local.coherence, self._propagation.filled, self.disparity)
         )
+        if self._known is not None:
+            filled = np.where(self._kernels.numpy(self._known) > 0, filled, np.float32(np.nan))
         return {"local": np.where(coherence > 0, local, np.float32(np.nan)), "propagate": filled, "refine": refined}
 
     def solution(self) -> Solution:
@@ -112,9 +116,13 @@ class SynthesisPlan:
         self._prior.load(self._image)
         self._propagation.run(self._local.disparity, self._local.coherence, callback)
         self._prior.mean(self._local.coherence, self.confidence)
+        if self._known is not None:
+            self._kernels.multiply(self.confidence, self._known, self.confidence)
 
     def _refine(self, views: Array, callback: Callback | None) -> None:
         self._model.load(views, self._propagation.filled)
         self._kernels.copy(self._propagation.filled, self.disparity)
         self._energy.load()
         self._refinement.minimize(self._energy, self.disparity, callback, curvature=self._energy.curvature)
+        if self._known is not None:  # what the reference did not record is not known
+            self._kernels.select(self._known, self.disparity, self._unknown, self.disparity)

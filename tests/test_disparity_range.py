@@ -1,0 +1,101 @@
+"""The range of disparities that is found: that it holds the scene and little else, whatever the cameras and views."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lfgpu import read, scenes
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.methods.disparity_range import find_disparity_range
+
+DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
+
+
+def spans(lf: LightField, *, missing: float = 0.0, times: float = 1.3, more: float = 0.3) -> None:
+    """Check that the range that is found holds all but a share of the pixels, and is not much wider than the truth."""
+    low, high = find_disparity_range(lf)
+    assert lf.truth is not None
+    truth = lf.truth.disparity[np.isfinite(lf.truth.disparity)]
+    assert ((truth < low) | (truth > high)).mean() <= missing
+    assert high - low <= times * np.ptp(truth) + more
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+@pytest.mark.parametrize("name", scenes.NAMES)
+def test_it_holds_the_scene(name: str, noise: float) -> None:
+    spans(scenes.make(name, seed=7, size=(160, 200), noise=noise), missing=0.002)
+
+
+@pytest.mark.parametrize("extent", [(-3.0, 3.0), (0.5, 2.0), (-2.5, -1.0)], ids=str)
+def test_it_holds_small_scenes_of_few_views(extent: tuple[float, float]) -> None:
+    spans(scenes.make("relief", grid=(5, 5), size=(96, 96), disparity_range=extent), more=0.6)
+
+
+@pytest.mark.parametrize("extent", [(14.2, 18.8), (-20.0, -17.0), (-6.0, 9.0)], ids=str)
+def test_it_holds_large_disparities(extent: tuple[float, float]) -> None:
+    spans(scenes.make("relief", grid=(5, 5), size=(256, 256), disparity_range=extent), more=1.0)
+
+
+@pytest.mark.parametrize("grid", [(1, 9), (9, 1), (1, 17), (3, 3), (2, 2)], ids=str)
+def test_it_holds_with_few_views_or_one_line_of_them(grid: tuple[int, int]) -> None:
+    spans(scenes.make("relief", grid=grid, size=(160, 160)), more=0.7)
+
+
+def test_a_wall_that_is_dark_and_nearly_plain_does_not_open_it() -> None:
+    lf = scenes.make("planes", size=(160, 160), noise=0.0)
+    assert lf.truth is not None
+    dim = lf.views.astype(np.float32) / 255
+    dim[:, :80] *= 0.02  # of whose texture noise leaves nothing
+    noisy = dim + np.random.default_rng(0).normal(0, 0.01, dim.shape)
+    spans(replace(lf, views=np.clip(noisy, 0, 1).astype(np.float32)), missing=1.0)
+
+
+def test_views_of_different_brightness_have_the_same_range() -> None:
+    lf = scenes.make("boxes", size=(160, 160))
+    gains = np.random.default_rng(0).normal(1, 0.05, len(lf.views)).astype(np.float32)
+    uneven = replace(lf, views=np.clip(lf.views / np.float32(255) * gains[:, None, None, None], 0, 1))
+    spans(uneven, missing=0.002)
+
+
+def test_masked_pixels_have_no_say() -> None:
+    lf = scenes.make("relief", size=(128, 128))
+    valid = np.ones(lf.views.shape[:3], bool)
+    valid[:, :, :40] = False
+    views = lf.views.copy()
+    views[:, :, :40] = np.random.default_rng(0).integers(0, 255, (lf.size[0], 40, 3))  # at disparity 0, but masked
+    away = scenes.make("relief", size=(128, 128), disparity_range=(2.0, 3.0))
+    masked = replace(away, views=np.where(valid[..., None], away.views, views), valid=valid)
+    assert find_disparity_range(masked)[0] > 1.5
+    assert find_disparity_range(replace(masked, valid=None))[0] < 0.5
+
+
+def test_cameras_that_stand_in_no_line_with_the_reference() -> None:
+    lf = scenes.make("relief", grid=(7, 7), size=(128, 128))
+    spans(lf.subset([lf.index_of(k, k) for k in range(7)]), missing=0.01)
+
+
+def test_it_is_in_steps_of_the_cameras() -> None:
+    lf = scenes.make("planes", size=(128, 128), seed=2)
+    low, high = find_disparity_range(lf)
+    apart = replace(lf, positions=lf.positions * 4, grid_shape=None)
+    np.testing.assert_allclose([4 * bound for bound in find_disparity_range(apart)], [low, high], rtol=1e-5)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_views_without_texture_have_none(noise: float) -> None:
+    plain = 0.5 + np.random.default_rng(0).normal(0, noise, (3, 3, 64, 64, 3))
+    with pytest.raises(LightFieldError, match=r"wall: the disparity range cannot be found.*give disparity_range"):
+        find_disparity_range(LightField.from_grid(np.clip(plain, 0, 1).astype(np.float32), name="wall"))
+
+
+@pytest.mark.parametrize("name", ["population/A_bust", "population/C_fence", "population/E_clutter", "cotton", "vinyl"])
+def test_it_holds_rendered_scenes(name: str) -> None:
+    if not (DATA / name).is_dir():
+        pytest.skip(f"{DATA / name} is not there: set LFGPU_DATA")
+    spans(read(DATA / name), missing=0.002, more=0.0)
