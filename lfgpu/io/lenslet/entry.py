@@ -6,10 +6,10 @@ import os
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io import pillow
 from lfgpu.io.images import read_image
 from lfgpu.io.lenslet import capture, container
 
@@ -48,7 +48,7 @@ def read_lenslet(
 def _may_be_a_sensor(path: Path) -> bool:
     """Whether a picture is grey and large enough, by its header."""
     try:
-        with Image.open(path) as image:
+        with pillow.opened(path) as image:
             return image.mode in ("L", "I;16", "I;16L", "I;16B", "I", "F") and min(image.size) >= _LEAST_SIDE
     except Exception:  # whatever is wrong with it, the reader that is asked for it says so
         return False
