@@ -15,6 +15,7 @@ from PIL.TiffImagePlugin import TiffImageFile
 from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow
 from lfgpu.io.limits import check_claim
+from lfgpu.io.tiff_pages import check_pages
 
 IMAGE_SUFFIXES = frozenset({".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff"})
 """Suffixes, in lower case, of the files that are taken for images."""
@@ -133,6 +134,7 @@ def _decode_tiff(path: Path) -> NDArray[Any]:
     import imageio.v3 as iio  # only here, so that nobody else waits for it
     from tifffile import TiffFile
 
+    check_pages(path)
     with TiffFile(path) as file:
         for page in file.pages:
             check_claim(path, page.shape, page.dtype or np.uint8)
