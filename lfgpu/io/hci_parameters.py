@@ -8,6 +8,7 @@ from pathlib import Path
 
 from lfgpu.data.geometry import Geometry
 from lfgpu.errors import LightFieldError
+from lfgpu.io.texts import read_text
 
 PARAMETERS_FILE = "parameters.cfg"
 
@@ -31,9 +32,7 @@ class Parameters:
         self._path = path
         self._config = configparser.ConfigParser(interpolation=None)
         try:
-            self._config.read_string(path.read_text(encoding="utf-8-sig"), source=path.name)
-        except OSError as error:
-            raise LightFieldError(f"{path} cannot be read: {error.strerror}.") from error
+            self._config.read_string(read_text(path), source=path.name)
         except (configparser.Error, UnicodeDecodeError) as error:
             raise LightFieldError(
                 f"{path} is not a valid configuration file: {' '.join(str(error).split())}."

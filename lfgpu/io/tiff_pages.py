@@ -28,7 +28,8 @@ def pages(path: Path) -> Iterator[int]:
         version = struct.unpack(f"{order}H", start[2:4])[0]
         if version not in _KINDS:
             return
-        link, count, entry = (order + kind if isinstance(kind, str) else kind for kind in _KINDS[version])
+        link_kind, count_kind, entry = _KINDS[version]
+        link, count = order + link_kind, order + count_kind
         seen: set[int] = set()
         offset = struct.unpack(link, start[4:8] if version == 42 else start[8:])[0]
         while offset:
