@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tomllib
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,7 @@ import pytest
 from samples import picture, refusal, save, save_hci
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import read
+from lfgpu.io import load, read, read_map, read_result
 from lfgpu.lightfield import LightField
 from lfgpu.printable import printable
 
@@ -163,3 +165,34 @@ def test_names_of_light_fields_can_be_shown(tmp_path: Path) -> None:
     found = read(tmp_path / "array.json")
     assert found.name == printable(_ESCAPE)
     assert len(LightField(found.views, found.positions, name="x" * 10**6).name) <= 300
+
+
+# --- results ---
+
+
+def bomb(path: Path, name: str, shape: tuple[int, ...]) -> None:
+    """An .npz with an array of zeros, packed."""
+    header = np.lib.format.header_data_from_array_1_0(np.zeros(0, np.float32)) | {"shape": shape}
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open(f"{name}.npy", "w") as file,
+    ):
+        np.lib.format.write_array_header_1_0(file, header)
+        for _ in range(4 * int(np.prod(shape)) >> 24):
+            file.write(bytes(1 << 24))
+
+
+@pytest.mark.parametrize("name", ["lfgpu", "disparity", "stage_local", "else"])
+def test_results_that_unpack_to_much_are_refused_first(tmp_path: Path, name: str) -> None:
+    sizes = {"lfgpu": (1 << 27,), "disparity": (1 << 13, 1 << 14), "stage_local": (1 << 13, 1 << 14)}
+    bomb(tmp_path / "result.npz", name, sizes.get(name, (1 << 27,)))
+    with zipfile.ZipFile(tmp_path / "result.npz", "a") as archive, archive.open("x.npy", "w") as file:
+        np.lib.format.write_array(file, np.zeros(3))
+    assert "claim 53687" in refusal(lambda: read_result(tmp_path / "result.npz"))
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".pfm", ".png", ".tif", ".ply", ".exr"])
+def test_pipes_in_place_of_maps_are_not_waited_for(tmp_path: Path, suffix: str) -> None:
+    os.mkfifo(tmp_path / f"a{suffix}")
+    for function in (load, read_map, read_result):
+        assert "is neither a file nor a folder" in refusal(lambda function=function: function(tmp_path / f"a{suffix}"))
