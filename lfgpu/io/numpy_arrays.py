@@ -15,7 +15,6 @@ from lfgpu.data.mapping import mapped
 from lfgpu.errors import LightFieldError
 from lfgpu.io.disk import wanted_on_disk
 from lfgpu.io.folders import head
-from lfgpu.io.limits import check_claim
 from lfgpu.io.limits import check_claim, check_memory
 
 _ALWAYS_FINE = 1 << 28  # bytes: so much any archive may take unpacked

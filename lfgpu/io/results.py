@@ -19,12 +19,9 @@ from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import CONVENTION, geometry_about, geometry_of
 from lfgpu.io.atomic import atomic_write
-from lfgpu.methods import METHODS
 from lfgpu.io.folders import not_waited_for
 from lfgpu.io.numpy_arrays import check_archive
-
-if TYPE_CHECKING:
-    from lfgpu.all_views import ViewsResult
+from lfgpu.methods import METHODS
 
 ABOUT_KEY = "lfgpu"
 """The array of the .npz that holds the JSON text; other .npz files have none of that name."""

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from samples import picture, refusal, save, save_hci
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import load, read, read_map, read_result
-from lfgpu.lightfield import LightField
 from lfgpu.printable import printable
 
 _SPACE = 3 << 30  # bytes of addresses that a process may have: what is judged first never comes near
