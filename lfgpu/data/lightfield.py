@@ -135,6 +135,7 @@ class LightField:
         if self.files and len(self.files) != len(views):
             raise LightFieldError(f"files must be one for each of {len(views)} views, found {len(self.files)}.")
         object.__setattr__(self, "name", printable(self.name, longest=_LONGEST_NAME))
+        object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
         object.__setattr__(self, "views", views)
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "reference", int(reference))

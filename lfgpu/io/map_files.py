@@ -17,6 +17,7 @@ from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow
 from lfgpu.io.about import KEY, map_about, map_of, parse_about
+from lfgpu.io.extras import how_to_install
 from lfgpu.io.images import read_image
 from lfgpu.io.numpy_arrays import load_arrays
 
@@ -126,9 +127,7 @@ def read_exr(path: Path) -> DisparityMap:
 def open_exr(path: Path) -> Any:
     """The OpenEXR library; LightFieldError that says how to install it if it is not there."""
     if importlib.util.find_spec("OpenEXR") is None:
-        raise LightFieldError(
-            f"{path} is an OpenEXR file, which needs OpenEXR; install it with: pip install 'lfgpu[exr]'."
-        )
+        raise LightFieldError(f"{path} is an OpenEXR file, which needs OpenEXR; {how_to_install('exr')}.")
     import OpenEXR
 
     return OpenEXR
