@@ -28,6 +28,7 @@ FLOORS = (
     ("_backends",),
     ("contract", "config", "threads"),
     ("errors",),
+    ("printable",),
 )
 """The rooms, from the top floor down. An arrow leads to the same floor or down, never up and never in a circle."""
 

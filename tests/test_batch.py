@@ -28,7 +28,7 @@ from lfgpu import DepthPipeline, LightFieldError, estimate_depth, scenes
 from lfgpu._backends import load
 from lfgpu.batch.cluster import BatchError, Cluster, _Task
 from lfgpu.batch.items import Item, find_items, fingerprint
-from lfgpu.batch.manifest import DONE, FAILED, MANIFEST_FILE, Manifest, key_of, read_manifest, standing
+from lfgpu.batch.manifest import DONE, FAILED, MANIFEST_FILE, Manifest, damaged_lines, key_of, read_manifest, standing
 from lfgpu.batch.report import REPORT_FILE, write_report
 from lfgpu.batch.run import Batch, Summary, _jobs
 from lfgpu.batch.work import Settings, work
@@ -36,7 +36,7 @@ from lfgpu.cli import app
 from lfgpu.io import read, read_result, write_hci
 from lfgpu.methods import method_of, preset
 
-pytest.importorskip("distributed", reason="a batch needs Dask: pip install 'lfgpu[batch]'")
+pytest.importorskip("distributed", reason="a batch needs Dask: pip install -e '.[batch]'")
 
 ROOT = Path(__file__).parents[1]
 RANGE = (-1.2, 1.2)
@@ -617,3 +617,203 @@ def test_five_hundred_light_fields_come_out(tmp_path: Path, rng: np.random.Gener
     lines = (tmp_path / "out" / MANIFEST_FILE).read_text().splitlines()
     assert len([line for line in lines if "item" in json.loads(line)]) == 500
     assert len(list((tmp_path / "out").glob("*/disparity.pfm"))) == 500
+
+
+# --- what comes from outside ---
+
+
+def test_items_that_cannot_be_looked_at_are_lines_with_a_sentence(recorded: Path, tmp_path: Path) -> None:
+    """A link in a circle, a view that is a link to nowhere, a name that is not UTF-8; the rest goes on."""
+    folder, out = tmp_path / "in", tmp_path / "out"
+    shutil.copytree(recorded / "scene_0", folder / "good")
+    shutil.copytree(recorded / "scene_0", os.fsdecode(os.fsencode(folder) + b"/bad\xff"))
+    (folder / "circle").symlink_to("circle")
+    shutil.copytree(recorded / "scene_0", folder / "broken")
+    (folder / "broken" / "input_Cam004.png").unlink()
+    (folder / "broken" / "input_Cam004.png").symlink_to("nowhere.png")
+    items, barren = find_items([str(folder)], sequence=False, leave_out=out)
+    assert [item.name for item in items] == ["bad\\udcff", "broken", "circle", "good"]
+    assert not barren
+    summary = Batch(items, out, FAST).run(local())
+    assert {entry["item"]: entry["status"] for entry in summary.entries.values()} == {
+        **{"good": DONE, "bad\\udcff": DONE},
+        **{"circle": FAILED, "broken": FAILED},
+    }
+    assert "cannot be opened" in summary.entries["circle"]["error"]
+    assert "link that leads nowhere" in summary.entries["broken"]["error"]
+    (out / MANIFEST_FILE).read_text(encoding="utf-8")
+    again = Batch(find_items([str(folder)], sequence=False, leave_out=out)[0], out, FAST)
+    assert [job.item.name for job in again._todo(read_manifest(out))] == ["broken", "circle"]
+    write_report(summary, out, "page")
+
+
+@pytest.mark.usefixtures("_permissions_count")
+def test_a_folder_without_permission_is_a_line_with_a_sentence(recorded: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    shutil.copytree(recorded / "scene_0", folder / "good")
+    (folder / "closed").mkdir(mode=0)
+    items, _ = find_items([str(folder)], sequence=False)
+    assert [item.name for item in items] == ["closed", "good"]
+    assert "cannot be listed" in work(_jobs(items, tmp_path / "out", FAST)[0], "cpu")["error"]
+
+
+def test_a_folder_that_cannot_be_listed_is_an_item(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the one before, for users whom permissions do not stop."""
+    (tmp_path / "in" / "closed").mkdir(parents=True)
+    shutil.copytree(recorded / "scene_0", tmp_path / "in" / "good")
+    listing = Path.iterdir
+
+    def iterdir(folder: Path) -> Iterator[Path]:
+        if folder.name == "closed":
+            raise PermissionError(13, "Permission denied")
+        return listing(folder)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    items, _ = find_items([str(tmp_path / "in")], sequence=False)
+    assert [item.name for item in items] == ["closed", "good"]
+    assert "cannot be listed" in work(_jobs(items, tmp_path / "out", FAST)[0], "cpu")["error"]
+
+
+def test_names_do_not_lead_out_of_the_folder(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = tmp_path / "scene" / "below"
+    shutil.copytree(recorded / "scene_0", place.parent)
+    place.mkdir()
+    monkeypatch.chdir(place)
+    for text in ("..", "../../scene/below/..", str(place / "..")):
+        items, _ = find_items([text], sequence=False, format_name="hci")
+        assert [item.name for item in items] == ["scene"]
+    for name in ("manifest.jsonl", ".lfgpu-0123", "a\x1b[2J\nb"):
+        shutil.copytree(recorded / "scene_0", tmp_path / name)
+        items, _ = find_items([str(tmp_path / name)], sequence=False)
+        assert items[0].name == {"a\x1b[2J\nb": r"a\x1b[2J\nb"}.get(name, f"_{name}")
+
+
+def test_depth_of_a_name_that_is_not_utf_8_is_saved(recorded: Path, tmp_path: Path) -> None:
+    folder = os.fsdecode(os.fsencode(tmp_path) + b"/bad\xff")
+    shutil.copytree(recorded / "scene_0", folder)
+    done = lfgpu("depth", folder, "-o", tmp_path / "out", "--report", "--preset=fast", "--disparity-range=-1.2,1.2")
+    assert done.exit_code == 0, done.output
+    assert read_result(tmp_path / "out" / "result.npz").name == "bad\\udcff"
+
+
+class _Stuck:
+    """A file on which a reader is stuck for ever, with the interpreter lock if it likes."""
+
+    def __init__(self, at_work: Path, *, holds_lock: bool) -> None:
+        self.at_work, self.holds_lock = at_work, holds_lock
+
+    def __fspath__(self) -> str:
+        self.at_work.touch()
+        if self.holds_lock:
+            re.match(r"(a|aa)+$", "a" * 100 + "b")
+        threading.Event().wait()
+        return ""
+
+
+@pytest.mark.parametrize("holds_lock", [False, True])
+def test_an_item_that_never_ends_is_given_up_and_the_rest_goes_on(
+    recorded: Path, tmp_path: Path, holds_lock: bool
+) -> None:
+    import cloudpickle
+
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    todo = jobs(recorded, tmp_path)
+    stuck = replace(todo[0], item=Item("stuck", _Stuck(tmp_path / "at_work", holds_lock=holds_lock)))  # type: ignore[arg-type]
+    entries: dict[str, dict[str, Any]] = {}
+    try:
+        with local() as cluster:
+            cluster.run([[todo[0]]], lambda ended: None)  # kernels are loaded before time counts
+            cluster._item_timeout = 20
+            cluster.run(
+                [[stuck, todo[1]], [todo[3]]], lambda ended: entries.update({entry["item"]: entry for entry in ended})
+            )
+    finally:
+        cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
+    assert (tmp_path / "at_work").exists()
+    assert {name: entry["status"] for name, entry in entries.items()} == {
+        **{"stuck": FAILED, "scene_1": DONE, "scene_3": DONE}
+    }
+    assert entries["stuck"]["error"] == "it took more than 20 s, the time for an item (--item-timeout)."
+
+
+def test_others_on_the_machine_do_not_reach_a_local_cluster() -> None:
+    from distributed import Client
+    from distributed.security import Security
+
+    with local() as cluster:
+        address = cluster.client.scheduler.address
+        assert address.startswith("tls://127.0.0.1:")
+        for tried, security in ((address.replace("tls", "tcp"), None), (address, Security.temporary())):
+            with pytest.raises(OSError, match=r".") as refused:
+                Client(tried, security=security, timeout=3)
+            assert "TimeoutError" in repr(refused) or isinstance(refused.value, OSError)
+
+
+def test_a_worker_that_is_killed_while_the_cluster_starts_is_no_traceback(
+    recorded: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    import psutil
+
+    killed: list[int] = []
+
+    def kill() -> None:
+        wait_for(
+            lambda: [c for c in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(c.cmdline())]
+        )
+        for child in psutil.Process().children(recursive=True):
+            if "spawn_main" in " ".join(child.cmdline()):
+                child.kill()
+                killed.append(child.pid)
+
+    killer = threading.Thread(target=kill, daemon=True)
+    killer.start()
+    summary = Batch(find_items([str(recorded / "scene_0")], sequence=False)[0], tmp_path, FAST).run(local())
+    killer.join(60)
+    assert killed
+    assert (summary.computed, summary.left) == (1, 0)
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"item": "scene_0", "status": "done", "sizes": [1]}',
+        '{"item": "scene_0", "status": 3}',
+        '{"item": "scene_0", "status": "done", "input": ["a"], "began": "x"}',
+        '{"item": "scene_0", "status": "done", "metrics": {"mse_100": "0"}}',
+        '{"item": "scene_0", "status": "done", "times": {"read": 1e999}, "seconds": 1}',
+        '{"item": "scene_0", "status": "done", "disparity_range": [1]}',
+        '{"item": "scene_0"}',
+        "[" * 100_000,
+        "\\xff\x00",
+        "9" * 10_000,
+    ],
+    ids=range(10),
+)
+def test_lines_of_a_manifest_that_were_damaged_are_skipped_and_said(recorded: Path, tmp_path: Path, line: str) -> None:
+    (tmp_path / MANIFEST_FILE).write_text(line + "\n")
+    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+    assert read_manifest(tmp_path) == {}
+    assert standing(read_manifest(tmp_path), tmp_path) == {}
+    batch = Batch(items, tmp_path, FAST)
+    batch.summary.damaged = damaged_lines(tmp_path)
+    assert len(batch._todo(read_manifest(tmp_path))) == 1
+    assert "1 damaged lines were skipped" in write_report(batch.summary, tmp_path, "a").read_text()
+    assert lfgpu("eval", tmp_path).exit_code == 1
+
+
+def test_a_pipe_in_place_of_a_manifest_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / MANIFEST_FILE)
+    with pytest.raises(LightFieldError, match="neither a file nor a folder"):
+        read_manifest(tmp_path)
+
+
+def test_remnants_go_also_where_nothing_is_left_to_do(recorded: Path, tmp_path: Path) -> None:
+    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+    with Manifest(tmp_path) as manifest:
+        manifest.add(work(job, "cpu") for job in _jobs(items, tmp_path, FAST))
+    (tmp_path / ".lfgpu-0123").mkdir()
+    assert Batch(items, tmp_path, FAST).run(local()).kept == 1
+    assert_nothing_left_over(tmp_path)

@@ -298,5 +298,5 @@ def test_without_viser_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> N
     from lfgpu.viewer import Viewer
 
     monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(LightFieldError, match=r"pip install 'lfgpu\[viewer\]'"):
+    with pytest.raises(LightFieldError, match=r"pip install -e '\.\[viewer\]'"):
         Viewer()

@@ -18,7 +18,7 @@ from lfgpu.io import write_hci, write_result
 from lfgpu.pipelines.estimate import estimate_depth
 from tests.browser import chromium, pixels, until
 
-pytest.importorskip("viser", reason="viser is not installed: pip install 'lfgpu[viewer]'")
+pytest.importorskip("viser", reason="viser is not installed: pip install -e '.[viewer]'")
 
 from lfgpu.viewer import Viewer
 

@@ -23,11 +23,16 @@ from typing import Any
 from lfgpu.batch.manifest import FAILED
 from lfgpu.batch.work import Job, OutOfMemory, work
 from lfgpu.errors import LfgpuError
+from lfgpu.io.extras import how_to_install
 from lfgpu.threads import set_threads
+
+ITEM_TIMEOUT = 7200.0
+"""Seconds that an item may take by default: ten times as long as large ones take on two cores."""
 
 _CONNECTING = 30.0  # seconds
 _PATIENCE = 300.0  # seconds in which a lost scheduler may come back
 _REPLACED = 60.0  # seconds after which a worker that died and does not come back is replaced
+_STARTS = 3  # of a local cluster
 _LOOK = 0.2  # seconds between two looks where nothing happens
 
 Entry = dict[str, Any]
@@ -47,6 +52,8 @@ class _Task:
     alone: bool = False
     worker: str | None = None
     errors: list[str] = field(default_factory=list)
+    since: float = 0.0
+    """When it was given to a worker, or last seen to wait for one."""
 
 
 class Cluster:
@@ -55,7 +62,7 @@ class Cluster:
     Parameters
     ----------
     scheduler
-        Address such as tcp://host:8786; None starts workers on this machine.
+        Address such as tls://host:8786, or tcp:// in a network of one's own; None starts workers on this machine.
     workers
         Processes of a local cluster.
     devices
@@ -64,6 +71,8 @@ class Cluster:
         Threads of the CPU of each of them; None leaves it to them.
     retries
         How often an item is tried again whose worker died or ran out of memory, or that was lost with the scheduler.
+    item_timeout
+        Seconds after which an item is given up, and its worker started anew: no file may stop the rest.
 
     Raises
     ------
@@ -79,11 +88,17 @@ class Cluster:
         devices: Sequence[str] = (),
         threads: int | None = None,
         retries: int = 3,
+        item_timeout: float = ITEM_TIMEOUT,
     ) -> None:
         if importlib.util.find_spec("distributed") is None:
-            raise BatchError("a batch needs Dask, which is not installed; install it with: pip install 'lfgpu[batch]'.")
+            raise BatchError(f"a batch needs Dask, which is not installed; {how_to_install('batch')}.")
+        if scheduler is None and importlib.util.find_spec("cryptography") is None:
+            raise BatchError(
+                f"a local cluster needs cryptography, which is not installed, to keep others out; "
+                f"{how_to_install('batch')}."
+            )
         self._scheduler, self._workers, self._devices, self._threads = scheduler, workers, tuple(devices), threads
-        self._retries = retries
+        self._retries, self._item_timeout = retries, item_timeout
         self._stack = ExitStack()
         self._client: Any = None
         self._cluster: Any = None
@@ -100,6 +115,9 @@ class Cluster:
             "distributed.scheduler.allowed-failures": self._retries,
             "distributed.scheduler.worker-saturation": 1.0,  # no job waits on a worker that another one may kill
             "distributed.worker.daemon": True,
+            # Pages about a cluster can be read by everybody on the machine, and some of them give orders.
+            "distributed.scheduler.http.routes": [],
+            "distributed.worker.http.routes": [],
             "distributed.deploy.lost-worker-timeout": "1 hour",  # a busy machine takes long to start another one
         }
         self._stack.enter_context(dask.config.set(settings))
@@ -125,10 +143,8 @@ class Cluster:
 
     @property
     def dashboard(self) -> str | None:
-        """Address of Dask's dashboard; None where it has none (it needs the package bokeh)."""
-        if importlib.util.find_spec("bokeh") is None and self._scheduler is None:
-            return None
-        return self._client.dashboard_link or None
+        """Address of the dashboard of an existing scheduler; a local cluster has none, as others could read it."""
+        return None if self._scheduler is None else self._client.dashboard_link or None
 
     @property
     def size(self) -> int:
@@ -157,6 +173,9 @@ class Cluster:
                 if (now := time.monotonic()) - looked >= _LOOK:
                     size, looked = self.size, now
                     self._replace_lost(size)
+                    late = self._give_up_late()
+                    if late:
+                        done(late)
                     tick(size)
                 while waiting and len(self._running) < size:
                     self._submit(waiting.popleft())
@@ -182,23 +201,45 @@ class Cluster:
                     done(entries)
 
     def _start(self) -> None:
-        from distributed import Client, LocalCluster
-        from distributed.system import MEMORY_LIMIT
+        from distributed import Client
 
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        for name in ("distributed", "asyncio", "tornado"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         with _ctrl_c_for_nobody():  # until the workers have begun
-            cluster = LocalCluster(
-                n_workers=self._workers,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",
-                memory_limit=MEMORY_LIMIT // self._workers,
-                silence_logs=logging.CRITICAL,
-                preload=["lfgpu.batch.worker_process"],
-            )
+            cluster = self._local()
         self._cluster = self._stack.enter_context(cluster)
         self._client = self._stack.enter_context(Client(cluster))
+
+    def _local(self) -> Any:
+        """A local cluster whose workers have begun; one that dies meanwhile, for want of memory perhaps, is a reason
+        to begin anew."""
+        from distributed import LocalCluster
+        from distributed.security import Security
+        from distributed.system import MEMORY_LIMIT
+
+        reason = ""
+        for _ in range(_STARTS):
+            try:
+                return LocalCluster(
+                    n_workers=self._workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    # Whoever reaches a scheduler runs what he likes as its user: nobody without the certificate does.
+                    protocol="tls://",
+                    security=Security.temporary(),
+                    dashboard_address="127.0.0.1:0",
+                    scheduler_kwargs={"dashboard": False},
+                    memory_limit=MEMORY_LIMIT // self._workers,
+                    silence_logs=logging.CRITICAL,
+                    preload=["lfgpu.batch.worker_process"],
+                )
+            except (OSError, RuntimeError, TimeoutError) as error:
+                reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise BatchError(
+            f"the local cluster did not start in {_STARTS} tries ({reason}); its workers may have been killed for want "
+            "of memory: take fewer (--workers)."
+        )
 
     def _connect(self) -> None:
         from distributed import Client
@@ -242,10 +283,39 @@ class Cluster:
             self._cluster.scale(self._workers)
             self._complete = now
 
+    def _give_up_late(self) -> list[Entry]:
+        """What the manifest shall say of items that took too long, whose workers are started anew."""
+        now = time.monotonic()
+        late = [future for future, task in self._running.items() if now - task.since > self._item_timeout]
+        if not late:
+            return []
+        held: dict[str, list[str]] = {}
+        with suppress(Exception):  # the scheduler is lost, which is seen elsewhere
+            held = {worker: [str(key) for key in keys] for worker, keys in self._client.processing().items()}
+        entries = []
+        for future in late:
+            workers = [worker for worker, keys in held.items() if str(future.key) in keys]
+            if future.done():
+                continue
+            if not workers:  # it waits, on a scheduler that others use too
+                self._running[future].since = now
+                continue
+            task = self._running.pop(future)
+            with suppress(Exception):
+                self._client.cancel([future], force=True)
+            with suppress(Exception):
+                self._client.restart_workers(workers, timeout=_REPLACED, raise_for_error=False)
+            task.errors.append(f"it took more than {self._item_timeout:g} s, the time for an item (--item-timeout)")
+            entries.append(self._entry(task, f"{task.errors[-1]}.", task.attempts + 1))
+            if task.after:
+                self._submit(_Task(task.after.popleft(), task.after))
+        return entries
+
     def _submit(self, task: _Task) -> None:
         there = {} if task.worker is None else {"workers": [task.worker], "allow_other_workers": True}
         future = self._client.submit(_on_worker, task.job, self._devices, self._threads, pure=False, retries=0, **there)
         future.add_done_callback(lambda _: self._woken.set())
+        task.since = time.monotonic()
         self._running[future] = task
 
     def _results(self, ended: Sequence[Any]) -> dict[Any, tuple[str, Entry]]:
@@ -292,16 +362,20 @@ class Cluster:
         return None if task.attempts <= self._retries else self._failed(task)
 
     def _failed(self, task: _Task) -> Entry:
+        return self._entry(task, f"{task.errors[-1]}, tried {self._retries + 1} times.", self._retries + 1)
+
+    def _entry(self, task: _Task, error: str, attempts: int) -> Entry:
+        """What the manifest says of an item that failed."""
         job = task.job
         return {
             "item": job.item.name,
             "input": job.item.source,
             "status": FAILED,
             **job.keys,
-            "error": f"{task.errors[-1]}, tried {self._retries + 1} times.",
+            "error": error,
             "began": time.time(),
             "seconds": 0.0,
-            "attempts": self._retries + 1,
+            "attempts": attempts,
         }
 
 

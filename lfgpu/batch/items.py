@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import hashlib
 import os
@@ -12,11 +13,16 @@ from pathlib import Path
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.folders import entries, image_files, natural_order
-from lfgpu.io.formats import recognise
+from lfgpu.io.formats import FORMATS
 from lfgpu.io.images import IMAGE_SUFFIXES
 from lfgpu.io.numpy_file import holds_views
+from lfgpu.printable import printable
 
 _LOOSE = ("camera-row", "named-views")  # formats of folders that any images may be taken for, also those a folder below
+LEFT_OVER = ".lfgpu-"
+"""What the names of outputs begin with until they are whole."""
+
+_OWN = ("manifest.jsonl", ".batch.lock", "report.html")
 _OF_OUTPUTS = ("manifest.jsonl", "result.npz")  # what tells folders of outputs from inputs
 
 
@@ -55,15 +61,18 @@ def find_items(
     leave_out
         The folder of the outputs, which is not looked into.
 
+    Whatever cannot be looked at (a folder without permission, a link in a circle) is one of the items: who reads it
+    says what is wrong with it.
+
     Raises
     ------
     LightFieldError
         If an input names nothing that exists, or nothing is found at all.
     """
     everything: list[Path] = []
-    search = _Search(None if leave_out is None else leave_out.resolve())
-    for path in (path for text in inputs for path in _matches(text) if path.resolve() != search.excluded):
-        if format_name is not None or not path.is_dir():
+    search = _Search(None if leave_out is None else real(leave_out))
+    for path in (path for text in inputs for path in _matches(text) if real(path) != search.excluded):
+        if format_name is not None or not _is_folder(path):
             everything.append(path)
         else:
             everything += search.below(path)
@@ -81,24 +90,28 @@ def fingerprint(source: str, *, leave_out: Path | None = None) -> str:
     """
     root = Path(source)
     digest = hashlib.sha256()
-    files = sorted(_files(root, None if leave_out is None else leave_out.resolve())) if root.is_dir() else [root]
+    files = sorted(_files(root, None if leave_out is None else real(leave_out))) if _is_folder(root) else [root]
     for file in files:
         try:
             found = file.stat()
-            digest.update(f"{file.relative_to(root)}\0{found.st_size}\0{found.st_mtime_ns}\0".encode(errors="replace"))
+            text = f"{file.relative_to(root)}\0{found.st_size}\0{found.st_mtime_ns}\0"
         except OSError as error:
-            digest.update(f"{file}\0{error.errno}\0".encode(errors="replace"))
+            text = f"{file}\0{error.errno}\0"
+        digest.update(text.encode(errors="surrogateescape"))
     return digest.hexdigest()[:16]
 
 
 def _files(folder: Path, excluded: Path | None) -> Iterable[Path]:
     for place, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if Path(place, name).resolve() != excluded]
+        folders[:] = [name for name in folders if real(Path(place, name)) != excluded]
         yield from (Path(place, name) for name in names)
 
 
 def _matches(text: str) -> list[Path]:
-    if Path(text).exists():
+    try:
+        if Path(text).exists():
+            return [Path(text)]
+    except OSError:  # in a folder that may not be looked into
         return [Path(text)]
     found = sorted(map(Path, glob.glob(text, recursive=True)))  # noqa: PTH207 - patterns may be absolute
     if not found:
@@ -122,10 +135,21 @@ class _Search:
 
     def below(self, folder: Path) -> list[Path]:
         """The folder, if it is a light field, or those inside; none if the folder holds outputs."""
-        kind, real = _kind(folder), folder.resolve()
-        if real in self._seen:
+        where = real(folder)
+        if where in self._seen:
             return []
-        self._seen.add(real)
+        self._seen.add(where)
+        try:
+            return self._looked_into(folder)
+        except (LightFieldError, OSError):  # it cannot be listed
+            return [folder]
+
+    def _looked_into(self, folder: Path) -> list[Path]:
+        fault, kind = None, None
+        try:
+            kind = recognised(folder)
+        except LightFieldError as error:  # such as a view that is a link to nowhere
+            fault = error
         if kind is not None and kind not in _LOOSE:
             return [folder]
         if any((folder / name).is_file() for name in _OF_OUTPUTS):
@@ -135,26 +159,57 @@ class _Search:
         if own > 1 and not any(_outweighs(found, own) for found in inside):
             del self.barren[before:]
             return [folder]
+        if not inside and fault is not None:
+            return [folder]
         if not inside:
             self.barren.append(folder)
         return inside
 
     def _inside(self, folder: Path) -> Iterable[Path]:
         for entry in entries(folder):
-            if entry.resolve() == self.excluded:
+            if real(entry) == self.excluded:
                 continue
-            if entry.is_dir():
+            if _is_folder(entry):
                 yield from self.below(entry)
-            elif _kind(entry) is not None and holds_views(entry):
+            elif _is_circle(entry) or (_kind(entry) is not None and holds_views(entry)):
                 yield entry
 
 
-def _kind(path: Path) -> str | None:
-    """The name of its format; None if it is no light field."""
+def real(path: Path) -> Path:
+    """Where a path leads by its links; where these go in a circle, or may not be looked at, the path itself."""
     try:
-        return recognise(path)[0].name
-    except LightFieldError:
+        return path.resolve()
+    except (OSError, RuntimeError):
+        return path.absolute()
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
+
+
+def _is_circle(path: Path) -> bool:
+    """Whether a link leads back to itself."""
+    try:
+        path.stat()
+    except OSError as error:
+        return error.errno == errno.ELOOP
+    return False
+
+
+def _kind(path: Path) -> str | None:
+    """The name of its format; None if it is no light field, or cannot be looked at."""
+    try:
+        return recognised(path)
+    except (LightFieldError, OSError):
         return None
+
+
+def recognised(path: Path) -> str | None:
+    """The name of the format of a file or folder; None if it is of none. LightFieldError if it cannot be looked at."""
+    return next((entry.name for entry in FORMATS if entry.recognise(path) is not None), None)
 
 
 def _outweighs(found: Path, own: int) -> bool:
@@ -165,16 +220,31 @@ def _outweighs(found: Path, own: int) -> bool:
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """The last parts of paths, as many as it takes to tell all from each other."""
-    names, parts = {path: path.name for path in paths}, 1
+    """The last parts of paths, as many as it takes to tell all from each other: places below the folder of outputs.
+
+    What is not printable in them is written out, so that manifests, pages and folders have the same names.
+    """
+    split = {path: _parts(path) for path in paths}
+    names, parts = {path: split[path][-1] for path in paths}, 1
     while True:
         counts = Counter(_comparable(name) for name in names.values())
         same = [path for path, name in names.items() if counts[_comparable(name)] > 1]
         parts += 1
-        longer = {path: "/".join(path.parts[-parts:]).lstrip("/") for path in same}
+        longer = {path: "/".join(split[path][-parts:]) for path in same}
         if not same or all(longer[path] == names[path] for path in same):
             return names
         names.update(longer)
+
+
+def _parts(path: Path) -> list[str]:
+    """The parts of an absolute path without "..", which would lead out of the folder of outputs."""
+    found = [printable(part) for part in Path(os.path.normpath(path)).parts if part != path.anchor]
+    return [f"_{part}" if _is_taken(part) else part for part in found] or ["root"]
+
+
+def _is_taken(part: str) -> bool:
+    """Whether a folder of outputs of that name would be taken for what a batch itself keeps there."""
+    return part in _OWN or part.startswith(LEFT_OVER)
 
 
 def _comparable(name: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
@@ -14,6 +14,7 @@ from typing import IO, Any
 from lfgpu.batch.items import Item
 from lfgpu.config import Config
 from lfgpu.errors import LightFieldError
+from lfgpu.io.folders import not_waited_for
 
 MANIFEST_FILE = "manifest.jsonl"
 DONE, FAILED = "done", "failed"
@@ -28,26 +29,66 @@ def key_of(config: Config, options: Mapping[str, Any]) -> str:
 
 
 def read_manifest(folder: Path) -> dict[str, dict[str, Any]]:
-    """What holds of each item, by name. Lines that a crash left unfinished are skipped: their items are done again.
+    """What holds of each item, by name; `damaged` lines are skipped. LightFieldError if the file cannot be read."""
+    return _read(folder)[0]
 
-    LightFieldError if the file is there and cannot be read.
-    """
+
+def damaged_lines(folder: Path) -> int:
+    """How many lines of a manifest say nothing that can be used: a crash or somebody else left them so."""
+    return _read(folder)[1]
+
+
+def _read(folder: Path) -> tuple[dict[str, dict[str, Any]], int]:
     path = folder / MANIFEST_FILE
+    not_waited_for(path)
+    found: dict[str, dict[str, Any]] = {}
+    damaged = 0
     try:
-        lines = path.read_bytes().splitlines()
+        with path.open("rb") as file:
+            for line in file:
+                entry = _parsed(line)
+                if entry is None:
+                    damaged += 1
+                elif "item" in entry:
+                    found[entry["item"]] = entry
     except FileNotFoundError:
-        return {}
+        return {}, 0
     except OSError as error:
         raise LightFieldError(f"{path} cannot be read: {error.strerror}.") from error
-    found: dict[str, dict[str, Any]] = {}
-    for line in lines:
-        try:
-            entry = json.loads(line)
-        except ValueError:
-            continue
-        if isinstance(entry, dict) and isinstance(entry.get("item"), str):
-            found[entry["item"]] = entry
-    return found
+    return found, damaged
+
+
+def _parsed(line: bytes) -> dict[str, Any] | None:
+    """What a line says; None if it is damaged, that is not as `Manifest.add` writes it."""
+    try:
+        entry = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(entry, dict) or not all(fits(entry[key]) for key, fits in _FITS.items() if key in entry):
+        return None
+    return entry if "item" not in entry or "status" in entry else None
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _LARGEST
+
+
+def _are(fits: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    """A table of names and values."""
+    return lambda value: isinstance(value, dict) and all(map(fits, value.values()))
+
+
+_LARGEST = 1e300
+_FITS: dict[str, Callable[[Any], bool]] = {
+    **dict.fromkeys(("item", "input", "status", "error", "worker"), lambda value: isinstance(value, str)),
+    **dict.fromkeys(("began", "seconds", "attempts"), _is_number),
+    "sizes": _are(_is_number),
+    "times": _are(_is_number),
+    "metrics": lambda value: value is None or _are(lambda score: score is None or _is_number(score))(value),
+    "disparity_range": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)),
+    "notes": lambda value: isinstance(value, list) and all(isinstance(note, str) for note in value),
+}
+"""What the entries of a line have to be that are used."""
 
 
 def is_done(entry: Mapping[str, Any] | None, item: Item, parameters: str, input_key: str, out: Path) -> bool:
@@ -129,7 +170,7 @@ class Manifest:
 
     def add(self, entries: Iterable[Mapping[str, Any]]) -> None:
         """Write lines; what the disk has no room for is kept in `unwritten`."""
-        self.unwritten += [json.dumps(entry, ensure_ascii=False).encode(errors="replace") + b"\n" for entry in entries]
+        self.unwritten += [_line(entry) for entry in entries]
         self._flush()
 
     def _flush(self) -> None:
@@ -155,6 +196,14 @@ class Manifest:
         with self._path.open("rb") as file:
             file.seek(end - 1)
             return file.read(1) == b"\n"
+
+
+def _line(entry: Mapping[str, Any]) -> bytes:
+    """A line of JSON in UTF-8; bytes of names that are not UTF-8 come back as they were, by way of escapes."""
+    try:
+        return json.dumps(entry, ensure_ascii=False).encode() + b"\n"
+    except UnicodeEncodeError:
+        return json.dumps(entry).encode() + b"\n"
 
 
 def _lock(file: IO[bytes]) -> None:

@@ -46,9 +46,11 @@ def facts(summary: Summary) -> list[tuple[str, str]]:
         ("this run", f"{summary.computed} computed, {summary.kept} kept from before, in {summary.seconds:.1f} s"),
     ]
     times = [entry["times"] for entry in done if "times" in entry]
+    if summary.damaged:
+        lines.append(("manifest", f"{summary.damaged} damaged lines were skipped; their items are done again"))
     if times:
-        parts = ", ".join(f"{name} {median(t[name] for t in times):.3g}" for name in times[0])
-        each = median(entry["seconds"] for entry in done)
+        parts = ", ".join(f"{name} {median(t.get(name, 0.0) for t in times):.3g}" for name in times[0])
+        each = median(entry.get("seconds", 0.0) for entry in done)
         lines.append(("an item", f"{each:.3g} s in the median ({parts})"))
     means = mean_scores(done)
     if means:
@@ -63,7 +65,7 @@ def mean_scores(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     scored = [entry["metrics"] for entry in entries if entry.get("metrics")]
     if not scored:
         return {}
-    values = {name: [m[key] for m in scored if m[key] is not None] for name, key in COLUMNS.items()}
+    values = {name: [m[key] for m in scored if m.get(key) is not None] for name, key in COLUMNS.items()}
     return {name: fmean(of) for name, of in values.items() if of}
 
 
@@ -78,9 +80,9 @@ def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
         "notes": entry.get("notes", []),
         "folder": quote(entry["item"]) + "/",
         "picture": f"{quote(entry['item'])}/{PREVIEW_FILE}" if picture else "",
-        "seconds": f"{entry['seconds']:.2f}",
+        "seconds": f"{entry.get('seconds', 0.0):.2f}",
         "range": f"{low:.2f} to {high:.2f}" if done else "",
-        "scores": ["–" if metrics[key] is None else f"{metrics[key]:.3f}" for key in COLUMNS.values()]
+        "scores": ["–" if metrics.get(key) is None else f"{metrics[key]:.3f}" for key in COLUMNS.values()]
         if metrics
         else [],
     }

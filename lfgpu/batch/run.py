@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from lfgpu.batch.cluster import BatchError, Cluster
-from lfgpu.batch.items import Item, fingerprint
-from lfgpu.batch.manifest import DONE, Manifest, is_done, key_of, read_manifest
+from lfgpu.batch.items import LEFT_OVER, Item, fingerprint
+from lfgpu.batch.manifest import DONE, Manifest, damaged_lines, is_done, key_of, read_manifest
 from lfgpu.batch.work import Job, Settings
 
 _MEASURED_ON = 8  # frames of a sequence, of which the first one that can be read decides on range and noise
-_LEFT_OVER = ".lfgpu-*"  # what outputs are called until they are whole
 
 Entry = dict[str, Any]
 
@@ -34,6 +33,8 @@ class Summary:
     computed: int = 0
     failed: list[Entry] = field(default_factory=list)
     seconds: float = 0.0
+    damaged: int = 0
+    """How many lines of the manifest were skipped, as they say nothing that can be used."""
 
     @property
     def left(self) -> int:
@@ -85,8 +86,9 @@ class Batch:
         """
         start, out = time.perf_counter(), self._out
         with Manifest(out) as manifest:
+            self.summary.damaged = damaged_lines(out)
             todo = self._todo(read_manifest(out))
-            _remove_left_overs(out, todo)
+            _remove_left_overs(out, self._items)
             if todo:
                 manifest.add(_parameter_sets(todo))
                 progress = Progress(self.summary, len(todo))
@@ -206,10 +208,10 @@ def _parameter_sets(jobs: Sequence[Job]) -> list[Entry]:
     ]
 
 
-def _remove_left_overs(out: Path, todo: Sequence[Job]) -> None:
+def _remove_left_overs(out: Path, items: Sequence[Item]) -> None:
     """What processes that were killed had begun to write; nobody else writes here."""
-    folders = {(out / job.item.name).parent for job in todo} | {out / job.item.name for job in todo}
+    folders = {(out / item.name).parent for item in items} | {out / item.name for item in items}
     for folder in folders:
         if folder.is_dir():
-            for path in folder.glob(_LEFT_OVER):
+            for path in folder.glob(f"{LEFT_OVER}*"):
                 shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)

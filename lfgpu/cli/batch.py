@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -55,6 +55,9 @@ def batch(
         int | None, typer.Option(min=1, help="Local processes.", show_default="one for each GPU, or one")
     ] = None,
     retries: Annotated[int, typer.Option(min=0, help="Tries more for an item whose worker died.")] = 3,
+    item_timeout: Annotated[
+        float, typer.Option(min=1, metavar="SECONDS", help="An item that takes longer is given up.")
+    ] = 7200,
     preset: Preset = "accurate",
     reference_view: ReferenceView = None,
     pattern: Pattern = "full",
@@ -109,15 +112,16 @@ def batch(
         backend=backend,
         deterministic=deterministic,
     )
+    lasting: dict[str, Any] = {"retries": retries, "item_timeout": item_timeout}
     if scheduler is None:
         devices = _devices(backend, device)
         count = workers or len(devices)
-        cluster = Cluster(workers=count, devices=devices, threads=threads or _share_of_cores(count), retries=retries)
+        cluster = Cluster(workers=count, devices=devices, threads=threads or _share_of_cores(count), **lasting)
     else:
         if workers is not None:
             raise LightFieldError("--workers are those of a local cluster; leave it or --scheduler out.")
         devices = () if device is None else (device,)
-        cluster = Cluster(scheduler=scheduler, devices=devices, threads=threads, retries=retries)
+        cluster = Cluster(scheduler=scheduler, devices=devices, threads=threads, **lasting)
     items, barren = find_items(inputs, sequence=sequence, format_name=format_name, leave_out=out)
 
     work, title = Batch(items, out, how), out.resolve().name

@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from lfgpu.errors import LfgpuError
+from lfgpu.printable import message
 
 _FAILED, _INTERRUPTED = 1, 130  # 130: what shells give for a program that Ctrl-C ended
 _INTERRUPTION = "interrupted, nothing was written."
@@ -35,14 +36,14 @@ class Group(TyperGroup):
             raise self._exit(sentence, _FAILED) from error
 
     def _exit(self, sentence: str, code: int) -> typer.Exit:
-        typer.echo(f"{self.name}: {sentence}", err=True)
+        typer.echo(f"{self.name}: {message(sentence)}", err=True)
         return typer.Exit(code)
 
 
 def _sentence(error: Exception) -> str | None:
     """What to say about an error; None if it is not a person's doing."""
     if isinstance(error, LfgpuError):
-        return " ".join(str(error).split())
+        return str(error)
     if isinstance(error, MemoryError):
         return _MEMORY
     if isinstance(error, OSError):

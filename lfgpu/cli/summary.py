@@ -40,8 +40,8 @@ def show_result(console: Console, result: DepthResult, *, range_given: bool) -> 
     rows = [
         (
             "disparity",
-            f"{np.nanmin(result.disparity):.3f} to {np.nanmax(result.disparity):.3f} px per view step, larger is nearer "
-            f"({searched})",
+            f"{np.nanmin(result.disparity):.3f} to {np.nanmax(result.disparity):.3f} px per view step, larger is "
+            f"nearer ({searched})",
         ),
     ]
     if result.depth is not None:

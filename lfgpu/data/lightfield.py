@@ -15,13 +15,16 @@ from lfgpu.data import hooks, interop
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.mapping import each_view
 from lfgpu.errors import LightFieldError
+from lfgpu.printable import printable
 
 PATTERNS = ("full", "star", "cross", "row", "column")
 """Names that `LightField.subset` knows: all views; the reference's row, column and diagonals; row and column; one."""
 
 _POSITION_TOLERANCE = 1e-6  # in view steps: what is nearer is the same place
+_NEAREST = 1e-3  # in view steps, to which views must stand apart
 _LINE_TOLERANCE = 0.1  # in view steps: measured cameras do not stand exactly in line
 _FARTHEST = 1e6  # in view steps
+_LONGEST_NAME = 300  # characters
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +74,7 @@ class LightField:
     truth
         Ground truth of one view, for evaluation; None if unknown.
     name
-        What to call the scene in messages.
+        What to call the scene in messages; what is not printable in it is written out ("\\x1b").
     notes
         What a reader noticed about the files, one sentence each.
     files
@@ -131,6 +134,8 @@ class LightField:
             _check_grid(positions, self.grid_shape)
         if self.files and len(self.files) != len(views):
             raise LightFieldError(f"files must be one for each of {len(views)} views, found {len(self.files)}.")
+        object.__setattr__(self, "name", printable(self.name, longest=_LONGEST_NAME))
+        object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
         object.__setattr__(self, "views", views)
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "reference", int(reference))
@@ -404,6 +409,14 @@ def _check_distinct(positions: NDArray[np.float64]) -> None:
     if len(unique) < len(positions):
         u, v = unique[counts > 1][0] * _POSITION_TOLERANCE
         raise LightFieldError(f"two views stand at row {v:g}, column {u:g}; positions must be different.")
+    from scipy.spatial import cKDTree  # only here: it takes a while to load
+
+    distances = cKDTree(positions).query(positions, k=2)[0][:, 1]
+    if not distances.min() > _NEAREST:  # what is nearer than that to the reference tells nothing of depth
+        raise LightFieldError(
+            f"two views stand {distances.min():g} view steps apart, near row {positions[distances.argmin(), 1]:g}, "
+            f"column {positions[distances.argmin(), 0]:g}; positions are in units of the distance of neighbours."
+        )
 
 
 def _check_grid(positions: NDArray[np.float64], grid_shape: tuple[int, int]) -> None:

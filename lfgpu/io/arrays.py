@@ -85,6 +85,8 @@ def grid_field(
 
     Views of which nothing is valid are left out, with a note.
     """
+    if grid.ndim != 5 or 0 in grid.shape:
+        raise LightFieldError(f"{path} holds an array of shape {grid.shape}; views must be [v, u, y, x, c].")
     views, converted = storable(path, grid)
     shape = (int(views.shape[0]), int(views.shape[1]))
     views = np.ascontiguousarray(views).reshape(-1, *views.shape[2:])

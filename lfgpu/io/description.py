@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -26,11 +27,17 @@ from lfgpu.io.flips import check_flip, flipped
 from lfgpu.io.maps import check_size, read_map, read_mask
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.png import write_png
+from lfgpu.io.texts import read_text
 from lfgpu.io.views import load_views
+from lfgpu.printable import printable
 
 DEFAULT_NAME = "lightfield.toml"
 
-_LARGEST = 1 << 24  # bytes of a description; 100 000 views need less
+_MOST_SHOWN = 80  # characters of a wrong value
+
+# What may be a dotted key of many parts: the parser takes a time that grows with their square, or faster.
+_PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*"""
+_DEEP_KEY = re.compile(rf"(?<![\w-]){_PART}(?:\.[ \t]*{_PART}){{64}}")
 _PLACES = ("principal_point", "unshifted_at")  # of the geometry; the rest of it are lengths
 _KEYS = {
     "": {"name", "grid", "reference", "geometry", "truth", "source", "views"},
@@ -152,10 +159,12 @@ def _parsed(file: Path) -> Any:
     try:
         if not file.is_file():
             raise LightFieldError(f"{file} is not a description of a light field; name a .toml or .json file.")
-        if file.stat().st_size > _LARGEST:
-            raise LightFieldError(f"{file} is {file.stat().st_size} bytes; no description of a light field is as long.")
-        text = file.read_text(encoding="utf-8-sig")
-        return json.loads(text) if file.suffix.lower() == ".json" else tomllib.loads(text)
+        text = read_text(file)
+        if file.suffix.lower() == ".json":
+            return json.loads(text)
+        if _DEEP_KEY.search(text):
+            raise ValueError("it has a key of more parts than any entry of a description")
+        return tomllib.loads(text)
     except OSError as error:
         raise LightFieldError(f"{file} cannot be read: {error.strerror}.") from error
     except (ValueError, RecursionError) as error:
@@ -215,7 +224,7 @@ def _of_source(
         options["every"] = _whole(file, source["every"], "source.every")
     flip = source.get("flip", "")
     if not isinstance(flip, str):
-        raise LightFieldError(f"{file}: source.flip must be u, v or uv, not {flip!r}.")
+        raise LightFieldError(f"{file}: source.flip must be u, v or uv, not {_shown(flip)}.")
     check_flip(flip)
     light_field = read(_beside(file, path), format=chosen, allow_missing=allow_missing, **options)
     light_field = flipped(light_field, flip)
@@ -295,7 +304,7 @@ def _table(file: Path, value: Any, name: str, known: set[str]) -> Mapping[str, A
         raise LightFieldError(f"{file}: {what} must be a table of {', '.join(sorted(known))}.")
     if unknown := sorted(set(value) - known):
         raise LightFieldError(
-            f"{file}: {what} has an unknown entry {unknown[0]!r}; known are {', '.join(sorted(known))}."
+            f"{file}: {what} has an unknown entry {_shown(unknown[0])}; known are {', '.join(sorted(known))}."
         )
     return value
 
@@ -318,23 +327,30 @@ def _beside(file: Path, name: str) -> Path:
 
 
 def _number(file: Path, value: Any, name: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
-        raise LightFieldError(f"{file}: {name} must be a number, not {value!r}.")
     try:
-        return float(value)
+        if not isinstance(value, bool) and isinstance(value, int | float) and not math.isnan(value):
+            return float(value)
     except OverflowError:
         raise LightFieldError(f"{file}: {name} is too large a number.") from None
+    raise LightFieldError(f"{file}: {name} must be a number, not {_shown(value)}.")
+
+
+def _shown(value: Any) -> str:
+    try:
+        return printable(repr(value), longest=_MOST_SHOWN)
+    except ValueError:  # Python writes no number of more than 4300 digits
+        return "a number of thousands of digits"
 
 
 def _whole(file: Path, value: Any, name: str, least: int = 1) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= 10**6:
-        raise LightFieldError(f"{file}: {name} must be a whole number from {least} to 1000000, not {value!r}.")
+        raise LightFieldError(f"{file}: {name} must be a whole number from {least} to 1000000, not {_shown(value)}.")
     return value
 
 
 def _pair(file: Path, value: Any, name: str, *, whole: bool = False) -> tuple[Any, Any]:
     if not isinstance(value, list) or len(value) != 2:
-        raise LightFieldError(f"{file}: {name} must be a pair of numbers, not {value!r}.")
+        raise LightFieldError(f"{file}: {name} must be a pair of numbers, not {_shown(value)}.")
     if whole:
         return _whole(file, value[0], name), _whole(file, value[1], name)
     return _number(file, value[0], name), _number(file, value[1], name)

@@ -15,6 +15,10 @@ def require(module: str, extra: str, path: Path) -> Any:
         return importlib.import_module(module)
     except ImportError as error:
         raise LightFieldError(
-            f"reading {path} needs {module.partition('.')[0]}, which is not installed; install it with: "
-            f"pip install 'lfgpu[{extra}]'."
+            f"reading {path} needs {module.partition('.')[0]}, which is not installed; {how_to_install(extra)}."
         ) from error
+
+
+def how_to_install(extra: str) -> str:
+    """What to do where the libraries of an extra are missing, as the last part of a sentence."""
+    return f"install it from the folder of lfgpu's source: pip install -e '.[{extra}]'"

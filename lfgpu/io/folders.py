@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import stat
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -36,6 +37,16 @@ def image_files(folder: Path) -> list[Path]:
         if image.is_symlink() and not image.exists():
             raise LightFieldError(f"{image} is a link that leads nowhere; remove it or put the file there.")
     return [image for image in images if image.is_file()]
+
+
+def not_waited_for(path: Path) -> None:
+    """LightFieldError for a pipe, a socket or a device: opening it would wait for somebody, or never end."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):  # what is missing or locked is said by who opens it
+        return
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise LightFieldError(f"{path} is neither a file nor a folder; give a file.")
 
 
 def head(path: Path, count: int) -> bytes:

@@ -58,7 +58,7 @@ class Format:
     """Reads a path that exists, given the keyword `allow_missing` and those in `takes`, or raises LightFieldError with
     a sentence that names the file at fault."""
     extra: str | None = None
-    """The extra of the package that (some files of) the format needs: pip install 'lfgpu[EXTRA]'."""
+    """The extra of the package that (some files of) the format needs: pip install -e '.[EXTRA]'."""
     takes: tuple[str, ...] = ()
     """Which further keywords of `read` have a meaning for it."""
     inside: Callable[[Path], Inside] | None = None

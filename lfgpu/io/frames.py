@@ -15,6 +15,7 @@ from PIL import Image
 from lfgpu.contract import Float32Array
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_folder, atomic_write
+from lfgpu.io.extras import how_to_install
 from lfgpu.io.png import write_png
 
 _FPS = 15.0
@@ -109,9 +110,7 @@ def check_frames_path(path: str | os.PathLike[str]) -> None:
 
 def _need(module: str, extra: str, path: Path) -> None:
     if importlib.util.find_spec(module) is None:
-        raise LightFieldError(
-            f"{path} needs {module.replace('_', '-')}; install it with: pip install 'lfgpu[{extra}]'."
-        )
+        raise LightFieldError(f"{path} needs {module.replace('_', '-')}; {how_to_install(extra)}.")
 
 
 def _write_gif(frames: Iterable[Float32Array], path: Path, fps: float) -> None:

@@ -22,6 +22,7 @@ from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.maps import check_size, read_mask
 from lfgpu.io.named_views import read_named_views
 from lfgpu.io.parallax import runs_as_truth
+from lfgpu.io.texts import read_text
 
 ATTRIBUTES_FILE, DEPTH_FILE, MASK_FILE = "attributes.dat", "depth.bin", "mask.png"
 
@@ -183,10 +184,7 @@ def read_hci_export(path: Path, *, allow_missing: bool = False) -> LightField:
 
 
 def _attributes(path: Path) -> dict[str, float | None]:
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise LightFieldError(f"{path} cannot be read: {error.strerror}.") from error
+    text = read_text(path, errors="replace")
     numbers: dict[str, float | None] = {}
     for line in text.splitlines():
         value, slashes, name = line.partition("//")

@@ -9,6 +9,7 @@ from pathlib import Path
 from lfgpu.data.geometry import Geometry
 from lfgpu.errors import LightFieldError
 from lfgpu.io.git_lfs import check_fetched
+from lfgpu.io.texts import read_text
 
 PARAMETERS_FILE = "parameters.cfg"
 
@@ -33,9 +34,7 @@ class Parameters:
         self._config = configparser.ConfigParser(interpolation=None)
         check_fetched(path)
         try:
-            self._config.read_string(path.read_text(encoding="utf-8-sig"), source=path.name)
-        except OSError as error:
-            raise LightFieldError(f"{path} cannot be read: {error.strerror}.") from error
+            self._config.read_string(read_text(path), source=path.name)
         except (configparser.Error, UnicodeDecodeError) as error:
             raise LightFieldError(
                 f"{path} is not a valid configuration file: {' '.join(str(error).split())}."

@@ -32,16 +32,13 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def datasets(root: Any) -> dict[str, Any]:
-    """The datasets at the top level that lie in the file itself, by name."""
+    """The datasets at the top level that lie in the file itself, by name.
+
+    Links by name are left out: on their way they may leave the file by another link.
+    """
     h5py = require("h5py", "hdf5", Path(root.filename))
-    found = {}
-    for name in root:
-        if isinstance(root.get(name, getlink=True), h5py.ExternalLink):
-            continue
-        entry = root.get(name)
-        if isinstance(entry, h5py.Dataset):
-            found[name] = entry
-    return found
+    own = [name for name in root if isinstance(root.get(name, getlink=True), h5py.HardLink)]
+    return {name: entry for name in own if isinstance(entry := root.get(name), h5py.Dataset)}
 
 
 def load(path: Path, dataset: Any) -> NDArray[Any]:
@@ -56,6 +53,8 @@ def check_shape(path: Path, dataset: Any) -> None:
         raise LightFieldError(f"{path}: {dataset.name} holds {dataset.dtype}; wanted is an array of numbers.")
     if dataset.external or dataset.is_virtual:
         raise LightFieldError(f"{path}: {dataset.name} lies in other files; put everything into one.")
+    if 0 in dataset.shape:
+        raise LightFieldError(f"{path}: {dataset.name} has the shape {dataset.shape}: there is nothing in it.")
     check_claim(path, dataset.shape, dataset.dtype)
 
 

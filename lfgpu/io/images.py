@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import threading
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +13,10 @@ from PIL import Image, UnidentifiedImageError
 from PIL.TiffImagePlugin import TiffImageFile
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io import pillow
 from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.limits import check_claim
+from lfgpu.io.tiff_pages import check_pages
 
 IMAGE_SUFFIXES = frozenset({".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
 """Suffixes, in lower case, of the files that are taken for images."""
@@ -27,35 +27,6 @@ FLOAT64_ROUNDED = "float64 values rounded to float32"
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _BITS_TAG, _PLANAR_TAG = 258, 284
 _OTHER_BYTE = {"16B": "16L", "16L": "16B", "16N": "16B" if np.little_endian else "16L"}
-
-
-class _Filters:
-    """What becomes of Pillow's warnings while it decodes.
-
-    Filters belong to the whole process: the first of several threads sets them, the last one sets them back.
-    """
-
-    def __init__(self) -> None:
-        self._lock, self._inside, self._before = threading.Lock(), 0, warnings.catch_warnings()
-
-    def __enter__(self) -> None:
-        with self._lock:
-            self._inside += 1
-            if self._inside == 1:
-                self._before = warnings.catch_warnings()
-                self._before.__enter__()
-                warnings.simplefilter("ignore", UserWarning)  # of damaged remarks about the image
-                # Pillow warns first and refuses from twice that size on; both are far beyond any view.
-                warnings.simplefilter("error", Image.DecompressionBombWarning)
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._inside -= 1
-            if self._inside == 0:
-                self._before.__exit__(None, None, None)
-
-
-_FILTERS = _Filters()
 
 
 def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[NDArray[Any], frozenset[str]]:
@@ -88,7 +59,10 @@ def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[ND
         raise
     except UnidentifiedImageError as error:
         check_fetched(path)
-        raise LightFieldError(f"{path} cannot be read as an image: it is none, or its beginning is damaged.") from error
+        raise LightFieldError(
+            f"{path} cannot be read as an image: it is none of PNG, BMP, JPEG, TIFF, WebP and PPM, or its beginning is "
+            "damaged."
+        ) from error
     except Exception as error:  # decoders raise whatever comes to them when a file is damaged
         reason = str(getattr(error, "strerror", None) or error).rstrip(".")
         raise LightFieldError(f"{path} cannot be read as an image: {reason}.") from error
@@ -98,7 +72,7 @@ def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[ND
 def image_size(path: Path) -> tuple[int, int] | None:
     """(height, width) by the header of an image file; None if that cannot be read, which `read_image` explains."""
     try:
-        with _FILTERS, Image.open(path) as image:
+        with pillow.opened(path) as image:
             return image.height, image.width
     except Exception:  # decoders raise whatever comes to them when a file is damaged
         return None
@@ -106,17 +80,14 @@ def image_size(path: Path) -> tuple[int, int] | None:
 
 def _decode(path: Path) -> NDArray[Any]:
     """[y, x] or [y, x, c] with c = 1 to 4, in whatever dtype the file has."""
-    with _FILTERS:
-        try:
-            with Image.open(path) as image:
-                # Four bytes a pixel whatever the mode: a bound on what decoding takes.
-                check_claim(path, (image.height, image.width, 4), np.uint8)
-                return _decode_tiff(path) if _is_misread_by_pillow(image) else _pixels(path, image)
-        except UnidentifiedImageError:
-            with path.open("rb") as file:
-                if file.read(4) in _TIFF_MAGIC:
-                    return _decode_tiff(path)
-            raise
+    try:
+        with pillow.opened(path) as image:
+            return _decode_tiff(path) if _is_misread_by_pillow(image) else _pixels(path, image)
+    except UnidentifiedImageError:
+        with path.open("rb") as file:
+            if file.read(4) in _TIFF_MAGIC:
+                return _decode_tiff(path)
+        raise
 
 
 def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
@@ -156,7 +127,7 @@ def _sixteen_bit_colour(path: Path, image: Image.Image, raw: str) -> NDArray[np.
     if raw.startswith("LA"):
         raise LightFieldError(f"{path} is 16-bit grey with transparency; save it without transparency.")
     other = raw[:-3] + _OTHER_BYTE[raw[-3:]]
-    with Image.open(path) as again:
+    with pillow.opened(path) as again:
         make: Any = getattr(type(again.tile[0]), "_make", tuple)  # named tuples since Pillow 11
         again.tile = [
             make((codec, extents, offset, (other, *raw_mode[1:]) if isinstance(raw_mode, tuple) else other))
@@ -185,6 +156,7 @@ def _decode_tiff(path: Path) -> NDArray[Any]:
     import imageio.v3 as iio  # only here, so that nobody else waits for it
     from tifffile import TiffFile
 
+    check_pages(path)
     with TiffFile(path) as file:
         for page in file.pages:
             check_claim(path, page.shape, page.dtype or np.uint8)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,14 +11,12 @@ from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io import hdf5
+from lfgpu.io import hdf5, matlab5
 from lfgpu.io.arrays import grid_field
 from lfgpu.io.folders import head
-from lfgpu.io.limits import check_claim
 from lfgpu.io.vignette import lit
 
 _MAGIC_5, _MAGIC_7 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
-_CLASSES = {"uint8": np.uint8, "uint16": np.uint16, "single": np.float32, "double": np.float64}
 _LEAST_WEIGHT = 0.25  # of the largest: what the white image says of pixels at the rim of the main lens
 
 
@@ -29,7 +26,7 @@ def recognise(path: Path) -> str | None:
 
 
 def read_lftoolbox(path: Path, *, allow_missing: bool = False) -> LightField:
-    """Read a .mat file of version 5 to 7 (by SciPy) or 7.3 (extra `hdf5`).
+    """Read a .mat file of version 5 to 7, or of 7.3 (extra `hdf5`).
 
     The variable LF, or the only one with five axes, is [t, s, v, u, c]: rows of views, columns of views, y, x, colour.
     A fourth colour is the weight of each pixel: what has less than a quarter of the largest is marked as not valid.
@@ -64,23 +61,11 @@ def read_lftoolbox(path: Path, *, allow_missing: bool = False) -> LightField:
 
 
 def _load_5(path: Path) -> NDArray[Any]:
-    from scipy.io import loadmat, whosmat
-
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what we do not want to read
-            found = {name: (shape, kind) for name, shape, kind in whosmat(path)}
-            name = _chosen(path, {name: shape for name, (shape, _) in found.items()})
-            shape, kind = found[name]
-            if kind not in _CLASSES:
-                raise LightFieldError(f"{path}: {name} holds {kind}; wanted are uint8, uint16, single or double.")
-            check_claim(path, shape, _CLASSES[kind])
-            return np.asarray(loadmat(path, variable_names=[name])[name])
-    except LightFieldError:
-        raise
-    except Exception as error:  # SciPy raises whatever comes to it when a file is damaged
-        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise LightFieldError(f"{path} cannot be read as a MATLAB file: {reason}.") from error
+        found = {variable.name: variable for variable in matlab5.variables(path)}
+        return matlab5.load(path, found[_chosen(path, {name: variable.shape for name, variable in found.items()})])
+    except OSError as error:
+        raise LightFieldError(f"{path} cannot be read: {error.strerror or error}.") from error
 
 
 def _load_7(path: Path) -> NDArray[Any]:

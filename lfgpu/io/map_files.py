@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -16,7 +15,9 @@ from PIL.PngImagePlugin import PngInfo
 
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
+from lfgpu.io import pillow
 from lfgpu.io.about import KEY, map_about, map_of, parse_about
+from lfgpu.io.extras import how_to_install
 from lfgpu.io.images import read_image
 from lfgpu.io.numpy_arrays import load_arrays
 
@@ -49,7 +50,7 @@ def write_png(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> N
 def read_png(path: Path) -> DisparityMap:
     """What `write_png` wrote; another PNG is refused, as it does not say what its values mean."""
     stored, _ = read_image(path)
-    with Image.open(path) as image:
+    with pillow.opened(path) as image:
         text = getattr(image, "text", {}).get(KEY)
     if text is None or stored.dtype != np.uint16 or stored.shape[2] != 1:
         raise LightFieldError(
@@ -77,10 +78,8 @@ def read_tiff(path: Path) -> DisparityMap:
         raise LightFieldError(f"{path} is a colour image; a map has one value per pixel.")
     disparity = stored[..., 0].astype(np.float32)
     text = ""
-    with warnings.catch_warnings(), suppress(UnidentifiedImageError):  # kinds that Pillow does not know are not ours
-        warnings.simplefilter("ignore", UserWarning)
-        with Image.open(path) as image:
-            text = str(getattr(image, "tag_v2", {}).get(_DESCRIPTION_TAG, ""))
+    with suppress(UnidentifiedImageError), pillow.opened(path) as image:  # kinds that Pillow does not know are not ours
+        text = str(getattr(image, "tag_v2", {}).get(_DESCRIPTION_TAG, ""))
     if f'"{KEY}"' not in text:
         return DisparityMap(disparity, name=path.name)
     return map_of(path, parse_about(path, text), disparity, None)
@@ -128,9 +127,7 @@ def read_exr(path: Path) -> DisparityMap:
 def open_exr(path: Path) -> Any:
     """The OpenEXR library; LightFieldError that says how to install it if it is not there."""
     if importlib.util.find_spec("OpenEXR") is None:
-        raise LightFieldError(
-            f"{path} is an OpenEXR file, which needs OpenEXR; install it with: pip install 'lfgpu[exr]'."
-        )
+        raise LightFieldError(f"{path} is an OpenEXR file, which needs OpenEXR; {how_to_install('exr')}.")
     import OpenEXR
 
     return OpenEXR

@@ -15,7 +15,11 @@ from lfgpu.data.mapping import mapped
 from lfgpu.errors import LightFieldError
 from lfgpu.io.disk import wanted_on_disk
 from lfgpu.io.folders import head
-from lfgpu.io.limits import check_claim
+from lfgpu.io.limits import check_claim, check_memory
+
+_ALWAYS_FINE = 1 << 28  # bytes: so much any archive may take unpacked
+_PACKED = 50  # times smaller than the arrays in it is an archive of maps at most; ours are not packed at all
+_MOST_ARRAYS = 1000
 
 MAGIC, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 
@@ -64,6 +68,29 @@ def _archive(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     if names[0] not in found:
         raise LightFieldError(f"{path} has no array {names[0]!r}; it holds {', '.join(members) or 'nothing'}.")
     return found
+
+
+def check_archive(path: Path) -> None:
+    """LightFieldError if all arrays of an .npz together claim more than what we write as one can hold, or the memory.
+
+    What is damaged otherwise, or is no .npz, passes: who reads it says so.
+    """
+    if head(path, 4) != ZIP:
+        return
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        claimed = 0
+        for info in members[:_MOST_ARRAYS]:
+            with archive.open(info) as file:
+                shape, dtype, _ = header(path, file)
+            claimed += dtype.itemsize * math.prod(int(side) for side in shape)
+    stored = path.stat().st_size
+    if claimed > max(_ALWAYS_FINE, _PACKED * stored) or len(members) > _MOST_ARRAYS:
+        raise LightFieldError(
+            f"{path} is damaged: its {len(members)} arrays claim {claimed} bytes, more than maps in a file of "
+            f"{stored} bytes take."
+        )
+    check_memory(path, claimed, advice="free some, or read it on a larger machine")
 
 
 def header(path: Path, file: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], bool]:

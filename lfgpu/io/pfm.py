@@ -14,6 +14,7 @@ from lfgpu.io.atomic import atomic_write
 
 # kind, width, height, scale; one white character, and the data begin
 _HEADER = re.compile(rb"(P[Ff])\s+([0-9]{1,9})\s+([0-9]{1,9})\s+([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)(?:\r\n|\s)")
+_LONGEST = 256  # bytes of a header
 
 
 def read_pfm(path: Path) -> NDArray[np.float32]:
@@ -21,20 +22,23 @@ def read_pfm(path: Path) -> NDArray[np.float32]:
 
     LightFieldError if it is not a PFM, is in colour, or holds less or more than its header says.
     """
-    content = path.read_bytes()
-    header = _HEADER.match(content)
+    with path.open("rb") as file:
+        header = _HEADER.match(file.read(_LONGEST))
     if header is None:
         raise LightFieldError(f"{path} is not a PFM file: it does not begin with 'Pf', width, height and scale.")
     if header[1] == b"PF":
         raise LightFieldError(f"{path} is a colour PFM ('PF'); a map has one value per pixel ('Pf').")
     width, height = int(header[2]), int(header[3])
-    data = content[header.end() :]
-    if len(data) != 4 * width * height or not data:
+    there = path.stat().st_size - header.end()
+    if there != 4 * width * height or not there:
         raise LightFieldError(
-            f"{path} is damaged: {width} x {height} float32 values are {4 * width * height} bytes, it has {len(data)}."
+            f"{path} is damaged: {width} x {height} float32 values are {4 * width * height} bytes, it has {there}."
         )
     order = "<" if header[4].startswith(b"-") else ">"
-    return np.flipud(np.frombuffer(data, f"{order}f4").reshape(height, width)).astype(np.float32, order="C")
+    data = np.fromfile(path, f"{order}f4", width * height, offset=header.end())
+    if len(data) != width * height:
+        raise LightFieldError(f"{path} became shorter while it was read; try again.")
+    return np.flipud(data.reshape(height, width)).astype(np.float32, order="C")
 
 
 def write_pfm(path: str | os.PathLike[str], values: ArrayLike) -> None:

@@ -19,6 +19,8 @@ from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import CONVENTION, geometry_about, geometry_of
 from lfgpu.io.atomic import atomic_write
+from lfgpu.io.folders import not_waited_for
+from lfgpu.io.numpy_arrays import check_archive
 from lfgpu.methods import METHODS
 
 ABOUT_KEY = "lfgpu"
@@ -173,6 +175,7 @@ def holds_views(path: str | os.PathLike[str]) -> bool:
 
 def _has_array(path: str | os.PathLike[str], name: str) -> bool:
     try:
+        not_waited_for(Path(path))
         with zipfile.ZipFile(path) as archive:
             return f"{name}.npy" in archive.namelist()
     except Exception:  # zipfile raises whatever comes to it when a file is damaged; who reads it says what it is
@@ -211,7 +214,9 @@ def _about(result: DepthResult) -> dict[str, Any]:
 
 
 def _load(path: Path) -> dict[str, NDArray[Any]]:
+    not_waited_for(path)
     try:
+        check_archive(path)
         loaded = np.load(path, allow_pickle=False)
         if not isinstance(loaded, np.lib.npyio.NpzFile):
             raise LightFieldError(f"{path} is not a result of lfgpu: it is a single array, not an .npz.")

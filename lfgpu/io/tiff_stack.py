@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-import struct
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,14 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, grid_field
 from lfgpu.io.extras import require
 from lfgpu.io.limits import check_claim
+from lfgpu.io.tiff_pages import check_pages, pages
 
 
 def recognise(path: Path) -> str | None:
     """Why a path is taken for a TIFF of several pages; None if it is not."""
     if path.suffix.lower() not in (".tif", ".tiff") or not path.is_file():
         return None
-    return "it is a TIFF file of several pages" if _has_second_page(path) else None
+    return "it is a TIFF file of several pages" if len(list(islice(pages(path), 2))) == 2 else None
 
 
 def read_tiff_stack(path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None) -> LightField:
@@ -47,6 +48,7 @@ def read_tiff_stack(path: Path, *, allow_missing: bool = False, grid: tuple[int,
     tifffile = require("tifffile", "tiff", path)
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what it logs of damaged files is raised below as well
     try:
+        check_pages(path)
         with tifffile.TiffFile(path) as file:
             array = _pages(path, file)
     except LightFieldError:
@@ -73,26 +75,3 @@ def _pages(path: Path, file: Any) -> NDArray[Any]:
     array = np.asarray(series.asarray())
     samples = series.axes.find("S")
     return np.moveaxis(array, samples, -1) if 0 <= samples < array.ndim - 1 else array
-
-
-def _has_second_page(path: Path) -> bool:
-    """Whether the first directory of a TIFF points to another one."""
-    with path.open("rb") as file:
-        start = file.read(16)
-        order = {b"II": "<", b"MM": ">"}.get(start[:2])
-        if order is None or len(start) < 16:
-            return False
-        kind = struct.unpack(f"{order}H", start[2:4])[0]
-        if kind == 42:
-            offset, count_format, entry, link = struct.unpack(f"{order}I", start[4:8])[0], "H", 12, "I"
-        elif kind == 43:
-            offset, count_format, entry, link = struct.unpack(f"{order}Q", start[8:16])[0], "Q", 20, "Q"
-        else:
-            return False
-        try:
-            file.seek(offset)
-            count = struct.unpack(order + count_format, file.read(struct.calcsize(count_format)))[0]
-            file.seek(entry * count, 1)
-            return bool(struct.unpack(order + link, file.read(struct.calcsize(link)))[0])
-        except (struct.error, OSError, OverflowError, ValueError):
-            return False

@@ -15,6 +15,7 @@ from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import map_files, ply
 from lfgpu.io.atomic import atomic_write
+from lfgpu.io.folders import not_waited_for
 from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.pfm import read_pfm, write_pfm_to
 from lfgpu.io.results import holds_result, holds_views, read_result, read_views, write_result, write_views
@@ -149,6 +150,7 @@ def load(path: str | os.PathLike[str]) -> DepthResult | ViewsResult | DisparityM
             raise LightFieldError(f"{path} holds no {RESULT_FILE}; give a folder that lfgpu depth wrote, or a file.")
         path = path / RESULT_FILE
     check_fetched(path)
+    not_waited_for(path)
     if path.suffix.lower() == ".npz":
         if holds_views(path):
             return read_views(path)
@@ -160,6 +162,7 @@ def load(path: str | os.PathLike[str]) -> DepthResult | ViewsResult | DisparityM
 def load_map(path: Path) -> DisparityMap:
     """The map in a file, whatever else it holds; LightFieldError if there is none."""
     check_fetched(path)
+    not_waited_for(path)
     for writer in WRITERS:
         if path.suffix.lower() in writer.suffixes:
             return map_files.check_map(path, writer.read)

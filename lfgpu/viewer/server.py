@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LfgpuError, LightFieldError
+from lfgpu.io.extras import how_to_install
 from lfgpu.viewer.contents import Contents, Entry, opened, opened_all
 from lfgpu.viewer.solving import Progress, Request, Solver
 
@@ -58,7 +59,7 @@ class Viewer:
         try:
             import viser
         except ImportError:
-            raise LightFieldError("the viewer needs viser; install it with: pip install 'lfgpu[viewer]'.") from None
+            raise LightFieldError(f"the viewer needs viser; {how_to_install('viewer')}.") from None
         from lfgpu.viewer.session import Session
 
         self._lock = threading.RLock()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import threading
 import time
@@ -17,7 +18,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from samples import HEIGHT, WIDTH, box, picture, refusal, save, save_named
 
-from lfgpu.io import read
+import lfgpu
+from lfgpu.io import read, read_map
 from lfgpu.io.images import read_image
 from lfgpu.io.png import write_png
 
@@ -315,3 +317,54 @@ def test_other_kinds_of_values_are_refused(tmp_path: Path) -> None:
     assert "a.tif has 32-bit integers" in refusal(lambda: read_image(tmp_path / "a.tif"))
     Image.fromarray(picture()).convert("CMYK").save(tmp_path / "a.jpg")
     assert "a.jpg has colour mode CMYK" in refusal(lambda: read_image(tmp_path / "a.jpg"))
+
+
+EPS = b"""%!PS-Adobe-3.0 EPSF-3.0
+%%BoundingBox: 0 0 5 4
+%%EndComments
+(/etc/hostname) (r) file pop
+showpage
+%%EOF
+"""
+
+
+def test_a_program_that_is_named_as_a_picture_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pillow hands EPS to Ghostscript, whatever the file is called."""
+    ghostscript, started = tmp_path / "bin" / "gs", tmp_path / "started"
+    ghostscript.parent.mkdir()
+    ghostscript.write_text(f"#!/bin/sh\ntouch {started}\n")
+    ghostscript.chmod(0o755)
+    monkeypatch.setenv("PATH", str(ghostscript.parent), prepend=":")
+    monkeypatch.setattr("PIL.EpsImagePlugin.gs_binary", None)  # Pillow looks for it once
+    folder = tmp_path / "views"
+    for column in range(3):
+        save(folder / f"0_{column}.png")
+        (folder / f"0_{column}.png").write_bytes(EPS)
+    texts = [
+        refusal(lambda: read(folder)),
+        refusal(lambda: read_map(folder / "0_0.png")),
+        refusal(lambda: read(folder / "0_0.png", format="lenslet")),
+    ]
+    assert not started.exists()
+    assert all("none of PNG" in text for text in texts)
+
+
+def test_pictures_are_opened_in_one_place() -> None:
+    """The one that knows which formats are safe."""
+    package = Path(lfgpu.__file__).parent
+    others = [path.name for path in package.rglob("*.py") if re.search(r"\bImage\.open\(", path.read_text())]
+    assert others == ["pillow.py"]
+
+
+@pytest.mark.parametrize("compression", ["tiff_lzw", "jpeg"])
+def test_what_libtiff_says_of_damage_stays_out_of_the_terminal(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], compression: str
+) -> None:
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)).save(
+        tmp_path / "a.tif", compression=compression
+    )
+    data = bytearray((tmp_path / "a.tif").read_bytes())
+    data[20:900:7] = bytes(byte ^ 0x5A for byte in data[20:900:7])
+    (tmp_path / "a.tif").write_bytes(data)
+    refusal(lambda: read_image(tmp_path / "a.tif"))
+    assert capfd.readouterr() == ("", "")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -570,3 +572,28 @@ def test_json_that_is_refused(tmp_path: Path) -> None:
     for text in ("[1", "[" * 100_000, "[]", '{"views": [{"file": "a"}, 3]}', '"\\ud800"', "{" + '"a":{' * 5000):
         (tmp_path / "a.json").write_text(text)
         assert "a.json" in refusal(lambda: read(tmp_path / "a.json"))
+
+
+def test_pages_of_a_tiff_in_a_circle_come_to_an_end(tmp_path: Path, true: LightField) -> None:
+    """In a process of its own, which may not come to an end."""
+    tifffile = pytest.importorskip("tifffile")
+    path = tmp_path / "circle.tif"
+    views = true.views[:9, :8, :8]
+    tifffile.imwrite(path, views, photometric="rgb", imagej=True)
+    data = bytearray(path.read_bytes())
+    with tifffile.TiffFile(path) as file:
+        offsets, order = [page.offset for page in file.pages], {">": "big", "<": "little"}[file.byteorder]
+    link = offsets[4] + 2 + 12 * int.from_bytes(data[offsets[4] : offsets[4] + 2], order)
+    data[link : link + 4] = offsets[2].to_bytes(4, order)
+    path.write_bytes(data)
+    for told in ([], ["--format=tiff-stack", "--grid=3x3"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "lfgpu", "info", str(path), *told],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=60,
+        )
+        assert done.returncode == 1, done
+        assert "Traceback" not in done.stderr
+    assert "linked in a circle" in refusal(lambda: read(path))

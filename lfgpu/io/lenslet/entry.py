@@ -5,11 +5,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from PIL import Image
-
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io import lytro
+from lfgpu.io import lytro, pillow
 from lfgpu.io.images import read_image
 from lfgpu.io.inside import Inside
 from lfgpu.io.lenslet import capture
@@ -56,7 +54,7 @@ def inside(path: Path) -> Inside:
 def _may_be_a_sensor(path: Path) -> bool:
     """Whether a picture is grey and large enough, by its header."""
     try:
-        with Image.open(path) as image:
+        with pillow.opened(path) as image:
             return image.mode in ("L", "I;16", "I;16L", "I;16B", "I", "F") and min(image.size) >= _LEAST_SIDE
     except Exception:  # whatever is wrong with it, the reader that is asked for it says so
         return False

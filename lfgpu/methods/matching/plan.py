@@ -215,7 +215,7 @@ class MatchingPlan:
         self._leave_unknown()
 
     def _leave_unknown(self) -> None:
-        """NaN where the reference recorded nothing: until here such pixels hold a number, for their neighbours' sums."""
+        """NaN where the reference recorded nothing. Until here they hold a number, for their neighbours' sums."""
         if self._known is not None:
             self._kernels.select(self._known, self.disparity, self._unknown, self.disparity)
 

@@ -1,0 +1,73 @@
+"""Pillow, opened for the formats of pictures only, and quiet: the one place from which files reach it."""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from PIL import Image, ImageFile, _imaging
+
+from lfgpu.io.limits import check_claim
+
+FORMATS = ("PNG", "BMP", "DIB", "JPEG", "TIFF", "WEBP", "PPM")
+"""What a file may be, whatever its suffix says. Pillow knows more: EPS is a program that Ghostscript runs."""
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[ImageFile.ImageFile]:
+    """A picture of one of `FORMATS`, of a size that the file can hold; its pixels are decoded within the block.
+
+    Raises
+    ------
+    LightFieldError
+        If it claims more pixels than the file can hold or the memory takes.
+    Exception
+        Whatever comes to Pillow when a file is damaged; UnidentifiedImageError if it is none of `FORMATS`.
+    """
+    _silence_libtiff()
+    with _FILTERS, Image.open(path, formats=FORMATS) as image:
+        # Four bytes a pixel whatever the mode: a bound on what decoding takes.
+        check_claim(path, (image.height, image.width, 4), np.uint8)
+        yield image
+
+
+class _Filters:
+    """What becomes of Pillow's warnings while it decodes.
+
+    Filters belong to the whole process: the first of several threads sets them, the last one sets them back.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._before = threading.Lock(), 0, warnings.catch_warnings()
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self._inside += 1
+            if self._inside == 1:
+                self._before = warnings.catch_warnings()
+                self._before.__enter__()
+                warnings.simplefilter("ignore", UserWarning)  # of damaged remarks about the image
+                # Pillow warns first and refuses from twice that size on; both are far beyond any view.
+                warnings.simplefilter("error", Image.DecompressionBombWarning)
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                self._before.__exit__(None, None, None)
+
+
+_FILTERS = _Filters()
+
+
+@cache
+def _silence_libtiff() -> None:
+    """Have libtiff write nothing to stderr: what is wrong with a file is raised by Pillow as well."""
+    with suppress(OSError, AttributeError, TypeError):  # where Pillow has it built in, its symbols cannot be had
+        ctypes.CDLL(_imaging.__file__).TIFFSetErrorHandler(None)

@@ -1,0 +1,198 @@
+"""Files that were made to do harm: to leave themselves, to take time or memory, to reach the terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from samples import picture, refusal, save, save_hci
+
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.io import load, read, read_map, read_result
+from lfgpu.printable import printable
+
+_SPACE = 3 << 30  # bytes of addresses that a process may have: what is judged first never comes near
+
+
+def in_little_memory(code: str, *arguments: Path | str) -> str:
+    """What code writes that runs in a process of its own with little memory; LightFieldErrors are written, too."""
+    program = (
+        "import resource, sys, lfgpu, pathlib\n"
+        f"resource.setrlimit(resource.RLIMIT_AS, ({_SPACE}, {_SPACE}))\n"
+        f"try:\n    {code}\nexcept lfgpu.LightFieldError as error:\n    print('refused:', error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+# --- descriptions ---
+
+
+def described(folder: Path, first: str = "", position: str = "[1.0, 0.0]", suffix: str = "toml") -> Path:
+    """A description of two views, with something before them and a position of the second."""
+    for number in range(2):
+        save(folder / f"{number}.png", picture(number))
+    views = [f'[[views]]\nfile = "{n}.png"\nposition = {at}\n' for n, at in enumerate(("[0.0, 0.0]", position))]
+    file = folder / f"array.{suffix}"
+    if suffix == "json":
+        views = [f'{{"file": "{n}.png", "position": {at}}}' for n, at in enumerate(("[0, 0]", position))]
+        file.write_text(f'{{{first} "views": [{", ".join(views)}]}}')
+    else:
+        file.write_text(first + "\n" + "".join(views))
+    return file
+
+
+@pytest.mark.parametrize("suffix", ["toml", "json"])
+def test_whole_numbers_of_hundreds_of_digits(tmp_path: Path, suffix: str) -> None:
+    many = "9" * 400
+    assert "is too large a number" in refusal(lambda: read(described(tmp_path, position=f"[{many}, 0]", suffix=suffix)))
+    key = f'"reference": {many},' if suffix == "json" else f"reference = {many}"
+    text = refusal(lambda: read(described(tmp_path, key, suffix=suffix)))
+    assert "reference must be a whole number" in text
+    assert len(text) < 400
+
+
+def test_a_number_that_cannot_be_written_out(tmp_path: Path) -> None:
+    text = refusal(lambda: read(described(tmp_path, f"reference = 0x{'f' * 9000}")))
+    assert "not a number of thousands of digits" in text
+
+
+@pytest.mark.parametrize(
+    "key", ["a." * 40_000 + "a = 1", "[" + "a . " * 40_000 + "a]", "x = {" + "'a'." * 100 + "a=1}"]
+)
+def test_dotted_keys_of_many_parts_are_refused_before_they_are_parsed(
+    tmp_path: Path, key: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def parsed(text: str) -> None:
+        pytest.fail("its time grows with the cube of the parts")
+
+    file = described(tmp_path, key)
+    monkeypatch.setattr(tomllib, "loads", parsed)
+    assert "a key of more parts" in refusal(lambda: read(file))
+
+
+def test_names_of_files_with_many_dots_are_no_keys(tmp_path: Path) -> None:
+    file = described(tmp_path, f'name = "{"a.b" * 50}"')
+    assert read(file).name == "a.b" * 50
+
+
+def test_descriptions_are_small(tmp_path: Path) -> None:
+    with (tmp_path / "array.toml").open("wb") as file:
+        file.truncate(1 << 33)
+    assert "has 8589934592 bytes" in refusal(lambda: read(tmp_path / "array.toml"))
+    folder = save_hci(tmp_path / "hci", range(9))
+    with (folder / "parameters.cfg").open("r+b") as file:
+        file.truncate(1 << 33)
+    assert "has 8589934592 bytes" in refusal(lambda: read(folder))
+
+
+# --- positions ---
+
+
+@pytest.mark.parametrize("position", ["[0.001, 0.0]", "[0.0004, -0.0004]"])
+def test_cameras_in_all_but_one_place_are_refused(tmp_path: Path, position: str) -> None:
+    assert "view steps apart" in refusal(lambda: read(described(tmp_path, position=position)))
+
+
+# --- HDF5 ---
+
+
+def test_links_in_hdf5_do_not_leave_the_file(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["LF"] = np.zeros((3, 3, 8, 8, 3), np.uint8)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["outside"] = h5py.ExternalLink("other.h5", "/")
+        file["LF"] = h5py.SoftLink("/outside/LF")
+    assert "no dataset LF" in refusal(lambda: read(tmp_path / "a.h5"))
+
+
+@pytest.mark.parametrize("shape", [(0, 3, 4, 5, 3), (3, 3, 4, 0, 3), (3, 3, 4, 5, 0), (3, 3, 0, 5)])
+def test_hdf5_with_an_axis_of_nothing(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["LF"] = np.zeros(shape, np.uint8)
+    assert "there is nothing in it" in refusal(lambda: read(tmp_path / "a.h5"))
+
+
+# --- sizes ---
+
+
+def test_a_map_that_is_mostly_not_there_takes_no_memory(tmp_path: Path) -> None:
+    file = tmp_path / "a.pfm"
+    file.write_bytes(b"Pf\n10 10\n-1.0\n")
+    with file.open("r+b") as opened:
+        opened.truncate(8 << 30)  # a hole in the file: it is on no disk
+    assert "refused" in in_little_memory("lfgpu.load(sys.argv[1])", file)
+
+
+# --- what is shown ---
+
+_ESCAPE = "a\x1b[2J\x1b]0;owned\x07\u202egnp\udcff\ud800\nb"
+
+
+def test_what_is_printable_stays_and_nothing_else() -> None:
+    for text in ("Küche – 7", "台所", "кухня", "🍳", "می\u200cخواهم", "a\u3000b\xa0c"):
+        assert printable(text) == text
+    shown = printable(_ESCAPE)
+    assert shown == r"a\x1b[2J\x1b]0;owned\x07\u202egnp\udcff\ud800\nb"
+    assert printable(shown) == shown
+    assert printable(_ESCAPE, keep="\n").endswith("\nb")
+    assert len(printable("x" * 10_000, longest=100)) <= 100
+
+
+def test_messages_are_one_line_of_bounded_length_that_can_be_shown() -> None:
+    text = str(LightFieldError(f"{_ESCAPE * 1000}."))
+    assert text.isprintable()
+    assert text.endswith("b.")
+    assert len(text) < 10_000
+    text.encode()
+
+
+def test_names_of_light_fields_can_be_shown(tmp_path: Path) -> None:
+    described(tmp_path, f'"name": {json.dumps(_ESCAPE)},', suffix="json")
+    found = read(tmp_path / "array.json")
+    assert found.name == printable(_ESCAPE)
+    assert len(LightField(found.views, found.positions, name="x" * 10**6).name) <= 300
+
+
+# --- results ---
+
+
+def bomb(path: Path, name: str, shape: tuple[int, ...]) -> None:
+    """An .npz with an array of zeros, packed."""
+    header = np.lib.format.header_data_from_array_1_0(np.zeros(0, np.float32)) | {"shape": shape}
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        archive.open(f"{name}.npy", "w") as file,
+    ):
+        np.lib.format.write_array_header_1_0(file, header)
+        for _ in range(4 * int(np.prod(shape)) >> 24):
+            file.write(bytes(1 << 24))
+
+
+@pytest.mark.parametrize("name", ["lfgpu", "disparity", "stage_local", "else"])
+def test_results_that_unpack_to_much_are_refused_first(tmp_path: Path, name: str) -> None:
+    sizes = {"lfgpu": (1 << 27,), "disparity": (1 << 13, 1 << 14), "stage_local": (1 << 13, 1 << 14)}
+    bomb(tmp_path / "result.npz", name, sizes.get(name, (1 << 27,)))
+    with zipfile.ZipFile(tmp_path / "result.npz", "a") as archive, archive.open("x.npy", "w") as file:
+        np.lib.format.write_array(file, np.zeros(3))
+    assert "claim 53687" in refusal(lambda: read_result(tmp_path / "result.npz"))
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".pfm", ".png", ".tif", ".ply", ".exr"])
+def test_pipes_in_place_of_maps_are_not_waited_for(tmp_path: Path, suffix: str) -> None:
+    os.mkfifo(tmp_path / f"a{suffix}")
+    for function in (load, read_map, read_result):
+        assert "is neither a file nor a folder" in refusal(lambda function=function: function(tmp_path / f"a{suffix}"))
