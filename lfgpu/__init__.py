@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from lfgpu.viz.refocusing import all_in_focus, refocus
     from lfgpu.viz.rendering import RenderedView, Renderer, render_view
 
+    __version__: str
+    """The version of the package that is installed."""
+
 _HOMES = {
     "BackendError": "errors",
     "BackendInfo": "_backends",
@@ -118,6 +121,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("lfgpu")
     if name not in _HOMES:
         raise AttributeError(f"module 'lfgpu' has no attribute {name!r}")
     return getattr(importlib.import_module(f"lfgpu.{_HOMES[name]}"), name)

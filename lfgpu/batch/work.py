@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.batch.items import Item
 from lfgpu.batch.manifest import DONE, FAILED
 from lfgpu.config import Config
@@ -42,7 +42,7 @@ class Settings:
     pattern: str = "full"
     reading: Mapping[str, Any] = field(default_factory=dict)
     """Keywords of `lfgpu.read`."""
-    backend: str = DEFAULT
+    backend: BackendName = DEFAULT
     deterministic: bool = False
 
     @property

@@ -39,6 +39,15 @@ class PointCloud:
     pixels: NDArray[np.int64]
     metric: bool
 
+    def __repr__(self) -> str:
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        box = ", ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
+        known = [name for name in ("colors", "confidence") if getattr(self, name) is not None]
+        return (
+            f"<PointCloud of {len(self.points)} points, {'metres' if self.metric else 'pixels, z is -disparity'}\n "
+            f"{box}; {' and '.join(['pixels', *known])} of each>"
+        )
+
 
 def point_cloud(
     result: DepthResult | DisparityMap,

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.config import Config
 from lfgpu.contract import Float32Array
-from lfgpu.data import hooks
+from lfgpu.data import hooks, summary
 from lfgpu.data.geometry import Geometry
 
 
@@ -85,6 +85,14 @@ class DepthResult:
         """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""
         return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)
 
+    def __repr__(self) -> str:
+        seconds = self.timings.get("total")
+        took = "" if seconds is None else f", {seconds:.3g} s"
+        return (
+            f"<DepthResult {_map_lines(self.map)}\n "
+            f"{self.config.method} with {self.backend} on {self.device}{took}; stages {', '.join(self.stages)}>"
+        )
+
     def _repr_html_(self) -> str:
         """What notebooks show."""
         return str(hooks.call("result_html", self))
@@ -133,6 +141,9 @@ class DisparityMap:
     name: str = "light field"
     versions: dict[str, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"<DisparityMap {_map_lines(self)}>"
+
     @property
     def depth(self) -> NDArray[np.float32] | None:
         """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""
@@ -141,3 +152,17 @@ class DisparityMap:
     def save(self, path: str | os.PathLike[str], *, image: ArrayLike | None = None) -> None:
         """Write the map (.npz, .pfm, .png, .tif, .exr) or its points (.ply); see `lfgpu.save`."""
         hooks.call("save", self, path, image=image)
+
+
+def _map_lines(values: DisparityMap) -> str:
+    """What there is to say about a map, in two lines."""
+    where = "" if values.position is None else f", view at {summary.view_at(values.position)}"
+    lines = [
+        f"{values.name!r}: {summary.pixels(values.disparity.shape)}{where}",
+        f" disparity {summary.span(values.disparity, summary.UNIT)}",
+    ]
+    if values.depth is not None:
+        lines[1] += f"; depth {summary.span(values.depth, 'm')}"
+    if values.confidence is not None:
+        lines[1] += f"; confidence {np.nanmean(values.confidence):.2f} on average"
+    return "\n".join(lines)

@@ -93,6 +93,12 @@ class Viewer:
         viewer.replace(contents)
         return viewer
 
+    def __repr__(self) -> str:
+        contents = self._contents
+        shown = "nothing" if contents.lf is None else repr(contents.lf.name)
+        maps = f", maps {', '.join(contents.entries)}" if contents.entries else ""
+        return f"<Viewer {'closed' if self._closed.is_set() else f'at {self.url}'}: {shown}{maps}>"
+
     @property
     def url(self) -> str:
         """Where the page is."""

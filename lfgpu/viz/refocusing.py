@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.contract import Float32Array
-from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.data.lightfield import LightField, check_light_field, farthest
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.viz.splines import CUBIC, LINEAR, colours, shifted, spline, valid_at
@@ -48,6 +48,7 @@ def refocus(
     LightFieldError
         If the disparity is not finite, or an option is out of its range.
     """
+    check_light_field(lf)
     if not (math.isfinite(disparity) and abs(disparity) <= _LARGEST):
         raise LightFieldError(f"the disparity to focus at must be a number within ±{_LARGEST:g}, not {disparity}.")
     _check_preview(step, most_views, order)
@@ -74,7 +75,7 @@ def all_in_focus(
     step: int = 1,
     most_views: int | None = None,
     order: int = CUBIC,
-    backend: str = DEFAULT,
+    backend: BackendName = DEFAULT,
     device: str | None = None,
 ) -> Float32Array:
     """The reference view as all views show it together: sharp everywhere, with less noise than it has itself.
@@ -103,6 +104,7 @@ def all_in_focus(
     BackendError
         If the backend or the device is not there.
     """
+    check_light_field(lf)
     _check_preview(step, most_views, order)
     if result.disparity.shape != lf.size:
         raise LightFieldError(
