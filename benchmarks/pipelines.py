@@ -69,8 +69,7 @@ def measure(job: Job, gpu_before: int | None) -> Iterator[Record]:
             gpu_bytes=None if done.gpu_peak is None or gpu_before is None else done.gpu_peak - gpu_before,
             details={
                 "stages": done.stages,
-                # A trace of energies begins before the first iteration, one of steps with it.
-                "iterations": len(done.result.trace) - (name not in MATCHING),
+                "iterations": len(done.result.trace) - method_of(done.result.config).traced.has_start,
                 "converged": done.result.converged,
                 "status": done.result.status,
                 "disparity_range": list(done.result.disparity_range),

@@ -1,4 +1,4 @@
-"""lfgpu: disparity, confidence and metric depth from 4D light fields, by analysis through synthesis.
+"""lfgpu: disparity, confidence and metric depth from 4D light fields, by matching or by synthesis.
 
     lf = lfgpu.read("path/to/light field")
     result = lfgpu.estimate_depth(lf)

@@ -38,8 +38,8 @@ class DepthResult:
         Synthesis (the preset "paper"): the coherence of the local estimates that a pixel rests on, averaged likewise.
         It orders pixels and is no share; 0 means that a pixel was filled in from elsewhere.
     stages
-        The map after each stage. Matching: `swept`, `matched` (if occlusions are looked at twice), `aligned`
-        and `settled`; synthesis: `local` (NaN where undefined), `propagated` and `refined`.
+        The map after each stage, by its name. Matching: `sweep`, `resweep` (if occlusions are looked at twice), `align`
+        and `boundaries`; synthesis: `local` (NaN where undefined), `propagate` and `refine`.
     position
         (u, v) of the reference view, as in `LightField.positions`.
     disparity_range
@@ -49,9 +49,10 @@ class DepthResult:
     status
         Why the solvers stopped, in sentences.
     converged
-        Whether the refinement met its tolerance.
+        Whether the iterations met their tolerance.
     trace
-        The energy before the refinement and after each of its iterations.
+        How the iterations went, a number for each. Matching: the root mean square step of the alignment, pixels per
+        view step; synthesis: the energy of the refinement, that before the first iteration ahead of them.
     timings
         Seconds of each stage and in total.
     backend, device

@@ -49,8 +49,8 @@ def estimate_depth(
         with `lfgpu.read(..., lazy=True)`. Default None: in one piece.
     on_progress
         Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
-        iteration of those that have some: value is the relative residual (propagate), the energy (refine) or the root
-        mean square step in pixels per view step (align).
+        iteration of those that have some: value is the root mean square step in pixels per view step (align), the
+        relative residual (propagate) or the energy (refine).
 
     Returns
     -------
