@@ -5,5 +5,6 @@ from pathlib import Path
 
 from benchmarks import scene
 from lfgpu import estimate_depth
+from lfgpu._backends import backend_named
 
-estimate_depth(scene.load(Path(sys.argv[1])), backend=sys.argv[2], device=sys.argv[3])
+estimate_depth(scene.load(Path(sys.argv[1])), backend=backend_named(sys.argv[2]), device=sys.argv[3])

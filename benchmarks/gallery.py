@@ -17,7 +17,7 @@ from lfgpu.io.atomic import atomic_write
 from lfgpu.metrics import evaluate
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.scenes import make
-from lfgpu.viewer.cloud import Cloud, point_cloud
+from lfgpu.viewer.cloud import Cloud, shown_cloud
 from lfgpu.viz import panels as frames
 from lfgpu.viz.figures import error_reach, scale_limits
 
@@ -90,7 +90,7 @@ def _figure(solved: list[tuple[LightField, DepthResult]]) -> Figure:
     bars = {}
     for row, ((lf, result), error) in enumerate(zip(solved, errors, strict=True)):
         view = frames.rgb(lf.views[lf.reference_index], lf.scale)
-        cloud = render(point_cloud(result.disparity, view, lf.geometry), (height, width))
+        cloud = render(shown_cloud(result.map, view), (height, width))
         bottom = extent[1] - 0.35 - (row + 1) * cell - row * 0.28
         panels: list[tuple[Any, str, tuple[float, float]]] = [
             (view, "gray", (0, 255)),

@@ -18,8 +18,9 @@ from benchmarks import clock, memory, scene, stages
 from benchmarks.jobs import Job
 from benchmarks.results import Record, Spread
 from lfgpu import PRESETS, DepthPipeline, DepthResult, LightField, estimate_depth, evaluate
+from lfgpu._backends import backend_named
 from lfgpu.contract import Float32Array
-from lfgpu.methods import method_of
+from lfgpu.methods import configured, method_of
 
 SCRATCH, RESIDENT, SCIPY = "paper", "resident", "scipy"
 MATCHING = "accurate", "fast"
@@ -68,8 +69,7 @@ def measure(job: Job, gpu_before: int | None) -> Iterator[Record]:
             gpu_bytes=None if done.gpu_peak is None or gpu_before is None else done.gpu_peak - gpu_before,
             details={
                 "stages": done.stages,
-                # A trace of energies begins before the first iteration, one of steps with it.
-                "iterations": len(done.result.trace) - (name not in MATCHING),
+                "iterations": len(done.result.trace) - method_of(done.result.config).traced.has_start,
                 "converged": done.result.converged,
                 "status": done.result.status,
                 "disparity_range": list(done.result.disparity_range),
@@ -79,7 +79,7 @@ def measure(job: Job, gpu_before: int | None) -> Iterator[Record]:
 
 
 def _from_scratch(job: Job, name: str, lf: LightField, *, look: bool) -> _Measured:
-    run = partial(estimate_depth, lf, config=name, backend=job.backend, device=job.device)
+    run = partial(estimate_depth, lf, config=configured(name), backend=backend_named(job.backend), device=job.device)
     result, peak = _with_peak(run, look)
     times: dict[str, list[float]] = {stage.name: [] for stage in method_of(name).stages}
 
@@ -100,7 +100,7 @@ def _resident(job: Job, name: str, lf: LightField, *, look: bool) -> _Measured:
     on_gpu = job.device != "cpu"
 
     def made() -> DepthPipeline:
-        pipeline = DepthPipeline(lf, config=config, backend=job.backend, device=job.device)
+        pipeline = DepthPipeline(lf, config=config, backend=backend_named(job.backend), device=job.device)
         frame = partial(_frame, pipeline, lf)
         least, most = (_WARM_UP, _WARM_UP) if on_gpu else (1, min(_WARM_UP, job.repeats))
         clock.singly(frame, least=least, most=most, budget=_WARM_UP_BUDGET)

@@ -18,6 +18,7 @@ from benchmarks.results import Record, Run
 from lfgpu import DepthResult, LightField, estimate_depth, evaluate, read, scenes
 from lfgpu.data.lightfield import GroundTruth
 from lfgpu.errors import LfgpuError
+from lfgpu.methods import preset as named_preset
 from lfgpu.metrics import BORDER, sparsification
 from lfgpu.threads import get_threads
 from lfgpu.viz.panels import rgb
@@ -106,7 +107,9 @@ def _truth(lf: LightField) -> GroundTruth:
 @cache
 def _load_kernels(preset: str) -> None:
     """What a process does once, before anything is timed."""
-    estimate_depth(scenes.make("boxes", grid=(9, 9), size=_WARM_UP), config=preset, disparity_range=_WARM_UP_RANGE)
+    estimate_depth(
+        scenes.make("boxes", grid=(9, 9), size=_WARM_UP), config=named_preset(preset), disparity_range=_WARM_UP_RANGE
+    )
 
 
 def _measured(scene: str, lf: LightField, truth: GroundTruth, preset: str, given: str) -> tuple[Record, Picture | None]:
@@ -114,7 +117,9 @@ def _measured(scene: str, lf: LightField, truth: GroundTruth, preset: str, given
     low, high = float(np.nanmin(truth.disparity)), float(np.nanmax(truth.disparity))
     try:
         result = estimate_depth(
-            lf, config=preset, disparity_range=None if given == "found" else (low - _MARGIN, high + _MARGIN)
+            lf,
+            config=named_preset(preset),
+            disparity_range=None if given == "found" else (low - _MARGIN, high + _MARGIN),
         )
     except LfgpuError as error:
         return Record(KIND, "", "", scene, name, failed=str(error)), None

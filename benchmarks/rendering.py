@@ -87,7 +87,7 @@ def _measure(name: str, lf: LightField, preset: str, every: int, say: Callable[[
     for place, index in enumerate(wanted):
         say(f"{name}: view {place + 1} of {len(wanted)}")
         position, recorded = lf.positions[index], lf.image(index)
-        rendered = render(position)
+        rendered = render(float(position[1]), float(position[0]))
         known.append(rendered.known.mean() if lf.valid is None else rendered.known[lf.valid[index]].mean())
         images = (*_baselines(kept, position), rendered.image)
         valid = np.ones(lf.size, np.bool_) if lf.valid is None else lf.valid[index]

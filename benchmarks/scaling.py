@@ -26,6 +26,7 @@ from benchmarks.errors import BenchmarkError
 from lfgpu import DepthPipeline, LightField, get_threads, set_threads
 from lfgpu._backends import load
 from lfgpu.io.atomic import atomic_write
+from lfgpu.methods import configured
 
 MODES = ("frames", "resident")
 KINDS = ("processes", "threads")
@@ -167,7 +168,7 @@ def _measure(path: str, preset: str, mode: str, seconds: float, device: str) -> 
 
 def _ready(lf: LightField, preset: str, mode: str, device: str) -> Callable[[], None]:
     """What takes one light field through a pipeline that is warm."""
-    pipeline = DepthPipeline(lf, config=preset, disparity_range=_RANGE, device=device)
+    pipeline = DepthPipeline(lf, config=configured(preset), disparity_range=_RANGE, device=device)
     stop = pipeline.kernels.scalar(0.0, pipeline.device)
 
     def frame() -> None:

@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter
 from benchmarks import memory
 from benchmarks.cases import Case
 from lfgpu import estimate_depth, evaluate, read
+from lfgpu.methods import configured
 from lfgpu.threads import in_threads
 
 _PLANES = ((-1.2, None), (0.3, (0.15, 0.75, 0.10, 0.45)), (1.6, (0.40, 0.90, 0.55, 0.90)))
@@ -46,7 +47,7 @@ def _measured(
     with memory.GpuPeak() as peak:
         start = perf_counter()
         lf = read(path, lazy=limit is not None)
-        result = estimate_depth(lf, config=preset, device=device, max_memory=limit)
+        result = estimate_depth(lf, config=configured(preset), device=device, max_memory=limit)
         seconds = perf_counter() - start
     return {
         "device": result.device,

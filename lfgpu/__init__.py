@@ -1,4 +1,4 @@
-"""lfgpu: disparity, confidence and metric depth from 4D light fields, by analysis through synthesis.
+"""lfgpu: disparity, confidence and metric depth from 4D light fields, by matching or by synthesis.
 
     lf = lfgpu.read("path/to/light field")
     result = lfgpu.estimate_depth(lf)
@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from lfgpu.viewer import Viewer
     from lfgpu.viz.refocusing import all_in_focus, refocus
     from lfgpu.viz.rendering import RenderedView, Renderer, render_view
+
+    __version__: str
+    """The version of the package that is installed."""
 
 _HOMES = {
     "BackendError": "errors",
@@ -121,6 +124,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("lfgpu")
     if name not in _HOMES:
         raise AttributeError(f"module 'lfgpu' has no attribute {name!r}")
     return getattr(importlib.import_module(f"lfgpu.{_HOMES[name]}"), name)

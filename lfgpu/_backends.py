@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.metadata
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias, cast
 
 from lfgpu.errors import BackendError
 
@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
 _PACKAGES = {"warp": "warp-lang", "taichi": "taichi", "reference": "numpy"}  # backend -> what pip calls what it needs
 
-DEFAULT = "warp"
+BackendName: TypeAlias = Literal["warp", "taichi", "reference"]
+"""The names of the backends, for type checkers."""
+
+DEFAULT: Final[BackendName] = "warp"
 
 
 @dataclass(frozen=True)
@@ -58,10 +61,16 @@ def package_of(backend: str) -> str:
     return _PACKAGES[backend]
 
 
-def load(backend: str = DEFAULT) -> KernelSet:
-    """The operations of a backend; BackendError if it is unknown or what it needs is not installed or broken."""
+def backend_named(backend: str) -> BackendName:
+    """The name of a backend, from text; BackendError if there is none of that name."""
     if backend not in _PACKAGES:
         raise BackendError(f"unknown backend {backend!r}; there are {', '.join(_PACKAGES)}.")
+    return cast("BackendName", backend)
+
+
+def load(backend: str = DEFAULT) -> KernelSet:
+    """The operations of a backend; BackendError if it is unknown or what it needs is not installed or broken."""
+    backend_named(backend)
     try:
         module = importlib.import_module(f"lfgpu.kernels.{backend}")
     except Exception as error:  # a broken installation raises anything: OSError, AttributeError, RuntimeError

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfgpu.data.lightfield import GroundTruth
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data.summary import view_at
 from lfgpu.errors import LightFieldError
 
 BORDER = 15
@@ -14,6 +17,7 @@ BORDER = 15
 
 _SHARES = np.arange(20, 0, -1) / 20  # of the pixels that are kept: 1, 0.95 .. 0.05
 _ROUNDING = 1e-9  # percent
+_SAME_PLACE = 1e-6  # view steps
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,9 @@ class Metrics:
     count: int
     """Number of scored pixels."""
 
+    def __repr__(self) -> str:
+        return f"<Metrics: {self}>"
+
     def __str__(self) -> str:
         undefined = f", {self.undefined:.2f} % undefined" if self.undefined else ""
         return (
@@ -50,24 +57,34 @@ class Metrics:
         )
 
 
-def evaluate(disparity: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None, border: int = BORDER) -> Metrics:
+def evaluate(
+    disparity: DepthResult | DisparityMap | ArrayLike,
+    truth: GroundTruth | ArrayLike,
+    *,
+    mask: ArrayLike | None = None,
+    border: int = BORDER,
+) -> Metrics:
     """Score a disparity map.
+
+        lfgpu.evaluate(result, lf.truth)
 
     Parameters
     ----------
     disparity
-        The estimate, [y, x], pixels per view step; NaN or infinite where it is undefined.
+        The estimate: a result, a map, or an array [y, x], pixels per view step; NaN or infinite where it is undefined.
     truth
-        The truth, same shape and unit; pixels where it is NaN or infinite are left out.
+        The truth: that of a light field, or an array of the same shape and unit; pixels where it is NaN or infinite are
+        left out.
     mask
-        bool [y, x], True where pixels are scored; None scores everywhere.
+        bool [y, x], True where pixels are scored. Default: that of the truth, if it has one, else everywhere.
     border
         Pixels at each side that are left out, >= 0; the benchmark's 15 by default.
 
     Raises
     ------
     LightFieldError
-        If shapes differ, the border leaves nothing of the map, or no pixel is left to score.
+        If there is no truth, it is of another view, shapes differ, the border leaves nothing of the map, or no pixel is
+        left to score.
     """
     errors, _ = _errors(disparity, truth, mask, border)
     count, defined = len(errors), errors[np.isfinite(errors)]
@@ -105,11 +122,18 @@ class Sparsification:
     count: int
     """Number of scored pixels."""
 
+    def __repr__(self) -> str:
+        bad = ", ".join(f"{self.bad[n]:.2f} % of {self.kept[n]:.0f} %" for n in (0, 10, 18))
+        return (
+            f"<Sparsification: AUSE {self.ause:.3f} over {self.count} pixels, "
+            f"{'' if self.monotone else 'not '}monotone; bad({self.threshold:g}) of those kept: {bad}>"
+        )
+
 
 def sparsification(
-    disparity: ArrayLike,
+    disparity: DepthResult | DisparityMap | ArrayLike,
     confidence: ArrayLike,
-    truth: ArrayLike,
+    truth: GroundTruth | ArrayLike,
     *,
     mask: ArrayLike | None = None,
     border: int = BORDER,
@@ -123,23 +147,17 @@ def sparsification(
 
     Parameters
     ----------
-    disparity
-        The estimate, [y, x], pixels per view step; NaN or infinite where it is undefined.
+    disparity, truth, mask, border
+        As for `evaluate`.
     confidence
-        The larger the surer, same shape; only its order counts.
-    truth
-        The truth, same shape and unit as the estimate; pixels where it is NaN or infinite are left out.
-    mask
-        bool [y, x], True where pixels are scored; None scores everywhere.
-    border
-        Pixels at each side that are left out, >= 0; the benchmark's 15 by default.
+        The larger the surer, of the same shape; only its order counts.
     threshold
         Pixels with |error| > threshold are bad, pixels per view step, >= 0; 0.07 by default.
 
     Raises
     ------
     LightFieldError
-        If shapes differ, the threshold is negative, the border leaves nothing of the map, or no pixel is left to score.
+        As `evaluate`; if the confidence is of another shape, or the threshold is negative.
     """
     if not threshold >= 0:
         raise LightFieldError(f"threshold must be at least 0, found {threshold:g}.")
@@ -168,10 +186,24 @@ def sparsification(
 
 
 def _errors(
-    disparity: ArrayLike, truth: ArrayLike, mask: ArrayLike | None, border: int
+    disparity: DepthResult | DisparityMap | ArrayLike,
+    truth: GroundTruth | ArrayLike | None,
+    mask: ArrayLike | None,
+    border: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """|error| of the scored pixels [p], NaN or infinite where the estimate is undefined, and which they are [y, x]."""
-    estimated, true = np.asarray(disparity, np.float64), np.asarray(truth, np.float64)
+    if isinstance(truth, GroundTruth):
+        _check_same_view(disparity, truth)
+        mask = truth.mask if mask is None else mask
+        truth = truth.disparity
+    if isinstance(disparity, DepthResult | DisparityMap):
+        disparity = disparity.disparity
+    if truth is None:
+        raise LightFieldError("there is no ground truth (None): give lf.truth of a light field that has one, or a map.")
+    estimated, true = (
+        _numbers("disparity", "a DepthResult, a DisparityMap", disparity),
+        _numbers("truth", "the GroundTruth of a light field", truth),
+    )
     if estimated.ndim != 2 or estimated.shape != true.shape:
         raise LightFieldError(
             f"disparity and truth must be [y, x] of the same shape, found {estimated.shape} and {true.shape}."
@@ -188,6 +220,22 @@ def _errors(
             f"inside the mask and the border of {border} pixels."
         )
     return np.abs(estimated[scored] - true[scored]), scored
+
+
+def _check_same_view(disparity: object, truth: GroundTruth) -> None:
+    place = disparity.position if isinstance(disparity, DepthResult | DisparityMap) else None
+    if place is not None and not np.allclose(place, truth.position, atol=_SAME_PLACE):
+        raise LightFieldError(
+            f"the map is of the view at {view_at(place)}, the truth of the one at {view_at(truth.position)}: estimate "
+            "that view (LightField.with_reference)."
+        )
+
+
+def _numbers(name: str, others: str, values: object) -> NDArray[np.float64]:
+    try:
+        return np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        raise LightFieldError(f"{name} must be {others} or an array [y, x], found {type(values).__name__}.") from None
 
 
 def _inside(shape: tuple[int, ...], border: int) -> NDArray[np.bool_]:

@@ -107,6 +107,25 @@ def test_backends_have_files_of_the_same_names() -> None:
             assert reference <= {path.name for path in backend.glob("*.py")}, backend.name
 
 
+def test_descriptions_name_the_methods() -> None:
+    import lfgpu
+    from lfgpu.methods import METHODS
+
+    first = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split("\n\n")[1].split())
+    for text in (SETTINGS["project"]["description"], lfgpu.__doc__ or "", first):
+        for method in METHODS:
+            assert method in text, text
+
+
+def test_the_stages_of_results_are_described() -> None:
+    from lfgpu.data.result import DepthResult
+    from lfgpu.methods import PRESETS, method_of
+
+    for preset in PRESETS:
+        for stage in method_of(preset).STAGES:
+            assert f"`{stage.name}`" in (DepthResult.__doc__ or ""), stage.name
+
+
 # --- what importing costs ---
 
 

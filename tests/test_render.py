@@ -67,7 +67,7 @@ def test_views_that_were_left_out_are_rendered_better_than_by_their_neighbours(p
     distance = np.hypot(*(lf.positions - (column, row)).T)
     neighbours = np.mean([lf.image(n) for n in np.flatnonzero(distance < distance.min() + 1e-6)], axis=0)
     for known_maps in (maps(), true_maps()):
-        rendered = lfgpu.render_view(lf, known_maps, (column, row))
+        rendered = lfgpu.render_view(lf, known_maps, row, column)
         assert rendered.image.dtype == np.float32
         assert rendered.image.shape == (*SIZE, 3)
         assert psnr(rendered.image, true) > psnr(neighbours, true) + 3
@@ -75,7 +75,7 @@ def test_views_that_were_left_out_are_rendered_better_than_by_their_neighbours(p
 
 
 def test_the_map_of_a_rendered_view_is_near_its_truth() -> None:
-    rendered = lfgpu.render_view(kept(), true_maps(), (1.0, 3.0))
+    rendered = lfgpu.render_view(kept(), true_maps(), 3.0, 1.0)
     truth = scenes.true_disparity("boxes", 3, 1, grid=(5, 5), size=SIZE)
     assert np.mean(np.abs(rendered.disparity - truth) > 0.07) < 0.05
     assert rendered.position == (1.0, 3.0)
@@ -83,7 +83,7 @@ def test_the_map_of_a_rendered_view_is_near_its_truth() -> None:
 
 def test_a_recorded_view_is_rendered_as_it_is() -> None:
     lf = kept()
-    rendered = lfgpu.render_view(lf, maps(), lf.positions[3], sources=1)
+    rendered = lfgpu.render_view(lf, maps(), *lf.positions[3, ::-1], sources=1)
     np.testing.assert_allclose(rendered.image, lf.image(3), atol=1e-4)
     assert rendered.known.all()
 
@@ -95,7 +95,7 @@ def test_beyond_the_grid_there_are_no_holes_and_what_is_filled_is_told() -> None
     known = replace(maps(), disparities=disparities.astype(np.float32), positions=lf.positions[inner])
     for row, column in ((2, 4), (0, 0)):
         true, nearest = lf.view(row, column), lf.view(np.clip(row, 1, 3), np.clip(column, 1, 3))
-        rendered = lfgpu.render_view(lf.subset(inner), known, (column, row))
+        rendered = lfgpu.render_view(lf.subset(inner), known, row, column)
         assert np.isfinite(rendered.image).all()
         assert rendered.image[~rendered.known].mean() > 0.5 * true.mean()  # filled, not black
         assert 0.002 < (~rendered.known).mean() < 0.08
@@ -109,8 +109,8 @@ def test_masked_pixels_are_not_used() -> None:
     valid[:, :, :12] = False
     dark = np.where(valid[..., None], lf.views, 0)
     masked = replace(lf, views=dark, valid=valid)
-    rendered = lfgpu.render_view(masked, maps(), (2.0, 1.0))
-    unmasked = lfgpu.render_view(lf, maps(), (2.0, 1.0))
+    rendered = lfgpu.render_view(masked, maps(), 1.0, 2.0)
+    unmasked = lfgpu.render_view(lf, maps(), 1.0, 2.0)
     where = rendered.known & unmasked.known
     assert 0.7 < where.mean() < 0.95
     assert psnr(rendered.image[where], unmasked.image[where]) > 35
@@ -120,20 +120,20 @@ def test_masked_pixels_are_not_used() -> None:
 def test_grey_views_and_rows_of_cameras() -> None:
     lf = LightField(recorded().views[10:15, ..., :1], recorded().positions[10:15])
     result = estimate_all_views(lf, config="fast", disparity_range=(-1.6, 1.7))
-    assert lfgpu.render_view(lf, result, (1.5, 2.0)).image.shape == (*SIZE, 1)
+    assert lfgpu.render_view(lf, result, 2.0, 1.5).image.shape == (*SIZE, 1)
 
 
 def test_what_cannot_be_rendered_is_refused() -> None:
     lf, known = kept(), maps()
     for maps_, position, words in (
-        (known, (1.0,), "two finite numbers"),
-        (known, (np.nan, 1.0), "two finite numbers"),
-        (known, (100.0, 1.0), "too far away"),
+        (known, ("1", 1.0), "row must be a finite number"),
+        (known, (1.0, np.nan), "column must be a finite number"),
+        (known, (1.0, 100.0), "row 1, column 100 is too far away"),
         (replace(known, disparities=known.disparities[:, 1:]), (1.0, 1.0), "79 x 96 pixels"),
         (replace(known, positions=known.positions + 1), (1.0, 1.0), "other cameras"),
     ):
         with pytest.raises(LightFieldError, match=words):
-            lfgpu.render_view(lf, maps_, position)
+            lfgpu.render_view(lf, maps_, *position)
     with pytest.raises(LightFieldError, match="sources"):
         lfgpu.Renderer(lf, known, sources=0)
 

@@ -19,9 +19,10 @@ from lfgpu.cli import app
 from lfgpu.comparison import Scene, table
 from lfgpu.config import parameters
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_result, write_hci, write_pfm
-from lfgpu.methods.synthesis.config import SynthesisConfig
+from lfgpu.methods import PRESETS
 from lfgpu.metrics import evaluate
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.viz.figures import comparison_figure
@@ -88,7 +89,7 @@ def test_report_says_all_and_needs_no_network(preset: str, folder: Path, tmp_pat
         with Image.open(io.BytesIO(base64.b64decode(address.partition(",")[2]))) as image:
             assert min(image.size) > 10
     result = read_result(out / "result.npz")
-    for name, _ in parameters(SynthesisConfig()):
+    for name, _ in parameters(result.config):
         assert f"<code>{name}</code>" in page
     for version in result.versions.values():
         assert version in page
@@ -110,6 +111,31 @@ def test_names_cannot_break_out_of_the_page(lf: LightField) -> None:
     page = html(named, estimate_depth(named, config="fast", disparity_range=(-2, 2)))
     assert "<script>" not in page
     assert "Ground truth" not in page
+
+
+@pytest.mark.parametrize(
+    ("preset", "trace", "title", "unit", "first"),
+    [
+        ("accurate", (0.3, 0.2, 0.1), "Step of the alignment", "px per view step, rms", 1),
+        ("paper", (30.0, 20.0, 10.0), "Energy of the refinement", "", 0),
+        ("accurate", (0.3, 0.2, 0.001), "Step of the alignment", "px per view step, rms, logarithmic scale", 1),
+    ],
+)
+def test_the_curve_is_of_what_the_method_traces(
+    lf: LightField, preset: str, trace: tuple[float, ...], title: str, unit: str, first: int
+) -> None:
+    from lfgpu.cli.report import html
+
+    assert lf.truth is not None
+    maps = {"any": lf.truth.disparity}
+    result = DepthResult(
+        *(lf.truth.disparity, np.ones(lf.size, np.float32), maps, (1.0, 1.0), (-2.0, 2.0), PRESETS[preset]),
+        *("It stopped.", True, trace, {"any": 1.0, "total": 1.0}, "warp", "cpu"),
+    )
+    page = html(lf, result)
+    assert f"{title} <small>{unit}</small>" in page
+    ticks = re.findall(r'<text x="[0-9.]+" y="208" text-anchor="middle">(\d+)</text>', page)
+    assert ticks == [str(first + n) for n in range(3)]
 
 
 def test_without_report_there_is_none(folder: Path, tmp_path: Path) -> None:

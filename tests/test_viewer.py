@@ -14,11 +14,13 @@ from lfgpu import scenes
 from lfgpu.cli import app
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci, write_pfm
+from lfgpu.viewer.cloud import nearest_to_ray, shown_cloud
 from lfgpu.viewer.contents import TRUTH, Contents, Entry, opened, opened_all
-from lfgpu.viewer.refocus import all_in_focus, refocus
 from lfgpu.viz import panels as frames
+from lfgpu.viz.refocusing import all_in_focus, refocus
 
 SIZE = (24, 32)
 
@@ -44,6 +46,7 @@ def test_what_is_in_focus_looks_as_in_the_reference(disparity: float, valid: boo
     sharp, blurred = refocus(lf, disparity), refocus(lf, disparity + 2)
     reference = lf.image(lf.reference_index)
     np.testing.assert_allclose(sharp, reference, atol=1e-5)
+    np.testing.assert_allclose(refocus(lf, disparity, order=1), reference, atol=1e-5)
     assert np.abs(blurred - reference).mean() > 0.05
 
 
@@ -57,29 +60,44 @@ def test_focus_between_pixels_is_nearly_as_good() -> None:
 @pytest.mark.parametrize("disparity", [-1.5, 0.0, 2.25])
 def test_a_preview_is_every_few_pixels_of_the_whole(step: int, disparity: float) -> None:
     lf = wall(1.0)
-    np.testing.assert_allclose(refocus(lf, disparity, step=step), refocus(lf, disparity)[::step, ::step], atol=1e-6)
+    truth = DisparityMap(np.full(SIZE, 1.0, np.float32))
+    for order in (1, 3):
+        whole, sharp = refocus(lf, disparity, order=order), all_in_focus(lf, truth, order=order)
+        np.testing.assert_allclose(refocus(lf, disparity, step=step, order=order), whole[::step, ::step], atol=1e-6)
+        np.testing.assert_allclose(all_in_focus(lf, truth, step=step, order=order), sharp[::step, ::step], atol=1e-6)
+
+
+def test_a_preview_of_few_views_has_the_reference_among_them() -> None:
+    lf = wall(1.0)
+    views = np.zeros_like(lf.views)
+    views[lf.reference_index] = 0.9
+    dark = LightField(views, lf.positions, reference=lf.reference_index)
+    for most in (2, 3):
+        assert refocus(dark, 0.0, most_views=most).min() >= 0.9 / most - 1e-6
+    for options in ({"step": 0}, {"most_views": 1}, {"order": 2}):
+        with pytest.raises(LightFieldError, match=next(iter(options))):
+            refocus(lf, 0.0, **options)
+        with pytest.raises(LightFieldError, match=next(iter(options))):
+            all_in_focus(lf, DisparityMap(np.zeros(SIZE, np.float32)), **options)
 
 
 def test_everywhere_in_focus_takes_noise_away_and_lets_no_occluder_through() -> None:
     clean = scenes.make("planes", grid=(5, 5), size=(48, 64))
     noisy = scenes.make("planes", grid=(5, 5), size=(48, 64), noise=0.02)
     assert clean.truth is not None
-    truth, found = clean.image(clean.reference_index), all_in_focus(noisy, clean.truth.disparity)
+    truth, found = clean.image(clean.reference_index), all_in_focus(noisy, DisparityMap(clean.truth.disparity), order=1)
     before = np.sqrt(np.mean((noisy.image(noisy.reference_index) - truth) ** 2))
     assert np.sqrt(np.mean((found - truth) ** 2)) < 0.7 * before
 
 
 def test_points_stand_where_the_geometry_says() -> None:
-    pytest.importorskip("viser")
-    from lfgpu.viewer.cloud import nearest_to_ray, point_cloud
-
     geometry = Geometry(focal_length_px=50.0, baseline_m=0.1, focus_distance_m=2.0)
     disparity = np.zeros(SIZE, np.float32)
     disparity[4, 7] = 5 * 0.5 - 5 / 2.0 + 5.0 / 1.0 - 5.0 / 2.0  # depth 1 m
     disparity[0, 0] = np.nan
     colours = np.zeros((*SIZE, 3), np.uint8)
     colours[4, 7] = 255
-    cloud = point_cloud(disparity, colours, geometry)
+    cloud = shown_cloud(DisparityMap(disparity, geometry=geometry), colours)
     assert cloud.metric
     assert len(cloud.points) == SIZE[0] * SIZE[1] - 1
     (index,) = np.flatnonzero(cloud.colours[:, 0])
@@ -89,16 +107,31 @@ def test_points_stand_where_the_geometry_says() -> None:
 
 
 def test_points_without_a_geometry_keep_the_order_of_disparities() -> None:
-    from lfgpu.viewer.cloud import point_cloud
-
     disparity = np.linspace(-1, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
-    cloud = point_cloud(disparity, np.zeros((*SIZE, 3), np.uint8), None, confidence=np.ones(SIZE), least_confidence=0.5)
+    colours = np.zeros((*SIZE, 3), np.uint8)
+    sure, unsure = (DisparityMap(disparity, np.full(SIZE, value, np.float32)) for value in (1, 0))
+    cloud = shown_cloud(sure, colours, least_confidence=0.5)
     assert not cloud.metric
     assert (np.diff(cloud.points[:, 2]) <= 0).all()  # larger is nearer
-    few = point_cloud(disparity, np.zeros((*SIZE, 3), np.uint8), None, most_points=100)
+    assert np.abs(cloud.points[:, 0]).max() == pytest.approx((SIZE[1] - 1) / 2 / SIZE[1])
+    few = shown_cloud(sure, colours, most_points=100)
     assert 0 < len(few.points) <= 100
-    none = point_cloud(disparity, np.zeros((*SIZE, 3), np.uint8), None, confidence=np.zeros(SIZE), least_confidence=0.5)
-    assert none.points.shape == (0, 3)
+    assert set(map(tuple, few.pixels)) < set(map(tuple, cloud.pixels))
+    assert shown_cloud(unsure, colours, least_confidence=0.5).points.shape == (0, 3)
+
+
+@pytest.mark.parametrize("most_points", [10_000, 100])
+def test_the_points_are_those_of_the_package(most_points: int) -> None:
+    """Pixels that are not square, and frames that are shifted against another camera: metres count both."""
+    geometry = Geometry(50.0, 0.1, 2.0, pixel_aspect=1.25, unshifted_at=(1.0, 0.0))
+    disparity = np.random.default_rng(1).uniform(-1, 1, SIZE).astype(np.float32)
+    values = DisparityMap(disparity, position=(4.0, 4.0), geometry=geometry)
+    cloud = shown_cloud(values, np.zeros((*SIZE, 3), np.uint8), most_points=most_points)
+    points = geometry.points(disparity, position=(4.0, 4.0))
+    x, y = cloud.pixels.T
+    np.testing.assert_allclose(cloud.points, points[y, x], rtol=1e-6)
+    np.testing.assert_allclose(cloud.eye, [0.3, 0.4 / 1.25, 0.0])
+    assert cloud.spacing > 0
 
 
 # --- pictures ---
@@ -156,7 +189,9 @@ def test_the_wipe_shows_one_map_at_each_side_on_one_scale() -> None:
 
 
 def test_compared_maps_have_one_scale() -> None:
-    contents = Contents(None, {"a": Entry(np.full(SIZE, -3, np.float32)), "b": Entry(np.full(SIZE, 2, np.float32))})
+    contents = Contents(
+        None, {name: Entry(DisparityMap(np.full(SIZE, value, np.float32))) for name, value in (("a", -3), ("b", 2))}
+    )
     low, high = contents.limits("disparity")
     assert low <= -3
     assert high >= 2
@@ -177,6 +212,42 @@ def test_paths_are_taken_in_any_order(tmp_path: Path) -> None:
     alone = opened_all([tmp_path / "map.pfm"])
     assert alone.size == SIZE
     assert alone.map("map", "error") is None
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".png", ".tif", ".exr", ".ply"])
+def test_what_a_file_says_of_its_map_is_shown(suffix: str, tmp_path: Path) -> None:
+    geometry = Geometry(50.0, 0.1, 2.0)
+    values = DisparityMap(
+        np.linspace(-1, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE),
+        np.full(SIZE, 0.5, np.float32),
+        position=(1.0, 2.0),
+        geometry=geometry,
+    )
+    values.save(tmp_path / f"map{suffix}")
+    contents = opened(tmp_path / f"map{suffix}", Contents())
+    assert contents.geometry == geometry
+    assert contents.position == (1.0, 2.0)
+    depth, confidence = contents.map("map", "depth"), contents.map("map", "confidence")
+    assert depth is not None
+    np.testing.assert_allclose(depth, geometry.depth(values.disparity), rtol=1e-3)
+    assert (confidence is not None) == (suffix in (".npz", ".exr", ".ply"))
+    assert confidence is None or (confidence == 0.5).all()
+
+
+def test_a_light_field_in_a_file_named_as_maps_are_is_one(tmp_path: Path) -> None:
+    lf = wall(1.0)
+    np.save(tmp_path / "views.npy", lf.views.reshape(3, 3, *SIZE, 1))
+    contents = opened(tmp_path / "views.npy", Contents())
+    assert contents.lf is not None
+    np.testing.assert_array_equal(contents.lf.views, lf.views)
+
+
+def test_a_map_brings_the_reference_view_along(tmp_path: Path) -> None:
+    lf = scenes.make("relief", grid=(3, 3), size=SIZE)
+    write_hci(lf, tmp_path / "lf")
+    DisparityMap(np.zeros(SIZE, np.float32), position=(2.0, 0.0)).save(tmp_path / "map.npz")
+    contents = opened_all([tmp_path / "lf", tmp_path / "map.npz"])
+    assert contents.position == (2.0, 0.0)
 
 
 def test_what_does_not_belong_is_refused(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.batch.items import Item
 from lfgpu.batch.manifest import DONE, FAILED
 from lfgpu.config import Config
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from lfgpu.data.result import DepthResult
     from lfgpu.pipelines.pipeline import DepthPipeline
 
-DISPARITY_FILE, RESULT_FILE = "disparity.pfm", "result.npz"  # as `lfgpu depth` calls them
 PREVIEW_FILE = "preview.png"
 DEPTH_FILE = "depth.pfm"
 
@@ -43,7 +42,7 @@ class Settings:
     pattern: str = "full"
     reading: Mapping[str, Any] = field(default_factory=dict)
     """Keywords of `lfgpu.read`."""
-    backend: str = DEFAULT
+    backend: BackendName = DEFAULT
     deterministic: bool = False
 
     @property
@@ -228,7 +227,7 @@ def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | No
 
 def _write(folder: Path, result: DepthResult) -> dict[str, int]:
     """Write a result into a folder that exists; the files and how many bytes they have."""
-    from lfgpu.io import write_pfm, write_result
+    from lfgpu.io import DISPARITY_FILE, RESULT_FILE, write_pfm, write_result
     from lfgpu.viz.figures import scale_limits
     from lfgpu.viz.panels import LOOKS, colour, fitted
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lfgpu._backends import DEFAULT
+from lfgpu._backends import DEFAULT, backend_named
 from lfgpu.cli import values
 from lfgpu.cli.options import (
     Backend,
@@ -109,7 +109,7 @@ def batch(
         place=None if reference_view is None else values.parse_place("--reference-view", reference_view),
         pattern=pattern,
         reading={name: value for name, value in read_with.items() if value},
-        backend=backend,
+        backend=backend_named(backend),
         deterministic=deterministic,
     )
     lasting: dict[str, Any] = {"retries": retries, "item_timeout": item_timeout}

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from lfgpu.data.lightfield import LightField
     from lfgpu.metrics import Metrics
 
-_IN_FOLDER = ("result.npz", "disparity.pfm")
-_SUFFIXES = (".pfm", ".npz", ".npy", ".tif", ".tiff")
 _FILES = {
     "table.md": "scores, for a README",
     "table.tex": "the same for LaTeX, with booktabs",
@@ -165,22 +163,23 @@ def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scen
 
 def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
     """The file of a method's result on a scene; None if it has none."""
-    candidates = [method / scene / name for name in _IN_FOLDER]
-    candidates += [method / f"{scene}{suffix}" for suffix in _SUFFIXES]
-    if alone:  # of several scenes it would be scored on each of them
-        candidates += [method / name for name in _IN_FOLDER]
-    return next((file for file in candidates if file.is_file()), None)
+    from lfgpu.io import MAP_FORMATS, holds_map, result_in
+
+    single = [method / f"{scene}{suffix}" for entry in MAP_FORMATS for suffix in entry.suffixes]
+    found = result_in(method / scene) or next((file for file in single if holds_map(file)), None)
+    return found or (result_in(method) if alone else None)  # of several scenes it would be scored on each of them
 
 
 def _map(file: Path, lf: LightField) -> NDArray[np.float32]:
     from lfgpu.cli.facts import place
-    from lfgpu.io import holds_result, read_map, read_result
+    from lfgpu.data.views_result import ViewsResult
+    from lfgpu.io import load
 
-    if not holds_result(file):
-        return read_map(file)
-    result = read_result(file)
     assert lf.truth is not None  # the caller looked
-    if result.position != lf.truth.position:
+    result = load(file)
+    if isinstance(result, ViewsResult):
+        result = result.map(result.index_of(lf.truth.position[1], lf.truth.position[0]))
+    if result.position is not None and result.position != lf.truth.position:
         raise LightFieldError(
             f"{file} is of the view at {place(*result.position)}, the truth of {lf.name} of the one at "
             f"{place(*lf.truth.position)}; they cannot be compared."

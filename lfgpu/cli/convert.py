@@ -29,10 +29,10 @@ def convert(
 ) -> None:
     """Write a disparity map in another format, or its points in space, with all it takes to read it right."""
     from lfgpu.data.views_result import ViewsResult
-    from lfgpu.io import check_writable, load, read, save, writer_of
+    from lfgpu.io import check_writable, load, read, save, writable_format
 
     check_writable(out, folder=False)
-    writer_of(out)
+    writable_format(out)
     place = None if view is None else values.parse_place("--view", view)
     found = load(result)
     if isinstance(found, ViewsResult):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lfgpu._backends import DEFAULT
+from lfgpu._backends import DEFAULT, BackendName, backend_named
 from lfgpu.cli import values
 from lfgpu.cli.options import (
     AllowMissing,
@@ -43,7 +43,7 @@ class Estimation:
 
     config: Config
     disparity_range: tuple[float, float] | None = None
-    backend: str = DEFAULT
+    backend: BackendName = DEFAULT
     device: str | None = None
     deterministic: bool = False
     max_memory: str | None = None
@@ -135,7 +135,7 @@ def depth(
     estimation = Estimation(
         values.configured(preset, settings or ()),
         None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
-        backend,
+        backend_named(backend),
         device,
         deterministic,
         max_memory,

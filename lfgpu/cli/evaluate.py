@@ -131,7 +131,7 @@ def _submit(results: list[Path], out: Path) -> None:
     found = {}
     for path in results:
         _check_exists(path)
-        result = load(_inside(path) if path.is_dir() else path)
+        result = load(path)
         if not isinstance(result, DepthResult) or "total" not in result.timings:
             raise LightFieldError(f"{path} does not say how long it took; give folders that depth wrote.")
         scene = path.resolve().name.lower() if path.is_dir() else path.stem.lower()
@@ -149,11 +149,11 @@ def _maps(path: Path, truth: Path) -> tuple[dict[str, NDArray[np.float32]], Dept
     """The maps to score by name, the stages of a result each, and what they are of where the file says that."""
     from lfgpu.data.result import DepthResult
     from lfgpu.data.views_result import ViewsResult
-    from lfgpu.io import load
+    from lfgpu.io import load, result_in
 
     _check_exists(path)
-    file = _inside(path) if path.is_dir() else path
-    found = load(file)
+    found = load(path)
+    file = result_in(path) or path if path.is_dir() else path
     if isinstance(found, DepthResult):
         return dict(found.stages), found
     if isinstance(found, ViewsResult):
@@ -175,15 +175,6 @@ def _true_view(result: ViewsResult, truth: Path) -> int:
 def _check_exists(path: Path) -> None:
     if not path.exists():
         raise LightFieldError(f"{path} does not exist; give a map, a folder that depth wrote, or a light field.")
-
-
-def _inside(folder: Path) -> Path:
-    from lfgpu.cli.outputs import DISPARITY_FILE, RESULT_FILE
-
-    for name in (RESULT_FILE, DISPARITY_FILE):
-        if (folder / name).exists():
-            return folder / name
-    raise LightFieldError(f"{folder} holds neither {RESULT_FILE} nor {DISPARITY_FILE}; give a map or what depth wrote.")
 
 
 def _truth(path: Path, position: tuple[float, float] | None) -> GroundTruth:

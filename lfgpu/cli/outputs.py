@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io import DISPARITY_FILE, RESULT_FILE, save, writable_format
 
 if TYPE_CHECKING:
     from lfgpu.contract import Float32Array
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
     from lfgpu.data.result import DepthResult
     from lfgpu.data.views_result import ViewsResult
 
-RESULT_FILE = "result.npz"
-DISPARITY_FILE = "disparity.pfm"
 VIEWS_FILE = "disparities.npz"
 REPORT_FILE = "report.html"
 
@@ -60,10 +59,8 @@ def write_page(folder: Path, lf: LightField, result: DepthResult) -> tuple[str, 
 
 def check_names(option: str, names: Sequence[str]) -> None:
     """LightFieldError if one of the names is no file of a known format in a folder, or one that is written anyway."""
-    from lfgpu.io import writer_of
-
     for name in names:
-        writer_of(name)
+        writable_format(name)
         if Path(name).name != name:
             raise LightFieldError(f"{option} must be the name of a file, without folders, not {name!r}; it goes to -o.")
         if name.lower() in (*_MEANING, VIEWS_FILE):
@@ -72,8 +69,6 @@ def check_names(option: str, names: Sequence[str]) -> None:
 
 def write_saved(folder: Path, names: Sequence[str], result: DepthResult, image: Float32Array) -> list[tuple[str, str]]:
     """Write a result under other names, too; what was written, as (file, meaning)."""
-    from lfgpu.io import save, writer_of
-
     for name in names:
         save(result, folder / name, image=image)
-    return [(name, writer_of(name).description) for name in names]
+    return [(name, writable_format(name).description) for name in names]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT
+from lfgpu._backends import DEFAULT, backend_named
 from lfgpu.cli import values
 from lfgpu.cli.depth import Estimation
 from lfgpu.cli.options import AllowMissing, Backend, Device, FormatName, Quiet, Source, Threads
@@ -86,7 +86,7 @@ def render(
     estimation = Estimation(
         method_of(preset).for_rendering,
         None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
-        backend,
+        backend_named(backend),
         device,
     )
     values.use_threads("--threads", threads)
@@ -122,7 +122,7 @@ def _picture(
     if place is None:
         return all_in_focus(lf, _map(lf, maps, estimation, quiet=quiet), backend=backend, device=device)
     row, column = place
-    found = render_view(lf, _maps(lf, maps, estimation, quiet=quiet), (column, row), backend=backend, device=device)
+    found = render_view(lf, _maps(lf, maps, estimation, quiet=quiet), row, column, backend=backend, device=device)
     if not quiet:
         hidden = 100 * (1 - found.known.mean())
         typer.echo(f"{hidden:.2f} % of it is shown by no recorded view and filled from beside.")
@@ -151,8 +151,9 @@ def _film(
     middle, (u, v) = (low + high) / 2, _REACH * (high - low) / 2
     for turn in turns:
         across = math.cos(turn) if sweep == "circle" else math.sin(turn)
-        step = (0 if sweep == "down" else u * across, 0 if sweep == "across" else v * math.sin(turn))
-        yield render(middle + step).image
+        column = middle[0] + (0 if sweep == "down" else u * across)
+        row = middle[1] + (0 if sweep == "across" else v * math.sin(turn))
+        yield render(float(row), float(column)).image
 
 
 def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> ViewsResult:

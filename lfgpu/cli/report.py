@@ -20,7 +20,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_write
-from lfgpu.methods import PRESETS
+from lfgpu.methods import METHODS, method_of
 from lfgpu.metrics import BORDER, evaluate
 from lfgpu.viz import panels as frames
 from lfgpu.viz.figures import error_reach, scale_limits
@@ -177,7 +177,8 @@ def _times(result: DepthResult) -> list[dict[str, Any]]:
 
 
 def _trace(result: DepthResult) -> dict[str, Any] | None:
-    """The curve of the energy, on a logarithmic scale where it is positive; None where there are no iterations."""
+    """The curve of what the method traces, logarithmic where it spans much; None where there are no two iterations."""
+    stage = method_of(result.config).traced
     values = np.asarray(result.trace, np.float64)
     values = values[np.isfinite(values)]
     if len(values) < 2:
@@ -189,28 +190,30 @@ def _trace(result: DepthResult) -> dict[str, Any] | None:
     xs = _LEFT + (_RIGHT - _LEFT) * np.arange(len(drawn)) / (len(drawn) - 1)
     ys = _BOTTOM - (_BOTTOM - _TOP) * (drawn - low) / span
     ticks = [t for t in MaxNLocator(5).tick_values(low, high) if low <= t <= high]
-    steps = [round(t) for t in MaxNLocator(6, integer=True).tick_values(0, len(drawn) - 1) if 0 <= t <= len(drawn) - 1]
+    first = 0 if stage.has_start else 1
+    last = first + len(drawn) - 1
+    steps = [round(t) for t in MaxNLocator(6, integer=True).tick_values(first, last) if first <= t <= last]
     return {
-        "title": "Energy",
-        "remark": "logarithmic scale" if logarithmic else "of the refinement",
+        "title": f"{(stage.value or '').capitalize()} of the {stage.label}",
+        "remark": ", ".join(filter(None, (stage.unit, "logarithmic scale" if logarithmic else None))),
         "points": " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(xs, ys, strict=True)),
         "y": [
             {"place": _BOTTOM - (_BOTTOM - _TOP) * (t - low) / span, "text": f"{10**t if logarithmic else t:.3g}"}
             for t in ticks
         ],
-        "x": [{"place": _LEFT + (_RIGHT - _LEFT) * t / (len(drawn) - 1), "text": str(t)} for t in steps],
+        "x": [{"place": _LEFT + (_RIGHT - _LEFT) * (t - first) / (last - first), "text": str(t)} for t in steps],
     }
 
 
 def _preset(result: DepthResult) -> str:
-    """The preset that has most values in common, and how many differ."""
+    """The preset of the method that has most values in common, and how many differ."""
     name, different = _nearest(result)
     return name if not different else f"{name} with {len(different)} parameter{'s' * (len(different) > 1)} changed"
 
 
 def _nearest(result: DepthResult) -> tuple[str, set[str]]:
     found = {}
-    for name, config in PRESETS.items():
+    for name, config in METHODS[result.config.method].presets.items():
         found[name] = {p for p, _ in parameters(config) if _value(config, p) != _value(result.config, p)}
     best = min(found, key=lambda name: len(found[name]))
     return best, found[best]

@@ -86,7 +86,9 @@ class Geometry:
         """Where cameras stand, (right, down) in metres, [n, 2]; the inverse of `positions`."""
         return _pairs("positions", positions) * self.baseline_m / (1.0, self.pixel_aspect)
 
-    def points(self, disparity: ArrayLike, *, position: tuple[float, float] | None = None) -> NDArray[np.float64]:
+    def points(
+        self, disparity: ArrayLike, *, position: tuple[float, float] | None = None, step: int = 1
+    ) -> NDArray[np.float64]:
         """The points in space that the pixels of a disparity map show.
 
         Parameters
@@ -95,6 +97,8 @@ class Geometry:
             [y, x], pixels per view step, of all pixels of a view.
         position
             (u, v) of that view; None is that of `unshifted_at`, or if that is None too, any.
+        step
+            Only every `step`-th pixel of each row and column is computed. Default 1.
 
         Returns
         -------
@@ -110,15 +114,27 @@ class Geometry:
             raise LightFieldError(f"geometry: a disparity map must be [y, x], found shape {values.shape}.")
         height, width = values.shape
         cx, cy = self.principal_point or ((width - 1) / 2, (height - 1) / 2)
-        u, v = (0.0, 0.0)
-        if position is not None and self.unshifted_at is not None:
-            u, v = (a - b for a, b in zip(position, self.unshifted_at, strict=True))
+        u, v = self._steps_from_unshifted(position)
+        values = values[::step, ::step]
         z = self.depth(values)
         z = np.where(np.isinf(z), np.nan, z)
-        y, x = np.mgrid[:height, :width]
+        y, x = np.mgrid[0:height:step, 0:width:step]
         across = (x - cx + values * u) * z / self.focal_length_px
         down = (y - cy + values * v) * z / (self.focal_length_px * self.pixel_aspect)
         return np.stack([across, down, z], axis=-1)
+
+    def camera(self, position: tuple[float, float] | None) -> NDArray[np.float64]:
+        """Where the camera at a position (u, v) stands in the frame of `points`, float64 [3], metres right, down, away.
+
+        It is (0, 0, 0) for a position of None, and for all where `unshifted_at` is None.
+        """
+        right, down = self.centres([self._steps_from_unshifted(position)])[0]
+        return np.array([right, down, 0.0])
+
+    def _steps_from_unshifted(self, position: tuple[float, float] | None) -> tuple[float, float]:
+        if position is None or self.unshifted_at is None:
+            return 0.0, 0.0
+        return position[0] - self.unshifted_at[0], position[1] - self.unshifted_at[1]
 
 
 def _pairs(name: str, values: ArrayLike) -> NDArray[np.float64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfgpu.data import hooks, interop
+from lfgpu.data import hooks, interop, summary
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.mapping import each_view
 from lfgpu.errors import LightFieldError
@@ -45,6 +46,13 @@ class GroundTruth:
     position: tuple[float, float]
     mask: NDArray[np.bool_] | None = None
 
+    def __repr__(self) -> str:
+        scored = "everywhere" if self.mask is None else f"on {self.mask.mean():.1%}"
+        return (
+            f"<GroundTruth of the view at {summary.view_at(self.position)}: {summary.pixels(self.disparity.shape)}\n "
+            f"disparity {summary.span(self.disparity, summary.UNIT)}; scored {scored}>"
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class LightField:
@@ -61,7 +69,8 @@ class LightField:
         views of its kind need not be: see `DepthPipeline.upload`.
     positions
         [n, 2], where each camera stands as (u, v): u to the right, v down, in view steps (units of the nominal
-        baseline). In a grid these are column and row. All different. Where rows of cameras stand closer or farther than
+        baseline). In a grid these are column and row: methods that name a view take (row, column) = (v, u), as the
+        command line does. All different. Where rows of cameras stand closer or farther than
         columns, or pixels are not square, v is scaled such that one disparity holds for both (`Geometry.positions`).
     reference
         Index of the view whose disparity is estimated; None takes the view nearest to the middle of the positions.
@@ -263,6 +272,19 @@ class LightField:
         """The epipolar plane image of image column `x` over the reference's column of views: [v, y, c]."""
         return np.asarray(self.views[self.column(), :, x])
 
+    def __repr__(self) -> str:
+        grid = "not in a grid"
+        if self.grid_shape is not None:
+            grid = f"in a grid of {self.grid_shape[0]} x {self.grid_shape[1]} (rows x columns)"
+        u, v = (float(value) for value in self.positions[self.reference_index])
+        truth = "none" if self.truth is None else f"of the view at {summary.view_at(self.truth.position)}"
+        return (
+            f"<LightField {self.name!r}: {len(self.views)} views {grid}, reference at {summary.view_at((u, v))}\n "
+            f"{summary.pixels(self.size)}, {'grey' if self.channels == 1 else 'colour'}, {self.views.dtype}"
+            f"{'' if self.valid is None else ', with masks'}; "
+            f"depth in metres: {'no geometry' if self.geometry is None else 'yes'}; ground truth: {truth}>"
+        )
+
     def _repr_html_(self) -> str:
         """What notebooks show."""
         return str(hooks.call("light_field_html", self))
@@ -372,6 +394,19 @@ class LightField:
     def _line(self, axis: int) -> NDArray[np.intp]:
         on_line = np.flatnonzero(np.abs(self.offsets[:, 1 - axis]) < _LINE_TOLERANCE)
         return on_line[np.argsort(self.positions[on_line, axis])]
+
+
+def check_light_field(lf: object) -> None:
+    """LightFieldError that says how to make one if `lf` is no `LightField`, but an array or a path."""
+    if isinstance(lf, LightField):
+        return
+    if isinstance(lf, (str, os.PathLike)):
+        remedy = f"read it first: lfgpu.read({os.fspath(lf)!r})"
+    else:
+        remedy = "make one first: lfgpu.LightField.from_grid(views) of [v, u, y, x, c], or lfgpu.read(path)"
+    shape = getattr(lf, "shape", None)
+    found = f"{type(lf).__name__}{'' if shape is None else f' of shape {tuple(shape)}'}"
+    raise LightFieldError(f"lf must be a LightField, found {found}; {remedy}.")
 
 
 def farthest(offsets: NDArray[np.float64]) -> float:

@@ -39,9 +39,22 @@ class PointCloud:
     pixels: NDArray[np.int64]
     metric: bool
 
+    def __repr__(self) -> str:
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        box = ", ".join(f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True))
+        known = [name for name in ("colors", "confidence") if getattr(self, name) is not None]
+        return (
+            f"<PointCloud of {len(self.points)} points, {'metres' if self.metric else 'pixels, z is -disparity'}\n "
+            f"{box}; {' and '.join(['pixels', *known])} of each>"
+        )
+
 
 def point_cloud(
-    result: DepthResult | DisparityMap, *, image: ArrayLike | None = None, least_confidence: float = 0.0
+    result: DepthResult | DisparityMap,
+    *,
+    image: ArrayLike | None = None,
+    least_confidence: float = 0.0,
+    step: int = 1,
 ) -> PointCloud:
     """The points that a disparity map shows, in metres if its geometry is known.
 
@@ -53,33 +66,37 @@ def point_cloud(
         [y, x, c] or [y, x], c = 1 or 3, uint8, uint16 or float in [0, 1]: the view, for colours. Default: none.
     least_confidence
         Pixels of less confidence are left out; 0 (default) to 1.
+    step
+        Only every `step`-th pixel of each row and column has a point, >= 1. Default 1.
 
     Raises
     ------
     LightFieldError
-        If the image is not of the map's size, or no pixel is left.
+        If the image is not of the map's size, the step is not >= 1, or no pixel is left.
     """
-    disparity = result.disparity
+    if step < 1:
+        raise LightFieldError(f"step must be a whole number from 1 on, not {step}.")
+    disparity, every = result.disparity, np.s_[::step, ::step]
     height, width = disparity.shape
+    y, x = np.mgrid[0:height:step, 0:width:step]
     if result.geometry is None:
-        y, x = np.mgrid[:height, :width]
-        grid = np.stack([x - (width - 1) / 2, y - (height - 1) / 2, -disparity.astype(np.float64)], axis=-1)
+        grid = np.stack([x - (width - 1) / 2, y - (height - 1) / 2, -disparity[every].astype(np.float64)], axis=-1)
     else:
-        grid = result.geometry.points(disparity, position=result.position)
+        grid = result.geometry.points(disparity, position=result.position, step=step)
     kept = np.isfinite(grid).all(axis=2)
-    if least_confidence > 0 and result.confidence is not None:
-        kept &= result.confidence >= least_confidence
+    confidence = None if result.confidence is None else result.confidence[every]
+    if least_confidence > 0 and confidence is not None:
+        kept &= confidence >= least_confidence
     if not kept.any():
         raise LightFieldError(
             "no pixel of the map has a finite depth and enough confidence: there is no cloud of points."
         )
-    colors = None if image is None else _colors(np.asarray(image), (height, width))[kept]
-    rows, columns = np.nonzero(kept)
+    colors = None if image is None else _colors(np.asarray(image), (height, width))[every][kept]
     return PointCloud(
         grid[kept].astype(np.float32),
         colors,
-        None if result.confidence is None else result.confidence[kept],
-        np.stack([columns, rows], axis=1).astype(np.int64),
+        None if confidence is None else confidence[kept],
+        np.stack([x[kept], y[kept]], axis=1).astype(np.int64),
         result.geometry is not None,
     )
 

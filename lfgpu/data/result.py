@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.config import Config
 from lfgpu.contract import Float32Array
-from lfgpu.data import hooks
+from lfgpu.data import hooks, summary
 from lfgpu.data.geometry import Geometry
 
 
@@ -39,8 +39,8 @@ class DepthResult:
         Synthesis (the preset "paper"): the coherence of the local estimates that a pixel rests on, averaged likewise.
         It orders pixels and is no share; 0 means that a pixel was filled in from elsewhere.
     stages
-        The map after each stage. Matching: `swept`, `matched` (if occlusions are looked at twice), `aligned`
-        and `settled`; synthesis: `local` (NaN where undefined), `propagated` and `refined`.
+        The map after each stage, by its name. Matching: `sweep`, `resweep` (if occlusions are looked at twice), `align`
+        and `boundaries`; synthesis: `local` (NaN where undefined), `propagate` and `refine`.
     position
         (u, v) of the reference view, as in `LightField.positions`.
     disparity_range
@@ -50,9 +50,10 @@ class DepthResult:
     status
         Why the solvers stopped, in sentences.
     converged
-        Whether the refinement met its tolerance.
+        Whether the iterations met their tolerance.
     trace
-        The energy before the refinement and after each of its iterations.
+        How the iterations went, a number for each. Matching: the root mean square step of the alignment, pixels per
+        view step; synthesis: the energy of the refinement, that before the first iteration ahead of them.
     timings
         Seconds of each stage and in total.
     backend, device
@@ -85,6 +86,14 @@ class DepthResult:
     def depth(self) -> NDArray[np.float32] | None:
         """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""
         return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)
+
+    def __repr__(self) -> str:
+        seconds = self.timings.get("total")
+        took = "" if seconds is None else f", {seconds:.3g} s"
+        return (
+            f"<DepthResult {_map_lines(self.map)}\n "
+            f"{self.config.method} with {self.backend} on {self.device}{took}; stages {', '.join(self.stages)}>"
+        )
 
     def _repr_html_(self) -> str:
         """What notebooks show."""
@@ -134,6 +143,9 @@ class DisparityMap:
     name: str = "light field"
     versions: dict[str, str] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        return f"<DisparityMap {_map_lines(self)}>"
+
     @property
     def depth(self) -> NDArray[np.float32] | None:
         """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""
@@ -142,3 +154,17 @@ class DisparityMap:
     def save(self, path: str | os.PathLike[str], *, image: ArrayLike | None = None) -> None:
         """Write the map (.npz, .pfm, .png, .tif, .exr) or its points (.ply); see `lfgpu.save`."""
         hooks.call("save", self, path, image=image)
+
+
+def _map_lines(values: DisparityMap) -> str:
+    """What there is to say about a map, in two lines."""
+    where = "" if values.position is None else f", view at {summary.view_at(values.position)}"
+    lines = [
+        f"{values.name!r}: {summary.pixels(values.disparity.shape)}{where}",
+        f" disparity {summary.span(values.disparity, summary.UNIT)}",
+    ]
+    if values.depth is not None:
+        lines[1] += f"; depth {summary.span(values.depth, 'm')}"
+    if values.confidence is not None:
+        lines[1] += f"; confidence {np.nanmean(values.confidence):.2f} on average"
+    return "\n".join(lines)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.contract import Float32Array
-from lfgpu.data import hooks
+from lfgpu.data import hooks, summary
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
@@ -47,6 +47,17 @@ class ViewsResult:
     keys: tuple[int, ...]
     reference: DepthResult
     timings: dict[str, float]
+
+    def __repr__(self) -> str:
+        about = self.reference
+        size = summary.pixels(self.disparities.shape[1:])
+        return (
+            f"<ViewsResult {about.name!r}: maps of {len(self.disparities)} views, {size}\n "
+            f"disparity {summary.span(self.disparities, summary.UNIT)}; "
+            f"confidence {np.nanmean(self.confidences):.2f} on average\n "
+            f"{about.config.method} with {about.backend} on {about.device}, {len(self.keys)} key views, "
+            f"{self.timings.get('total', np.nan):.3g} s>"
+        )
 
     def index_of(self, row: float, column: float) -> int:
         """Index of the view at position v = `row`, u = `column`; LightFieldError if there is none."""

@@ -4,19 +4,33 @@ from lfgpu.io.atomic import atomic_folder, atomic_write, check_writable
 from lfgpu.io.description import write_description
 from lfgpu.io.formats import FORMATS, Format, read, recognise
 from lfgpu.io.hci import write_hci
-from lfgpu.io.maps import read_map, read_mask
+from lfgpu.io.map_formats import (
+    DISPARITY_FILE,
+    MAP_FORMATS,
+    RESULT_FILE,
+    MapFormat,
+    holds_map,
+    load,
+    read_map,
+    result_in,
+    save,
+    writable_format,
+)
+from lfgpu.io.maps import read_mask
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.results import holds_result, holds_views, read_result, read_views, write_result, write_views
-from lfgpu.io.writers import WRITERS, Writer, load, save, writer_of
 
 __all__ = [
+    "DISPARITY_FILE",
     "FORMATS",
-    "WRITERS",
+    "MAP_FORMATS",
+    "RESULT_FILE",
     "Format",
-    "Writer",
+    "MapFormat",
     "atomic_folder",
     "atomic_write",
     "check_writable",
+    "holds_map",
     "holds_result",
     "holds_views",
     "load",
@@ -26,11 +40,12 @@ __all__ = [
     "read_result",
     "read_views",
     "recognise",
+    "result_in",
     "save",
+    "writable_format",
     "write_description",
     "write_hci",
     "write_pfm",
     "write_result",
     "write_views",
-    "writer_of",
 ]

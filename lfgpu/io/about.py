@@ -18,6 +18,9 @@ from lfgpu.errors import LightFieldError
 KEY = "lfgpu"
 """What the text is called where metadata have names."""
 
+UNKNOWN_IS_NAN = "NaN is not known"
+"""What the metadata say of pixels that are not known, where the format has NaN."""
+
 CONVENTION = (
     "Disparity in pixels per view step, larger is nearer: the point at (x, y) of the reference view is at "
     "(x - d*du, y - d*dv) in the view du steps to the right of and dv steps below it."

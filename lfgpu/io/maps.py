@@ -1,4 +1,4 @@
-"""Maps (disparity, depth) and masks from files."""
+"""What readers of light fields need of maps and masks beside the views."""
 
 from __future__ import annotations
 
@@ -11,29 +11,9 @@ from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.images import read_image
+from lfgpu.io.map_formats import read_map
 
-
-def read_map(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a map: one value per pixel.
-
-    Parameters
-    ----------
-    path
-        .pfm, .npy, .npz (its array "disparity"), .tif or .tiff, .exr (its channel "disparity"), all with one channel;
-        .png and .ply that `lfgpu.save` wrote; the suffix in any case. `lfgpu.load` also tells what the file says of it.
-
-    Returns
-    -------
-    float32 [y, x], top row first, in the unit of the file; NaN and infinities are kept.
-
-    Raises
-    ------
-    LightFieldError
-        If the file is missing, damaged, of another kind, or not a map.
-    """
-    from lfgpu.io.writers import load_map  # which needs results, which need this
-
-    return load_map(Path(path)).disparity
+__all__ = ["check_size", "read_map", "read_mask"]
 
 
 def read_mask(path: str | os.PathLike[str]) -> NDArray[np.bool_]:

@@ -54,11 +54,7 @@ def write_result(result: DepthResult, path: str | os.PathLike[str]) -> None:
     LightFieldError
         If the suffix is another one or the file cannot be written.
     """
-    path = Path(path)
-    if path.suffix.lower() != ".npz":
-        raise LightFieldError(f"{path} cannot be written: a result is stored as .npz; choose that suffix.")
-    with atomic_write(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, allow_pickle=False, **_arrays(result))  # to pack them would save a sixth, in 60 times the time
+    _store(Path(path), "a result is", arrays_of_result(result))
 
 
 def write_views(result: ViewsResult, path: str | os.PathLike[str]) -> None:
@@ -81,22 +77,7 @@ def write_views(result: ViewsResult, path: str | os.PathLike[str]) -> None:
     LightFieldError
         If the suffix is another one or the file cannot be written.
     """
-    path = Path(path)
-    if path.suffix.lower() != ".npz":
-        raise LightFieldError(f"{path} cannot be written: maps of all views are stored as .npz; choose that suffix.")
-    arrays: dict[str, NDArray[Any]] = {
-        "disparities": result.disparities,
-        "confidences": result.confidences,
-        "positions": result.positions,
-        "keys": np.asarray(result.keys),
-        "convention": np.array(VIEWS_CONVENTION),
-        "timings": np.array(json.dumps(result.timings, allow_nan=False)),
-        **{f"{_REFERENCE}{name}": values for name, values in _arrays(result.reference).items()},
-    }
-    if (depths := result.depths) is not None:
-        arrays["depths"] = depths
-    with atomic_write(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)
+    _store(Path(path), "maps of all views are", arrays_of_views(result))
 
 
 def read_result(path: str | os.PathLike[str]) -> DepthResult:
@@ -165,15 +146,16 @@ def _result_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> DepthResult:
 
 def holds_result(path: str | os.PathLike[str]) -> bool:
     """Whether a file is an .npz that `write_result` wrote, going by the names of its arrays only."""
-    return _has_array(path, ABOUT_KEY)
+    return has_array(path, ABOUT_KEY)
 
 
 def holds_views(path: str | os.PathLike[str]) -> bool:
     """Whether a file is an .npz that `write_views` wrote, going by the names of its arrays only."""
-    return _has_array(path, f"{_REFERENCE}{ABOUT_KEY}")
+    return has_array(path, f"{_REFERENCE}{ABOUT_KEY}")
 
 
-def _has_array(path: str | os.PathLike[str], name: str) -> bool:
+def has_array(path: str | os.PathLike[str], name: str) -> bool:
+    """Whether a file is an .npz with an array of that name; False for a damaged one."""
     try:
         not_waited_for(Path(path))
         with zipfile.ZipFile(path) as archive:
@@ -182,7 +164,24 @@ def _has_array(path: str | os.PathLike[str], name: str) -> bool:
         return False
 
 
-def _arrays(result: DepthResult) -> dict[str, NDArray[Any]]:
+def arrays_of_views(result: ViewsResult) -> dict[str, NDArray[Any]]:
+    """What `write_views` stores, by name."""
+    arrays: dict[str, NDArray[Any]] = {
+        "disparities": result.disparities,
+        "confidences": result.confidences,
+        "positions": result.positions,
+        "keys": np.asarray(result.keys),
+        "convention": np.array(VIEWS_CONVENTION),
+        "timings": np.array(json.dumps(result.timings, allow_nan=False)),
+        **{f"{_REFERENCE}{name}": values for name, values in arrays_of_result(result.reference).items()},
+    }
+    if (depths := result.depths) is not None:
+        arrays["depths"] = depths
+    return arrays
+
+
+def arrays_of_result(result: DepthResult) -> dict[str, NDArray[Any]]:
+    """What `write_result` stores, by name."""
     arrays: dict[str, NDArray[Any]] = {
         "disparity": result.disparity,
         "confidence": result.confidence,
@@ -193,6 +192,13 @@ def _arrays(result: DepthResult) -> dict[str, NDArray[Any]]:
     if result.depth is not None:
         arrays["depth"] = result.depth
     return arrays
+
+
+def _store(path: Path, what: str, arrays: dict[str, NDArray[Any]]) -> None:
+    if path.suffix.lower() != ".npz":
+        raise LightFieldError(f"{path} cannot be written: {what} stored as .npz; choose that suffix.")
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)  # to pack them would save a sixth, in 60 times the time
 
 
 def _about(result: DepthResult) -> dict[str, Any]:

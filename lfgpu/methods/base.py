@@ -51,12 +51,15 @@ class Stage:
         What the number is that the stage reports after each iteration, such as "energy"; None if it has no iterations.
     unit
         The unit of that number; None if it has none.
+    has_start
+        Whether there is such a number before the first iteration, too.
     """
 
     name: str
     label: str
     value: str | None = None
     unit: str | None = None
+    has_start: bool = False
 
 
 class Plan(Protocol):

@@ -14,14 +14,14 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.config import Config
 from lfgpu.contract import Float32Array, Float64Array, KernelSet
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.methods import configured, method_of
+from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.measured import Measured
 from lfgpu.pipelines.pipeline import DepthPipeline, Progress
 
@@ -36,9 +36,9 @@ def estimate_all_views(
     lf: LightField,
     *,
     keys: int = _KEYS,
-    config: Config | str = "accurate",
+    config: Config | PresetName = "accurate",
     disparity_range: tuple[float, float] | None = None,
-    backend: str = DEFAULT,
+    backend: BackendName = DEFAULT,
     device: str | None = None,
     deterministic: bool = False,
     on_progress: Progress | None = None,
@@ -67,6 +67,7 @@ def estimate_all_views(
     BackendError
         As `estimate_depth`.
     """
+    check_light_field(lf)
     if isinstance(keys, bool) or not isinstance(keys, Integral) or keys < 1:
         raise LightFieldError(f"keys must be a whole number >= 1, found {keys!r}.")
     report = on_progress or (lambda stage, iteration, value: None)
@@ -132,7 +133,7 @@ def _pipelines(
     chosen: Sequence[int],
     config: Config,
     disparity_range: tuple[float, float] | None,
-    backend: str,
+    backend: BackendName,
     device: str | None,
     deterministic: bool,
 ) -> Iterator[DepthPipeline]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from lfgpu._backends import DEFAULT
+from lfgpu._backends import DEFAULT, BackendName
 from lfgpu.config import Config
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
-from lfgpu.methods import configured
+from lfgpu.methods import PresetName, configured
 from lfgpu.methods.footprint import parse_memory
 from lfgpu.pipelines.pipeline import DepthPipeline, Progress
 from lfgpu.pipelines.tiles import estimate_in_tiles
@@ -15,9 +15,9 @@ from lfgpu.pipelines.tiles import estimate_in_tiles
 def estimate_depth(
     lf: LightField,
     *,
-    config: Config | str = "accurate",
+    config: Config | PresetName = "accurate",
     disparity_range: tuple[float, float] | None = None,
-    backend: str = DEFAULT,
+    backend: BackendName = DEFAULT,
     device: str | None = None,
     deterministic: bool = False,
     max_memory: str | float | None = None,
@@ -49,8 +49,8 @@ def estimate_depth(
         with `lfgpu.read(..., lazy=True)`. Default None: in one piece.
     on_progress
         Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
-        iteration of those that have some: value is the relative residual (propagate), the energy (refine) or the root
-        mean square step in pixels per view step (align).
+        iteration of those that have some: value is the root mean square step in pixels per view step (align), the
+        relative residual (propagate) or the energy (refine).
 
     Returns
     -------
@@ -64,6 +64,7 @@ def estimate_depth(
     BackendError
         If the backend or the device is not there, or is not deterministic when it must be.
     """
+    check_light_field(lf)
     if max_memory is not None:
         return estimate_in_tiles(
             lf,

@@ -8,14 +8,14 @@ import shutil
 from importlib.resources import files
 from pathlib import Path
 
-from lfgpu._backends import DEFAULT, load
+from lfgpu._backends import DEFAULT, BackendName, load
 from lfgpu.config import Config, as_dict
 from lfgpu.contract import Recording
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.io.about import CONVENTION
 from lfgpu.io.atomic import atomic_folder, check_writable
-from lfgpu.methods import method_of
+from lfgpu.methods import PresetName, method_of
 from lfgpu.pipelines.pipeline import DepthPipeline
 from lfgpu.threads import limited_threads
 
@@ -45,9 +45,9 @@ def export_pipeline(
     lf: LightField,
     out: str | os.PathLike[str],
     *,
-    config: Config | str = "accurate",
+    config: Config | PresetName = "accurate",
     disparity_range: tuple[float, float] | None = None,
-    backend: str = DEFAULT,
+    backend: BackendName = DEFAULT,
     device: str | None = "cpu",
 ) -> None:
     """Write what a `DepthPipeline` does, for programs that replay it through Warp's C interface; whole or not at all.
@@ -70,6 +70,7 @@ def export_pipeline(
     LightFieldError, BackendError
         As `DepthPipeline`, if the method or the backend cannot be exported, or if the folder cannot be written.
     """
+    check_light_field(lf)
     check_writable(out)
     method, recording = method_of(config), load(backend).recording
     if recording is None:

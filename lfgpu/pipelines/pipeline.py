@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from lfgpu._backends import DEFAULT, load, package_of, pick_device
+from lfgpu._backends import DEFAULT, BackendName, load, package_of, pick_device
 from lfgpu.config import Config
 from lfgpu.contract import Array, Float32Array
 from lfgpu.data import interop
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import BackendError, LightFieldError
-from lfgpu.methods import configured, method_of
+from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.measured import Measured
 
@@ -59,13 +59,14 @@ class DepthPipeline:
         self,
         lf: LightField,
         *,
-        config: Config | str = "accurate",
+        config: Config | PresetName = "accurate",
         disparity_range: tuple[float, float] | None = None,
-        backend: str = DEFAULT,
+        backend: BackendName = DEFAULT,
         device: str | None = None,
         deterministic: bool = False,
         measured: Measured | None = None,
     ) -> None:
+        check_light_field(lf)
         self.method, self.config = method_of(config), configured(config)
         self.kernels = load(backend)
         self.device = pick_device(self.kernels, device)

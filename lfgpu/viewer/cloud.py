@@ -1,4 +1,4 @@
-"""A disparity map as points in space, coloured as the reference view sees them."""
+"""The points of a disparity map as the page shows them: not too many, no outliers, and of a size that fits."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.geometry import Geometry
+from lfgpu.data.points import point_cloud
+from lfgpu.data.result import DisparityMap
+from lfgpu.errors import LightFieldError
 from lfgpu.viz.figures import scale_limits
 
 MOST_POINTS = 300_000
@@ -20,78 +22,76 @@ _RELIEF = 0.5  # of the picture's longer side: how deep all disparities together
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points in the frame of the reference camera: x to the right, y down, z away from it."""
+    """Points as the page shows them: x to the right, y down, z away from the camera."""
 
     points: NDArray[np.float32]
-    """[p, 3], metres, or with `metric` False the picture's longer side is 1 and the disparity is depth."""
+    """[p, 3], the metres of `lfgpu.point_cloud`; without a geometry the picture's longer side is 1 and its middle at
+    (0, 0, 1), and z falls with the disparity."""
     colours: NDArray[np.uint8]
     """[p, 3]"""
-    pixels: NDArray[np.int32]
+    pixels: NDArray[np.int64]
     """[p, 2], (x, y) of each point in the reference view."""
     spacing: float
     """Distance of neighbouring points in the middle of the cloud."""
     metric: bool
-    fov: float
-    """Vertical angle that the reference view spans, radians."""
+    """Whether the points are in metres."""
+    eye: NDArray[np.float64]
+    """[3], where the camera stands that sees the map."""
 
     @property
     def centre(self) -> NDArray[np.float64]:
-        """The median of the points."""
-        return np.median(self.points, axis=0).astype(np.float64) if len(self.points) else np.array([0.0, 0.0, 1.0])
+        """The median of the points; one unit before the eye if there are none."""
+        if not len(self.points):
+            return self.eye + np.array([0.0, 0.0, 1.0])
+        return np.median(self.points, axis=0).astype(np.float64)
 
 
-def point_cloud(
-    disparity: NDArray[np.float32],
+def shown_cloud(
+    values: DisparityMap,
     colours: NDArray[np.uint8],
-    geometry: Geometry | None,
     *,
-    confidence: NDArray[np.float32] | None = None,
     least_confidence: float = 0.0,
     most_points: int = MOST_POINTS,
 ) -> Cloud:
-    """The points of a disparity map.
+    """The points of a map, those of `lfgpu.point_cloud` without a few outliers.
 
     Parameters
     ----------
-    disparity
-        float32 [y, x], pixels per view step; undefined pixels have no point, nor have a few outliers.
+    values
+        The map; one without a geometry has points whose depth is the disparity itself.
     colours
         uint8 [y, x, 3], those of the points.
-    geometry
-        What gives metres; None for points whose depth is the disparity itself.
-    confidence, least_confidence
+    least_confidence
         Pixels of a smaller confidence have no point.
     most_points
         See `MOST_POINTS`.
+
+    Returns
+    -------
+    The cloud; one of no points where nothing is left.
     """
-    height, width = disparity.shape
-    step = max(1, int(np.ceil(np.sqrt(disparity.size / most_points))))
-    y, x = np.mgrid[0:height:step, 0:width:step]
-    d = disparity[::step, ::step]
-    keep = np.isfinite(d)
-    if confidence is not None:
-        keep &= ~(confidence[::step, ::step] < least_confidence)
-    cx, cy = (width - 1) / 2, (height - 1) / 2
+    step = max(1, int(np.ceil(np.sqrt(values.disparity.size / most_points))))
+    geometry, disparity = values.geometry, values.disparity[::step, ::step]
+    eye = np.zeros(3) if geometry is None else geometry.camera(values.position)
+    try:
+        cloud = point_cloud(values, image=colours, least_confidence=least_confidence, step=step)
+    except LightFieldError:  # no pixel is left; colours are of the map's size
+        points, colours, pixels = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 2), np.int64)
+        return Cloud(points, colours, pixels, 1.0, geometry is not None, eye)
+    assert cloud.colors is not None
+    points = cloud.points
     if geometry is None:
-        low, high = scale_limits(d)
-        longest = max(height, width)
-        z = 1.0 + _RELIEF * ((low + high) / 2 - d) / max(high - low, 1e-6)
-        across, down, unit = (x - cx) / longest, (y - cy) / longest, 1.0 / longest
-        fov = 2 * np.arctan(height / longest / 2)
-        keep &= (d >= low - _MARGIN * (high - low)) & (d <= high + _MARGIN * (high - low))
+        low, high = scale_limits(-disparity)
+        margin, longest = _MARGIN * (high - low), max(values.disparity.shape)
+        keep = (points[:, 2] >= low - margin) & (points[:, 2] <= high + margin)
+        depth = 1 + _RELIEF * (points[:, 2] - (low + high) / 2) / max(high - low, 1e-6)
+        points = np.stack([points[:, 0] / longest, points[:, 1] / longest, depth], axis=1).astype(np.float32)
+        spacing = step / longest
     else:
-        cx, cy = geometry.principal_point or (cx, cy)
-        z = geometry.depth(d).astype(np.float32)
-        keep &= np.isfinite(z)
-        near, far = scale_limits(z)
-        keep &= z <= far + _MARGIN * (far - near)
-        z = np.where(keep, z, 0)
-        f = geometry.focal_length_px
-        across, down, unit = (x - cx) / f * z, (y - cy) / f * z, float(np.median(z[keep])) / f if keep.any() else 1.0
-        fov = 2 * np.arctan(height / 2 / f)
-    points = np.stack([across[keep], down[keep], z[keep]], axis=-1).astype(np.float32)
-    pixels = np.stack([x[keep], y[keep]], axis=-1).astype(np.int32)
-    return Cloud(points, colours[::step, ::step][keep], pixels, unit * step, geometry is not None, float(fov))
+        near, far = scale_limits(geometry.depth(disparity).astype(np.float32))
+        keep = points[:, 2] <= far + _MARGIN * (far - near)
+        spacing = step * float(np.median(points[keep, 2])) / geometry.focal_length_px
+    return Cloud(points[keep], cloud.colors[keep], cloud.pixels[keep], spacing, cloud.metric, eye)
 
 
 def nearest_to_ray(cloud: Cloud, origin: Any, direction: Any) -> tuple[int, int] | None:

@@ -11,25 +11,38 @@ from numpy.typing import NDArray
 
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.io import holds_result, read, read_map, read_result
+from lfgpu.io import holds_map, load, read
 from lfgpu.viz.figures import error_reach, scale_limits
 
 TRUTH = "ground truth"
 FINAL = "final"
-
-_FILES = ("result.npz", "disparity.pfm")  # of a folder that `lfgpu depth` wrote, the better one first
-_MAPS = (".pfm", ".npy", ".npz", ".tif", ".tiff")
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
     """One disparity map of the reference view, and what is known about it."""
 
-    disparity: NDArray[np.float32]
-    confidence: NDArray[np.float32] | None = None
+    map: DisparityMap
     result: DepthResult | None = None
+    """The result that it is of; None for a map by itself."""
+
+    @classmethod
+    def of(cls, values: DepthResult | DisparityMap) -> Entry:
+        """The entry of a result or of a map by itself."""
+        return cls(values.map, values) if isinstance(values, DepthResult) else cls(values)
+
+    @property
+    def disparity(self) -> NDArray[np.float32]:
+        """The map itself."""
+        return self.map.disparity
+
+    @property
+    def confidence(self) -> NDArray[np.float32] | None:
+        """How far to trust it; None if that is not known."""
+        return self.map.confidence
 
     def stage(self, name: str) -> NDArray[np.float32]:
         """The map after a stage; `FINAL`, and a stage that there is not, is the map itself."""
@@ -54,11 +67,20 @@ class Contents:
 
     @property
     def geometry(self) -> Geometry | None:
-        """What turns disparity into metres."""
-        if self.lf is not None:
+        """What turns disparity into metres: the light field says it, or else the first of the maps that does."""
+        if self.lf is not None and self.lf.geometry is not None:
             return self.lf.geometry
-        known = (entry.result.geometry for entry in self.entries.values() if entry.result is not None)
-        return next(known, None)
+        known = (entry.map.geometry for entry in self.entries.values())
+        return next((geometry for geometry in known if geometry is not None), None)
+
+    @property
+    def position(self) -> tuple[float, float] | None:
+        """(u, v) of the view that the maps belong to; None if that is not known."""
+        if self.lf is not None:
+            u, v = self.lf.positions[self.lf.reference_index]
+            return float(u), float(v)
+        known = (entry.map.position for entry in self.entries.values())
+        return next((position for position in known if position is not None), None)
 
     @property
     def truth(self) -> NDArray[np.float32] | None:
@@ -71,7 +93,7 @@ class Contents:
     def all_entries(self) -> dict[str, Entry]:
         """The maps, and the truth as one of them."""
         truth = None if self.lf is None else self.lf.reference_truth()
-        return self.entries if truth is None else {**self.entries, TRUTH: Entry(truth.disparity)}
+        return self.entries if truth is None else {**self.entries, TRUTH: Entry(DisparityMap(truth.disparity))}
 
     def with_entry(self, name: str, entry: Entry) -> Contents:
         """One map more, or another one of that name; LightFieldError if it is of another size than the views."""
@@ -129,34 +151,33 @@ def opened(path: Path, into: Contents) -> Contents:
     LightFieldError
         If the path is missing, is neither a light field nor a map, or is a map of another size.
     """
-    file = next((path / name for name in _FILES if (path / name).is_file()), None) if path.is_dir() else path
-    if file is None:
-        return Contents(read(path, allow_missing=True))
-    if not file.exists():
+    if not path.exists():
         raise LightFieldError(f"{path} does not exist; give a light field, or what lfgpu depth wrote.")
-    if file.suffix.lower() not in _MAPS and not path.is_dir():
+    if not holds_map(path):
         return Contents(read(path, allow_missing=True))
-    named = path.name if path.is_dir() else path.stem
-    if holds_result(file):
-        result = read_result(file)
-        here = into
-        if here.lf is not None and tuple(here.lf.positions[here.lf.reference_index]) != result.position:
-            row, column = result.position[1], result.position[0]
-            here = replace(here, lf=here.lf.with_reference(here.lf.index_of(row, column)))
-        return here.with_entry(into.free_name(named), Entry(result.disparity, result.confidence, result))
-    return into.with_entry(into.free_name(named), Entry(read_map(file)))
+    found, lf = load(path), into.lf
+    if isinstance(found, ViewsResult):
+        found = found.map(_shown_view(found, lf))
+    if lf is not None and found.position is not None and into.position != found.position:
+        lf = lf.with_reference(lf.index_of(found.position[1], found.position[0]))
+    name = path.name if path.is_dir() else path.stem
+    return replace(into, lf=lf).with_entry(into.free_name(name), Entry.of(found))
+
+
+def _shown_view(result: ViewsResult, lf: LightField | None) -> int:
+    """Of maps of all views, that of the light field's reference view; without a light field that of their own."""
+    if lf is None:
+        return result.keys[0]
+    u, v = lf.positions[lf.reference_index]
+    return result.index_of(v, u)
 
 
 def opened_all(paths: Sequence[Path]) -> Contents:
     """What several paths hold together, in any order: at most one light field, and maps of it."""
     contents = Contents()
-    for path in sorted(paths, key=_is_map):  # False first: the light field is what maps are fitted to
+    for path in sorted(paths, key=holds_map):  # False first: the light field is what maps are fitted to
         before = contents.lf
         contents = opened(path, contents)
         if before is not None and contents.lf is not None and contents.lf.views is not before.views:
             raise LightFieldError(f"{path} is a second light field; only one can be looked at, with maps of it.")
     return contents
-
-
-def _is_map(path: Path) -> bool:
-    return any((path / name).is_file() for name in _FILES) or path.suffix.lower() in _MAPS

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.io.extras import how_to_install
 from lfgpu.viewer.contents import Contents, Entry, opened, opened_all
@@ -55,7 +55,9 @@ class Viewer:
         If viser is not installed, or the result is not of the light field's size.
     """
 
-    def __init__(self, lf: LightField | None = None, result: DepthResult | None = None, *, port: int = 8080) -> None:
+    def __init__(
+        self, lf: LightField | None = None, result: DepthResult | DisparityMap | None = None, *, port: int = 8080
+    ) -> None:
         try:
             import viser
         except ImportError:
@@ -92,6 +94,12 @@ class Viewer:
         viewer.replace(contents)
         return viewer
 
+    def __repr__(self) -> str:
+        contents = self._contents
+        shown = "nothing" if contents.lf is None else repr(contents.lf.name)
+        maps = f", maps {', '.join(contents.entries)}" if contents.entries else ""
+        return f"<Viewer {'closed' if self._closed.is_set() else f'at {self.url}'}: {shown}{maps}>"
+
     @property
     def url(self) -> str:
         """Where the page is."""
@@ -102,20 +110,20 @@ class Viewer:
         """What is shown now."""
         return self._contents
 
-    def show(self, lf: LightField, result: DepthResult | None = None, *, name: str | None = None) -> None:
+    def show(
+        self, lf: LightField, result: DepthResult | DisparityMap | None = None, *, name: str | None = None
+    ) -> None:
         """Show another light field, and a result of it, instead of all that is shown; from any thread."""
         contents = Contents(lf)
         if result is not None:
-            contents = contents.with_entry(name or "result", Entry(result.disparity, result.confidence, result))
+            contents = contents.with_entry(name or "result", Entry.of(result))
         self.replace(contents)
 
-    def add(self, result: DepthResult, *, name: str | None = None) -> str:
+    def add(self, result: DepthResult | DisparityMap, *, name: str | None = None) -> str:
         """Show one more result of the light field, to be compared; from any thread. What it is called on the page."""
         with self._lock:
             free = self._contents.free_name(name or "result")
-            self.replace(
-                self._contents.with_entry(free, Entry(result.disparity, result.confidence, result)), newest=free
-            )
+            self.replace(self._contents.with_entry(free, Entry.of(result)), newest=free)
         return free
 
     def open(self, path: str | os.PathLike[str]) -> None:
@@ -143,7 +151,11 @@ class Viewer:
         LightFieldError
             If sizes are not those of what is shown.
         """
-        entry = Entry(np.array(disparity, np.float32), None if confidence is None else np.array(confidence, np.float32))
+        entry = Entry(
+            DisparityMap(
+                np.array(disparity, np.float32), None if confidence is None else np.array(confidence, np.float32)
+            )
+        )
         if entry.disparity.ndim != 2:
             raise LightFieldError(f"disparity must be [y, x], found shape {entry.disparity.shape}.")
         if entry.confidence is not None and entry.confidence.shape != entry.disparity.shape:

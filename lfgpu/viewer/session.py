@@ -6,6 +6,7 @@ import logging
 import math
 import os
 import threading
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Protocol
@@ -14,14 +15,15 @@ import numpy as np
 
 from lfgpu.config import Config, parameters
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.methods import PRESETS, preset
 from lfgpu.metrics import evaluate
-from lfgpu.viewer.cloud import Cloud, nearest_to_ray, point_cloud
+from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud
 from lfgpu.viewer.contents import FINAL, TRUTH, Contents
-from lfgpu.viewer.refocus import all_in_focus, refocus
 from lfgpu.viewer.solving import Progress, Request, Solver
 from lfgpu.viz import panels as frames
+from lfgpu.viz.refocusing import all_in_focus, refocus
 
 if TYPE_CHECKING:
     import viser
@@ -35,6 +37,8 @@ _LEFT, _RIGHT = 560, 360  # pixels of the panels
 _LIVE_CLOUD = 0.5  # seconds between two point clouds of a stream
 _PREVIEW = 640  # pixels of the longer side of refocused pictures, about
 _FOCUS_VIEWS = 49  # of a refocused picture, so that it follows its slider
+_SHARP_VIEWS = 25  # of a picture that is sharp everywhere
+_BILINEAR = 1
 _EMPTY = "No map yet: make one with Estimate, at the right."
 _UNIT = "px per view step, larger is nearer"
 _FIRST_PARAMETER = "alignment.iterations"
@@ -224,9 +228,10 @@ class Session:
             entry = contents.all_entries().get(self._result.value)
             if entry is None:
                 raise LightFieldError("a picture that is sharp everywhere needs a map; press Estimate.")
-            picture = all_in_focus(lf, entry.stage(self._stage.value), step=step)
+            values = DisparityMap(entry.stage(self._stage.value))
+            picture = all_in_focus(lf, values, step=step, most_views=_SHARP_VIEWS, order=_BILINEAR)
         else:
-            picture = refocus(lf, self._focus.value, step=step, most_views=_FOCUS_VIEWS)
+            picture = refocus(lf, self._focus.value, step=step, most_views=_FOCUS_VIEWS, order=_BILINEAR)
         image = frames.fitted(frames.rgb(picture, 1.0), wide=900, tall=600)
         self._drawn["refocused"] = np.asarray(image)
         self._focused.image = frames.centred(np.asarray(image))
@@ -242,14 +247,13 @@ class Session:
         if self._cloud_is_late:
             return
         self._cloud_at = monotonic()
-        disparity = entry.stage(self._stage.value)
-        cloud = point_cloud(
-            disparity,
-            self._colours(contents),
-            contents.geometry if self._units.value == _METRES else None,
-            confidence=entry.confidence,
-            least_confidence=self._least.value,
+        values = replace(
+            entry.map,
+            disparity=entry.stage(self._stage.value),
+            position=contents.position,
+            geometry=contents.geometry if self._units.value == _METRES else None,
         )
+        cloud = shown_cloud(values, self._colours(contents), least_confidence=self._least.value)
         first, self._cloud = self._cloud is None, cloud
         self._client.scene.add_point_cloud(
             "/cloud",
@@ -277,14 +281,14 @@ class Session:
 
     def _place_camera(self) -> None:
         """Where the reference camera stands, a little to the side, so that depth shows."""
-        if self._cloud is None:
+        if self._cloud is None or not len(self._cloud.points):
             return
-        camera, centre = self._client.camera, self._cloud.centre
+        camera, centre, eye = self._client.camera, self._cloud.centre, self._cloud.eye
         away, aspect = float(centre[2]), float(np.clip(camera.aspect, *_ROOM))
         width, height = np.ptp(self._cloud.points[:, :2], axis=0) / away
         reach = 1.35 * max(float(height), float(width) / aspect)
         camera.up_direction = (0.0, -1.0, 0.0)
-        camera.position = (0.22 * away, -0.14 * away, 0.02 * away)
+        camera.position = (float(eye[0]) + 0.22 * away, float(eye[1]) - 0.14 * away, 0.02 * away)
         camera.look_at = (float(centre[0]), float(centre[1]), away)
         camera.fov = float(np.clip(2 * math.atan(reach / 2), 0.1, 2.0))
         camera.near, camera.far = away / 1000, away * 100

@@ -5,20 +5,23 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.contract import Float32Array
-from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.data.lightfield import LightField, check_light_field, farthest
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.viz.splines import colours, spline, valid_at
+from lfgpu.viz.splines import CUBIC, LINEAR, colours, shifted, spline, valid_at
 
 _HIDDEN = 0.6  # pixels in the farthest view: what is nearer by less hides nothing
 _UNLIKE = 0.05  # intensity: colours that differ this much are as likely of something else as not
 _LARGEST = 1e4  # px per view step
 
 
-def refocus(lf: LightField, disparity: float) -> Float32Array:
+def refocus(
+    lf: LightField, disparity: float, *, step: int = 1, most_views: int | None = None, order: int = CUBIC
+) -> Float32Array:
     """The picture that a lens as wide as all cameras together would take, focused at one disparity (shift and add).
 
     Parameters
@@ -28,37 +31,52 @@ def refocus(lf: LightField, disparity: float) -> Float32Array:
     disparity
         What is sharp, pixels per view step; things at other disparities are blurred by as many pixels as they would
         move between the views.
+    step
+        Only every `step`-th pixel of each row and column is computed, >= 1, for previews. Default 1.
+    most_views
+        Of more views than this an even choice is taken, >= 2, for previews. Default: all views.
+    order
+        How colours between pixels are found: 3 (default), cubic splines; 1, bilinear, faster and a little softer.
 
     Returns
     -------
     float32 [y, x, c] in [0, 1], of the reference view: the mean over the views whose frame and mask hold the pixel,
-    each shifted by -disparity * (du, dv) with cubic splines between pixels. Intensities are averaged as they are
-    stored. 0 where no view is valid.
+    each shifted by -disparity * (du, dv). Intensities are averaged as they are stored. 0 where no view is valid.
 
     Raises
     ------
     LightFieldError
-        If the disparity is not finite.
+        If the disparity is not finite, or an option is out of its range.
     """
+    check_light_field(lf)
     if not (math.isfinite(disparity) and abs(disparity) <= _LARGEST):
         raise LightFieldError(f"the disparity to focus at must be a number within ±{_LARGEST:g}, not {disparity}.")
-    height, width = lf.size
-    y, x = np.mgrid[:height, :width]
-    total, count = np.zeros((*lf.size, lf.channels), np.float32), np.zeros(lf.size, np.float32)
-    for n, (du, dv) in enumerate(lf.offsets):
-        at = np.stack([y - disparity * dv, x - disparity * du])
-        inside = (at[0] >= 0) & (at[0] <= height - 1) & (at[1] >= 0) & (at[1] <= width - 1)
-        if not inside.any():
-            continue
+    _check_preview(step, most_views, order)
+    height, width = (len(range(0, side, step)) for side in lf.size)
+    total, count = np.zeros((height, width, lf.channels), np.float32), np.zeros((height, width), np.float32)
+    for n in _spread(lf, most_views):
+        move = tuple(-disparity * lf.offsets[n, axis] for axis in (1, 0))
+        picture = lf.views[n] if order == LINEAR else np.moveaxis(spline(lf.image(n)), 0, 2)
+        where, colour = shifted(picture, move, step, order)
         if lf.valid is not None:
-            inside &= valid_at(lf.valid[n], at)
-        total += np.where(inside[..., None], colours(spline(lf.image(n)), at), 0)
-        count += inside
+            seen = shifted(lf.valid[n][..., None], move, step, LINEAR)[1][..., 0] > 1 - 1e-3
+            colour *= seen[..., None]
+            count[where] += seen
+        else:
+            count[where] += 1
+        total[where] += colour * np.float32(lf.scale if order == LINEAR else 1)
     return np.clip(total / np.maximum(count, 1)[..., None], 0, 1).astype(np.float32)
 
 
 def all_in_focus(
-    lf: LightField, result: DepthResult | DisparityMap, *, backend: str = DEFAULT, device: str | None = None
+    lf: LightField,
+    result: DepthResult | DisparityMap,
+    *,
+    step: int = 1,
+    most_views: int | None = None,
+    order: int = CUBIC,
+    backend: BackendName = DEFAULT,
+    device: str | None = None,
 ) -> Float32Array:
     """The reference view as all views show it together: sharp everywhere, with less noise than it has itself.
 
@@ -68,22 +86,26 @@ def all_in_focus(
         The light field.
     result
         The map of its reference view.
+    step, most_views, order
+        For previews, as for `refocus`.
     backend, device
         Where is found what hides what, as for `estimate_depth`.
 
     Returns
     -------
-    float32 [y, x, c] in [0, 1]: the mean over the views that see a pixel, each looked up where its disparity says with
-    cubic splines between pixels. Colours r that are unlike that of the reference view, by the root mean square over the
-    channels, weigh 1 / (1 + (r / 0.05)²)²: a map is wrong here and there. 0 where no view is valid.
+    float32 [y, x, c] in [0, 1]: the mean over the views that see a pixel, each looked up where its disparity says.
+    Colours r that are unlike that of the reference view, by the root mean square over the channels, weigh
+    1 / (1 + (r / 0.05)²)²: a map is wrong here and there. 0 where no view is valid.
 
     Raises
     ------
     LightFieldError
-        If the map is not of the reference view.
+        If the map is not of the reference view, or an option is out of its range.
     BackendError
         If the backend or the device is not there.
     """
+    check_light_field(lf)
+    _check_preview(step, most_views, order)
     if result.disparity.shape != lf.size:
         raise LightFieldError(
             f"the map has {result.disparity.shape[0]} x {result.disparity.shape[1]} pixels, the views have "
@@ -98,27 +120,50 @@ def all_in_focus(
     kernels = load(backend)
     place = pick_device(kernels, device)
     disparity = np.where(np.isfinite(result.disparity), result.disparity, 0).astype(np.float32)
-    visible = kernels.zeros(lf.views.shape[:3], place)
-    kernels.visible(
-        kernels.field(disparity, place),
-        kernels.field(lf.offsets, place),
-        tolerance=_HIDDEN / farthest(lf.offsets),
-        visible_out=visible,
-    )
-    seen = kernels.numpy(visible).astype(np.float32)
-    reference = lf.image(lf.reference_index)
-    trusted = np.ones(lf.size, np.bool_) if lf.valid is None else lf.valid[lf.reference_index]
+    chosen = _spread(lf, most_views)
+    with kernels.asking(place):
+        visible = kernels.zeros((len(chosen), *lf.size), place)
+        kernels.visible(
+            kernels.field(disparity, place),
+            kernels.field(lf.offsets[chosen], place),
+            tolerance=_HIDDEN / farthest(lf.offsets),
+            visible_out=visible,
+        )
+        every = np.s_[::step, ::step]
+        seen = kernels.numpy(visible)[:, ::step, ::step].astype(np.float32)
+    disparity, known = disparity[every], np.isfinite(result.disparity[every])
+    reference = lf.image(lf.reference_index)[every]
+    trusted = np.ones(known.shape, np.bool_) if lf.valid is None else lf.valid[lf.reference_index][every]
     height, width = lf.size
-    y, x = np.mgrid[:height, :width].astype(np.float32)
-    total, weights = np.zeros_like(reference), np.zeros(lf.size, np.float32)
-    for n, (du, dv) in enumerate(lf.offsets):
-        at = np.stack([y - disparity * np.float32(dv), x - disparity * np.float32(du)])
-        weight = np.where(np.isfinite(result.disparity), seen[n], float(n == lf.reference_index))
+    y, x = np.mgrid[0:height:step, 0:width:step].astype(np.float32)
+    total, weights = np.zeros_like(reference), np.zeros(known.shape, np.float32)
+    for n, sees in zip(chosen, seen, strict=True):
+        du, dv = lf.offsets[n].astype(np.float32)
+        at = np.stack([y - disparity * dv, x - disparity * du])
+        weight = np.where(known, sees, np.float32(n == lf.reference_index))
         if lf.valid is not None:
             weight = weight * valid_at(lf.valid[n], at)
-        colour = colours(spline(lf.image(n)), at)
+        picture = np.moveaxis(lf.image(n), 2, 0) if order == LINEAR else spline(lf.image(n))
+        colour = colours(picture, at, order)
         unlike = np.where(trusted, ((colour - reference) ** 2).mean(2) / np.float32(_UNLIKE**2), 0)
         weight = weight / (1 + unlike) ** 2
         total += weight[..., None] * colour
         weights += weight
     return np.clip(total / np.maximum(weights, 1e-12)[..., None], 0, 1).astype(np.float32)
+
+
+def _spread(lf: LightField, most: int | None) -> NDArray[np.intp]:
+    """Indices of at most so many views, spread evenly over the order in which they are stored; the reference is one."""
+    count = len(lf.views)
+    if most is None or count <= most:
+        return np.arange(count)
+    return np.unique(np.append(np.linspace(0, count - 1, most - 1).round().astype(np.intp), lf.reference_index))
+
+
+def _check_preview(step: int, most_views: int | None, order: int) -> None:
+    if step < 1:
+        raise LightFieldError(f"step must be a whole number from 1 on, not {step}.")
+    if most_views is not None and most_views < 2:
+        raise LightFieldError(f"most_views must be a whole number from 2 on, not {most_views}.")
+    if order not in (LINEAR, CUBIC):
+        raise LightFieldError(f"order must be {LINEAR} (bilinear) or {CUBIC} (cubic splines), not {order}.")

@@ -8,15 +8,17 @@ something that hides the surface. Looking colours up keeps them sharper than spl
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.filling import fill_unknown
-from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.data.lightfield import LightField, check_light_field, farthest
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.all_views import Join
@@ -81,9 +83,10 @@ class Renderer:
         maps: ViewsResult,
         *,
         sources: int = _SOURCES,
-        backend: str = DEFAULT,
+        backend: BackendName = DEFAULT,
         device: str | None = None,
     ) -> None:
+        check_light_field(lf)
         if maps.disparities.shape != lf.views.shape[:3] or not np.allclose(maps.positions, lf.positions, atol=1e-6):
             raise LightFieldError(
                 f"the maps are of {len(maps.disparities)} views of {maps.disparities.shape[1]} x "
@@ -97,12 +100,12 @@ class Renderer:
         self._device = pick_device(self._kernels, device)
         self._splines: dict[int, Float32Array] = {}
 
-    def __call__(self, position: ArrayLike) -> RenderedView:
-        """The view at `position` (u, v), as in `LightField.positions`; need not be whole, nor within the grid.
+    def __call__(self, row: float, column: float) -> RenderedView:
+        """The view at position v = `row`, u = `column`; they need not be whole, nor within the grid.
 
-        LightFieldError if it is no pair of finite numbers, or so far away that nothing of the scene is left.
+        LightFieldError if they are no finite numbers, or so far away that nothing of the scene is left.
         """
-        place = self._checked(position)
+        place = self._checked(row, column)
         lf, reach = self._lf, farthest(self._lf.offsets)
         distance = np.hypot(*(lf.positions - place).T)
         chosen = [int(n) for n in np.argsort(distance, kind="stable")[: self._sources]]
@@ -122,10 +125,12 @@ class Renderer:
         u, v = place
         return RenderedView(image, disparity, known, (float(u), float(v)))
 
-    def _checked(self, position: ArrayLike) -> Float64Array:
-        place = np.asarray(position, np.float64)
-        if place.shape != (2,) or not np.isfinite(place).all():
-            raise LightFieldError(f"a position must be two finite numbers (u, v), not {position!r}.")
+    def _checked(self, row: float, column: float) -> Float64Array:
+        """The position (u, v)."""
+        for name, value in (("row", row), ("column", column)):
+            if not isinstance(value, Real) or not math.isfinite(value):
+                raise LightFieldError(f"{name} must be a finite number, not {value!r}.")
+        place = np.array([column, row], np.float64)
         low, high = self._lf.positions.min(0), self._lf.positions.max(0)
         if (np.abs(place - (low + high) / 2) > _FARTHEST * max(*(high - low), 1.0)).any():
             raise LightFieldError(
@@ -166,10 +171,11 @@ class Renderer:
 def render_view(
     lf: LightField,
     maps: ViewsResult,
-    position: ArrayLike,
+    row: float,
+    column: float,
     *,
     sources: int = _SOURCES,
-    backend: str = DEFAULT,
+    backend: BackendName = DEFAULT,
     device: str | None = None,
 ) -> RenderedView:
     """Render one view of a recorded scene from where no camera stood; for many of them, make a `Renderer` once.
@@ -178,16 +184,16 @@ def render_view(
     ----------
     lf, maps, sources, backend, device
         As for `Renderer`.
-    position
-        (u, v) of the view, as in `LightField.positions`: u is the column, v the row of a grid, fractions allowed. It
-        may lie beyond the grid; there, what no view shows is filled.
+    row, column
+        Where the view is taken from: v and u of `LightField.positions`, in a grid its row and column. Fractions are
+        allowed, and places beyond the grid; there, what no view shows is filled.
 
     Raises
     ------
     LightFieldError, BackendError
         As `Renderer`.
     """
-    return Renderer(lf, maps, sources=sources, backend=backend, device=device)(position)
+    return Renderer(lf, maps, sources=sources, backend=backend, device=device)(row, column)
 
 
 def _blended(

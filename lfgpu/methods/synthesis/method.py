@@ -26,7 +26,7 @@ class Synthesis(Method[SynthesisConfig]):
     STAGES = (
         Stage("local", "local estimate"),
         Stage("propagate", "propagation", "residual"),
-        Stage("refine", "refinement", "energy"),
+        Stage("refine", "refinement", "energy", has_start=True),
     )
     TRACED = "refine"
 

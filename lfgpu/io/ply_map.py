@@ -17,7 +17,7 @@ _MARK = f"{KEY} "  # what the comment begins with that holds the metadata
 _MOST_PIXELS = 1 << 28
 
 
-def write_ply(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
+def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
     """Binary, little endian: x, y, z, colours if there is an image, confidence if known, disparity, column and row."""
     from plyfile import PlyData, PlyElement
 
@@ -48,7 +48,7 @@ def write_ply(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> N
     PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<", comments=comments).write(str(path))
 
 
-def read_ply(path: Path) -> DisparityMap:
+def read(path: Path) -> DisparityMap:
     """The map that a cloud of ours was made of, NaN where it has no point."""
     from plyfile import PlyData, PlyParseError
 

@@ -20,14 +20,13 @@ import lfgpu
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
-from lfgpu.io import WRITERS, load, read_map, save
-from lfgpu.io.map_files import open_exr
+from lfgpu.io import MAP_FORMATS, holds_map, load, read_map, save
 from lfgpu.methods.synthesis.config import SynthesisConfig
 
 RNG = np.random.default_rng(3)
 SHAPE = (5, 7)
 GEOMETRY = Geometry(500.0, 0.05, 4.25, (3.0, 2.5), 1.25, (1.0, 2.0))
-SUFFIXES = [suffix for writer in WRITERS if writer.write is not None for suffix in writer.suffixes]
+SUFFIXES = [suffix for entry in MAP_FORMATS if entry.write is not None for suffix in entry.suffixes]
 WITH_METADATA = [suffix for suffix in SUFFIXES if suffix != ".pfm"]
 WITH_CONFIDENCE = (".npz", ".exr", ".ply")
 
@@ -149,8 +148,48 @@ def test_a_folder_that_depth_wrote(tmp_path: Path) -> None:
     written = a_result()
     written.save(tmp_path / "result.npz")
     assert_same(load(tmp_path), written)
+    written.map.save(tmp_path / "disparity.pfm")
+    assert_same(load(tmp_path), written)  # which tells more
+    (tmp_path / "result.npz").unlink()
+    np.testing.assert_array_equal(load(tmp_path).disparity, written.disparity)
     (tmp_path / "empty").mkdir()
-    assert "holds no result.npz" in refusal(lambda: load(tmp_path / "empty"))
+    assert "holds neither result.npz nor disparity.pfm" in refusal(lambda: load(tmp_path / "empty"))
+
+
+# --- what is a map and what a light field ---
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_maps_are_told_from_light_fields(suffix: str, tmp_path: Path) -> None:
+    a_map().save(tmp_path / f"map{suffix}")
+    assert holds_map(tmp_path / f"map{suffix}")
+    assert not holds_map(tmp_path / f"nowhere{suffix}")
+
+
+def test_light_fields_with_suffixes_of_maps_are_none(tmp_path: Path) -> None:
+    views = np.zeros((2, 2, *SHAPE, 3), np.uint8)
+    np.save(tmp_path / "views.npy", views)
+    np.savez(tmp_path / "views.npz", views=views)
+    tifffile.imwrite(tmp_path / "views.tif", views.reshape(4, *SHAPE, 3), photometric="rgb")
+    Image.fromarray(views[0, 0]).save(tmp_path / "views_eslf.png")
+    (tmp_path / "damaged.npy").write_bytes(b"no array")
+    for file in tmp_path.iterdir():
+        assert not holds_map(file), file
+    np.save(tmp_path / "map.npy", views[0, 0, ..., 0])
+    maps_of_all_views().save(tmp_path / "all.npz")
+    assert holds_map(tmp_path / "map.npy")
+    assert holds_map(tmp_path / "all.npz")
+
+
+def test_commands_name_the_formats_of_the_table() -> None:
+    from typer.testing import CliRunner
+
+    from lfgpu.cli import app
+
+    for command in (("depth",), ("convert",)):
+        said = CliRunner().invoke(app, [*command, "--help"], env={"COLUMNS": "200"}).stdout
+        for entry in MAP_FORMATS:
+            assert (entry.suffixes[0] in said) == (entry.write is not None), (command, entry.suffixes)
 
 
 # --- others can open it ---
@@ -170,7 +209,7 @@ def test_others_open_the_tiff(tmp_path: Path) -> None:
 def test_others_open_the_exr(tmp_path: Path) -> None:
     written = a_map()
     written.save(tmp_path / "map.exr")
-    exr = open_exr(tmp_path)
+    exr = pytest.importorskip("OpenEXR")
     with exr.File(str(tmp_path / "map.exr")) as file:
         channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
         assert "larger is nearer" in file.header()["lfgpu"]

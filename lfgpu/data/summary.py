@@ -1,0 +1,30 @@
+"""Short texts about arrays: what `repr` of light fields and results shows instead of their numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+UNIT = "px per view step"
+"""The unit of disparities."""
+
+
+def pixels(size: tuple[int, ...]) -> str:
+    """ "512 x 640 px (height x width)" of (height, width)."""
+    return f"{size[0]} x {size[1]} px (height x width)"
+
+
+def span(values: NDArray[Any], unit: str) -> str:
+    """ "-1.25 to 2.5 UNIT" of a map's finite values, and which share of it is unknown if any is."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return "unknown everywhere"
+    unknown = 1 - known.size / values.size
+    return f"{known.min():.4g} to {known.max():.4g} {unit}" + (f", {unknown:.2%} unknown" if unknown else "")
+
+
+def view_at(position: tuple[float, float]) -> str:
+    """ "row 4, column 5" of a position (u, v)."""
+    return f"row {position[1]:g}, column {position[0]:g}"

@@ -1,0 +1,273 @@
+"""The formats of maps: one table, an entry each, chosen by the suffix of the file.
+
+`save`, `load` and `read_map`, the viewer, `lfgpu convert`, `lfgpu eval` and the option `--save` know formats by this
+table only. A new format is a file beside this one and a row here.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data.views_result import ViewsResult
+from lfgpu.errors import LightFieldError
+from lfgpu.io import exr_map, npy_map, npz_map, pfm_map, ply_map, png_map, tiff_map
+from lfgpu.io.atomic import atomic_write
+from lfgpu.io.extras import how_to_install
+from lfgpu.io.folders import not_waited_for
+from lfgpu.io.git_lfs import check_fetched
+
+RESULT_FILE, DISPARITY_FILE = "result.npz", "disparity.pfm"
+"""What `lfgpu depth` calls the file that holds everything, and the map by itself."""
+
+Whole: TypeAlias = DepthResult | ViewsResult
+
+
+@dataclass(frozen=True)
+class MapFormat:
+    """One entry of the table."""
+
+    suffixes: tuple[str, ...]
+    """Lower case, with the dot; the first is the usual one."""
+    description: str
+    """One line for lists and help, without a full stop."""
+    read: Callable[[Path], DisparityMap]
+    """Reads a map, with all that the file says about it, or raises OSError or LightFieldError."""
+    write: Callable[[DisparityMap, Path, NDArray[Any] | None], None] | None = None
+    """Writes a map, coloured by an image where the format has colours, to a path; None if it is only read."""
+    read_whole: Callable[[Path], Whole | None] | None = None
+    """Reads a result with everything, None from a file of a map only; None if the format holds maps only."""
+    write_whole: Callable[[Whole, Path], None] | None = None
+    """Writes such a result to a path; None if the format holds maps only."""
+    recognise: Callable[[Path], bool] | None = None
+    """Whether a file with such a suffix is a map, where it may be a light field too; None if the suffix says it."""
+    library: str | None = None
+    """The library that it needs besides those of the package."""
+    extra: str | None = None
+    """The extra of the package that brings it: pip install 'lfgpu[EXTRA]'."""
+
+
+MAP_FORMATS: tuple[MapFormat, ...] = (
+    MapFormat(
+        (".pfm",),
+        "float32, as the HCI benchmark takes it; holds no metadata",
+        read=pfm_map.read,
+        write=pfm_map.write,
+    ),
+    MapFormat(
+        (".npz",),
+        "NumPy: a result with everything, maps of all views, or a map with its confidence",
+        read=npz_map.read,
+        write=npz_map.write,
+        read_whole=npz_map.read_whole,
+        write_whole=npz_map.write_whole,
+        recognise=npz_map.recognise,
+    ),
+    MapFormat(
+        (".png",),
+        "16 bits, with scale and offset as its text",
+        read=png_map.read,
+        write=png_map.write,
+        recognise=png_map.recognise,
+    ),
+    MapFormat(
+        (".tif", ".tiff"),
+        "float32, metadata as its description",
+        read=tiff_map.read,
+        write=tiff_map.write,
+        recognise=tiff_map.recognise,
+    ),
+    MapFormat(
+        (".exr",),
+        "OpenEXR: float32 disparity, confidence and depth (Z)",
+        read=exr_map.read,
+        write=exr_map.write,
+        library="OpenEXR",
+        extra="exr",
+    ),
+    MapFormat(
+        (".ply",),
+        "point cloud, coloured, in metres if the geometry is known",
+        read=ply_map.read,
+        write=ply_map.write,
+    ),
+    MapFormat(
+        (".npy",),
+        "NumPy: the values",
+        read=npy_map.read,
+        recognise=npy_map.recognise,
+    ),
+)
+
+
+def save(
+    result: DepthResult | ViewsResult | DisparityMap,
+    path: str | os.PathLike[str],
+    *,
+    image: ArrayLike | None = None,
+) -> None:
+    """Write a result or a map in the format that the suffix of the file names; whole or not at all.
+
+    Parameters
+    ----------
+    result
+        What `estimate_depth` or `estimate_all_views` returned, or a map by itself (`ViewsResult.map(index)`).
+    path
+        .npz: everything. .pfm, .png (16 bits), .tif, .exr: the disparity map. .ply: the points in space. All but .pfm
+        hold unit, sign, view, geometry, name and version; NaN is not known, in .png that is 0, in .ply it has no point.
+        In .npz, .exr and .ply the confidence comes along.
+    image
+        [y, x, c]: the view, for the colours of a .ply; others leave it out. Default: no colours.
+
+    Raises
+    ------
+    LightFieldError
+        If the suffix is none of these, the map is not [y, x], maps of all views shall go into a file for one, a library
+        is missing, or the file cannot be written.
+    """
+    path = Path(path)
+    chosen = writable_format(path)
+    assert chosen.write is not None  # that is what writable means
+    if not isinstance(result, DisparityMap) and chosen.write_whole is not None:
+        with atomic_write(path) as temporary:
+            chosen.write_whole(result, temporary)
+        return
+    values = result.map if isinstance(result, DepthResult) else result
+    if not isinstance(values, DisparityMap):
+        whole = _suffixes(entry for entry in MAP_FORMATS if entry.write_whole is not None)
+        raise LightFieldError(
+            f"{path} cannot be written: it is for one map, and there are those of {len(values.disparities)} views; "
+            f"choose one with .map(index), or the suffix {whole}."
+        )
+    shape = np.shape(values.disparity)
+    if len(shape) != 2 or 0 in shape:
+        raise LightFieldError(f"{path} cannot be written: a map must be [y, x], found shape {shape}.")
+    with atomic_write(path) as temporary:
+        chosen.write(values, temporary, None if image is None else np.asarray(image))
+
+
+def load(path: str | os.PathLike[str]) -> DepthResult | ViewsResult | DisparityMap:
+    """Read back what `save` or `lfgpu depth` wrote.
+
+    Parameters
+    ----------
+    path
+        A file that `save` wrote, another map, or a folder that `lfgpu depth` wrote, whose result.npz is taken, or
+        disparity.pfm where that is missing.
+
+    Returns
+    -------
+    `DepthResult` or `ViewsResult` from an .npz that holds one, else `DisparityMap`, with what the file says about it.
+    The values are those that were written, of a .png within half a step of its scale.
+
+    Raises
+    ------
+    LightFieldError
+        If the file is missing, damaged, of another kind, or not a map.
+    """
+    path = Path(path)
+    if path.is_dir():
+        file = result_in(path)
+        if file is None:
+            raise LightFieldError(
+                f"{path} holds neither {RESULT_FILE} nor {DISPARITY_FILE}; give a folder that lfgpu depth wrote, or a "
+                "file."
+            )
+        path = file
+    chosen = readable_format(path)
+    whole = None if chosen.read_whole is None else chosen.read_whole(path)
+    return whole if whole is not None else _map(path, chosen)
+
+
+def read_map(path: str | os.PathLike[str]) -> NDArray[np.float32]:
+    """Read a map: one value per pixel.
+
+    Parameters
+    ----------
+    path
+        .pfm, .npy, .npz (its array "disparity"), .tif or .tiff, .exr (its channel "disparity"), all with one channel;
+        .png and .ply that `lfgpu.save` wrote; the suffix in any case. `lfgpu.load` also tells what the file says of it.
+
+    Returns
+    -------
+    float32 [y, x], top row first, in the unit of the file; NaN and infinities are kept.
+
+    Raises
+    ------
+    LightFieldError
+        If the file is missing, damaged, of another kind, or not a map.
+    """
+    path = Path(path)
+    return _map(path, readable_format(path)).disparity
+
+
+def holds_map(path: str | os.PathLike[str]) -> bool:
+    """Whether a path is what `load` reads, and no light field: by its suffix, and what is in it where that may be both.
+
+    False for what is not there.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return result_in(path) is not None
+    chosen = _named_as(path)
+    return chosen is not None and path.exists() and (chosen.recognise is None or chosen.recognise(path))
+
+
+def result_in(folder: Path) -> Path | None:
+    """The file of a folder that `lfgpu depth` wrote which tells most; None if it has none."""
+    return next((folder / name for name in (RESULT_FILE, DISPARITY_FILE) if (folder / name).is_file()), None)
+
+
+def writable_format(path: str | os.PathLike[str]) -> MapFormat:
+    """The entry that writes a file; LightFieldError if there is none, or the library that it needs is missing."""
+    path = Path(path)
+    chosen = _named_as(path)
+    if chosen is None or chosen.write is None:
+        known = _suffixes(entry for entry in MAP_FORMATS if entry.write is not None)
+        raise LightFieldError(f"{path} cannot be written: a map is stored as {known}; choose one of these suffixes.")
+    return _usable(path, chosen)
+
+
+def readable_format(path: Path) -> MapFormat:
+    """The entry that reads a file; LightFieldError if there is none, or the library that it needs is missing."""
+    check_fetched(path)
+    not_waited_for(path)
+    chosen = _named_as(path)
+    if chosen is None:
+        raise LightFieldError(f"{path} is not a kind of map that can be read; known are {_suffixes(MAP_FORMATS)}.")
+    return _usable(path, chosen)
+
+
+def _named_as(path: Path) -> MapFormat | None:
+    return next((entry for entry in MAP_FORMATS if path.suffix.lower() in entry.suffixes), None)
+
+
+def _usable(path: Path, chosen: MapFormat) -> MapFormat:
+    if chosen.library is not None and importlib.util.find_spec(chosen.library) is None:
+        raise LightFieldError(
+            f"{path} is a file of maps that needs {chosen.library}; {how_to_install(str(chosen.extra))}."
+        )
+    return chosen
+
+
+def _map(path: Path, chosen: MapFormat) -> DisparityMap:
+    """The map in a file, its confidence of the same size; OSErrors become sentences."""
+    try:
+        values = chosen.read(path)
+    except OSError as error:
+        raise LightFieldError(f"{path} cannot be opened: {error.strerror or error}.") from error
+    if values.confidence is not None and values.confidence.shape != values.disparity.shape:
+        raise LightFieldError(f"{path} is damaged: its confidence has another size than its disparity.")
+    return values
+
+
+def _suffixes(entries: Iterable[MapFormat]) -> str:
+    return ", ".join(entry.suffixes[0] for entry in entries)

@@ -1,0 +1,61 @@
+"""Maps as PNG: 16 bits, and the text that says what its values mean."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+from lfgpu.data.result import DisparityMap
+from lfgpu.errors import LightFieldError
+from lfgpu.io import pillow
+from lfgpu.io.about import KEY, map_about, map_of, parse_about
+from lfgpu.io.images import read_image
+
+_UNKNOWN, _LEVELS = 0, 65534  # what pixels that are not known have, and the steps between the least and the most
+
+
+def recognise(path: Path) -> bool:
+    """Whether a PNG says that it is a map; False for pictures."""
+    try:
+        with pillow.opened(path) as image:
+            return KEY in getattr(image, "text", {})
+    except Exception:  # Pillow raises whatever comes to it when a file is damaged; who reads it says what it is
+        return False
+
+
+def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
+    """16-bit grey: disparity = offset + scale * value, 0 where it is not known; the error is at most scale / 2."""
+    known = np.isfinite(values.disparity)
+    low, high = (float(f(values.disparity[known])) if known.any() else 0.0 for f in (np.min, np.max))
+    scale = (high - low) / _LEVELS or 1.0
+    stored = np.zeros(known.shape, np.uint16)
+    stored[known] = 1 + np.rint((values.disparity[known].astype(np.float64) - low) / scale)
+    about = map_about(
+        values, scale=scale, offset=low - scale, formula="disparity = offset + scale * value", invalid="0 is not known"
+    )
+    text = PngInfo()
+    text.add_text(KEY, about)
+    Image.fromarray(stored).save(path, format="PNG", pnginfo=text)
+
+
+def read(path: Path) -> DisparityMap:
+    """What `write` wrote; another PNG is refused, as it does not say what its values mean."""
+    stored, _ = read_image(path)
+    with pillow.opened(path) as image:
+        text = getattr(image, "text", {}).get(KEY)
+    if text is None or stored.dtype != np.uint16 or stored.shape[2] != 1:
+        raise LightFieldError(
+            f"{path} is not a kind of map that can be read: a PNG has to have 16 bits, one channel and a text "
+            f"{KEY!r} that says what its values mean; give a .pfm, .npy, .npz, .tif or .exr."
+        )
+    about = parse_about(path, text)
+    try:
+        disparity = float(about["offset"]) + float(about["scale"]) * stored[..., 0].astype(np.float64)
+    except (KeyError, TypeError, ValueError) as error:
+        raise LightFieldError(f"{path} is a damaged map of lfgpu: its metadata are incomplete.") from error
+    return map_of(path, about, np.where(stored[..., 0] == _UNKNOWN, np.nan, disparity).astype(np.float32), None)

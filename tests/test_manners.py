@@ -1,0 +1,208 @@
+"""What the public names say for themselves: short texts, names that type checkers know, sentences for wrong types."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import pytest
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu._backends import BackendName, backend_named, list_backends
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data.views_result import ViewsResult
+from lfgpu.methods import PRESETS, PresetName
+from lfgpu.metrics import Sparsification, evaluate, sparsification
+
+SIZE = (40, 48)
+GEOMETRY = lfgpu.Geometry(50.0, 0.1, 2.0)
+
+
+def a_light_field(**options: Any) -> lfgpu.LightField:
+    return scenes.make("relief", grid=(3, 3), size=SIZE, **options)
+
+
+def a_result(lf: lfgpu.LightField, error: float = 0.1) -> DepthResult:
+    assert lf.truth is not None
+    disparity = lf.truth.disparity + np.float32(error)
+    u, v = lf.positions[lf.reference_index]
+    return DepthResult(
+        disparity,
+        np.full(SIZE, 0.5, np.float32),
+        {"sweep": disparity},
+        (float(u), float(v)),
+        (-1.0, 1.0),
+        PRESETS["fast"],
+        "It stopped.",
+        True,
+        (),
+        {"total": 1.25},
+        "warp",
+        "cpu",
+        geometry=GEOMETRY,
+        name=lf.name,
+    )
+
+
+def maps_of_all_views(lf: lfgpu.LightField) -> ViewsResult:
+    maps = np.zeros(lf.views.shape[:3], np.float32)
+    return ViewsResult(maps, maps, lf.positions, (4, 0), a_result(lf), {"total": 3.0})
+
+
+# --- texts ---
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (lambda lf: lf, ("9 views in a grid of 3 x 3", "40 x 48 px", "row 1, column 1", "ground truth")),
+        (lambda lf: lf.truth, ("40 x 48 px", "px per view step", "row 1, column 1")),
+        (a_result, ("40 x 48 px", "px per view step", " m", "0.50 on average", "matching with warp on cpu, 1.25 s")),
+        (lambda lf: a_result(lf).map, ("40 x 48 px", "px per view step", "row 1, column 1")),
+        (maps_of_all_views, ("maps of 9 views", "40 x 48 px", "px per view step", "2 key views", "3 s")),
+        (lambda lf: evaluate(a_result(lf), lf.truth), ("MSE x100 1.0", "BadPix(0.07) 100.00 %", "over 180 pixels")),
+        (lambda lf: sparsification(a_result(lf), np.ones(SIZE), lf.truth), ("AUSE", "180 pixels")),
+        (lambda lf: lfgpu.point_cloud(a_result(lf)), ("1920 points", "metres", "z ")),
+    ],
+    ids=["light field", "truth", "result", "map", "views", "metrics", "sparsification", "points"],
+)
+def test_a_text_is_short_and_says_what_it_is(made: Callable[[Any], Any], words: tuple[str, ...]) -> None:
+    found = made(a_light_field())
+    text = repr(found)
+    assert text.startswith(f"<{type(found).__name__}")
+    assert len(text.splitlines()) <= 3
+    assert max(map(len, text.splitlines())) <= 160
+    for word in words:
+        assert word in text, text
+
+
+def test_the_text_of_a_map_counts_what_is_unknown() -> None:
+    disparity = np.zeros(SIZE, np.float32)
+    disparity[:10] = np.nan
+    assert "0 to 0 px per view step, 25.00% unknown" in repr(DisparityMap(disparity))
+    assert "unknown everywhere" in repr(DisparityMap(np.full(SIZE, np.nan, np.float32)))
+
+
+def test_the_text_of_a_viewer() -> None:
+    pytest.importorskip("viser")
+    lf = a_light_field()
+    with lfgpu.Viewer(lf, a_result(lf), port=0) as viewer:
+        assert repr(viewer) == f"<Viewer at {viewer.url}: {lf.name!r}, maps result>"
+    assert "closed" in repr(viewer)
+
+
+def test_the_version_is_there_and_costs_nothing() -> None:
+    assert lfgpu.__version__ == importlib.metadata.version("lfgpu")
+    code = "import lfgpu, sys; lfgpu.__version__; print(bool({'numpy', 'scipy', 'warp'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+# --- names that type checkers know ---
+
+
+def test_names_for_type_checkers_are_those_of_the_registries() -> None:
+    assert get_args(PresetName) == tuple(PRESETS)
+    assert get_args(BackendName) == list_backends()
+
+
+def test_a_backend_is_named_or_refused() -> None:
+    assert backend_named("taichi") == "taichi"
+    with pytest.raises(lfgpu.BackendError, match="unknown backend 'cuda'"):
+        backend_named("cuda")
+
+
+def test_a_type_checker_refuses_what_is_no_preset(tmp_path: Path) -> None:
+    pytest.importorskip("mypy")
+    code = tmp_path / "code.py"
+    calls = ("config='fats'", "backend='wrap'", "config='fast', backend='warp'")
+    code.write_text(
+        "import lfgpu\ndef f(lf: lfgpu.LightField) -> None:\n"
+        + "".join(f"    lfgpu.estimate_depth(lf, {call})\n" for call in calls)
+    )
+    settings = Path(__file__).parents[1] / "pyproject.toml"
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--config-file", str(settings), "--follow-imports=silent", str(code)],
+        capture_output=True,
+        text=True,
+        cwd=settings.parent,
+        check=False,
+    )
+    lines = [line for line in done.stdout.splitlines() if line.startswith(str(code))]
+    assert [line.split(":")[1] for line in lines] == ["3", "4"], done.stdout
+
+
+# --- wrong types ---
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lfgpu.estimate_depth,
+        lfgpu.estimate_all_views,
+        lfgpu.DepthPipeline,
+        lambda lf: lfgpu.refocus(lf, 0.0),
+        lambda lf: lfgpu.all_in_focus(lf, DisparityMap(np.zeros(SIZE, np.float32))),
+        lambda lf: lfgpu.render_view(lf, maps_of_all_views(a_light_field()), 0, 0),
+        lambda lf: lfgpu.export_pipeline(lf, "nowhere"),
+    ],
+)
+def test_what_is_no_light_field_is_refused_with_a_remedy(call: Callable[[Any], Any]) -> None:
+    views = np.zeros((3, 3, *SIZE, 3), np.uint8)
+    for found, words in (
+        (views, r"found ndarray of shape \(3, 3, 40, 48, 3\); make one first: lfgpu.LightField.from_grid\(views\)"),
+        ("my/scene", r"found str; read it first: lfgpu.read\('my/scene'\)"),
+        (Path("my/scene"), r"read it first: lfgpu.read\('my/scene'\)"),
+        (None, "found NoneType"),
+    ):
+        with pytest.raises(lfgpu.LightFieldError, match=words):
+            call(found)
+
+
+def test_a_result_is_scored_against_the_truth_of_its_light_field() -> None:
+    lf = a_light_field()
+    assert lf.truth is not None
+    result, truth = a_result(lf), lf.truth
+    mask = np.zeros(SIZE, np.bool_)
+    mask[16:20, 16:20] = True
+    masked = lfgpu.GroundTruth(truth.disparity, truth.position, mask)
+    for estimate in (result, result.map, result.disparity):
+        assert evaluate(estimate, truth) == evaluate(result.disparity, truth.disparity)
+        assert evaluate(estimate, masked).count == 16
+        assert evaluate(estimate, truth, mask=mask).count == 16
+        assert evaluate(estimate, masked, mask=np.ones(SIZE, np.bool_)) == evaluate(estimate, truth)
+    curve = sparsification(result, result.confidence, masked)
+    assert isinstance(curve, Sparsification)
+    assert curve.count == 16
+
+
+def test_what_cannot_be_scored_is_a_sentence() -> None:
+    lf = a_light_field()
+    assert lf.truth is not None
+    result = a_result(lf)
+    other = lfgpu.GroundTruth(lf.truth.disparity, (0.0, 2.0))
+    for estimate, truth, words in (
+        (result, None, "there is no ground truth"),
+        (result, other, "the view at row 1, column 1, the truth of the one at row 2, column 0"),
+        ("map.pfm", lf.truth, "disparity must be a DepthResult, a DisparityMap or an array"),
+        (result, lf, "truth must be the GroundTruth of a light field or an array .* found LightField"),
+    ):
+        with pytest.raises(lfgpu.LightFieldError, match=words):
+            evaluate(estimate, truth)  # type: ignore[arg-type]
+
+
+# --- rows and columns ---
+
+
+def test_a_view_is_named_by_row_and_column() -> None:
+    lf = a_light_field()
+    maps = maps_of_all_views(lf)
+    assert maps.index_of(0, 2) == lf.index_of(0, 2) == 2
+    np.testing.assert_array_equal(lf.view(0, 2), lf.views[2])
+    assert lfgpu.render_view(lf, maps, 0, 2).position == (2.0, 0.0)  # (u, v)
