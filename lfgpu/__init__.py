@@ -17,6 +17,7 @@ from lfgpu.data import hooks as _hooks
 
 if TYPE_CHECKING:
     from lfgpu._backends import BackendInfo, describe_backends, list_backends
+    from lfgpu.calibration import Explanation, explain
     from lfgpu.config import Config
     from lfgpu.data.geometry import Geometry
     from lfgpu.data.lightfield import GroundTruth, LightField
@@ -46,6 +47,7 @@ _HOMES = {
     "DepthResult": "data.result",
     "DepthStream": "pipelines.stream",
     "DisparityMap": "data.result",
+    "Explanation": "calibration",
     "FrameDroppedError": "pipelines.stream",
     "Geometry": "data.geometry",
     "GroundTruth": "data.lightfield",
@@ -65,6 +67,7 @@ _HOMES = {
     "estimate_all_views": "pipelines.all_views",
     "estimate_depth": "pipelines.estimate",
     "evaluate": "metrics",
+    "explain": "calibration",
     "export_pipeline": "pipelines.export",
     "get_threads": "threads",
     "list_backends": "_backends",
@@ -86,6 +89,7 @@ __all__ = [
     "DepthResult",
     "DepthStream",
     "DisparityMap",
+    "Explanation",
     "FrameDroppedError",
     "Geometry",
     "GroundTruth",
@@ -104,6 +108,7 @@ __all__ = [
     "estimate_all_views",
     "estimate_depth",
     "evaluate",
+    "explain",
     "export_pipeline",
     "get_threads",
     "list_backends",
