@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from lfgpu.contract import Float64Array, KernelSet
 from lfgpu.data.lightfield import LightField
 from lfgpu.threads import in_threads
-from lfgpu.contract import Float64Array, KernelSet
 
 MODELS: dict[str, tuple[tuple[tuple[float, ...], ...], ...]] = {
     "shift": (((0, 0, 1), (0, 0, 0), (0, 0, 0)), ((0, 0, 0), (0, 0, 1), (0, 0, 0))),

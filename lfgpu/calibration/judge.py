@@ -19,9 +19,9 @@ from lfgpu._backends import DEFAULT, load, pick_device
 from lfgpu.calibration import consensus, signs
 from lfgpu.calibration.bundle import Bundle, Points, choose_points, most_points
 from lfgpu.calibration.tones import match_tones
-from lfgpu.errors import LightFieldError
-from lfgpu.data.lightfield import LightField
 from lfgpu.contract import Float32Array, Float64Array, KernelSet
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
     from lfgpu.data.result import DepthResult, DisparityMap

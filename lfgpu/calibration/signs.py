@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lfgpu.calibration.bundle import Points, grey
-from lfgpu.data.lightfield import LightField
 from lfgpu.contract import Float64Array, KernelSet
+from lfgpu.data.lightfield import LightField
 
 Signs = Literal["v", "uv", "transposed"]
 

@@ -11,7 +11,22 @@ from typing import Annotated
 
 import typer
 
-from lfgpu.cli import backends, batch, check, convert, decode, demo, depth, evaluate, export, info, live, render, scene, view
+from lfgpu.cli import (
+    backends,
+    batch,
+    check,
+    convert,
+    decode,
+    demo,
+    depth,
+    evaluate,
+    export,
+    info,
+    live,
+    render,
+    scene,
+    view,
+)
 from lfgpu.cli.failures import Group
 
 app = typer.Typer(

@@ -16,9 +16,9 @@ from lfgpu.calibration import residual_pictures
 from lfgpu.calibration.consensus import without_gauge
 from lfgpu.calibration.tones import match_tones, squared_radius
 from lfgpu.cli import app
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci, write_pfm
-from lfgpu.data.lightfield import LightField
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def displaced(image: np.ndarray, x: float, y: float, angle: float = 0.0) -> np.n
     """What the picture shows, moved by x to the right and y down, after a clockwise turn about its middle (radians)."""
     matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])  # of (row, column)
     middle = (np.array(image.shape[:2]) - 1) / 2
-    shift = middle - matrix @ (middle + (y, x))
+    shift = middle - matrix @ (middle + np.array([y, x]))
     return np.stack(
         [ndimage.affine_transform(image[..., c], matrix, shift, order=5, mode="nearest") for c in range(3)], axis=-1
     )
