@@ -17,6 +17,7 @@ from lfgpu.data import hooks as _hooks
 
 if TYPE_CHECKING:
     from lfgpu._backends import BackendInfo, describe_backends, list_backends
+    from lfgpu.calibration import Explanation, explain
     from lfgpu.config import Config
     from lfgpu.data.filling import fill_unknown
     from lfgpu.data.geometry import Geometry
@@ -50,6 +51,7 @@ _HOMES = {
     "DepthResult": "data.result",
     "DepthStream": "pipelines.stream",
     "DisparityMap": "data.result",
+    "Explanation": "calibration",
     "FrameDroppedError": "pipelines.stream",
     "Geometry": "data.geometry",
     "GroundTruth": "data.lightfield",
@@ -69,6 +71,7 @@ _HOMES = {
     "estimate_all_views": "pipelines.all_views",
     "estimate_depth": "pipelines.estimate",
     "evaluate": "metrics",
+    "explain": "calibration",
     "export_pipeline": "pipelines.export",
     "fill_unknown": "data.filling",
     "get_threads": "threads",
@@ -91,6 +94,7 @@ __all__ = [
     "DepthResult",
     "DepthStream",
     "DisparityMap",
+    "Explanation",
     "FrameDroppedError",
     "Geometry",
     "GroundTruth",
@@ -109,6 +113,7 @@ __all__ = [
     "estimate_all_views",
     "estimate_depth",
     "evaluate",
+    "explain",
     "export_pipeline",
     "fill_unknown",
     "get_threads",

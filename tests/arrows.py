@@ -20,7 +20,7 @@ DRAWING = ROOT / "docs" / "arrows.svg"
 FLOORS = (
     ("cli",),
     ("batch", "viewer"),
-    ("viz",),
+    ("viz", "calibration"),
     ("pipelines",),
     ("io", "comparison"),
     ("methods", "scenes", "metrics", "region_metrics"),

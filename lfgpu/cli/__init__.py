@@ -11,7 +11,22 @@ from typing import Annotated
 
 import typer
 
-from lfgpu.cli import backends, batch, convert, decode, demo, depth, evaluate, export, info, live, render, scene, view
+from lfgpu.cli import (
+    backends,
+    batch,
+    check,
+    convert,
+    decode,
+    demo,
+    depth,
+    evaluate,
+    export,
+    info,
+    live,
+    render,
+    scene,
+    view,
+)
 from lfgpu.cli.failures import Group
 
 app = typer.Typer(
@@ -26,6 +41,7 @@ app = typer.Typer(
 app.command("depth")(depth.depth)
 app.command("batch")(batch.batch)
 app.command("info")(info.info)
+app.command("check")(check.check)
 app.command("decode")(decode.decode)
 app.command("convert")(convert.convert)
 app.command("render")(render.render)

@@ -30,6 +30,15 @@ def scene(
         str, typer.Option(metavar="FAR,NEAR", help="True disparities, pixels per view step, larger is nearer.")
     ] = "-1.5,1.5",
     noise: Annotated[float, typer.Option(help="Standard deviation of the noise, intensities being 0 to 1.")] = 0.0,
+    misalign: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=SIGMA,...",
+            help="Cameras as they are: shift (px), roll (degrees), scale, distortion, position (view steps), gain, "
+            "offset, vignetting, noise. Also writes cameras.toml, as a checkerboard would say, and cameras_true.toml.",
+            show_default=False,
+        ),
+    ] = None,
     frames: Annotated[
         int | None,
         typer.Option(help="Frames of a scene that moves, each in a folder of its own.", show_default=False),
@@ -47,7 +56,12 @@ def scene(
         "disparity_range": values.parse_range("--disparity-range", disparity_range),
         "noise": noise,
     }
-    if frames is None:
+    if misalign is not None:
+        if frames is not None:
+            raise LightFieldError("--misalign is for one light field; leave it or --frames out.")
+        _write_misaligned(name, misalign, options, out)
+        typer.echo(f"Wrote {name}, misaligned, with its exact disparity and two calibrations to {out}.")
+    elif frames is None:
         write_hci(make(name, **options), out)
         typer.echo(f"Wrote {name} with its exact disparity to {out}.")
     else:
@@ -64,3 +78,23 @@ def _write_frames(light_fields: Iterator[LightField], out: Path) -> None:
     with atomic_folder(out) as place:
         for index, frame in enumerate(light_fields):
             write_hci(frame, place / f"{_FRAME}{index:03d}")
+
+
+def _write_misaligned(name: str, misalign: str, options: dict[str, Any], out: Path) -> None:
+    from dataclasses import replace
+
+    from lfgpu.calibration.formats import write_cameras
+    from lfgpu.calibration.misalign import Misalignment, displacements, disturb
+    from lfgpu.io import atomic_folder, write_hci
+    from lfgpu.scenes import make
+
+    how = Misalignment.parse(misalign)
+    rows, columns = options["grid"]
+    reference = rows // 2 * columns + columns // 2
+    moved = displacements(rows * columns, reference, how.position, options["seed"])
+    found = disturb(make(name, displaced=moved, **options), how, seed=options["seed"], moved=moved)
+    with atomic_folder(out) as place:
+        write_hci(found.light_field, place)
+        for file, cameras in (("cameras.toml", found.calibrated), ("cameras_true.toml", found.cameras)):
+            named = [replace(camera, name=f"input_Cam{n:03d}.png") for n, camera in enumerate(cameras)]
+            write_cameras(named, place / file)

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
@@ -40,6 +40,7 @@ def make(
     time: float = 0.0,
     dtype: DTypeLike = np.uint8,
     channels: int = 3,
+    displaced: ArrayLike | None = None,
 ) -> LightField:
     """A light field of a synthetic scene, with the exact disparity of its reference view.
 
@@ -70,6 +71,9 @@ def make(
         uint8, uint16 or float32 (in [0, 1]).
     channels
         3 for colour, 1 for grey.
+    displaced
+        [rows * columns, 2], view steps (u, v) by which each view is taken beside its place in the grid, row by row;
+        positions and the truth stay those of the places. None is nowhere.
 
     Returns
     -------
@@ -84,7 +88,7 @@ def make(
     """
     scene = _scene(name, seed, grid, size, disparity_range)
     recording = _Recording(seed, _noise(noise), _place(reference, scene.grid), _dtype(dtype), _channels(channels))
-    return _record(scene, recording, _time(name, time))
+    return _record(scene, recording, _time(name, time), _displaced(displaced, scene.grid))
 
 
 def sequence(
@@ -247,13 +251,18 @@ def _farthest(grid: tuple[int, int]) -> tuple[float, float]:
     return float(grid[1] // 2), float(grid[0] // 2)
 
 
-def _record(scene: _Scene, recording: _Recording, time: float) -> LightField:
+def _record(
+    scene: _Scene, recording: _Recording, time: float, displaced: NDArray[np.float64] | None = None
+) -> LightField:
     """All views of the scene at that time, and the truth of the reference view."""
     rows, columns = scene.grid
     frame, things = scene.frame, scene.at(time)
     views = np.empty((rows, columns, frame.height, frame.width, recording.channels), recording.dtype)
     for row, column in np.ndindex(rows, columns):
-        colours = render.picture(things, frame, scene.offset((row, column)))
+        du, dv = scene.offset((row, column))
+        if displaced is not None:
+            du, dv = (du, dv) + displaced[row * columns + column]
+        colours = render.picture(things, frame, (du, dv))
         if recording.channels == 1:
             colours = np.tensordot(_GREY, colours, axes=1)[None]
         intensities = np.moveaxis(colours, 0, 2)
@@ -336,6 +345,17 @@ def _place(value: Any, grid: tuple[int, int]) -> tuple[int, int]:
             f"reference view (row {row}, column {column}) does not exist in a grid of {grid[0]} x {grid[1]}."
         )
     return row, column
+
+
+def _displaced(value: ArrayLike | None, grid: tuple[int, int]) -> NDArray[np.float64] | None:
+    if value is None:
+        return None
+    moved = np.asarray(value, np.float64)
+    if moved.shape != (grid[0] * grid[1], 2) or not np.isfinite(moved).all():
+        raise LightFieldError(
+            f"displaced must be {grid[0] * grid[1]} finite pairs, one for each view, found shape {moved.shape}."
+        )
+    return moved
 
 
 def _noise(value: float) -> float:

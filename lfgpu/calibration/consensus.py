@@ -1,0 +1,75 @@
+"""What most views have in common, and which of them stand out from it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract import Float64Array
+
+_ROUNDS = 30
+_SOFT = 1e-4  # keeps weights of the least absolute deviations finite
+_MANY = 25  # views from which a smooth trend over the array is taken out before outliers are looked for
+
+
+def without_gauge(shifts: Float64Array, offsets: Float64Array) -> Float64Array:
+    """Shifts [n, 2] less what views cannot tell: all moved alike, or in proportion to their offsets.
+
+    The fit is of least absolute deviations: views that stand out do not spoil it. `shifts` may be [n, 2, t], columns
+    of which are treated alike, with the fit of least squares.
+    """
+    count = len(offsets)
+    axes = np.zeros((count, 2, 3))
+    axes[:, 0, 0] = axes[:, 1, 1] = 1
+    axes[:, :, 2] = offsets
+    basis = axes.reshape(2 * count, 3)
+    flat = shifts.reshape(2 * count, -1)
+    if shifts.ndim == 3:
+        return np.asarray((flat - basis @ np.linalg.lstsq(basis, flat, rcond=None)[0]).reshape(shifts.shape))
+    return np.asarray(_robust_rest(basis, flat[:, 0]).reshape(shifts.shape))
+
+
+def without_slope(values: Float64Array, offsets: Float64Array) -> Float64Array:
+    """Values [n] (or [n, t]) less their mean and what grows in proportion to the offsets.
+
+    The fit is that of `without_gauge`. Rotations and scales of that form are hardly told from a map that is tilted as a whole.
+    """
+    basis = np.concatenate([np.ones((len(offsets), 1)), offsets], axis=1)
+    if values.ndim == 2:
+        return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
+    return _robust_rest(basis, values)
+
+
+def outliers(
+    values: Float64Array, offsets: Float64Array, errors: Float64Array, *, least: float, factor: float = 6.0
+) -> NDArray[np.bool_]:
+    """Which of the values [n, k] of views stand out from a smooth trend over the array.
+
+    One does whose distance from the trend is more than `least`, `factor` times the usual distance (1.48 times the
+    median) and `factor` times its standard error.
+    """
+    rest = smooth_rest(values, offsets)
+    usual = 1.4826 * float(np.median(np.abs(rest)))
+    size = np.linalg.norm(rest, axis=1)
+    return np.asarray(size > np.maximum(max(least, factor * usual), factor * np.linalg.norm(errors, axis=1)))
+
+
+def smooth_rest(values: Float64Array, offsets: Float64Array) -> Float64Array:
+    """Values [n, k] less a trend: a polynomial of the second degree in the offsets if there are many views, else the
+    median."""
+    if len(values) < _MANY:
+        return values - np.median(values, axis=0)
+    u, v = (offsets / max(float(np.abs(offsets).max()), 1e-9)).T
+    basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
+    return np.stack([_robust_rest(basis, column) for column in values.T], axis=1)
+
+
+def _robust_rest(basis: Float64Array, values: Float64Array) -> Float64Array:
+    weight = np.ones(len(values))
+    rest = values
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight)
+        found = np.linalg.lstsq(basis * root[:, None], values * root, rcond=None)[0]
+        rest = values - basis @ found
+        weight = 1 / np.maximum(np.abs(rest), _SOFT)
+    return np.asarray(rest)

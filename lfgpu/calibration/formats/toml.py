@@ -1,0 +1,95 @@
+"""cameras.toml: calibrated cameras in lfgpu's own words.
+
+[[cameras]]
+name = "left.png"                 # the file of its picture
+size = [480, 640]                 # height, width in pixels
+focal_length = [500.0, 500.0]     # fx, fy in pixels
+principal_point = [319.5, 239.5]  # cx, cy in pixels; the centre of the first pixel is (0, 0)
+model = "pinhole"                 # or "fisheye"
+distortion = [-0.2, 0.1, 0.0, 0.0]
+rotation = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]   # world to camera
+translation = [0.1, 0.0, 0.0]     # world to camera
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from lfgpu.calibration.cameras import Camera
+from lfgpu.errors import LightFieldError
+from lfgpu.io import atomic_write
+
+_NEEDED = ("size", "focal_length", "principal_point", "rotation", "translation")
+_KNOWN = {*_NEEDED, "name", "model", "distortion"}
+
+
+def read_toml(path: Path) -> list[Camera]:
+    """The cameras of a cameras.toml; LightFieldError if it is none."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise LightFieldError(f"{path} is not valid TOML: {error}.") from error
+    listed = table.get("cameras")
+    if not isinstance(listed, list) or not listed:
+        raise LightFieldError(f"{path} has no cameras; list them as [[cameras]], one table each.")
+    return [_camera(path, index, entry) for index, entry in enumerate(listed)]
+
+
+def _camera(path: Path, index: int, entry: Any) -> Camera:
+    what = f"{path}: cameras[{index}]"
+    if not isinstance(entry, Mapping):
+        raise LightFieldError(f"{what} must be a table.")
+    if missing := [key for key in _NEEDED if key not in entry]:
+        raise LightFieldError(f"{what} has no {missing[0]}.")
+    if unknown := sorted(set(entry) - _KNOWN):
+        raise LightFieldError(f"{what} has an unknown entry {unknown[0]!r}; known are {', '.join(sorted(_KNOWN))}.")
+    try:
+        height, width = (int(side) for side in entry["size"])
+        fx, fy = (float(length) for length in entry["focal_length"])
+        cx, cy = (float(place) for place in entry["principal_point"])
+        return Camera(
+            size=(height, width),
+            focal_length=(fx, fy),
+            principal_point=(cx, cy),
+            distortion=tuple(float(k) for k in entry.get("distortion", ())),
+            model=str(entry.get("model", "pinhole")),
+            rotation=entry["rotation"],
+            translation=entry["translation"],
+            name=str(entry.get("name", f"camera {index}")),
+        )
+    except LightFieldError as error:
+        raise LightFieldError(f"{path}: {error}") from error
+    except (TypeError, ValueError) as error:
+        raise LightFieldError(f"{what} has entries that are no numbers of the right count: {error}.") from error
+
+
+def write_cameras(cameras: Sequence[Camera], path: Path) -> None:
+    """Write a cameras.toml, whole or not at all."""
+    lines = []
+    for camera in cameras:
+        lines += [
+            "[[cameras]]",
+            f"name = {_text(camera.name)}",
+            f"size = {list(camera.size)}",
+            f"focal_length = {_numbers(camera.focal_length)}",
+            f"principal_point = {_numbers(camera.principal_point)}",
+            f"model = {_text(camera.model)}",
+            f"distortion = {_numbers(camera.distortion)}",
+            f"rotation = [{', '.join(_numbers(row) for row in camera.rotation)}]",  # type: ignore[union-attr]
+            f"translation = {_numbers(camera.translation)}",
+            "",
+        ]
+    with atomic_write(path) as temporary:
+        temporary.write_text("\n".join(lines), encoding="utf-8")
+
+
+def _numbers(values: Any) -> str:
+    return f"[{', '.join(repr(float(value)) for value in values)}]"
+
+
+def _text(value: str) -> str:
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

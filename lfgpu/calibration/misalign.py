@@ -1,0 +1,232 @@
+"""Cameras of a light field made worse on purpose, with the calibration that an honest checkerboard would give.
+
+For tests of what lines cameras up: the light field is what a rig would record whose cameras are turned, have other
+focal lengths, lenses and sensors. Everything follows from a seed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from scipy import ndimage
+
+from lfgpu.calibration.cameras import Camera, turned
+from lfgpu.calibration.tones import squared_radius
+from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+
+
+@dataclass(frozen=True)
+class Misalignment:
+    """How far cameras are from what they should be: standard deviations of independent draws for each view.
+
+    Parameters
+    ----------
+    shift
+        Pixels by which turning a camera to the side moves its picture, along each axis, >= 0.
+    roll
+        Degrees that it is turned about its axis.
+    scale
+        Share by which its focal length differs.
+    distortion
+        Of its k1, the first coefficient of Brown and Conrady.
+    position
+        View steps that it stands beside its place, along each axis. Scenes are rendered from there.
+    gain
+        Share by which each colour is brighter.
+    offset
+        Intensity that is added to each colour.
+    vignetting
+        Share by which the corners are darker.
+    noise
+        Intensity of the noise of each pixel.
+    """
+
+    shift: float = 0.0
+    roll: float = 0.0
+    scale: float = 0.0
+    distortion: float = 0.0
+    position: float = 0.0
+    gain: float = 0.0
+    offset: float = 0.0
+    vignetting: float = 0.0
+    noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0 <= value < 1e3:
+                raise LightFieldError(f"misalignment: {field.name} must be a number from 0 on, not {value}.")
+
+    @classmethod
+    def parse(cls, text: str) -> Misalignment:
+        """ "shift=1,gain=0.1" as a misalignment; LightFieldError for names that there are not, or no numbers."""
+        known = [field.name for field in fields(cls)]
+        found: dict[str, float] = {}
+        for part in text.split(","):
+            name, equals, value = (piece.strip() for piece in part.partition("="))
+            try:
+                if not equals or name not in known:
+                    raise ValueError
+                found[name] = float(value)
+            except ValueError:
+                raise LightFieldError(
+                    f"misalignment must be NAME=NUMBER,... with names of {', '.join(known)}, not {text!r}."
+                ) from None
+        return cls(**found)
+
+
+CHECKERBOARD = Misalignment(shift=0.15, roll=0.01, scale=2e-4, distortion=1e-3, position=0.01)
+"""What an ordinary calibration with a checkerboard leaves of each camera."""
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbed:
+    """A light field of cameras as they are.
+
+    Parameters
+    ----------
+    light_field
+        What the cameras record, at the positions that they should have.
+    cameras
+        What they are, exactly.
+    calibrated
+        What a checkerboard says that they are.
+    gain, offset
+        float64 [n, c]: a view shows gain * t + offset of what it should show in its middle.
+    """
+
+    light_field: LightField
+    cameras: tuple[Camera, ...]
+    calibrated: tuple[Camera, ...]
+    gain: Float64Array
+    offset: Float64Array
+
+
+def displacements(count: int, reference: int, sigma: float, seed: int) -> Float64Array:
+    """[n, 2], view steps by which cameras stand beside their places; the reference stands where it should."""
+    moved = np.random.default_rng([seed, 0]).normal(0, sigma, (count, 2)) if sigma else np.zeros((count, 2))
+    moved[reference] = 0
+    return moved
+
+
+def disturb(lf: LightField, how: Misalignment, *, seed: int = 0, moved: Float64Array | None = None) -> Disturbed:
+    """What cameras that are misaligned record of the scene of a light field, in which all is right.
+
+    Parameters
+    ----------
+    lf
+        The light field; its geometry must be known. The reference view stays as it is, but for noise.
+    how
+        How far cameras are off. Positions cannot be changed here: give what `displacements` said and views from there.
+    seed
+        Decides every draw, >= 0.
+    moved
+        [n, 2], view steps by which the views of `lf` were taken beside their positions; None is nowhere.
+
+    Raises
+    ------
+    LightFieldError
+        If the light field has no geometry, or positions should change that it does not have.
+    """
+    if lf.geometry is None:
+        raise LightFieldError(f"{lf.name} has no geometry: what turning its cameras does is not known.")
+    count, reference = len(lf.views), lf.reference_index
+    if moved is None:
+        if how.position:
+            raise LightFieldError("positions of recorded cameras cannot be changed; render a scene from there.")
+        moved = np.zeros((count, 2))
+    draws = np.random.default_rng([seed, 1])
+    ideal = ideal_cameras(lf, moved)
+    cameras = _worse(ideal, how, draws, skip=reference)
+    checkerboard = replace(CHECKERBOARD, position=0.0)
+    calibrated = _worse(cameras, checkerboard, np.random.default_rng([seed, 2]), skip=-1)
+    spread = CHECKERBOARD.position * lf.geometry.baseline_m
+    noise = np.random.default_rng([seed, 3]).normal(0, spread, (count, 3))
+    calibrated = tuple(
+        replace(camera, translation=np.asarray(camera.translation) + step)
+        for camera, step in zip(calibrated, noise, strict=True)
+    )
+    gain = 1 + draws.normal(0, how.gain, (count, lf.channels)) if how.gain else np.ones((count, lf.channels))
+    offset = draws.normal(0, how.offset, (count, lf.channels)) if how.offset else np.zeros((count, lf.channels))
+    falloff = np.abs(draws.normal(0, how.vignetting, count)) if how.vignetting else np.zeros(count)
+    gain[reference], offset[reference], falloff[reference] = 1, 0, 0
+    across = squared_radius(*lf.size)
+    views = np.empty_like(lf.views)
+    for n in range(count):
+        view = _seen(lf.image(n), ideal[n], cameras[n])
+        view = gain[n] * (1 - falloff[n] * across[..., None]) * view + offset[n]
+        if how.noise:
+            view = view + np.random.default_rng([seed, 4, n]).normal(0, how.noise, view.shape)
+        view = np.clip(view, 0, 1)
+        views[n] = view if lf.views.dtype == np.float32 else np.rint(view / lf.scale)
+    return Disturbed(replace(lf, views=views, files=()), cameras, calibrated, gain, offset)
+
+
+def ideal_cameras(lf: LightField, moved: Float64Array | None = None) -> tuple[Camera, ...]:
+    """The cameras that the geometry of a light field says: parallel, in a plane, their frames shifted (in metres)."""
+    geometry = lf.geometry
+    assert geometry is not None
+    height, width = lf.size
+    cx, cy = geometry.principal_point or ((width - 1) / 2, (height - 1) / 2)
+    here = geometry.unshifted_at or tuple(lf.positions[lf.reference_index])
+    places = lf.positions - here + (0 if moved is None else moved)
+    centres = geometry.centres(places)
+    focal = geometry.focal_length_px, geometry.focal_length_px * geometry.pixel_aspect
+    shift = places * geometry.baseline_m * geometry.focal_length_px / geometry.focus_distance_m
+    return tuple(
+        Camera(
+            size=lf.size,
+            focal_length=focal,
+            principal_point=(float(cx + step[0]), float(cy + step[1])),
+            translation=(-centre[0], -centre[1], 0.0),
+            name=lf.files[n] if lf.files else f"view_{n:03d}.png",
+        )
+        for n, (centre, step) in enumerate(zip(centres, shift, strict=True))
+    )
+
+
+def _worse(
+    cameras: tuple[Camera, ...], how: Misalignment, draws: np.random.Generator, *, skip: int
+) -> tuple[Camera, ...]:
+    """Cameras turned about their centres, with other focal lengths and lenses; the one numbered `skip` as it was."""
+    found = []
+    for n, camera in enumerate(cameras):
+        x, y, z, scale, k1 = draws.normal(size=5)
+        if n == skip:
+            found.append(camera)
+            continue
+        fx, fy = camera.focal_length
+        turn = turned((-how.shift * y / fy, how.shift * x / fx, np.deg2rad(how.roll) * z))
+        rotation = turn @ np.asarray(camera.rotation)
+        factor = 1 + how.scale * scale
+        lens = list(camera.distortion) or ([0.0] * 4 if how.distortion else [])
+        if how.distortion:
+            lens[0] += how.distortion * k1
+        found.append(
+            replace(
+                camera,
+                focal_length=(fx * factor, fy * factor),
+                distortion=tuple(lens),
+                rotation=rotation,
+                translation=-rotation @ camera.centre,
+            )
+        )
+    return tuple(found)
+
+
+def _seen(image: Float32Array, ideal: Camera, real: Camera) -> Float32Array:
+    """What the real camera records where an ideal one at its place records the image [y, x, c]."""
+    if real is ideal:
+        return image
+    height, width = image.shape[:2]
+    y, x = np.mgrid[:height, :width].astype(np.float64)
+    rays = real.rays(np.stack([x, y], axis=-1)) @ np.asarray(real.rotation) @ np.asarray(ideal.rotation).T
+    at = ideal.project(rays)
+    planes = [
+        ndimage.map_coordinates(image[..., c], [at[..., 1], at[..., 0]], order=5, mode="mirror", output=np.float32)
+        for c in range(image.shape[2])
+    ]
+    return np.stack(planes, axis=-1)

@@ -1,0 +1,146 @@
+"""Whether rows and columns of cameras are counted the right way: what the pictures say about it.
+
+Wrong signs of one axis, or rows taken for columns, leave no disparity at which all views agree: a small plane sweep at
+points with texture says which of the four ways lets them agree best. Wrong signs of both axes turn every disparity
+round, and views agree as well as before; but then what is taken for far hides what is taken for near.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lfgpu.calibration.bundle import Points, grey
+from lfgpu.contract import Float64Array, KernelSet
+from lfgpu.data.lightfield import LightField
+
+Signs = Literal["v", "uv", "transposed"]
+
+_WAYS: dict[Signs | None, tuple[tuple[int, int], tuple[int, int]]] = {
+    None: ((1, 0), (0, 1)),
+    "v": ((1, 0), (0, -1)),
+    "transposed": ((0, 1), (1, 0)),
+}
+_TURNED = ((0, 1), (-1, 0))  # transposed and one axis turned round: a quarter turn of the array
+_POINTS = 400
+_VIEWS = 12
+_LABELS = 65
+_PARALLAX = 6.0  # pixels by which the views that are compared move at most, about
+_BETTER = 0.92  # of the median cost: how much better another way must be,
+_SURE = 5.0  # and by how many standard errors of the mean over points
+_HIDES_BETTER = 0.85  # of the loss: how much better the other order of depth must be
+_GAP = 2.0  # pixels in the farthest view: what is nearer by more hides what is behind it
+_DIFFERENT = 0.03  # intensity: where both orders of depth predict this different colours, they can be told apart
+_FEWEST = 400  # such pixels
+_SHARP = 1e3  # of the z-buffer, so that the nearest alone is seen
+_SPREAD = 0.5  # view steps: cameras in one line say nothing about the other axis
+
+
+def wrong_axis(lf: LightField, points: Points, largest: float) -> Signs | None:
+    """ "v" if one of the two axes is counted the wrong way, "transposed" if rows are taken for columns (either way
+    round), None if all is well or the pictures do not tell. `largest` is the largest absolute disparity."""
+    offsets = lf.offsets
+    distance = np.hypot(*offsets.T)
+    beside = np.flatnonzero(distance > 0)
+    if min(np.ptp(offsets, axis=0)) < _SPREAD or len(points.x) < _POINTS // 8:
+        return None
+    wanted = _PARALLAX / max(largest, 1e-6)
+    order = beside[np.argsort(np.abs(distance[beside] - wanted), kind="stable")]
+    chosen = _spread_over_angles(order, offsets)
+    step = np.random.default_rng(0).permutation(len(points.x))[:_POINTS]
+    dy, dx = np.mgrid[-2:3, -2:3].reshape(2, -1) * 1.0
+    x, y = points.x[step][:, None] + dx, points.y[step][:, None] + dy
+    patch = ndimage.map_coordinates(grey(lf, lf.reference_index), [y, x], order=1, mode="nearest")
+    pictures = [grey(lf, int(n)) for n in chosen]
+    labels = np.linspace(-1.2 * largest, 1.2 * largest, _LABELS)
+    costs: dict[Signs | None, Float64Array] = {}
+    for way, matrix in (*_WAYS.items(), ("turned", _TURNED)):
+        moved = offsets[chosen] @ np.array(matrix, np.float64).T
+        cost = _sweep(patch, pictures, moved, x, y, labels)
+        name: Signs | None = "transposed" if way == "turned" else way  # type: ignore[assignment]
+        if name not in costs or np.median(cost) < np.median(costs[name]):
+            costs[name] = cost
+    best = min(costs, key=lambda way: float(np.median(costs[way])))
+    gain = costs[None] - costs[best]
+    sure = gain.mean() > _SURE * gain.std() / np.sqrt(len(gain))
+    return best if sure and np.median(costs[best]) < _BETTER * np.median(costs[None]) else None
+
+
+def near_and_far_swapped(lf: LightField, disparity: NDArray[np.float32], kernels: KernelSet, device: str) -> bool:
+    """Whether what the map takes for far hides what it takes for near."""
+    distance = np.hypot(*lf.offsets.T)
+    order = [int(n) for n in np.argsort(-distance, kind="stable") if distance[n] > 0]
+    chosen = order[: max(4, min(8, len(order)))]
+    shape = (len(chosen), *lf.size)
+    gap = _GAP / float(distance.max())
+
+    def splat(picture: NDArray[np.float32], sign: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        channels = picture.shape[2]
+        views, coverage = kernels.zeros_image((*shape, channels), device, np.float32), kernels.zeros(shape, device)
+        kernels.splat_z_buffered(
+            kernels.image(picture, device),
+            kernels.field(sign * disparity, device),
+            kernels.field(sign * lf.offsets[chosen], device),
+            softness=0.1,
+            sharpness=_SHARP,
+            views_out=views,
+            coverage_out=coverage,
+        )
+        return kernels.numpy(views), kernels.numpy(coverage)
+
+    image = lf.image(lf.reference_index)
+    (right, coverage), (other, _) = splat(image, 1.0), splat(image, -1.0)
+    front, back = (splat(disparity[..., None].astype(np.float32), sign)[0][..., 0] for sign in (1.0, -1.0))
+    told = (front - back > gap) & (coverage >= 0.5) & (np.abs(right - other).mean(-1) > _DIFFERENT)
+    loss = np.zeros(2)
+    for place, n in enumerate(chosen):
+        recorded = lf.image(n)
+        if lf.valid is not None:
+            told[place] &= lf.valid[n]
+        # Brightness of the whole view is no matter of what hides what.
+        seen = coverage[place] >= 0.5
+        recorded = recorded * (right[place][seen].mean() / max(float(recorded[seen].mean()), 1e-6))
+        for k, view in enumerate((right[place], other[place])):
+            loss[k] += np.minimum(np.abs(view - recorded).mean(-1), 0.1)[told[place]].sum()
+    if __import__("os").environ.get("DBG"):
+        print(told.sum(), loss[1] / max(loss[0], 1e-9))
+    return bool(told.sum() >= _FEWEST and loss[1] < _HIDES_BETTER * loss[0])
+
+
+def _spread_over_angles(order: NDArray[np.intp], offsets: Float64Array) -> NDArray[np.intp]:
+    """Up to `_VIEWS` of the views in this order, from all directions."""
+    angle = np.arctan2(offsets[order, 1], offsets[order, 0])
+    sector = np.floor((angle + np.pi) / (2 * np.pi) * 8).astype(int) % 8
+    rank = np.array([(sector[:i] == s).sum() for i, s in enumerate(sector)])
+    return np.asarray(order[np.lexsort((np.arange(len(order)), rank))][:_VIEWS])
+
+
+def _sweep(
+    patch: Float64Array,
+    pictures: list[NDArray[np.float32]],
+    offsets: Float64Array,
+    x: Float64Array,
+    y: Float64Array,
+    labels: Float64Array,
+) -> Float64Array:
+    """The least cost [p] of each point: mean absolute difference of patches without their means, in the better half of
+    the views."""
+    best = np.full(len(patch), np.inf)
+    plain = _plain(patch)
+    for d in labels:
+        costs = [
+            np.abs(_plain(ndimage.map_coordinates(picture, [y - d * dv, x - d * du], order=1, mode="nearest")) - plain)
+            for picture, (du, dv) in zip(pictures, offsets, strict=True)
+        ]
+        better = np.sort(np.stack(costs).mean(2), axis=0)[: (3 * len(pictures) + 3) // 4]
+        best = np.minimum(best, better.mean(0))
+    return best
+
+
+def _plain(patch: Float64Array) -> Float64Array:
+    """Patches [p, k] without their mean and contrast."""
+    centred = patch - patch.mean(1, keepdims=True)
+    return np.asarray(centred / (np.abs(centred).mean(1, keepdims=True) + 3e-3))

@@ -1,0 +1,107 @@
+"""Gain, offset and vignetting of each view against the reference, from what all show of the same points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract import Float64Array
+
+_ROUNDS = 12
+_DARK, _BRIGHT = 0.01, 0.985  # intensity: what is less or more may have been cut off
+_LEAST_NOISE = 0.003  # intensity
+_FEWEST = 20  # points that a view must share with others
+
+
+@dataclass(frozen=True, eq=False)
+class Tones:
+    """How bright views are: a view shows (gain + vignetting r²) t + offset where the reference would show t.
+
+    r is the distance from the middle of the view in units of its half diagonal.
+
+    Parameters
+    ----------
+    gain, offset, vignetting
+        float64 [n, c]; 1, 0 and 0 for the reference view.
+    """
+
+    gain: Float64Array
+    offset: Float64Array
+    vignetting: Float64Array
+
+    def brightness(self, level: float | Float64Array) -> Float64Array:
+        """[n, c], how bright a view shows the intensity `level`, as a share of it, vignetting left out."""
+        return self.gain + self.offset / level
+
+    def equalised(
+        self, view: NDArray[np.float32], index: int, *, across: NDArray[np.float32] | None = None
+    ) -> NDArray[np.float32]:
+        """View `index` [y, x, c] in [0, 1] with the tones of the reference; `across` [y, x] is r² of its pixels."""
+        if across is None:
+            across = squared_radius(*view.shape[:2])
+        gain = self.gain[index] + self.vignetting[index] * across[..., None]
+        return np.clip((view - self.offset[index]) / np.maximum(gain, 0.05), 0, 1).astype(np.float32)
+
+
+def squared_radius(height: int, width: int) -> NDArray[np.float32]:
+    """float32 [y, x], squared distance from the middle of a view in units of its half diagonal."""
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    return np.asarray(((x - (width - 1) / 2) ** 2 + (y - (height - 1) / 2) ** 2) / (height**2 + width**2) * 4)
+
+
+def match_tones(
+    shown: Float64Array, weight: Float64Array, radius2: Float64Array, reference: int, *, vignetting: bool
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Gain, offset and vignetting [n] of one colour.
+
+    What a point is like is the mean of what all views show of it, so that noise of the reference alone does not lower
+    the gains of others; both are found in turns, with robust weights.
+
+    Parameters
+    ----------
+    shown
+        [n, p], what each view shows of each point, in [0, 1].
+    weight
+        [n, p], 0 where it does not.
+    radius2
+        [n, p], squared distance of the point from the middle of the view, half diagonals.
+    reference
+        Index of the view whose gain is 1 and whose offset is 0.
+    vignetting
+        Whether vignetting is looked for; else it is 0.
+    """
+    weight = weight * ((shown > _DARK) & (shown < _BRIGHT))
+    count = len(shown)
+    gain, offset, falloff = np.ones(count), np.zeros(count), np.zeros(count)
+    for _ in range(_ROUNDS):
+        factor = gain[:, None] + falloff[:, None] * radius2
+        total = (weight * factor**2).sum(0)
+        like = (weight * factor * (shown - offset[:, None])).sum(0) / np.maximum(total, 1e-12)
+        residual = shown - factor * like - offset[:, None]
+        counted = np.abs(residual[weight > 0])
+        noise = max(_LEAST_NOISE, 1.4826 * float(np.median(counted))) if len(counted) else _LEAST_NOISE
+        robust = weight / (1 + (residual / (3 * noise)) ** 2) ** 2
+        for n in range(count):
+            kept = robust[n] > 0
+            if kept.sum() < _FEWEST:
+                continue
+            columns = [like[kept], np.ones(int(kept.sum()))]
+            if vignetting:
+                columns.append(like[kept] * radius2[n, kept])
+            a, w = np.stack(columns, 1), robust[n, kept]
+            # A weak prior (as strong as one point of full contrast) keeps what texture does not tell at 1, 0 and 0.
+            found = np.linalg.solve(
+                (a * w[:, None]).T @ a + np.eye(a.shape[1]),
+                (a * w[:, None]).T @ shown[n, kept] + _IDENTITY[: a.shape[1]],
+            )
+            gain[n], offset[n], falloff[n] = (*found, 0.0)[:3]
+        # All against the reference: t' = g_r t + b_r is what it shows (its own vignetting cannot be told apart).
+        g, b, v = gain[reference], offset[reference], falloff[reference]
+        gain, falloff = gain / g, (falloff - gain * v / g) / g
+        offset = offset - gain * b
+    return gain, offset, falloff
+
+
+_IDENTITY = np.array([1.0, 0.0, 0.0])

@@ -1,0 +1,176 @@
+"""`lfgpu check`: how well a map explains its light field, and what is wrong with the cameras."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lfgpu._backends import DEFAULT
+from lfgpu.cli import values
+from lfgpu.cli.options import (
+    AllowMissing,
+    Backend,
+    Device,
+    DisparityRange,
+    Every,
+    Flip,
+    FormatName,
+    Grid,
+    Quiet,
+    ReferenceView,
+    Source,
+    Threads,
+)
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lfgpu.calibration import Explanation
+    from lfgpu.data.lightfield import LightField
+    from lfgpu.data.result import DepthResult, DisparityMap
+
+CHECK_FILE = "check.json"
+
+
+def check(
+    source: Source,
+    result: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[RESULT]",
+            help="A folder that depth wrote, or another map of the reference view.",
+            show_default="estimated with the preset fast",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--out", metavar="FOLDER", help="Also write check.json, the unexplained part and residual pictures."
+        ),
+    ] = None,
+    reference_view: ReferenceView = None,
+    disparity_range: DisparityRange = None,
+    backend: Backend = DEFAULT,
+    device: Device = None,
+    threads: Threads = None,
+    format_name: FormatName = None,
+    grid: Grid = None,
+    every: Every = None,
+    flip: Flip = "",
+    allow_missing: AllowMissing = False,
+    quiet: Quiet = False,
+) -> None:
+    """Predict every view from the reference and its map, compare, and say what stands out. No truth is needed.
+
+    Says for each view how far it is shifted, turned, scaled and brighter against where the others put it, and whether
+    the signs of the axes are right.
+    """
+    from lfgpu.calibration import explain
+    from lfgpu.cli.console import output
+    from lfgpu.cli.depth import Estimation
+    from lfgpu.io import check_writable, read
+
+    if out is not None:
+        check_writable(out)
+    estimation = Estimation(
+        values.configured("fast", ()),
+        None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
+        backend,
+        device,
+    )
+    place = None if reference_view is None else values.parse_place("--reference-view", reference_view)
+    values.use_threads("--threads", threads)
+    estimation.check_device()
+    lf = read(
+        source, format=format_name, allow_missing=allow_missing, grid=values.parse_grid(grid), every=every, flip=flip
+    )
+    found = None if result is None else _map(result)
+    if place is not None:
+        lf = lf.with_reference(lf.index_of(*place))
+    elif found is not None and found.position is not None:
+        lf = lf.with_reference(lf.index_of(found.position[1], found.position[0]))
+    judged = found or estimation.run(lf, quiet=quiet)
+    explanation = explain(lf, judged, backend=backend, device=device)
+    files = [] if out is None else _write(out, lf, judged, explanation, estimation)
+    if not quiet:
+        _show(output(), lf, explanation)
+        if out is not None:
+            from lfgpu.cli.summary import show_outputs
+
+            show_outputs(output(), out, files)
+
+
+def _map(path: Path) -> DepthResult | DisparityMap:
+    from lfgpu.data.views_result import ViewsResult
+    from lfgpu.io import load
+
+    found = load(path)
+    return found.map(found.keys[0]) if isinstance(found, ViewsResult) else found
+
+
+def _show(console: Console, lf: LightField, found: Explanation) -> None:
+    import numpy as np
+
+    from lfgpu.cli import console as shown
+    from lfgpu.cli import facts
+
+    predicted = 100 * float(np.delete(found.predicted, found.reference).mean())
+    darkest, brightest = 100 * np.nanmin(found.brightness), 100 * np.nanmax(found.brightness)
+    turned, scaled = _rms(found.rotation), 100 * _rms(found.scale)
+    shown.heading(console, lf.name)
+    shown.lines(
+        console,
+        [
+            ("views", facts.views(lf)),
+            ("predicted", f"{found.mean_psnr:.1f} dB PSNR over {predicted:.0f} % of the pixels of the other views"),
+            ("points", f"{found.points}, with texture, on smooth surfaces"),
+            ("shifts", f"{found.misalignment:.3f} px rms, standard error {_rms(found.shift_error):.3f} px"),
+            ("rotations", f"{turned:.4f} degrees rms, standard error {_rms(found.rotation_error):.4f} degrees"),
+            ("scales", f"{scaled:.4f} % rms, standard error {100 * _rms(found.scale_error):.4f} %"),
+            ("brightness", f"{darkest:.1f} % to {brightest:.1f} % of the reference"),
+        ],
+    )
+    shown.heading(console, "What stands out")
+    shown.lines(
+        console, [("finding", sentence) for sentence in found.findings] or [("nothing", "the views fit together.")]
+    )
+
+
+def _rms(numbers: object) -> float:
+    import numpy as np
+
+    return float(np.sqrt(np.nanmean(np.asarray(numbers, np.float64) ** 2)))
+
+
+def _write(
+    out: Path, lf: LightField, judged: DepthResult | DisparityMap, found: Explanation, estimation: object
+) -> list[tuple[str, str]]:
+    """Write the numbers, the map of what is unexplained, and a residual picture of each view."""
+    import numpy as np
+
+    from lfgpu.calibration import residual_pictures
+    from lfgpu.cli.depth import Estimation
+    from lfgpu.io import atomic_folder, write_pfm
+    from lfgpu.io.png import write_png
+
+    assert isinstance(estimation, Estimation)
+    with atomic_folder(out) as folder:
+        (folder / CHECK_FILE).write_text(json.dumps(found.as_dict(), indent=1), encoding="utf-8")
+        write_pfm(folder / "unexplained.pfm", found.unexplained)
+        pictures = residual_pictures(lf, judged, backend=estimation.backend, device=estimation.device)
+        (folder / "residuals").mkdir()
+        for index, picture in pictures:
+            # Grey is explained, brighter and darker are what the view shows more or less of, four times enlarged.
+            levels = np.where(np.isfinite(picture), np.clip(0.5 + 4 * picture, 0, 1), 0.5)
+            write_png(
+                folder / "residuals" / f"view_{index:03d}.png",
+                np.rint(levels.mean(2, keepdims=True) * 255).astype(np.uint8),
+            )
+    return [
+        (CHECK_FILE, "all numbers of all views"),
+        ("unexplained.pfm", "float32 map of the reference: rms difference over the views that see a pixel"),
+        ("residuals/", "recorded less predicted views, four times enlarged about grey"),
+    ]

@@ -1,0 +1,182 @@
+"""The judge: which camera stands out and how, whether signs are right, and silence where all is well."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+from typer.testing import CliRunner
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.calibration import residual_pictures
+from lfgpu.calibration.consensus import without_gauge
+from lfgpu.calibration.tones import match_tones, squared_radius
+from lfgpu.cli import app
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.io import write_hci, write_pfm
+
+
+@pytest.fixture(scope="module")
+def boxes() -> LightField:
+    return scenes.make("boxes", grid=(5, 5), size=(160, 160), seed=3)
+
+
+def truth(lf: LightField) -> np.ndarray:
+    assert lf.truth is not None
+    return lf.truth.disparity
+
+
+def with_view(lf: LightField, index: int, change) -> LightField:
+    """With what `change` makes of one view, float64 [y, x, c] in stored units."""
+    views = lf.views.copy()
+    views[index] = np.clip(np.rint(change(views[index].astype(np.float64))), 0, 255)
+    return replace(lf, views=views)
+
+
+def displaced(image: np.ndarray, x: float, y: float, angle: float = 0.0) -> np.ndarray:
+    """What the picture shows, moved by x to the right and y down, after a clockwise turn about its middle (radians)."""
+    matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])  # of (row, column)
+    middle = (np.array(image.shape[:2]) - 1) / 2
+    shift = middle - matrix @ (middle + np.array([y, x]))
+    return np.stack(
+        [ndimage.affine_transform(image[..., c], matrix, shift, order=5, mode="nearest") for c in range(3)], axis=-1
+    )
+
+
+def test_nothing_stands_out_where_cameras_are_right(boxes: LightField) -> None:
+    found = lfgpu.explain(boxes, truth(boxes))
+    assert found.findings == ()
+    assert found.signs is None
+    assert found.misalignment < 0.01
+    assert np.abs(found.brightness - 1).max() < 0.01
+    assert found.psnr[boxes.reference_index] == np.inf
+    assert found.mean_psnr > 30
+    assert np.nanmedian(found.unexplained) < 0.02
+
+
+@pytest.mark.parametrize(("index", "shift"), [(3, (0.2, 0.0)), (12, (0.0, -0.2)), (20, (-0.15, 0.15))])
+def test_a_view_that_is_moved_is_named_with_its_direction(
+    boxes: LightField, index: int, shift: tuple[float, float]
+) -> None:
+    """The reference view (12) among them: then it is not all others that are said to be moved."""
+    moved = with_view(boxes, index, lambda image: displaced(image, *shift))
+    found = lfgpu.explain(moved, lfgpu.estimate_depth(moved, config="fast"))
+    (sentence,) = found.findings
+    row, column = divmod(index, 5)
+    assert f"the view at row {row}, column {column} is" in sentence
+    assert ("to the right" in sentence) == (shift[0] > 0)
+    assert ("above" in sentence) == (shift[1] < 0)
+    assert np.abs(found.shift[index] - shift).max() < 0.05
+    others = np.delete(found.shift, index, axis=0)
+    assert np.abs(others).max() < 0.05
+
+
+def test_turned_and_bright_views_are_named(boxes: LightField) -> None:
+    turned = with_view(boxes, 6, lambda image: displaced(image, 0, 0, np.deg2rad(0.2)))
+    found = lfgpu.explain(turned, truth(turned))
+    assert found.rotation[6] == pytest.approx(0.2, abs=0.03)
+    assert any("row 1, column 1" in sentence and "clockwise" in sentence for sentence in found.findings)
+
+    dark = with_view(boxes, 8, lambda image: 0.92 * image)
+    found = lfgpu.explain(dark, truth(dark))
+    np.testing.assert_allclose(found.gain[8], 0.92, atol=0.01)
+    (sentence,) = found.findings
+    assert "row 1, column 3 is 8" in sentence
+    assert "darker" in sentence
+
+
+@pytest.mark.parametrize("irregular", [False, True])
+@pytest.mark.parametrize(
+    ("matrix", "signs"), [(((1, 0), (0, -1)), "v"), (((-1, 0), (0, -1)), "uv"), (((0, 1), (1, 0)), "transposed")]
+)
+def test_wrong_signs_are_found(
+    boxes: LightField, matrix: tuple[tuple[int, int], tuple[int, int]], signs: str, irregular: bool
+) -> None:
+    lf = boxes
+    if irregular:
+        lf = lf.subset([0, 1, 3, 6, 9, 11, 12, 14, 15, 18, 20, 23])
+    turned = replace(lf, positions=lf.positions @ np.array(matrix, float).T, grid_shape=None, truth=None, geometry=None)
+    found = lfgpu.explain(turned, lfgpu.estimate_depth(turned, config="fast"))
+    assert found.signs == signs
+    assert len(found.findings) == 1
+
+
+def test_a_map_of_something_else_is_told(boxes: LightField) -> None:
+    wrong = np.ascontiguousarray(np.roll(truth(boxes), 60, axis=1)[::-1])
+    (sentence,) = lfgpu.explain(boxes, wrong).findings
+    assert "worse than a plane" in sentence
+
+
+def test_what_is_not_known_is_not_predicted(boxes: LightField) -> None:
+    partial = truth(boxes).copy()
+    partial[:, :80] = np.nan
+    found = lfgpu.explain(boxes, partial)
+    assert np.isnan(found.unexplained[:, :70]).all()
+    assert found.predicted[0] < 0.65
+    pictures = dict(residual_pictures(boxes, partial))
+    assert len(pictures) == 24
+    assert np.isnan(pictures[0]).mean() > 0.35
+
+
+def test_textureless_views_tell_nothing_of_cameras() -> None:
+    views = np.full((3, 3, 32, 32, 1), 100, np.uint8)
+    lf = LightField.from_grid(views)
+    found = lfgpu.explain(lf, np.zeros((32, 32), np.float32))
+    assert np.isnan(found.shift).all()
+    assert "only 0 points" in found.findings[0]
+
+
+def test_maps_that_do_not_belong_are_refused(boxes: LightField) -> None:
+    with pytest.raises(LightFieldError, match="must be 160 x 160"):
+        lfgpu.explain(boxes, np.zeros((10, 10)))
+    with pytest.raises(LightFieldError, match="undefined everywhere"):
+        lfgpu.explain(boxes, np.full((160, 160), np.nan))
+    other = lfgpu.DisparityMap(truth(boxes), position=(0.0, 0.0))
+    with pytest.raises(LightFieldError, match="belongs to the view at row 0, column 0"):
+        lfgpu.explain(boxes, other)
+
+
+def test_the_gauge_is_left_out_and_an_outlier_does_not_spoil_it(rng: np.random.Generator) -> None:
+    offsets = np.stack(np.meshgrid(np.arange(-3, 4.0), np.arange(-3, 4.0)), -1).reshape(-1, 2)
+    shifts = np.array([0.3, -0.2]) + 0.1 * offsets
+    shifts[5] += (0.5, 0.0)
+    rest = without_gauge(shifts, offsets)
+    np.testing.assert_allclose(rest[5], (0.5, 0), atol=1e-3)
+    np.testing.assert_allclose(np.delete(rest, 5, axis=0), 0, atol=1e-3)
+
+
+def test_tones_are_found_despite_noise(rng: np.random.Generator) -> None:
+    """A regression on the noisy reference itself would find gains that are too low."""
+    like = rng.uniform(0.2, 0.6, 3000)
+    gain, offset = np.array([1.0, 0.8, 1.15, 1.0]), np.array([0.0, 0.02, -0.03, 0.0])
+    radius2 = rng.uniform(0, 1, (4, 3000))
+    falloff = np.array([0.0, -0.2, 0.0, 0.1])
+    shown = (gain[:, None] + falloff[:, None] * radius2) * like + offset[:, None] + rng.normal(0, 0.03, (4, 3000))
+    found = match_tones(shown, np.ones_like(shown), radius2, 0, vignetting=True)
+    np.testing.assert_allclose(found[0], gain, atol=0.03)
+    np.testing.assert_allclose(found[1], offset, atol=0.015)
+    np.testing.assert_allclose(found[2], falloff, atol=0.03)
+    assert squared_radius(3, 5)[0, 0] == pytest.approx((1 + 4) / (34 / 4))
+
+
+def test_check_on_the_command_line(boxes: LightField, tmp_path) -> None:
+    moved = with_view(boxes, 3, lambda image: displaced(image, 0.3, 0))
+    write_hci(moved, tmp_path / "lf")
+    write_pfm(tmp_path / "map.pfm", truth(boxes))
+    result = CliRunner().invoke(
+        app, ["check", str(tmp_path / "lf"), str(tmp_path / "map.pfm"), "-o", str(tmp_path / "out")]
+    )
+    assert result.exit_code == 0, result.output
+    assert "row 0, column 3" in result.stdout
+    numbers = json.loads((tmp_path / "out" / "check.json").read_text())
+    assert numbers["views"][3]["shift_px"][0] == pytest.approx(0.3, abs=0.05)
+    assert numbers["views"][12]["psnr_db"] is None
+    assert len(list((tmp_path / "out" / "residuals").iterdir())) == 24
+    wrong = CliRunner().invoke(app, ["check", str(tmp_path / "lf"), str(tmp_path / "nothing.pfm")])
+    assert wrong.exit_code == 1
+    assert len(wrong.stderr.splitlines()) == 1
