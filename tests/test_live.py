@@ -120,7 +120,7 @@ def test_feed_tells_of_all_frames_in_order() -> None:
         (["grabber_for_tests:missing"], "cannot be loaded"),
         (["no_such_module:frames"], "cannot be loaded"),
         (["planes", "--policy=queue:x"], "--policy must be latest, block or queue:N"),
-        (["planes", "--preset=paper", "--size=32x32", "--grid=3x3"], "a stream matches"),
+        (["planes", "--preset=paper", "--size=32x32", "--grid=3x3"], "synthesis cannot; take the preset accurate or fast"),
     ],
 )
 def test_mistakes_are_one_sentence(grabbers: None, arguments: list[str], sentence: str) -> None:
@@ -139,9 +139,9 @@ def _warp_devices() -> tuple[str, ...]:
 
 @pytest.mark.parametrize("device", _warp_devices())
 def test_sameness(device: str, rng: np.random.Generator) -> None:
-    from lfgpu.kernels.warp import live
-
     kernels = load("warp")
+    live = kernels.streaming
+    assert live is not None
     image, last = rng.random((2, 9, 11, 3), np.float32)
     last[:, 5:] = image[:, 5:] + 0.01
     out = kernels.zeros((9, 11), device)
@@ -154,9 +154,9 @@ def test_sameness(device: str, rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("device", _warp_devices())
 def test_bias_and_blend(device: str, rng: np.random.Generator) -> None:
-    from lfgpu.kernels.warp import live
-
     kernels = load("warp")
+    live = kernels.streaming
+    assert live is not None
     past, trust, frames, disparity = rng.random((4, 9, 11), np.float32)
     costs = rng.random((5, 9, 11), np.float32)
     volume = kernels.field(costs, device)

@@ -79,6 +79,12 @@ class Desk:
 # --- the operations: inputs to outputs ---
 
 
+def names_of(contract: type) -> set[str]:
+    """The names of all operations and facts of a contract; what only some backends have is left out."""
+    named = {name for base in contract.__mro__ for name in vars(base) if base.__module__.startswith("lfgpu.contract")}
+    return {name for name in named if not name.startswith("_")} - {"streaming", "recording"}
+
+
 def splat(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = {"views": desk.image_out(i.views.shape), "coverage": desk.out(i.views.shape[:3])}
     desk.kernels.splat(
