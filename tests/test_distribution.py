@@ -17,7 +17,15 @@ pytest.importorskip("hatchling", reason="nothing can be built without hatchling:
 
 ROOT = Path(__file__).parents[1]
 CODE = {path for folder in ("lfgpu", "kernels") for path in (ROOT / folder).rglob("*.py")}
-TESTED_WITH = ("Makefile", "constraints.txt", "README.md", "CHANGELOG.md", "LICENSE", "pyproject.toml")
+TESTED_WITH = (
+    "Makefile",
+    "constraints.txt",
+    "README.md",
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "LICENSE",
+    "pyproject.toml",
+)
 FOLDERS = ("lfgpu", "kernels", "tests", "benchmarks", "docs", "examples")
 
 
