@@ -302,3 +302,8 @@ def test_lengths_are_those_in_the_farthest_view(preset: str, monkeypatch: pytest
 def value_of(config: Config, name: str) -> float:
     section, parameter = name.split(".")
     return float(getattr(getattr(config, section), parameter))
+
+
+@pytest.mark.parametrize("noise", [0.004, 0.01])
+def test_the_noise_that_parameters_are_in_units_of_is_an_intensity(noise: float) -> None:
+    assert in_units_of(noise, PRESETS["accurate"]).sweep.noise == pytest.approx(noise)
