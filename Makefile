@@ -19,7 +19,7 @@ bench: .venv/develop
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf .venv lfgpu.egg-info lfgpu-demo
+	rm -rf .venv dist lfgpu-demo
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "lfgpu needs Python 3.11 or newer; name one with: make PYTHON=/path/to/python3.12 ...")'

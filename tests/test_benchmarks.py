@@ -52,7 +52,7 @@ MEASURED = ("data_term", "nlm_laplacian", "dot")
 
 def benchmarks(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "benchmarks", *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
 
 
 def told(*arguments: str | Path) -> Any:

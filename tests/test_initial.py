@@ -14,6 +14,7 @@ from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.methods.sections import LocalConfig
 from lfgpu.methods.structure_tensor import LocalEstimator, structure_filters
 from lfgpu.metrics import Metrics, evaluate
@@ -249,3 +250,10 @@ def test_cameras_a_little_out_of_line_still_make_a_row() -> None:
     shaken = replace(lf, positions=lf.positions + jitter, grid_shape=None, truth=None)
     assert len(shaken.row()) == len(shaken.column()) == 7
     assert np.median(np.abs(estimated(shaken).disparity - estimated(lf).disparity)) < 0.02
+
+
+def test_the_range_is_in_units_of_the_positions() -> None:
+    """Positions counted in steps half as long: disparities half as large, margin included."""
+    lf = scenes.make("boxes", grid=(3, 3), size=(64, 72), disparity_range=(-2.0, 3.0))
+    halved = replace(lf, positions=2 * lf.positions, truth=None, grid_shape=None)
+    assert np.allclose(2 * np.array(find_disparity_range(halved)), find_disparity_range(lf))

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lfgpu import scenes
 from lfgpu._backends import load
+from lfgpu.config import Config
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
-from lfgpu.methods import PRESETS
+from lfgpu.methods import PRESETS, method_of
+from lfgpu.methods.matching import plan
 from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.noise import in_units_of, measured_noise
 from lfgpu.methods.matching.sweep import labels, used_views, view_sets
@@ -273,3 +277,33 @@ def test_a_pipeline_gives_the_same_map_every_time() -> None:
         maps.append(pipeline.disparity())
     np.testing.assert_array_equal(maps[0], maps[1])
     np.testing.assert_array_equal(maps[0], maps[2])
+
+
+@pytest.mark.parametrize("preset", ["accurate", "fast"])
+def test_lengths_are_those_in_the_farthest_view(preset: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Positions counted in steps half as long, with disparities half as large, give the same map to the bit.
+
+    What is given as a curvature is the exception: it is counted per view step, so here it is four times as large.
+    """
+    lf = scenes.make("boxes", grid=(5, 5), size=(40, 48), disparity_range=(-1, 1), noise=0.01, seed=1)
+    config = PRESETS[preset].with_values({"sweep.noise": 0.004, "alignment.longest_step": 0.05})  # which some reach
+    found = estimate_depth(lf, config=config, disparity_range=(-1.2, 1.2), device="cpu")
+
+    halved = replace(lf, positions=2 * lf.positions, truth=None, grid_shape=None)
+    curvatures = ("alignment.stiffness", "hole_filling.stiffness")
+    config = config.with_values({name: 4 * value_of(config, name) for name in curvatures})
+    monkeypatch.setattr(plan, "_LEAST_CURVATURE", 4 * plan._LEAST_CURVATURE)
+    again = estimate_depth(halved, config=config, disparity_range=(-0.6, 0.6), device="cpu")
+    for stage, values in found.stages.items():
+        assert np.array_equal(2 * again.stages[stage], values), stage
+    assert method_of(config).same_surface(halved) == method_of(config).same_surface(lf) / 2
+
+
+def value_of(config: Config, name: str) -> float:
+    section, parameter = name.split(".")
+    return float(getattr(getattr(config, section), parameter))
+
+
+@pytest.mark.parametrize("noise", [0.004, 0.01])
+def test_the_noise_that_parameters_are_in_units_of_is_an_intensity(noise: float) -> None:
+    assert in_units_of(noise, PRESETS["accurate"]).sweep.noise == pytest.approx(noise)

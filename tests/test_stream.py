@@ -23,7 +23,7 @@ from lfgpu.data.lightfield import LightField
 
 RANGE = (-1.5, 1.5)
 FRAMES = 6
-LONG = 60.0  # seconds: nothing takes that long unless it hangs
+LONG = 600.0  # seconds: nothing takes that long unless it hangs
 
 
 @cache

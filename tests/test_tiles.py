@@ -92,6 +92,23 @@ def test_without_a_halo_the_map_would_differ(
     assert np.abs(found.disparity - whole.disparity).max() > 10 * TOLERANCE
 
 
+@pytest.mark.parametrize("config", ["accurate", "fast", "paper"])
+def test_the_halo_holds_what_is_looked_at_and_what_may_hide_it(config: str) -> None:
+    """Along each axis: the largest shift in any view, and the largest difference of shifts."""
+    lf = scenes.make("planes", grid=(3, 7), size=(32, 40))  # up to 1 step down and 3 to the right
+    method = method_of(config)
+
+    def found(low: float, high: float) -> tuple[int, int]:
+        return method.halo(lf, Measured((low, high)))
+
+    (y, x), reach = found(-1, 2), np.array([1, 3])
+    assert np.array_equal(np.subtract(found(0, 2), (y, x)), -1 * reach)  # the same shifts, with less between them
+    assert np.array_equal(np.subtract(found(-2, 1), (y, x)), 0 * reach)  # the same on the other side
+    assert np.array_equal(np.subtract(found(2, 5), (y, x)), 3 * reach)  # as much between larger shifts
+    assert found(-0.1, 0.1)[0] == y - 5 + 2  # parts of a pixel count as one
+    assert y - 5 >= 16 + 2 * (method.config.prior.window // 2)  # and windows, paths or solvers
+
+
 def test_noise_and_range_are_those_of_the_whole(scene: LightField) -> None:
     """So that a light field in one tile is estimated as it is without the limit."""
     plain = estimate_depth(scene, config="fast", device="cpu")
@@ -258,7 +275,7 @@ def test_memory_is_as_foreseen(name: str, device: str) -> None:
     if device not in load("warp").devices():
         pytest.skip(f"no {device} here")
     command = [sys.executable, "-c", _MEASURE, name, device]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     before, foreseen, grown, small = map(int, done.stdout.splitlines()[-1].split())
     assert before <= small

@@ -592,7 +592,7 @@ def test_pages_of_a_tiff_in_a_circle_come_to_an_end(tmp_path: Path, true: LightF
             capture_output=True,
             text=True,
             check=False,
-            timeout=60,
+            timeout=600,
         )
         assert done.returncode == 1, done
         assert "Traceback" not in done.stderr

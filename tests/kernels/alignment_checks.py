@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from checks import Desk, Operation, Outputs, Program, Values, compute, largest_error, relative_to_terms, size
-from lfgpu.kernels import reference as reference_package
 
 from lfgpu.contract import KernelSet
+from lfgpu.kernels import reference as reference_package
 
 reference = reference_package.KERNELS
 

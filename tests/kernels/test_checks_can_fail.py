@@ -937,7 +937,7 @@ def outcomes_of_the_matrix(folder: Path, cases: str) -> dict[str, str]:
         env={**environment, "PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
     )
     found = re.findall(r"^(PASSED|FAILED|ERROR) \S+::(\S+)", done.stdout, re.MULTILINE)
     assert found, done.stdout + done.stderr

@@ -10,7 +10,10 @@ from collections.abc import Sequence
 
 from lfgpu.contract import Array, KernelSet, SplatDataTerm
 
-_HOMES = {"additive": "additive", "z-buffer": "z_buffer"}
+_HOMES = {
+    "additive": "additive",
+    "z-buffer": "z_buffer",
+}
 
 NAMES = tuple(_HOMES)
 """Names of all data terms, the default first."""
