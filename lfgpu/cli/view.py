@@ -31,7 +31,8 @@ def view(
 ) -> None:
     """Look at a light field, its epipolar plane images, maps and points in space, and estimate again, in the browser.
 
-    Only this machine reaches the page, and only who knows its address, which has a token. Maps are compared if there are several. Ctrl-C ends it.
+    Only this machine reaches the page, and only who knows its address, which has a token. Maps are compared if there
+    are several. Ctrl-C ends it.
     """
     from lfgpu.cli import values
     from lfgpu.viewer import Viewer

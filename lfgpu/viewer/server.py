@@ -100,7 +100,8 @@ class Viewer:
     def of(cls, paths: Sequence[str | os.PathLike[str]], *, port: int = 8080, allow_open: bool = False) -> Viewer:
         """A viewer of what paths hold: at most one light field, and maps of it (files, or folders that depth wrote).
 
-        Pages may open these paths and what lies in them, with `allow_open` any. LightFieldError if one of them is missing or is no such thing, or they do not belong together.
+        Pages may open these paths and what lies in them, with `allow_open` any. LightFieldError if one of them is
+        missing or is no such thing, or they do not belong together.
         """
         contents = opened_all([Path(path) for path in paths])
         viewer = cls(port=port, allow_open=allow_open)
