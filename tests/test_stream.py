@@ -291,6 +291,42 @@ def test_callback_sees_every_result_and_may_fail() -> None:
     assert stream.stats()["callback_errors"] == FRAMES
 
 
+@pytest.mark.parametrize("ending", [SystemExit, KeyboardInterrupt, GeneratorExit])
+def test_a_callback_that_ends_its_thread_does_not_end_the_stream(ending: type[BaseException]) -> None:
+    def leave(result: lfgpu.StreamResult) -> None:
+        raise ending
+
+    with made(on_result=leave, policy="block") as stream:
+        results = [stream.push(lf.views) for lf in frames()]
+        assert all(result.wait(LONG) for result in results)
+    assert stream.stats()["callback_errors"] == FRAMES
+
+
+class _Odd:
+    """An array of a library in which everything goes wrong."""
+
+    def __init__(self, views: np.ndarray, method: str) -> None:
+        self.dtype, self.shape, self._method = views.dtype, views.shape, method
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        if self._method == "device":
+            raise OSError("the driver is gone")
+        return (1, 0)
+
+    def __dlpack__(self, **_: Any) -> Any:
+        raise OSError("the driver is gone")
+
+
+@pytest.mark.parametrize("method", ["device", "array"])
+def test_a_frame_whose_library_fails_fails_alone(method: str) -> None:
+    views = frames()[0].views
+    with made() as stream:
+        result = stream.push(_Odd(views, method))
+        with pytest.raises(lfgpu.LightFieldError, match="the driver is gone"):
+            result.numpy()
+        np.testing.assert_array_equal(stream.push(views).numpy(), alone("fast", 0))
+
+
 # --- under load ---
 
 
@@ -460,7 +496,13 @@ def test_stats_and_their_text() -> None:
         ({"policy": "newest"}, "policy must be one of latest, block, queue"),
         ({"policy": "latest", "waiting": 2}, "waiting must be"),
         ({"waiting": 0}, "waiting must be"),
+        ({"policy": "queue", "waiting": float("inf")}, "waiting must be"),
+        ({"policy": "queue", "waiting": "x"}, "waiting must be"),
+        ({"policy": "queue", "waiting": 10**9}, "waiting must be"),
         ({"cut": 2.0}, "cut must be"),
+        ({"cut": "x"}, "cut must be"),
+        ({"budget_ms": "x"}, "budget_ms must be"),
+        ({"budget_ms": float("inf")}, "budget_ms must be"),
         ({"budget_ms": 0}, "budget_ms must be"),
         ({"disparity_range": (2, 1)}, "disparity range"),
     ],

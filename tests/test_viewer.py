@@ -347,7 +347,7 @@ def test_the_command_says_where_to_look(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr("lfgpu.viewer.server.Viewer.wait", lambda _: None)
     code, said, err = view(tmp_path / "map.pfm")
     assert (code, err) == (0, "")
-    assert re.search(r"http://127\.0\.0\.1:\d+ with a browser", said)
+    assert re.search(r"http://127\.0\.0\.1:\d+/[\w-]{32}/ with a browser", said)
     assert viser.__name__ not in said
 
 

@@ -5,8 +5,13 @@ from __future__ import annotations
 import io
 import socket
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.error import HTTPError
+from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -14,6 +19,7 @@ from PIL import Image
 
 from lfgpu import scenes
 from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci, write_result
 from lfgpu.pipelines.estimate import estimate_depth
 from tests.browser import chromium, pixels, until
@@ -48,7 +54,7 @@ def files(lf: LightField, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def viewer(files: Path) -> Iterator[Viewer]:
-    with Viewer.of([files / "fast", files / "boxes"], port=0) as opened:
+    with Viewer.of([files / "fast", files / "boxes"], port=0, allow_open=True) as opened:
         yield opened
 
 
@@ -182,7 +188,8 @@ def test_a_stream_is_followed(page: Page, viewer: Viewer, lf: LightField) -> Non
 
 
 def test_nothing_is_reached_from_elsewhere(viewer: Viewer) -> None:
-    port = int(viewer.url.rsplit(":", 1)[1])
+    port = urlsplit(viewer.url).port
+    assert port is not None
     others = {info[4][0] for info in socket.getaddrinfo(socket.gethostname(), port, socket.AF_INET)} - {"127.0.0.1"}
     for address in {*others, "127.0.0.2"}:
         with socket.socket() as probe:
@@ -194,12 +201,72 @@ def test_nothing_is_reached_from_elsewhere(viewer: Viewer) -> None:
 
 @pytest.mark.parametrize(("origin", "answer"), [("http://evil.example", "403"), (None, "101")])
 def test_pages_of_other_sites_are_refused(viewer: Viewer, origin: str | None, answer: str) -> None:
-    host = viewer.url.removeprefix("http://")
+    found = urlsplit(viewer.url)
+    own = f"http://{found.netloc}"
     lines = [
-        "GET / HTTP/1.1", f"Host: {host}", f"Origin: {origin or viewer.url}", "Upgrade: websocket",
+        f"GET {found.path} HTTP/1.1", f"Host: {found.netloc}", f"Origin: {origin or own}", "Upgrade: websocket",
         "Connection: Upgrade", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13",
         "Sec-WebSocket-Protocol: viser-v1.1.1",
     ]  # fmt: skip
-    with socket.create_connection(("127.0.0.1", int(host.rsplit(":", 1)[1])), 5) as connection:
+    with socket.create_connection(("127.0.0.1", found.port), 5) as connection:
         connection.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
         assert connection.recv(200).decode().split()[1] == answer
+
+
+@pytest.mark.parametrize("path", ["/", "/index.html", "/x/", "/?token=x", "/x/index.html"])
+def test_nobody_without_the_token_is_answered(viewer: Viewer, path: str) -> None:
+    with pytest.raises(HTTPError, match="403"):
+        urlopen(f"http://{urlsplit(viewer.url).netloc}{path}", timeout=10)
+    with urlopen(viewer.url, timeout=10) as answer:
+        assert b"<html" in answer.read()
+
+
+_PAYLOAD = '<img src=x onerror="window.owned = 1"><script>window.owned = 2</script>'
+
+
+def test_text_from_files_does_not_become_part_of_the_page(browser: Any, lf: LightField, tmp_path: Path) -> None:
+    """A result with a script in its status, in a folder with a script in its name, which also names a local file."""
+    secret = tmp_path / "secret.txt"
+    secret.write_text("secret")
+    folder = tmp_path / f"{_PAYLOAD.replace('/', '.')} ![a]({str(secret).replace('/', '|')})"
+    folder.mkdir()
+    result = estimate_depth(lf, config="fast", disparity_range=(-2, 2))
+    hostile = replace(result, status=f"{_PAYLOAD} ![a]({secret}) **b** {{7*7}}", device=_PAYLOAD, backend=_PAYLOAD)
+    write_result(hostile, folder / "result.npz")
+    write_hci(lf, tmp_path / "boxes")
+    with Viewer.of([tmp_path / "boxes", folder], port=0) as viewer:
+        page = Page(browser, viewer)
+        page.tab.get_by_text("![a](", exact=False).first.wait_for()
+        page.tab.get_by_text(f"{_PAYLOAD} ![a]({secret}) **b** {{7*7}}", exact=False).wait_for()
+        page.tab.wait_for_timeout(500)  # for what would be run
+        assert page.tab.evaluate("window.owned") is None
+        assert page.tab.locator("img[src=x]").count() == 0
+        page.tab.context.close()
+
+
+def test_pages_open_only_what_was_given(browser: Any, files: Path, lf: LightField, tmp_path: Path) -> None:
+    write_hci(lf, tmp_path / "other")
+    (tmp_path / "link").symlink_to(files / "fast")
+    with Viewer.of([files / "boxes"], port=0) as viewer:
+        for path in (tmp_path / "other", files / "fast", files / "boxes" / ".." / "fast", tmp_path / "link", "/"):
+            with pytest.raises(LightFieldError, match="--allow-open"):
+                viewer.open_from_page(path)
+        viewer.open_from_page(files / "boxes")
+        viewer.open(files / "fast")  # its owner may
+
+
+def test_nonsense_from_a_page_leaves_the_others_alone(
+    page: Page, viewer: Viewer, capfd: pytest.CaptureFixture[str], rng: np.random.Generator
+) -> None:
+    from websockets.sync.client import connect
+
+    address = viewer.url.replace("http://", "ws://")
+    for data in (b"", b"\xff" * 100, b"\x80", rng.bytes(1000), "text", b"\x92" * 100_000):
+        with connect(address, subprotocols=["viser-v1.1.1"]) as connection:
+            connection.send(data)
+            with suppress(Exception):
+                connection.recv(timeout=0.5)
+    assert "Traceback" not in capfd.readouterr().err
+    before = page.picture(0)
+    page.set("View row", 1)
+    page.changed(0, before, "the view still follows its slider")

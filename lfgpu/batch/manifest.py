@@ -66,7 +66,7 @@ def _parsed(line: bytes) -> dict[str, Any] | None:
         return None
     if not isinstance(entry, dict) or not all(fits(entry[key]) for key, fits in _FITS.items() if key in entry):
         return None
-    return entry if "item" not in entry or "status" in entry else None
+    return entry
 
 
 def _is_number(value: Any) -> bool:

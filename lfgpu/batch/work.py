@@ -189,7 +189,7 @@ class _Resident:
 
         measured = measured or method_of(settings.config).given(lf, settings.disparity_range)
         key = (
-            *(lf.views.shape, lf.views.dtype.str, lf.positions.tobytes(), lf.reference_index),
+            *(lf.views.shape, lf.views.dtype.str, lf.scale, lf.positions.tobytes(), lf.reference_index),
             *(None if lf.valid is None else lf.valid.tobytes(), measured, settings.config, settings.backend, device),
         )
         if self._pipeline is not None and measured is not None and key == self._key:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.padding import Padding
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
+
+from lfgpu.printable import printable
 
 if TYPE_CHECKING:
     from lfgpu.comparison import Table as Compared
@@ -29,9 +32,19 @@ _RUNNERS = {"keys": "key views", "join": "all views", "tiles": "tiles"}  # stage
 _SHARE = "share"  # what these report
 
 
+class _Shown(Console):
+    """A terminal that obeys nothing that stands in texts: names of files may hold escape sequences."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """The segments of something, with what is not printable in their texts written out."""
+        for segment in super().render(renderable, options):
+            safe = segment.control or segment.text.isprintable()
+            yield segment if safe else Segment(printable(segment.text, keep="\n"), segment.style)
+
+
 def output() -> Console:
     """Where the answer goes."""
-    console = Console(highlight=False, markup=False, emoji=False)
+    console = _Shown(highlight=False, markup=False, emoji=False)
     if not console.is_terminal:
         console.width = max(console.width, _NARROWEST)
     return console

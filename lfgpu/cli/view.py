@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import tempfile
 import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -20,21 +23,35 @@ def view(
         int, typer.Option(min=0, max=65535, help="Of 127.0.0.1; the next free one if it is taken, 0 for any.")
     ] = 8080,
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    allow_open: Annotated[
+        bool,
+        typer.Option("--allow-open", help="Let the page open any path, not only INPUT_OR_RESULT and what is in it."),
+    ] = False,
     threads: Threads = None,
 ) -> None:
     """Look at a light field, its epipolar plane images, maps and points in space, and estimate again, in the browser.
 
-    Only this machine reaches the page. Maps are compared if there are several. Ctrl-C ends it.
+    Only this machine reaches the page, and only who knows its address, which has a token. Maps are compared if there
+    are several. Ctrl-C ends it.
     """
     from lfgpu.cli import values
     from lfgpu.viewer import Viewer
 
     values.use_threads("--threads", threads)
-    with Viewer.of(paths, port=port) as viewer:
+    with Viewer.of(paths, port=port, allow_open=allow_open) as viewer:
         typer.echo(f"Look at {viewer.url} with a browser of this machine; Ctrl-C ends it.")
-        if show:
-            webbrowser.open(viewer.url)
-        try:
-            viewer.wait()
-        except KeyboardInterrupt:
-            typer.echo("Closed.")
+        with _opened(viewer.url) if show else nullcontext():
+            try:
+                viewer.wait()
+            except KeyboardInterrupt:
+                typer.echo("Closed.")
+
+
+@contextmanager
+def _opened(url: str) -> Iterator[None]:
+    """Open a page by way of a file that only its owner can read: everybody sees with what a program was started."""
+    with tempfile.NamedTemporaryFile("w", prefix="lfgpu-", suffix=".html") as file:
+        file.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={url}"><a href="{url}">lfgpu</a>\n')
+        file.flush()
+        webbrowser.open(Path(file.name).as_uri())
+        yield

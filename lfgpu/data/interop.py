@@ -23,7 +23,10 @@ def place_of(name: str, values: Any) -> str:
     if isinstance(values, np.ndarray):
         return "cpu"
     if hasattr(values, "__dlpack_device__"):
-        kind, index = values.__dlpack_device__()
+        try:
+            kind, index = values.__dlpack_device__()
+        except Exception as error:  # the library of the array may raise anything
+            raise LightFieldError(f"{name} cannot be read ({_said(error)}); convert them to NumPy first.") from error
         if kind not in (*_HOST, *_CUDA):
             raise LightFieldError(
                 f"{name} are on a device of another kind (DLPack calls it {int(kind)}); copy them first."
@@ -40,7 +43,7 @@ def kind_of(name: str, values: Any) -> tuple[str, tuple[int, ...]]:
     """(dtype, shape) of an array, with NumPy's name of the dtype; LightFieldError if it does not say."""
     try:
         dtype, shape = values.dtype, tuple(values.shape)
-    except (AttributeError, TypeError):
+    except Exception:
         raise LightFieldError(
             f"{name} must be an array with a dtype and a shape, not {type(values).__name__}."
         ) from None
@@ -58,7 +61,7 @@ def on_host(name: str, values: Any) -> NDArray[Any]:
         if place != "cpu":
             return np.from_dlpack(values, device="cpu")
         return np.from_dlpack(values) if hasattr(values, "__dlpack__") else np.asarray(values)
-    except (AttributeError, BufferError, RuntimeError, TypeError, ValueError) as error:
+    except Exception as error:  # the library of the array may raise anything
         where = "" if place == "cpu" else f" on {place}"
         raise LightFieldError(f"{name}{where} cannot be read ({_said(error)}); convert them to NumPy first.") from error
 

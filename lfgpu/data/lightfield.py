@@ -88,6 +88,9 @@ class LightField:
         What a reader noticed about the files, one sentence each.
     files
         The image file of each view; empty where views have no files of their own.
+    white
+        Stored value that is intensity 1: 4095 where cameras of 12 bits fill uint16. Default None: the largest of the
+        type. It means nothing for float32.
 
     Raises
     ------
@@ -105,6 +108,7 @@ class LightField:
     name: str = "light field"
     notes: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+    white: int | None = None
 
     def __post_init__(self) -> None:
         views = _array("views", self.views)
@@ -141,6 +145,8 @@ class LightField:
                     raise LightFieldError(f"truth must be {views.shape[1:3]} as the views are, found {values.shape}.")
         if self.grid_shape is not None:
             _check_grid(positions, self.grid_shape)
+        if self.white is not None and (not isinstance(self.white, Integral) or self.white < 1):
+            raise LightFieldError(f"white must be a whole number of at least 1, not {self.white}.")
         if self.files and len(self.files) != len(views):
             raise LightFieldError(f"files must be one for each of {len(views)} views, found {len(self.files)}.")
         object.__setattr__(self, "name", printable(self.name, longest=_LONGEST_NAME))
@@ -202,7 +208,7 @@ class LightField:
     @property
     def scale(self) -> float:
         """What stored values are multiplied with to lie in [0, 1]."""
-        return 1.0 if self.views.dtype == np.float32 else 1.0 / float(np.iinfo(self.views.dtype).max)
+        return 1.0 if self.views.dtype == np.float32 else 1.0 / float(self.white or np.iinfo(self.views.dtype).max)
 
     @property
     def missing(self) -> tuple[tuple[int, int], ...]:

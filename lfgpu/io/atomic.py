@@ -24,7 +24,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     LightFieldError
         If the target cannot be written, also when the block itself fails with an OSError (a full disk).
     """
-    target = Path(path).resolve()
+    target = _resolved(path)
     with _staged(target, target.parent) as temporary:
         if target.is_dir():
             raise IsADirectoryError(0, "it is a folder")
@@ -44,7 +44,7 @@ def atomic_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
     LightFieldError
         If the target cannot be written, also when the block itself fails with an OSError (a full disk).
     """
-    target = Path(out).resolve()
+    target = _resolved(out)
     # A folder that is there may be a mount point, or writable when its parent is not: then staging happens inside it.
     exists = target.is_dir()
     with _staged(target, target if exists else target.parent) as temporary:
@@ -78,7 +78,7 @@ def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:
     LightFieldError
         If `out` or one of its parents is of the wrong kind or may not be written to; the sentence names it.
     """
-    target = Path(out).resolve()
+    target = _resolved(out)
     if not folder and target.is_dir():
         raise LightFieldError(f"{target} cannot be written: it is a folder; name a file in it.")
     # A file is replaced by its sibling, a folder is written into: a folder has to be writable in both cases.
@@ -89,6 +89,13 @@ def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:
         raise LightFieldError(f"{target} cannot be written: {place} is a file, not a folder; choose another place.")
     if not os.access(place, os.W_OK | os.X_OK):
         raise LightFieldError(f"{target} cannot be written: no permission to write in {place}; choose another place.")
+
+
+def _resolved(path: str | os.PathLike[str]) -> Path:
+    try:
+        return Path(path).resolve()
+    except (OSError, RuntimeError) as error:
+        raise LightFieldError(f"{os.fspath(path)} cannot be written: its links lead in a circle.") from error
 
 
 @contextmanager

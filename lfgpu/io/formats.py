@@ -41,6 +41,7 @@ from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.images import IMAGE_SUFFIXES
 from lfgpu.io.inside import Inside
 from lfgpu.io.parallax import axes_agree
+from lfgpu.io.white import with_white
 
 
 @dataclass(frozen=True)
@@ -232,7 +233,8 @@ def read(
     Returns
     -------
     The light field. Views are uint8, uint16 or float32 as in the files; `notes` says what was noticed about them. Where
-    all four corners of all views are black, as a lens array leaves them, `valid` leaves these out.
+    all four corners of all views are black, as a lens array leaves them, `valid` leaves these out. Where uint16 views
+    use fewer bits, `white` is the largest value of these.
 
     Raises
     ------
@@ -254,7 +256,7 @@ def read(
             raise LightFieldError(f"{path} is read as {chosen.name}, for which {name} means nothing; leave it out.")
     with on_disk(lazy):
         found = flipped(chosen.read(path, allow_missing=allow_missing, **options), flip)
-        found = _checked(without_black_corners(found))
+        found = _checked(without_black_corners(with_white(found)))
     forget(found.views)
     return found
 

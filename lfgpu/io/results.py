@@ -260,7 +260,7 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
         status=str(about["status"]),
         converged=bool(about["converged"]),
         trace=tuple(float(value) for value in arrays["trace"]),
-        timings=dict(about["timings"]),
+        timings={str(name): float(seconds) for name, seconds in about["timings"].items()},
         backend=str(about["backend"]),
         device=str(about["device"]),
         versions=dict(about["versions"]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import math
 import queue
 import threading
 import weakref
@@ -10,6 +11,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import partial
+from numbers import Integral, Real
 from time import perf_counter
 from typing import Any
 
@@ -33,6 +35,7 @@ _USUAL_NOISE = 0.004  # intensity, of cameras that nothing is known about
 _SEEN_CHANGE = 4.0  # noises that make a sample of the reference view another one
 _AT_ONCE = 2**22  # bytes that one thread copies as fast as several
 _MOST_COPIERS = 8
+_MOST_WAITING = 1000
 _SMOOTHING = 0.1  # weight of the latest frame in the mean time of a level of work
 
 OnResult = Callable[["StreamResult"], None]
@@ -345,6 +348,9 @@ class DepthStream:
         except LfgpuError:  # closed meanwhile
             self._drop(result)
             raise
+        except Exception as error:  # what is asked of the frame's library may raise anything
+            self._fail(result, _cannot_be_taken(error))
+            return result
         try:
             self._fill(slot, checked, result.valid, on_gpu=on_gpu)
         except Exception as error:  # whatever the frame's library raises is this frame's affair
@@ -576,7 +582,7 @@ class DepthStream:
         if callback is not None:
             try:
                 callback(result)
-            except Exception:  # the stream must not end for what others do with its results
+            except BaseException:  # the stream must not end for what others do with its results, sys.exit() included
                 self._counters.add("callback_errors")
 
     def _fail(self, result: StreamResult, error: LfgpuError) -> None:
@@ -591,10 +597,14 @@ class DepthStream:
 
 
 def _check(cut: float, budget_ms: float | None) -> None:
-    if not 0 <= cut <= 1:
+    if not (_is_number(cut) and 0 <= cut <= 1):
         raise LightFieldError(f"cut must be a share, 0 to 1, not {cut!r}.")
-    if budget_ms is not None and not budget_ms > 0:
+    if budget_ms is not None and not (_is_number(budget_ms) and 0 < budget_ms < math.inf):
         raise LightFieldError(f"budget_ms must be a number of milliseconds > 0, not {budget_ms!r}.")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _waiting(policy: str, waiting: int | None) -> int:
@@ -602,8 +612,10 @@ def _waiting(policy: str, waiting: int | None) -> int:
         raise LightFieldError(f"policy must be one of {', '.join(POLICIES)}, not {policy!r}.")
     if waiting is None:
         return POLICIES[policy]
-    if isinstance(waiting, bool) or int(waiting) != waiting or waiting < 1 or (policy == "latest" and waiting != 1):
-        raise LightFieldError(f"waiting must be a whole number >= 1, and 1 for the policy latest; found {waiting!r}.")
+    if not isinstance(waiting, Integral) or isinstance(waiting, bool) or not 1 <= waiting <= _MOST_WAITING:
+        raise LightFieldError(f"waiting must be a whole number from 1 to {_MOST_WAITING}, not {waiting!r}.")
+    if policy == "latest" and waiting != 1:
+        raise LightFieldError(f"waiting must be 1 for the policy latest, not {waiting!r}.")
     return int(waiting)
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import re
+import secrets
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +37,7 @@ class Viewer:
     """A page in the browser, on this machine only, that shows a light field and disparity maps of it.
 
         viewer = lfgpu.Viewer(lf, result)
-        viewer.url                              # http://127.0.0.1:8080
+        viewer.url                              # http://127.0.0.1:8080/…/, with a token that nobody else knows
         viewer.update(disparity, confidence)    # from any thread, as often as there is a new one
         viewer.close()
 
@@ -48,6 +50,9 @@ class Viewer:
         What to show first; None for nothing yet.
     port
         Of 127.0.0.1; the next free one if it is taken. 0 takes any. Default 8080.
+    allow_open
+        Whether pages may open any path that its owner can read; else those only that `of` was given, and what lies in
+        them. Default False.
 
     Raises
     ------
@@ -56,7 +61,12 @@ class Viewer:
     """
 
     def __init__(
-        self, lf: LightField | None = None, result: DepthResult | DisparityMap | None = None, *, port: int = 8080
+        self,
+        lf: LightField | None = None,
+        result: DepthResult | DisparityMap | None = None,
+        *,
+        port: int = 8080,
+        allow_open: bool = False,
     ) -> None:
         try:
             import viser
@@ -68,9 +78,12 @@ class Viewer:
         self._contents = Contents()
         self._sessions: dict[int, Session] = {}
         self._closed = threading.Event()
+        self._allow_open = allow_open
+        self._given: tuple[Path, ...] = ()
+        self._token = secrets.token_urlsafe(24)
         self.solver = Solver(self._on_progress, self._on_result)
         """What estimates for the page."""
-        with _own_pages_only(), _silent():
+        with _guarded(self._token), _silent():
             self._server = viser.ViserServer(host=HOST, port=port, verbose=False)
         self._server.request_share_url = _refuse_to_share  # type: ignore[method-assign]  # pages can ask for it
         self._server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=_BRAND)
@@ -84,13 +97,15 @@ class Viewer:
         self._server.on_client_disconnect(self._disconnect)
 
     @classmethod
-    def of(cls, paths: Sequence[str | os.PathLike[str]], *, port: int = 8080) -> Viewer:
+    def of(cls, paths: Sequence[str | os.PathLike[str]], *, port: int = 8080, allow_open: bool = False) -> Viewer:
         """A viewer of what paths hold: at most one light field, and maps of it (files, or folders that depth wrote).
 
-        LightFieldError if one of them is missing or is no such thing, or they do not belong together.
+        Pages may open these paths and what lies in them, with `allow_open` any. LightFieldError if one of them is
+        missing or is no such thing, or they do not belong together.
         """
         contents = opened_all([Path(path) for path in paths])
-        viewer = cls(port=port)
+        viewer = cls(port=port, allow_open=allow_open)
+        viewer._given = tuple(Path(path).resolve() for path in paths)
         viewer.replace(contents)
         return viewer
 
@@ -102,8 +117,8 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
-        return f"http://{HOST}:{self._server.get_port()}"
+        """Where the page is; whoever knows it can use the page."""
+        return f"http://{HOST}:{self._server.get_port()}/{self._token}/"
 
     @property
     def contents(self) -> Contents:
@@ -131,6 +146,16 @@ class Viewer:
         contents = opened(Path(path), self._contents)
         added = [name for name in contents.entries if name not in self._contents.entries]
         self.replace(contents, newest=added[-1] if added else None)
+
+    def open_from_page(self, path: str | os.PathLike[str]) -> None:
+        """The same for a page: LightFieldError also for what it may not open."""
+        where = Path(path).resolve()
+        if not self._allow_open and not any(where.is_relative_to(given) for given in self._given):
+            raise LightFieldError(
+                f"{path} is not among the paths that lfgpu view was given; to open any from the page, start it with "
+                "--allow-open."
+            )
+        self.open(path)
 
     def update(
         self, disparity: ArrayLike, confidence: ArrayLike | None = None, *, views: ArrayLike | None = None
@@ -262,14 +287,28 @@ def _silent() -> Iterator[None]:
 
 
 @contextmanager
-def _own_pages_only() -> Iterator[None]:
-    """Servers that start meanwhile refuse connections from pages of other sites, which any browser would allow."""
-    import functools
+def _guarded(token: str) -> Iterator[None]:
+    """Servers that start meanwhile answer nobody who does not know the token, which stands in the address of the page.
 
+    Connections from pages of other sites, which any browser would allow, are refused. The token is the first part of
+    the path: the page asks for all else relative to itself, and unlike a cookie it reaches no other port.
+    """
     import websockets.asyncio.server as place
 
     serve = place.serve
-    place.serve = functools.partial(serve, origins=[_OWN_PAGES, None])  # type: ignore[misc,assignment]
+
+    def guarded(handler: Any, *arguments: Any, process_request: Any, **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            first, _, rest = request.path.removeprefix("/").partition("/")
+            if not secrets.compare_digest(first.partition("?")[0].encode(), token.encode()):
+                return connection.respond(
+                    HTTPStatus.FORBIDDEN, "The address of the page has a token; see lfgpu view.\n"
+                )
+            return process_request(connection, replace(request, path=f"/{rest}"))
+
+        return serve(handler, *arguments, process_request=answer, origins=[_OWN_PAGES, None], **options)
+
+    place.serve = guarded  # type: ignore[misc,assignment]
     try:
         yield
     finally:

@@ -19,8 +19,10 @@ from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.methods import PRESETS, preset
 from lfgpu.metrics import evaluate
+from lfgpu.printable import message
 from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud
 from lfgpu.viewer.contents import FINAL, TRUTH, Contents
+from lfgpu.viewer.markdown import plain
 from lfgpu.viewer.solving import Progress, Request, Solver
 from lfgpu.viz import panels as frames
 from lfgpu.viz.refocusing import all_in_focus, refocus
@@ -56,8 +58,8 @@ class Board(Protocol):
         """What is shown now."""
         ...
 
-    def open(self, path: str | os.PathLike[str]) -> None:
-        """Show what a path holds."""
+    def open_from_page(self, path: str | os.PathLike[str]) -> None:
+        """Show what a path holds, if pages may open it."""
 
 
 class Session:
@@ -110,7 +112,7 @@ class Session:
         if self._built is not None and not self._closed:
             _assign(self._progress, progress.share)
             self._progress.animated = progress.busy
-            self._state.content = progress.text
+            self._state.content = f"**{plain(progress.text)}**" if progress.failed else plain(progress.text)
             self._run.disabled, self._stop.disabled = progress.busy, not progress.busy
 
     def close(self) -> None:
@@ -138,7 +140,7 @@ class Session:
             try:
                 self._draw(stale)
             except LfgpuError as error:
-                self._tell(" ".join(str(error).split()))
+                self._tell(str(error))
             except Exception:
                 if self._closed:  # a tab that is gone takes no more messages
                     return
@@ -182,7 +184,7 @@ class Session:
         u, v = lf.positions[index]
         du, dv = lf.offsets[index]
         what = "the reference" if index == lf.reference_index else f"du {du:g}, dv {dv:g} from the reference"
-        self._where.content = f"View at row {v:g}, column {u:g}: {what}. {self._at_cursor(contents, x, y)}"
+        self._where.content = plain(f"View at row {v:g}, column {u:g}: {what}. {self._at_cursor(contents, x, y)}")
 
     def _at_cursor(self, contents: Contents, x: int, y: int) -> str:
         name, said = self._result.value, []
@@ -481,8 +483,10 @@ class Session:
         if entry is not None and entry.result is not None:
             result = entry.result
             lines.append(
-                f"{result.config.method} with {result.backend} on {result.device}, "
-                f"{result.timings.get('total', math.nan):.2f} s. {result.status}"
+                plain(
+                    f"{result.config.method} with {result.backend} on {result.device}, "
+                    f"{result.timings.get('total', math.nan):.2f} s. {result.status}"
+                )
             )
         truth = contents.truth
         if truth is not None:
@@ -492,7 +496,9 @@ class Session:
                     m = evaluate(one.disparity, truth)
                 except LightFieldError:
                     continue
-                rows.append(f"| {name} | {m.mse_100:.2f} | {m.badpix_07:.2f} | {m.badpix_01:.1f} | {m.q25:.2f} |")
+                rows.append(
+                    f"| {plain(name)} | {m.mse_100:.2f} | {m.badpix_07:.2f} | {m.badpix_01:.1f} | {m.q25:.2f} |"
+                )
             if rows:
                 lines.append(
                     "\n".join(["| | MSE×100 | Bad 0.07 % | Bad 0.01 % | Q25 |", "|---|---:|---:|---:|---:|", *rows])
@@ -537,7 +543,9 @@ class Session:
         _assign(self._value, str(getattr(getattr(self._config(), stage), parameter)))
         extent = ", ".join(meta["choices"]) if "choices" in meta else f"{meta['low']:g} to {meta['high']:g}"
         changed = ", ".join(f"{key} = {value}" for key, value in self._settings.items())
-        self._meaning.content = f"{meta['doc']}; {extent}." + (f"\n\nChanged: {changed}." if changed else "")
+        self._meaning.content = plain(f"{meta['doc']}; {extent}.")
+        if changed:
+            self._meaning.content += f"\n\n{plain(f'Changed: {changed}.')}"
 
     def _set(self, _: Any) -> None:
         settings = {**self._settings, self._parameter.value: self._value.value.strip()}
@@ -573,9 +581,9 @@ class Session:
             self._tell("Type the path of a light field, or of what lfgpu depth wrote.")
             return
         try:
-            self._viewer.open(Path(text).expanduser())
+            self._viewer.open_from_page(Path(text).expanduser())
         except (LfgpuError, OSError) as error:
-            self._tell(" ".join(str(error).split()))
+            self._tell(str(error))
 
     def _save(self, event: Any) -> None:
         what = event.target.value
@@ -593,7 +601,7 @@ class Session:
 
     def _tell(self, text: str) -> None:
         """A message on the page, for as long as nobody closes it or for some seconds."""
-        self._client.add_notification("lfgpu", text, color="red", auto_close_seconds=15.0)
+        self._client.add_notification("lfgpu", message(text), color="red", auto_close_seconds=15.0)
 
 
 def _set_options(handle: Any, options: tuple[str, ...], value: str) -> None:

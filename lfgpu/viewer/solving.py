@@ -32,6 +32,7 @@ class Progress:
     text: str = ""
     share: float = 0.0
     busy: bool = False
+    failed: bool = False
 
 
 class _Stopped(Exception):  # noqa: N818 - nothing went wrong
@@ -100,14 +101,14 @@ class Solver:
         except _Stopped:
             self._say("stopped", 0.0, busy=False)
         except (LfgpuError, MemoryError) as error:
-            self._say(f"**{' '.join(str(error).split()) or 'the memory does not suffice.'}**", 0.0, busy=False)
+            self._say(str(error) or "the memory does not suffice.", 0.0, busy=False, failed=True)
         except Exception as error:
-            self._say(f"**this failed, which is a bug: {type(error).__name__}: {error}**", 0.0, busy=False)
+            self._say(f"this failed, which is a bug: {type(error).__name__}: {error}", 0.0, busy=False, failed=True)
             raise
         else:
             self._on_result(request, result)
             self._say(f"{request.name}: done in {perf_counter() - start:.1f} s", 100.0, busy=False)
 
-    def _say(self, text: str, share: float, *, busy: bool = True) -> None:
-        self.progress = Progress(text, share, busy)
+    def _say(self, text: str, share: float, *, busy: bool = True, failed: bool = False) -> None:
+        self.progress = Progress(text, share, busy, failed)
         self._on_progress(self.progress)

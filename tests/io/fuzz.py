@@ -1,11 +1,13 @@
-"""Damaged light fields of every format, thousands of them: each is read, or refused with one sentence.
+"""Damaged files of every format, thousands of them: each is read, or refused with one sentence.
 
-    python tests/io/fuzz.py --examples 30000 [--seed 1] [--format npy] [--jobs 2]
+    python -m tests.io.fuzz --examples 30000 [--seed 1] [--format npy] [--jobs 2]
 
-Each example takes a small light field in one format, damages some of its files (cut short, bytes changed, sizes of
-headers blown up, parts of other files put in, files lost, doubled, renamed, linked in circles) and reads it. Anything
-but a light field or a LightFieldError is a failure, as are more memory than `MEMORY`, more than `SECONDS` and a crash:
-examples run in processes of their own, whose address space is limited.
+Each example takes a small light field in one format, or what lfgpu writes (maps, results, the manifest of a batch),
+damages some of its files and reads it. Damage is blind (cut short, bytes changed, sizes blown up, parts of other files
+put in, files lost, doubled, renamed, linked in circles) or knows the format (`mutations.py`). Anything but what was to
+be read or a LightFieldError of one printable line is a failure, as are more memory than `MEMORY`, more than `SECONDS`
+and a crash: examples run in processes of their own, whose address space is limited. Everything happens in a temporary
+folder, many folders deep, so that no link and no "../.." leads out of it.
 """
 
 from __future__ import annotations
@@ -27,15 +29,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from fields import SAMPLES, scene
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read
+from lfgpu.printable import printable
+from tests.io import mutations
+from tests.io.fields import SAMPLES, scene
+from tests.io.outputs import OUTPUTS
 
 MEMORY = 256 << 20  # bytes on top of what Python and the libraries take; the samples are far below a megabyte
 SPACE = 2 << 30  # of addresses: an allocation beyond it fails rather than being found out later
 SECONDS = 20
 BATCH = 100  # examples for each process
+TARGETS = sorted({*SAMPLES, *OUTPUTS})
+_DEEP = "a/b/c/d/e/f/g/h"  # more folders than any name in `_WORDS` leads up
+_KNOWING = 0.5  # share of the damage that knows the format
+_LONGEST = 1200  # characters of a sentence
 
 _EXTREMES = [0, 1, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0x10000, 100_000, 2**63 - 1, 2**64 - 1]
 _WORDS = [b"nan", b"inf", b"-1", b"1e400", b"99999999999999999999", b"0", b"[]", b"\xff\xfe", b"\n", b"../../x", b'"']
@@ -152,10 +162,26 @@ def damage(root: Path, rng: np.random.Generator) -> None:
         suffix = str(rng.choice(sorted({file.suffix for file in files})))
         chosen = [file for file in files if file.suffix == suffix]
         victim = chosen[int(rng.integers(len(chosen)))]
+        if rng.random() < _KNOWING and _damaged_knowingly(victim, rng):
+            continue
         data = bytearray(victim.read_bytes())
         if data:
             _OF_BYTES[int(rng.integers(len(_OF_BYTES)))](data, rng)
             victim.write_bytes(data)
+
+
+def _damaged_knowingly(victim: Path, rng: np.random.Generator) -> bool:
+    """Whether a file could be taken apart, and was put together wrongly."""
+    before = victim.read_bytes()
+    try:
+        if victim.suffix == ".h5" or before[:19] == b"MATLAB 7.3 MAT-file":
+            mutations.hdf5(victim, rng)
+        else:
+            victim.write_bytes(mutations.BY_SUFFIX[victim.suffix](before, rng))
+    except Exception:  # it is damaged already
+        victim.write_bytes(before)
+        return False
+    return True
 
 
 # --- running ---
@@ -164,36 +190,42 @@ def damage(root: Path, rng: np.random.Generator) -> None:
 def one(name: str, source: Path, seed: int) -> str:
     """Damage a copy of a sample and read it: "read", "refused", or what went wrong."""
     rng = np.random.default_rng(seed)
-    sample = SAMPLES[name]
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / source.name
+        place = Path(folder) / _DEEP / source.name
+        place.parent.mkdir(parents=True)
         if source.is_dir():
             shutil.copytree(source, place)
         else:
             shutil.copy(source, place)
         damage(place, rng)
-        options = dict(sample.options) if rng.random() < 0.8 else {}
-        told = sample.format if rng.random() < 0.7 or options else None
         signal.signal(signal.SIGALRM, _too_long)
         signal.alarm(SECONDS)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error", RuntimeWarning)
-                found = read(place, format=told, allow_missing=bool(rng.random() < 0.5), **options)
+                found = OUTPUTS[name].read(place) if name in OUTPUTS else _light_field(name, place, rng)
         except LightFieldError as error:
             text = str(error)
-            if "\n" in text or not text.endswith("."):
+            if printable(text) != text or not text.endswith(".") or len(text) > _LONGEST:
                 return f"not a sentence: {text!r}"
             result = "refused"
         except BaseException:
             return traceback.format_exc()
         else:
-            if found.views.dtype == np.float32 and not np.isfinite(found.views).all():
+            views = getattr(found, "views", None)
+            if views is not None and views.dtype == np.float32 and not np.isfinite(views).all():
                 return "views that are not finite"
             result = "read"
         finally:
             signal.alarm(0)
         return result
+
+
+def _light_field(name: str, place: Path, rng: np.random.Generator) -> LightField:
+    sample = SAMPLES[name]
+    options = dict(sample.options) if rng.random() < 0.8 else {}
+    told = sample.format if rng.random() < 0.7 or options else None
+    return read(place, format=told, allow_missing=bool(rng.random() < 0.5), **options)
 
 
 def _too_long(*_: object) -> None:
@@ -221,7 +253,7 @@ def run(
     show: Callable[[Tally], None] = lambda tally: None,
 ) -> Tally:
     """Try so many examples, from a seed on, and count what became of them; `show` sees the count now and then."""
-    chosen = sorted(names or SAMPLES)
+    chosen = sorted(names or TARGETS)
     tally = Tally()
     fork = multiprocessing.get_context("fork")
     with tempfile.TemporaryDirectory() as folder:
@@ -229,6 +261,10 @@ def run(
         for name in chosen:
             place = Path(folder) / name
             place.mkdir()
+            if name in OUTPUTS:
+                sources[name] = OUTPUTS[name].write(place)
+                OUTPUTS[name].read(sources[name])
+                continue
             sources[name] = SAMPLES[name].write(scene((3, 3), (36, 34)), place)
             if SAMPLES[name].options:
                 SAMPLES[name].options["grid"] = (3, 3)
@@ -276,7 +312,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--examples", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--format", action="append", choices=sorted(SAMPLES))
+    parser.add_argument("--format", action="append", choices=TARGETS)
     parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args()
     tally = run(arguments.examples, arguments.seed, arguments.format, arguments.jobs, show=_progress)

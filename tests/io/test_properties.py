@@ -29,7 +29,7 @@ from lfgpu.io.flips import FLIPS, flipped
 from lfgpu.io.images import read_image
 
 if sys.platform == "linux":
-    import fuzz
+    from tests.io import fuzz
 
 ON_LINUX = pytest.mark.skipif(sys.platform != "linux", reason="memory of processes is limited as Linux does it")
 EASY = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -57,8 +57,8 @@ def read_or_refused(path: Path, **options: Any) -> LightField | None:
 
 @ON_LINUX
 def test_damaged_light_fields_of_all_formats_are_read_or_refused() -> None:
-    """The first few of what `python tests/io/fuzz.py --examples 30000` tries."""
-    tally = fuzz.run(240)
+    """The first few of what `python -m tests.io.fuzz --examples 30000` tries."""
+    tally = fuzz.run(500)
     assert not tally.failures, tally.failures[0]
     assert tally.tried == 240
     assert tally.refused > 0.3 * tally.tried  # damage is done
