@@ -20,10 +20,11 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
     import OpenEXR
 
     channels = {"disparity": values.disparity, "confidence": values.confidence, "Z": values.depth}
+    said = {} if values.depth is None else {"channels": {"Z": "metres along the optical axis"}}
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        KEY: map_about(values, channels={"Z": "metres along the optical axis"}, invalid=UNKNOWN_IS_NAN),
+        KEY: map_about(values, **said, invalid=UNKNOWN_IS_NAN),
     }
     kept = {name: np.ascontiguousarray(a, np.float32) for name, a in channels.items() if a is not None}
     try:
