@@ -67,7 +67,7 @@ def test_batches_take_each_container_that_has_views(stack: Path, tmp_path: Path)
     SAMPLES["lytro-pictures"].write(scene((3, 3), (36, 34)), tmp_path)
     (tmp_path / "damaged.lfp").write_bytes(stack.read_bytes()[:3000])
     items, barren = find_items([str(tmp_path)], sequence=False)
-    assert [item.name for item in items] == ["damaged.lfp", "IMG_0002-stk.lfp"]
+    assert [item.name for item in items] == ["IMG_0002-stk.lfp", "damaged.lfp"]
     assert barren == []
 
 
