@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
+from lfgpu.io.exr import complaints
 from lfgpu.io.about import KEY, UNKNOWN_IS_NAN, map_about, map_of, parse_about
 
 _MAGIC = b"\x76\x2f\x31\x01"
@@ -42,7 +43,9 @@ def read(path: Path) -> DisparityMap:
         if start.read(4) != _MAGIC:  # the library tells that on stderr, too
             raise LightFieldError(f"{path} is not an OpenEXR file, or its beginning is damaged.")
     try:
-        with OpenEXR.File(str(path)) as file:
+        with complaints() as said, OpenEXR.File(str(path)) as file:
+            if said():
+                raise ValueError("its pixels are damaged")
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
             found = file.header().get(KEY)
             text = None if found is None else str(found)  # decoded here, as it may be damaged

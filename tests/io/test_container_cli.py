@@ -8,14 +8,14 @@ import lytro_samples
 import numpy as np
 import pytest
 from fields import SAMPLES, scene
-from samples import box, save_named, star
+from samples import box, refusal, save_named, star
 from typer.testing import CliRunner
 
 from lfgpu.batch.items import find_items
 from lfgpu.cli import app
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.result import DisparityMap
-from lfgpu.io import read, save
+from lfgpu.io import load, read, save
 
 
 def lfgpu(*arguments: object, code: int = 0) -> str:
@@ -118,3 +118,14 @@ def test_a_cloud_without_geometry_is_no_flat_sheet(tmp_path: Path) -> None:
     assert 0.2 * 60 < np.ptp(z) < 0.6 * 60
     np.testing.assert_allclose(z, -8 * cloud["vertex"]["disparity"])
     assert "z is -8 times the disparity" in cloud.comments[0]
+
+
+def test_a_map_whose_pixels_are_damaged_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("OpenEXR")
+    file = tmp_path / "a.exr"
+    save(DisparityMap(SLOPE), file)
+    data = bytearray(file.read_bytes())
+    data[-200:] = bytes(200)
+    file.write_bytes(data)
+    assert "its pixels are damaged" in refusal(lambda: load(file))
+    assert capfd.readouterr().err == ""
