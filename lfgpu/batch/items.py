@@ -209,7 +209,10 @@ def _kind(path: Path) -> str | None:
 
 
 def recognised(path: Path) -> str | None:
-    """The name of the format of a file or folder; None if it is of none, or several. LightFieldError if it cannot be looked at."""
+    """The name of the format of a file or folder; None if it is of none, or holds several light fields.
+
+    LightFieldError if it cannot be looked at.
+    """
     found = next((entry for entry in FORMATS if entry.recognise(path) is not None), None)
     if found is None or (found.looks_below and several.sentence(path, found.name, kind) is not None):
         return None

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io.exr import complaints
 from lfgpu.io.about import KEY, UNKNOWN_IS_NAN, map_about, map_of, parse_about
+from lfgpu.io.exr import complaints
 
 _MAGIC = b"\x76\x2f\x31\x01"
 
