@@ -18,6 +18,7 @@ from benchmarks import (
     cases,
     compare,
     error_sheet,
+    files,
     flicker,
     gallery,
     live,
@@ -192,6 +193,23 @@ def rendering_(
 
 Device = Annotated[str | None, typer.Option(metavar="DEVICE", help="cpu or cuda:0; default: the best there is.")]
 Out = Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")]
+
+
+@app.command("files")
+def files_(
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Of the maps.")] = "fast",
+    data: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="The real files; default: real in $LFGPU_DATA, or in ../shared/data.")
+    ] = files.DATA,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="FOLDER", help="Where pictures of maps go.")
+    ] = None,
+) -> None:
+    """Read each real file and estimate its depth, and hold one map against Lytro's own."""
+    if out is not None:
+        check_writable(out)
+    rows, found = files.run(data, preset=preset, out=out, say=lambda what: typer.echo(what, err=True))
+    typer.echo(files.markdown(rows, found))
 
 
 @app.command("flicker")

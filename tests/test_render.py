@@ -22,6 +22,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.frames import write_frames, write_image
 from lfgpu.methods import method_of
 from lfgpu.pipelines.all_views import estimate_all_views
+from lfgpu.viz.rendering import filled_from_beside
 
 SIZE = (80, 96)
 
@@ -255,3 +256,43 @@ def test_other_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         write_frames(frames(), tmp_path / "a.mp4")
     with pytest.raises(LightFieldError, match=r"lfgpu\[tiff\]"):
         write_image(frames(1)[0], tmp_path / "a.tif")
+
+
+# --- beyond the cameras ---
+
+
+def test_what_hides_a_surface_is_not_seen_there_a_second_time() -> None:
+    """Far beyond the cameras there are strips beside things that no view shows: they look like what is behind."""
+    lf = recorded()
+    inner = lf.subset([n for n, (u, v) in enumerate(lf.positions) if u <= 2])
+    disparities = [scenes.true_disparity("boxes", int(v), int(u), grid=(5, 5), size=SIZE) for u, v in inner.positions]
+    known_maps = replace(
+        maps(),
+        disparities=np.stack(disparities).astype(np.float32),
+        confidences=None if maps().confidences is None else np.ones((len(inner.views), *SIZE), np.float32),
+        positions=inner.positions,
+        keys=(0,),
+    )
+    rendered = lfgpu.render_view(inner, known_maps, (4.0, 2.0))
+    true, truth = lf.image(lf.index_of(2, 4)), scenes.true_disparity("boxes", 2, 4, grid=(5, 5), size=SIZE)
+    x = np.arange(SIZE[1])
+    inside = x - truth * -2 <= SIZE[1] - 1  # seen by the last column of cameras, if nothing is in the way
+    strips = inside & ~rendered.known
+    assert 0.001 < strips.mean() < 0.05
+    assert np.abs(rendered.image - true)[strips].mean() < 0.2
+    assert np.median(np.abs(rendered.disparity - truth)[strips]) < 0.3
+
+
+def test_holes_take_the_colour_of_what_is_no_nearer() -> None:
+    disparity = np.zeros((9, 12), np.float32)
+    disparity[:, :4] = 2.0  # a thing in front
+    image = np.zeros((9, 12, 3), np.float32)
+    image[:, :4, 0], image[:, 4:, 2] = 1.0, 1.0
+    hidden = np.zeros((9, 12), np.bool_)
+    hidden[2:7, 4:8] = True
+    image[hidden] = (1.0, 0.0, 0.0)  # what hides it
+    filled = filled_from_beside(image, disparity, hidden, tolerance=0.5)
+    np.testing.assert_array_equal(filled[hidden], np.broadcast_to([0, 0, 1], (20, 3)))
+    np.testing.assert_array_equal(filled[~hidden], image[~hidden])
+    alone = filled_from_beside(image, np.where(hidden, -5, disparity).astype(np.float32), hidden, tolerance=0.5)
+    assert (alone[hidden] > 0).any(axis=1).all()  # from what is nearer if there is nothing else

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io import several
 from lfgpu.io.folders import entries, image_files, natural_order
-from lfgpu.io.formats import FORMATS
+from lfgpu.io.formats import FORMATS, inside, kind
 from lfgpu.io.images import IMAGE_SUFFIXES
 from lfgpu.io.numpy_file import holds_views
 from lfgpu.printable import printable
@@ -171,7 +172,7 @@ class _Search:
                 continue
             if _is_folder(entry):
                 yield from self.below(entry)
-            elif _is_circle(entry) or (_kind(entry) is not None and holds_views(entry)):
+            elif _is_circle(entry) or (_kind(entry) and holds_views(entry) and not _without_light_field(entry)):
                 yield entry
 
 
@@ -208,8 +209,22 @@ def _kind(path: Path) -> str | None:
 
 
 def recognised(path: Path) -> str | None:
-    """The name of the format of a file or folder; None if it is of none. LightFieldError if it cannot be looked at."""
-    return next((entry.name for entry in FORMATS if entry.recognise(path) is not None), None)
+    """The name of the format of a file or folder; None if it is of none, or holds several light fields.
+
+    LightFieldError if it cannot be looked at.
+    """
+    found = next((entry for entry in FORMATS if entry.recognise(path) is not None), None)
+    if found is None or (found.looks_below and several.sentence(path, found.name, kind) is not None):
+        return None
+    return found.name
+
+
+def _without_light_field(file: Path) -> bool:
+    """Whether a file of a known format says that it holds other things: a focal stack, a depth table."""
+    try:
+        return inside(file, format=recognised(file) or "").no_depth is not None
+    except LightFieldError:  # damaged: whoever reads it says so
+        return False
 
 
 def _outweighs(found: Path, own: int) -> bool:

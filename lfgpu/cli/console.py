@@ -154,6 +154,22 @@ def remark(console: Console, text: str) -> None:
 
 
 @contextmanager
+def waiting(text: str) -> Iterator[Callable[[str], None]]:
+    """Show on stderr what is going on and for how long while the block runs; nothing where it is no terminal.
+
+    Yields what changes the text.
+    """
+    from rich.progress import Progress as Display
+    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True, highlight=False, markup=False)
+    columns = SpinnerColumn("line"), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
+    with Display(*columns, console=console, transient=True, disable=not console.is_terminal) as display:
+        task = display.add_task(text)
+        yield lambda now: display.update(task, description=now)
+
+
+@contextmanager
 def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
     """Show each stage with its iterations and value on stderr while the block runs; nothing where it is no terminal."""
     from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn

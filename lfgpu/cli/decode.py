@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from lfgpu.errors import LightFieldError
+
 
 def decode(
     source: Annotated[
@@ -28,10 +30,13 @@ def decode(
         typer.Option(metavar="N", help="Views along each side.", show_default="as many as lie under a microlens"),
     ] = None,
 ) -> None:
-    """Make views of a raw capture of a lenslet camera: 16-bit PNG files that all commands read, and the grid found."""
+    """Make views of a raw capture of a lenslet camera: 16-bit PNG files that all commands read, and the lattice found.
+
+    Of a processed Lytro container, what it holds is written: views, refocused pictures, Lytro's own depth.
+    """
     from lfgpu.cli import facts
-    from lfgpu.cli.console import heading, lines, output
-    from lfgpu.io import check_writable
+    from lfgpu.cli.console import heading, lines, output, waiting
+    from lfgpu.io import check_writable, lytro
     from lfgpu.io.formats import check_exists
     from lfgpu.io.lenslet.decode import decode as decode_capture
     from lfgpu.io.lenslet.written import ABOUT_FILE, write_decoded
@@ -40,9 +45,16 @@ def decode(
     check_exists(source, "a raw capture")
     if white is not None:
         check_exists(white, "a white image")
-    decoded = decode_capture(source, bayer=bayer, white=white, views=views)
+    if lytro.recognise(source) is not None:
+        if white is not None or bayer is not None or views is not None:
+            raise LightFieldError(f"{source} has no raw picture; leave --white, --bayer and --views out.")
+        _extract(source, out)
+        return
+    with waiting(f"reading {source.name}") as say:
+        decoded = decode_capture(source, bayer=bayer, white=white, views=views, progress=say)
+        say("writing the views")
+        write_decoded(decoded, out)
     lf = decoded.light_field
-    write_decoded(decoded, out)
     console = output()
     heading(console, lf.name)
     lines(
@@ -63,3 +75,19 @@ def decode(
             (ABOUT_FILE, "the grid of microlenses, colours and values"),
         ],
     )
+
+
+def _extract(source: Path, out: Path) -> None:
+    """Write what a processed container holds."""
+    from lfgpu.cli.console import heading, lines, output, waiting
+    from lfgpu.io import lytro
+    from lfgpu.io.lytro.written import write_contents
+
+    held = lytro.inside(source)
+    with waiting(f"reading {source.name}"):
+        written = write_contents(source, out)
+    console = output()
+    heading(console, source.resolve().stem)
+    lines(console, [*held.facts, *((("no depth", held.no_depth),) if held.no_depth else ())])
+    heading(console, f"Written to {out}")
+    lines(console, written)

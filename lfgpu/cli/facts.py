@@ -17,16 +17,30 @@ def views(lf: LightField) -> str:
     if lf.grid_shape is None:
         return f"{len(lf.views)}, not in a grid"
     rows, columns = lf.grid_shape
-    return f"{len(lf.views)} of {rows * columns} in a {rows} x {columns} grid (rows x columns)"
+    made = pattern(lf)
+    of = f", a {made}" if made else ""
+    return f"{len(lf.views)} of {rows * columns} in a {rows} x {columns} grid (rows x columns){of}"
 
 
 def missing(lf: LightField) -> str:
-    """The empty places of the grid, the first few by name; "" if there are none."""
-    if not lf.missing:
+    """The empty places of the grid, the first few by name; "" if there are none, or if they are meant to be empty.
+
+    A cross, a star, a row and a column are meant, as is any choice of at most half of the places.
+    """
+    if not lf.missing or pattern(lf) or len(lf.missing) >= len(lf.views):
         return ""
     named = "; ".join(f"row {row}, column {column}" for row, column in lf.missing[:_NAMED])
     more = "; ..." if len(lf.missing) > _NAMED else ""
     return f"{len(lf.missing)}: {named}{more} (counted from 0)"
+
+
+def pattern(lf: LightField) -> str:
+    """ "cross", "star", "row" or "column" if some places of the grid are meant to be empty; else ""."""
+    from lfgpu.io.grid import pattern_of
+
+    if lf.grid_shape is None or not lf.missing:
+        return ""
+    return pattern_of([(round(v), round(u)) for u, v in lf.positions], lf.grid_shape) or ""
 
 
 def size(lf: LightField) -> str:

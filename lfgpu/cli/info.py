@@ -23,32 +23,39 @@ def info(
 ) -> None:
     """Show what the files are taken for: grid, views, cameras, ground truth. Missing views are reported, no error."""
     from lfgpu.cli import facts, values
-    from lfgpu.cli.console import heading, lines, output
-    from lfgpu.io import read, recognise, write_description
+    from lfgpu.cli.console import heading, lines, output, waiting
+    from lfgpu.io import inside, read, recognise, write_description
 
     shape = values.parse_grid(grid)
     name, reason = format_name, "as told"
     if name is None:
         chosen, because = recognise(source)
         name, reason = chosen.name, f"because {because}"
-    lf = read(source, format=name, allow_missing=True, grid=shape, every=every, flip=flip)
+    console = output()
+    held = inside(source, format=name)
+    if held.no_depth is not None:
+        heading(console, source.resolve().stem)
+        lines(console, [("format", f"{name}, {reason}"), *held.facts, ("no depth", held.no_depth)])
+        return
+    with waiting(f"reading {source.name}"):
+        lf = read(source, format=name, allow_missing=True, grid=shape, every=every, flip=flip)
     left_out: tuple[str, ...] = ()
     if write is not None:
         told = {"path": source, "format": name, "grid": shape, "every": every, "flip": flip}
         left_out = write_description(lf, write, source=told)
-    console = output()
     heading(console, lf.name)
     lines(
         console,
         [
             ("format", f"{name}, {reason}"),
             ("views", facts.views(lf)),
-            *((("missing", facts.missing(lf)),) if lf.missing else ()),
+            *((("missing", lost),) if (lost := facts.missing(lf)) else ()),
             ("size", facts.size(lf)),
             ("reference", facts.reference(lf)),
             ("offsets", facts.offsets(lf)),
             ("geometry", facts.geometry(lf.geometry)),
             ("ground truth", facts.truth(lf)),
+            *held.facts,
             *(("note", note) for note in lf.notes),
             *((("written", str(write)),) if write is not None else ()),
             *(("left out", sentence) for sentence in left_out),

@@ -164,9 +164,17 @@ def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: b
 
     if path is None:
         return estimation.run_all(lf, quiet=quiet)
-    found = load(path / VIEWS_FILE if path.is_dir() else path)
+    file = path / VIEWS_FILE if path.is_dir() else path
+    if path.is_dir() and not file.is_file():
+        raise LightFieldError(
+            f"{path} holds no {VIEWS_FILE}: new views need maps of all views; run lfgpu depth --all-views, or leave "
+            "--maps out."
+        )
+    found = load(file)
     if not isinstance(found, ViewsResult):
-        raise LightFieldError(f"{path} does not hold maps of all views; give what depth --all-views wrote.")
+        raise LightFieldError(
+            f"{path} does not hold maps of all views; give what lfgpu depth --all-views wrote, or leave --maps out."
+        )
     return found
 
 

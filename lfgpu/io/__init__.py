@@ -2,7 +2,7 @@
 
 from lfgpu.io.atomic import atomic_folder, atomic_write, check_writable
 from lfgpu.io.description import write_description
-from lfgpu.io.formats import FORMATS, Format, read, recognise
+from lfgpu.io.formats import FORMATS, Format, inside, read, recognise
 from lfgpu.io.hci import write_hci
 from lfgpu.io.map_formats import (
     DISPARITY_FILE,
@@ -33,6 +33,7 @@ __all__ = [
     "holds_map",
     "holds_result",
     "holds_views",
+    "inside",
     "load",
     "read",
     "read_map",

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +22,7 @@ from lfgpu.io.limits import check_claim
 
 _MAGIC = b"\x76\x2f\x31\x01"
 _MOST_CHANNELS = 100
+_STDERR = threading.Lock()
 
 
 def read_channels(path: Path) -> dict[str, NDArray[np.float32]]:
@@ -28,7 +35,7 @@ def read_channels(path: Path) -> dict[str, NDArray[np.float32]]:
         check_fetched(path)
         raise LightFieldError(f"{path} is not an OpenEXR file, or its beginning is damaged.")
     try:
-        with exr.File(str(path), separate_channels=True, header_only=True) as file:
+        with complaints(), exr.File(str(path), separate_channels=True, header_only=True) as file:
             header = file.header()
             low, high = ([int(place) for place in corner] for corner in header["dataWindow"])
             names = len(header["channels"])
@@ -36,7 +43,9 @@ def read_channels(path: Path) -> dict[str, NDArray[np.float32]]:
         if names > _MOST_CHANNELS or min(shape) < 1:
             raise ValueError(f"it claims {names} channels of {shape[1]} x {shape[0]} px")
         check_claim(path, (names, *shape), np.float32)
-        with exr.File(str(path), separate_channels=True) as file:
+        with complaints() as said, exr.File(str(path), separate_channels=True) as file:
+            if said():
+                raise ValueError("its pixels are damaged")
             return {name: _pixels(channel, shape) for name, channel in file.channels().items()}
     except LightFieldError:
         raise
@@ -44,6 +53,29 @@ def read_channels(path: Path) -> dict[str, NDArray[np.float32]]:
         raise LightFieldError(
             f"{path} cannot be read as OpenEXR: {' '.join(str(error).split()).rstrip('.')}."
         ) from error
+
+
+@contextmanager
+def complaints() -> Iterator[Callable[[], bool]]:
+    """Keep what the library writes on stderr while the block runs to itself; yields whether it wrote something.
+
+    Where pixels are damaged the library says so there and goes on, with whatever it has decoded. stderr belongs to the
+    whole process: one thread at a time, and what others write meanwhile is lost.
+    """
+    with _STDERR, tempfile.TemporaryFile() as file:
+        try:
+            before = os.dup(2)
+        except OSError:  # a process without stderr
+            yield lambda: False
+            return
+        try:
+            if sys.stderr is not None:
+                sys.stderr.flush()
+            os.dup2(file.fileno(), 2)
+            yield lambda: os.fstat(file.fileno()).st_size > 0
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
 
 
 def _pixels(channel: Any, shape: tuple[int, int]) -> NDArray[np.float32]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import KEY, UNKNOWN_IS_NAN, map_about, map_of, parse_about
+from lfgpu.io.exr import complaints
 
 _MAGIC = b"\x76\x2f\x31\x01"
 
@@ -20,10 +21,11 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
     import OpenEXR
 
     channels = {"disparity": values.disparity, "confidence": values.confidence, "Z": values.depth}
+    said = {} if values.depth is None else {"channels": {"Z": "metres along the optical axis"}}
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        KEY: map_about(values, channels={"Z": "metres along the optical axis"}, invalid=UNKNOWN_IS_NAN),
+        KEY: map_about(values, **said, invalid=UNKNOWN_IS_NAN),
     }
     kept = {name: np.ascontiguousarray(a, np.float32) for name, a in channels.items() if a is not None}
     try:
@@ -41,7 +43,9 @@ def read(path: Path) -> DisparityMap:
         if start.read(4) != _MAGIC:  # the library tells that on stderr, too
             raise LightFieldError(f"{path} is not an OpenEXR file, or its beginning is damaged.")
     try:
-        with OpenEXR.File(str(path)) as file:
+        with complaints() as said, OpenEXR.File(str(path)) as file:
+            if said():
+                raise ValueError("its pixels are damaged")
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
             found = file.header().get(KEY)
             text = None if found is None else str(found)  # decoded here, as it may be damaged

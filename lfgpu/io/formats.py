@@ -279,8 +279,8 @@ def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
     for candidate in FORMATS:
         reason = candidate.recognise(path)
         if reason is not None:
-            if candidate.looks_below:
-                several.check_one(path, candidate.name, _kind)
+            if candidate.looks_below and (held := several.sentence(path, candidate.name, kind)) is not None:
+                raise LightFieldError(held)
             return candidate, reason
     several.check_no_captures(path)
     raise LightFieldError(
@@ -289,7 +289,14 @@ def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
     )
 
 
-def _kind(path: Path) -> str | None:
+def inside(path: str | os.PathLike[str], *, format: str) -> Inside:  # noqa: A002 - as for `read`
+    """What a path of a format holds beside views, or instead of them; LightFieldError if it is damaged."""
+    path, chosen = Path(path), _named(format)
+    check_exists(path)
+    return Inside(()) if chosen.inside is None else chosen.inside(path)
+
+
+def kind(path: Path) -> str | None:
     """The name of the format of a path; None if it is no light field, or several."""
     try:
         return recognise(path)[0].name

@@ -97,7 +97,7 @@ def holes(places: Collection[Place], shape: tuple[int, int], *, folder: Path, al
     rows, columns = shape
     present = set(places)
     total = rows * columns
-    if len(present) == total or present in _deliberate(shape):
+    if len(present) == total or pattern_of(present, shape) is not None:
         return ()
     if len(present) * 2 > total and not allow_missing:
         empty = [(row, column) for row in range(rows) for column in range(columns) if (row, column) not in present]
@@ -110,12 +110,13 @@ def holes(places: Collection[Place], shape: tuple[int, int], *, folder: Path, al
     return (f"{len(present)} of {total} views of the {rows} x {columns} grid are there.",)
 
 
-def _deliberate(shape: tuple[int, int]) -> tuple[set[Place], ...]:
-    """Cross, star, row and column through the centre."""
+def pattern_of(places: Collection[Place], shape: tuple[int, int]) -> str | None:
+    """What places through the centre of a grid make that is meant: "cross", "star", "row" or "column"; else None."""
     middle_row, middle_column = shape[0] // 2, shape[1] // 2
     row = {(middle_row, column) for column in range(shape[1])}
     column = {(row, middle_column) for row in range(shape[0])}
     reach = range(-max(shape), max(shape) + 1)
     diagonals = {(middle_row + step, middle_column + sign * step) for step in reach for sign in (-1, 1)}
     inside = {(row, column) for row, column in diagonals if 0 <= row < shape[0] and 0 <= column < shape[1]}
-    return row | column, row | column | inside, row, column
+    known = {"row": row, "column": column, "cross": row | column, "star": row | column | inside}
+    return next((name for name, its in known.items() if its == set(places)), None)

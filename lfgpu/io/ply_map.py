@@ -15,6 +15,8 @@ from lfgpu.io.about import KEY, map_about, map_of, parse_about
 
 _MARK = f"{KEY} "  # what the comment begins with that holds the metadata
 _MOST_PIXELS = 1 << 28
+_RELIEF_PERCENTILES = (1, 99)
+_DEEPEST = 0.5  # of the longer side of the image
 
 
 def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
@@ -22,9 +24,11 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
     from plyfile import PlyData, PlyElement
 
     cloud = point_cloud(values, image=image)
-    columns: dict[str, tuple[str, NDArray[Any]]] = {
-        name: ("<f4", cloud.points[:, axis]) for axis, name in enumerate("xyz")
-    }
+    points, relief = cloud.points, 1.0
+    if not cloud.metric:
+        relief = _relief(points[:, 2], values.disparity.shape)
+        points = points * np.array([1, 1, relief], np.float32)
+    columns: dict[str, tuple[str, NDArray[Any]]] = {name: ("<f4", points[:, axis]) for axis, name in enumerate("xyz")}
     if cloud.colors is not None:
         columns |= {name: ("u1", cloud.colors[:, n]) for n, name in enumerate(("red", "green", "blue"))}
     if cloud.confidence is not None:
@@ -34,7 +38,11 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
     vertices = np.empty(len(column), [(name, kind) for name, (kind, _) in columns.items()])
     for name, (_, numbers) in columns.items():
         vertices[name] = numbers
-    unit = "metres" if cloud.metric else "pixels; z is -disparity in pixels per view step, as no geometry is known"
+    unit = (
+        "metres"
+        if cloud.metric
+        else f"pixels; z is -{relief:g} times the disparity in pixels per view step, as no geometry is known"
+    )
     comments = [
         f"x to the right, y down, z away from the camera, in {unit}",
         _MARK
@@ -42,10 +50,22 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
             values,
             height=values.disparity.shape[0],
             width=values.disparity.shape[1],
+            z_per_disparity=None if cloud.metric else -relief,
             invalid="pixels without a point are not known or at infinity",
         ),
     ]
     PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<", comments=comments).write(str(path))
+
+
+def _relief(z: NDArray[np.float32], size: tuple[int, ...]) -> float:
+    """What disparities are multiplied with so that a cloud without geometry is no flat sheet: a power of two, >= 1.
+
+    The relief, without the farthest hundredths, is then a quarter to a half as deep as the image is large.
+    """
+    low, high = np.percentile(z, _RELIEF_PERCENTILES)
+    if high <= low:
+        return 1.0
+    return float(max(1.0, 2.0 ** np.floor(np.log2(_DEEPEST * max(size) / (high - low)))))
 
 
 def read(path: Path) -> DisparityMap:

@@ -13,8 +13,8 @@ ANY_IMAGES = ("camera-row", "named-views", "row-folders")
 """Formats that any folder of images may be taken for: thumbnails, masks, maps of each view."""
 
 
-def check_one(folder: Path, chosen: str, kind: Callable[[Path], str | None]) -> None:
-    """LightFieldError if a folder that is taken for one light field holds several.
+def sentence(folder: Path, chosen: str, kind: Callable[[Path], str | None]) -> str | None:
+    """What to say about a folder that is taken for one light field and holds several; None if it does not.
 
     Parameters
     ----------
@@ -28,12 +28,13 @@ def check_one(folder: Path, chosen: str, kind: Callable[[Path], str | None]) -> 
     images = image_files(folder)
     if images:
         if chosen in ANY_IMAGES and all(lenslet.recognise(image) for image in {images[0], images[-1]}):
-            raise LightFieldError(_sentence(folder, images, "raw captures"))
-        return
+            return _sentence(folder, images, "raw captures")
+        return None
     kinds = {inside: kind(inside) for inside in sub_folders(folder)}
     found = [inside for inside, its in kinds.items() if its is not None]
     if len(found) > 1 and any(its not in ANY_IMAGES for its in kinds.values() if its is not None):
-        raise LightFieldError(_sentence(folder, found, "light fields"))
+        return _sentence(folder, found, "light fields")
+    return None
 
 
 def check_no_captures(path: Path) -> None:

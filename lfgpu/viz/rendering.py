@@ -29,7 +29,8 @@ _SOURCES = 8
 _SAME = 0.6  # pixels in the farthest view: disparities that differ by this are as likely of one surface as not
 _AGREE = 0.4  # pixels in the farthest view: maps that differ by less are averaged
 _NEAR = 0.1  # view steps: keeps the weight of a view in the very place finite
-_SOMETHING = 1e-3  # least sum of weights: what gets less is seen by nobody
+_SOMETHING = 0.02  # least sum of weights: what gets less is seen by nobody
+_HIDDEN = 0.2  # the same for views that may show what nobody's map does: below it, all see what hides it
 _FARTHEST = 3.0  # of the grid's extent: nothing is left to show beyond
 
 
@@ -44,7 +45,8 @@ class RenderedView:
     disparity
         float32 [y, x], the map of this view, pixels per view step, larger is nearer.
     known
-        bool [y, x], False where no recorded view shows what is there: filled from beside, from the farther side.
+        bool [y, x], False where no recorded view shows what is there: filled from beside, from the farther side, or a
+        guess from views whose maps disagree.
     position
         (u, v) of the view, as in `LightField.positions`.
     """
@@ -121,7 +123,8 @@ class Renderer:
             raise LightFieldError(f"{lf.name}: nothing recorded is seen from row {place[1]:g}, column {place[0]:g}.")
         disparity = fill_unknown(disparity)
         looks = in_threads(lambda n: self._look(n, place, disparity, _SAME / reach), chosen)
-        image, known = _blended(looks, distance[chosen])
+        image, known, hidden = _blended(looks, distance[chosen])
+        image = filled_from_beside(image, disparity, hidden, tolerance=_SAME / reach)
         u, v = place
         return RenderedView(image, disparity, known, (float(u), float(v)))
 
@@ -198,15 +201,45 @@ def render_view(
 
 def _blended(
     looks: list[tuple[Float32Array, Float32Array, Float32Array]], distance: Float64Array
-) -> tuple[Float32Array, NDArray[np.bool_]]:
-    """The mean colour [y, x, c] and where some view sees it, [y, x]."""
+) -> tuple[Float32Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """The mean colour [y, x, c], where some view sees it, and where all of them see what hides it, [y, x]."""
     nearness = (1 / (distance + _NEAR) ** 2).astype(np.float32)
     nearness /= nearness.max()
     agreeing = sum(near * look[1] for near, look in zip(nearness, looks, strict=True))
     known = np.asarray(agreeing > _SOMETHING)
+    hidden = ~known & (sum(near * look[2] for near, look in zip(nearness, looks, strict=True)) < _HIDDEN)
     colour, total = np.zeros_like(looks[0][0]), np.zeros_like(looks[0][1])
     for near, (seen, agrees, otherwise) in zip(nearness, looks, strict=True):
         weight = near * np.where(known, agrees, otherwise)
         colour += weight[..., None] * seen
         total += weight
-    return np.clip(colour / total[..., None], 0, 1), known
+    return np.clip(colour / total[..., None], 0, 1), known, np.asarray(hidden)
+
+
+def filled_from_beside(
+    image: Float32Array, disparity: Float32Array, hidden: NDArray[np.bool_], *, tolerance: float
+) -> Float32Array:
+    """An image [y, x, c] whose hidden pixels have the colour of what is beside them and no nearer.
+
+    What hides them in all recorded views must not be seen there a second time. Colours spread from the rim of each
+    hole, a pixel at a time; from what is nearer by more than `tolerance` (pixels per view step) only if there is
+    nothing else.
+    """
+    if not hidden.any():
+        return image
+    image, holes = image.copy(), hidden.copy()
+    for allowed in (tolerance, np.inf):
+        while holes.any():
+            y, x = np.nonzero(holes)
+            total, weight = np.zeros((len(y), image.shape[2]), np.float32), np.zeros(len(y), np.float32)
+            for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                at = np.clip(y + dy, 0, holes.shape[0] - 1), np.clip(x + dx, 0, holes.shape[1] - 1)
+                from_there = ~holes[at] & (disparity[at] <= disparity[y, x] + np.float32(allowed))
+                total += from_there[:, None] * image[at]
+                weight += from_there
+            reached = weight > 0
+            if not reached.any():
+                break
+            image[y[reached], x[reached]] = total[reached] / weight[reached, None]
+            holes[y[reached], x[reached]] = False
+    return image

@@ -148,7 +148,7 @@ def test_images_without_depth(folder: Path, true: LightField) -> None:
     assert found.geometry is not None
 
 
-def test_what_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_what_is_refused(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     listed = frames(folder)
     turned = json.loads(json.dumps(listed))
     turned[3]["world_matrix"] = np.eye(4).tolist()
@@ -176,6 +176,11 @@ def test_what_is_refused(folder: Path, tmp_path: Path) -> None:
     )
     says("nothing for camera", camera=None)
     says("a JSON str for frames", frames="none")
+    data = bytearray((folder / "exr" / "view_0002f.exr").read_bytes())
+    data[-200:] = bytes(200)
+    (folder / "exr" / "view_0002f.exr").write_bytes(data)
+    assert "view_0002f.exr cannot be read as OpenEXR: its pixels are damaged" in refusal(lambda: read(folder))
+    assert capfd.readouterr().err == ""
     (folder / "exr" / "view_0002f.exr").write_bytes(b"no image")
     assert "view_0002f.exr is not an OpenEXR file" in refusal(lambda: read(folder))
     (folder / "exr" / "view_0002f.exr").unlink()

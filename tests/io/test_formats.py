@@ -44,7 +44,9 @@ def test_a_format_can_be_asked_for(tmp_path: Path) -> None:
     save_named(tmp_path, box(2, 2))
     assert read(tmp_path).grid_shape == (3, 3)
     assert read(tmp_path, format="named-views").grid_shape == (2, 2)
-    assert "unknown format 'hcl'; known are lightfield-toml, hci, " in refusal(lambda: read(tmp_path, format="hcl"))
+    assert "unknown format 'hcl'; known are blender, lightfield-toml, hci, " in refusal(
+        lambda: read(tmp_path, format="hcl")
+    )
 
 
 @pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)

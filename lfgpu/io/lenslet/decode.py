@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,7 @@ def decode(
     bayer: str | None = None,
     white: str | os.PathLike[str] | None = None,
     views: int | None = None,
+    progress: Callable[[str], None] = lambda stage: None,
 ) -> Decoded:
     """Make views of the raw capture of a lenslet camera.
 
@@ -68,6 +70,8 @@ def decode(
     views
         Views along each side of the grid, 2 to 31, one pixel of the sensor apart. None takes the largest odd number
         for which those in the corners still lie under the microlens. Views that do not are left out.
+    progress
+        Called with what begins, in a few words; by default nobody is told.
 
     Returns
     -------
@@ -86,6 +90,7 @@ def decode(
     capture = read_capture(path)
     pattern, notes = (pattern, ()) if pattern else _pattern(capture)
     even = None if white is None else _white_image(Path(white), capture.mosaic.shape)
+    progress("looking for the microlenses")
     sensor = _Sensor(
         capture.mosaic,
         even,
@@ -96,9 +101,11 @@ def decode(
     )
     count = views or _default_views(sensor.lenses.pitch)
     positions = _positions(sensor.lenses.pitch, count)
+    progress("making the views")
     linear, valid = sensor.views(positions - (count - 1) / 2)
     middle = int(np.argmin(np.abs(positions - count // 2).sum(1)))
     if even is None:
+        progress("evening out their light")
         linear *= field_gains(linear, middle)[..., None]
     if linear.shape[-1] == 3:
         linear *= np.array(capture.balance, np.float32)
