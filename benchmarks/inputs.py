@@ -11,12 +11,19 @@ from numpy.typing import NDArray
 
 from benchmarks.cases import CHANNELS, Case
 from lfgpu.contract import half_window
+from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.sweep import labels
 from lfgpu.methods.synthesis.config import SynthesisConfig
 
 LARGEST_DISPARITY = 1.5  # pixels per view step, either way
 CONFIG = SynthesisConfig()
+MATCHING = MatchingConfig()
 BYTE = 1 / 255
 """The intensity of one step of a uint8 view."""
+
+_EXACT = 64  # steps of a disparity in one: their products with offsets have no rounding in float32
+_NO_TIE = 0.00137  # pixels per view step: no difference of labels, levels and tolerances
+_TILE = 24  # pixels
 
 
 def offsets(case: Case) -> NDArray[np.float32]:
@@ -89,15 +96,61 @@ def epis(case: Case) -> NDArray[np.uint8]:
     return lines
 
 
-def weights(case: Case) -> NDArray[np.float32]:
+def weights(case: Case, window: int = CONFIG.prior.window) -> NDArray[np.float32]:
     """[k, y, x]: positive, 0 where the neighbour lies outside the image."""
-    (height, width), half = case.size, half_window(CONFIG.prior.window)
+    (height, width), half = case.size, half_window(window)
     random = _rng(case, 3).random((len(half), height, width), np.float32)
     for weight, (dy, dx) in zip(random, half, strict=True):
         weight[height - dy :] = 0
         weight[:, : max(0, -dx)] = 0
         weight[:, min(width, width - dx) :] = 0
     return random
+
+
+def near_weights(case: Case) -> NDArray[np.float32]:
+    """[w, y, x]: the same for the window that costs are averaged over."""
+    return weights(case, MATCHING.semi_global.window)
+
+
+def surface_weights(case: Case) -> NDArray[np.float32]:
+    """[p, y, x]: the same for the window that maps are averaged over."""
+    return weights(case, MATCHING.prior.window)
+
+
+def sweep_labels(case: Case) -> tuple[float, float, int]:
+    """First, distance and number of the disparities that a plane sweep compares."""
+    bounds = -LARGEST_DISPARITY, LARGEST_DISPARITY
+    return labels(bounds, offsets(case).astype(np.float64), MATCHING.sweep)
+
+
+def levels(case: Case) -> NDArray[np.float32]:
+    """[y, x]: the disparity in steps of 1/64, so that float32 has no say in which pixel is nearest."""
+    return (np.rint(_EXACT * disparity(case)) / _EXACT).astype(np.float32)
+
+
+def layers(case: Case) -> NDArray[np.float32]:
+    """[y, x]: such a map with depth edges, tiles that are nearer and farther in turns."""
+    y, x = np.indices(case.size, sparse=True)
+    nearer = (y // _TILE + x // _TILE) % 2
+    return (np.rint(_EXACT * (0.5 * disparity(case) + 1.5 * (nearer - 0.5))) / _EXACT).astype(np.float32)
+
+
+def nearest(case: Case) -> NDArray[np.float32]:
+    """[n, y, x]: the disparity of what each view shows, a little nearer: no comparison with `levels` is a tie."""
+    places, shown = offsets(case), levels(case)
+    found = np.empty((len(places), *case.size), np.float32)
+    for view, (du, dv) in zip(found, places, strict=True):
+        rows, columns = _sources(case, du, dv)
+        view[:] = shown[_inside(rows, case.size[0]), _inside(columns, case.size[1])]
+    return found + np.float32(_NO_TIE)
+
+
+def volume(case: Case) -> NDArray[np.float32]:
+    """[l, y, x]: costs as a sweep finds them, least near the disparity, with noise."""
+    first, step, count = sweep_labels(case)
+    far = (first + step * np.arange(count)[:, None, None] - disparity(case)) / 0.5
+    noise = _rng(case, 7).random((count, *case.size), np.float32)
+    return (0.05 * np.minimum(far**2, 1) + 0.003 * noise).astype(np.float32)
 
 
 def other_values(case: Case) -> NDArray[np.float32]:
@@ -133,6 +186,12 @@ INPUTS: dict[str, Callable[[Case], NDArray[Any]]] = {
     "epis": epis,
     "line_offsets": line_offsets,
     "weights": weights,
+    "near_weights": near_weights,
+    "surface_weights": surface_weights,
+    "levels": levels,
+    "layers": layers,
+    "nearest": nearest,
+    "volume": volume,
     "other_values": other_values,
     "x": disparity,
     "x_gradient": x_gradient,

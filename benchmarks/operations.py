@@ -11,12 +11,16 @@ import numpy as np
 
 from benchmarks.cases import CHANNELS, Case
 from benchmarks.errors import BenchmarkError
-from benchmarks.inputs import BYTE, CONFIG, INPUTS, LARGEST_DISPARITY, line_offsets
-from lfgpu.contract import Array, KernelSet, StructureFilters, half_window
+from benchmarks.inputs import BYTE, CONFIG, INPUTS, LARGEST_DISPARITY, MATCHING, line_offsets, sweep_labels
+from lfgpu.contract import Array, Float64Array, KernelSet, PlaneSweep, StructureFilters, half_window
+from lfgpu.data.lightfield import farthest
+from lfgpu.methods.matching.sweep import labels, view_sets
 from lfgpu.methods.structure_tensor import structure_filters
 
 _PAIRS = 10  # that the method's L-BFGS remembers
 _TOLERANCE = 1e-4  # relative error of operations in float32, at any size
+_FLOOR = 1e-3  # of what is divided by: there is no division by 0
+_EDGE = 0.3  # pixels per view step: larger differences are depth edges
 _HALF_STEP = 2.0**-11  # half a step of float16, relative
 
 
@@ -109,7 +113,10 @@ class Operation:
 
 
 def extents(case: Case) -> dict[str, int]:
-    """How long each axis is: n views, u views of the reference's row that are used, y, x, c, k neighbours, m pairs."""
+    """How long each axis is: n views, u views of the reference's row that are used, y, x, c, k neighbours, m pairs.
+
+    Of matching: l labels, p neighbours on a surface, w neighbours over which costs are averaged.
+    """
     filters = structure_filters(line_offsets(case).astype(np.float64), CONFIG.local)
     return {
         "n": case.grid[0] * case.grid[1],
@@ -118,7 +125,10 @@ def extents(case: Case) -> dict[str, int]:
         "x": case.size[1],
         "c": CHANNELS,
         "k": len(half_window(CONFIG.prior.window)),
+        "l": sweep_labels(case)[2],
         "m": _PAIRS,
+        "p": len(half_window(MATCHING.prior.window)),
+        "w": len(half_window(MATCHING.semi_global.window)),
         "2": 2,
     }
 
@@ -286,8 +296,139 @@ def _lbfgs_learn(on: Desk) -> Work:
     return Work(learn, begin)
 
 
+def _planned_sweep(on: Desk) -> PlaneSweep:
+    """A sweep over the views that lie ready, which has seen them."""
+    k, a, config = on.kernels, on.arrays, MATCHING.sweep
+    places = _host_offsets(on)
+    first, step, count = labels((-LARGEST_DISPARITY, LARGEST_DISPARITY), places, config)
+    sweep = k.plane_sweep(
+        on.shapes["views"],
+        a["offsets"],
+        k.field(view_sets(places, config.view_set_angle), on.device),
+        first=first,
+        step=step,
+        count=count,
+        scale=BYTE,
+        truncation=config.truncation,
+        gradient_weight=config.gradient_weight,
+        gradient_truncation=config.gradient_truncation,
+        preference=config.view_set_penalty,
+        tolerance=config.tolerance / farthest(places),
+        least=max(1, math.ceil(config.min_share * (len(places) - 1))),
+    )
+    sweep.load(a["image"], a["views"], None)
+    return sweep
+
+
+def _sweep_by_view_sets(on: Desk) -> Work:
+    sweep, volume = _planned_sweep(on), on.arrays["volume_out"]
+    return Work(lambda: sweep.by_view_sets(volume))
+
+
+def _sweep_by_visibility(on: Desk) -> Work:
+    sweep, a = _planned_sweep(on), on.arrays
+    return Work(lambda: sweep.by_visibility(a["nearest"], a["volume_out"]))
+
+
+def _nlm_average(on: Desk) -> Work:
+    k, a, window = on.kernels, on.arrays, MATCHING.semi_global.window
+    return Work(lambda: k.nlm_average(a["near_weights"], a["volume"], window=window, average_out=a["average"]))
+
+
+def _semi_global(on: Desk) -> Work:
+    k, a, config = on.kernels, on.arrays, MATCHING.semi_global
+    return Work(
+        lambda: k.semi_global(
+            a["volume"],
+            a["image"],
+            small=config.small_penalty,
+            large=config.large_penalty,
+            contrast=config.contrast,
+            sum_out=a["sum"],
+        )
+    )
+
+
+def _winner_takes_all(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    count = on.shapes["volume"][0]
+    first, step = -LARGEST_DISPARITY, 2 * LARGEST_DISPARITY / (count - 1)
+    return Work(lambda: k.winner_takes_all(a["volume"], first=first, step=step, disparity_out=a["disparity_out"]))
+
+
+def _z_buffer(on: Desk) -> Work:
+    """The one that the alignment asks for: what comes within a pixel."""
+    k, a = on.kernels, on.arrays
+    buffer = k.z_buffer((*on.shapes["nearest_out"], CHANNELS), a["offsets"], reach=1)
+    return Work(lambda: buffer(a["layers"], a["nearest_out"]))
+
+
+def _alignment(on: Desk) -> Work:
+    k, a, config = on.kernels, on.arrays, MATCHING.alignment
+    align = k.alignment(
+        on.shapes["views"],
+        a["offsets"],
+        scale=BYTE,
+        gradient_weight=config.gradient_weight,
+        robust=config.robust,
+        tolerance=MATCHING.sweep.tolerance / farthest(_host_offsets(on)),
+    )
+    align.load(a["image"], a["views"], None)
+    return Work(lambda: align(a["levels"], a["nearest"], a["curvature"], a["slope"]))
+
+
+def _nlm_ratio(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(
+        lambda: k.nlm_ratio(
+            a["surface_weights"],
+            a["layers"],
+            a["x_gradient"],
+            a["other_values"],
+            window=MATCHING.prior.window,
+            support=MATCHING.alignment.support,
+            floor=_FLOOR,
+            ratio_out=a["ratio"],
+        )
+    )
+
+
+def _nlm_on_surface(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(
+        lambda: k.nlm_on_surface(
+            a["surface_weights"],
+            a["layers"],
+            window=MATCHING.prior.window,
+            support=MATCHING.alignment.support,
+            weights_out=a["on_surface"],
+        )
+    )
+
+
+def _refine_boundaries(on: Desk) -> Work:
+    k, a, config = on.kernels, on.arrays, MATCHING.boundaries
+    return Work(
+        lambda: k.refine_boundaries(
+            a["image"],
+            a["layers"],
+            step=_EDGE,
+            contrast=config.contrast,
+            share=config.share,
+            disparity_out=a["disparity_out"],
+        )
+    )
+
+
+def _host_offsets(on: Desk) -> Float64Array:
+    return np.asarray(on.kernels.numpy(on.arrays["offsets"]), np.float64)
+
+
 _MAP, _OFFSETS, _IMAGE = Slot("disparity", "yx"), Slot("offsets", "n2"), Slot("image", "yxc")
 _SPLATTED = (_IMAGE, _MAP, _OFFSETS)
+_VIEWS = (_IMAGE, Slot("views", "nyxc", "uint8"), _OFFSETS)
+_NEAREST, _VOLUME, _LAYERS = Slot("nearest", "nyx"), Slot("volume", "lyx"), Slot("layers", "yx")
+_SURFACE_WEIGHTS = Slot("surface_weights", "pyx")
 _POINT = (Slot("x", "yx"), Slot("x_gradient", "yx"))
 
 OPERATIONS = (
@@ -319,6 +460,26 @@ OPERATIONS = (
         _structure_tensor,
         trusted=("coherence", CONFIG.local.coherence_threshold),
     ),
+    Operation("plane_sweep_by_view_sets", _VIEWS, (Slot("volume_out", "lyx"),), _sweep_by_view_sets),
+    Operation("plane_sweep_by_visibility", (*_VIEWS, _NEAREST), (Slot("volume_out", "lyx"),), _sweep_by_visibility),
+    Operation("nlm_average", (Slot("near_weights", "wyx"), _VOLUME), (Slot("average", "lyx"),), _nlm_average),
+    Operation("semi_global", (_VOLUME, _IMAGE), (Slot("sum", "lyx"),), _semi_global, local=False),
+    Operation("winner_takes_all", (_VOLUME,), (Slot("disparity_out", "yx"),), _winner_takes_all),
+    Operation("z_buffer", (_LAYERS, _OFFSETS), (Slot("nearest_out", "nyx"),), _z_buffer),
+    Operation(
+        "alignment",
+        (*_VIEWS, Slot("levels", "yx"), _NEAREST),
+        (Slot("curvature", "yx"), Slot("slope", "yx")),
+        _alignment,
+    ),
+    Operation(
+        "nlm_ratio",
+        (_SURFACE_WEIGHTS, _LAYERS, Slot("x_gradient", "yx"), Slot("other_values", "yx")),
+        (Slot("ratio", "yx"),),
+        _nlm_ratio,
+    ),
+    Operation("nlm_on_surface", (_SURFACE_WEIGHTS, _LAYERS), (Slot("on_surface", "pyx"),), _nlm_on_surface),
+    Operation("refine_boundaries", (_IMAGE, _LAYERS), (Slot("disparity_out", "yx"),), _refine_boundaries),
     Operation(
         "lbfgs_learn",
         (

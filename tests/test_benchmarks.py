@@ -37,13 +37,15 @@ from benchmarks import (
 from benchmarks.cases import CASES, Case
 from benchmarks.cli import app
 from benchmarks.compare import compare
-from benchmarks.inputs import INPUTS, LARGEST_DISPARITY
+from benchmarks.inputs import INPUTS, LARGEST_DISPARITY, sweep_labels
 from benchmarks.jobs import Job
 from benchmarks.operations import OPERATIONS, Operation
 from benchmarks.prepare import prepare, whole
 from benchmarks.results import Record, Run, Skipped, Spread
 from lfgpu import PRESETS, DepthPipeline, scenes
 from lfgpu._backends import load
+from lfgpu.contract.matching import Matching, PlaneSweep
+from lfgpu.contract.prior import Prior
 
 ROOT = Path(__file__).parents[1]
 TINY = CASES[0]
@@ -174,6 +176,55 @@ def test_traffic_is_the_size_of_the_arrays(operation: Operation) -> None:
         numbers = sum(8 for slot in slots if not slot.axes)
         inside = sum(4 * operations.size(slot, TINY) for slot in slots if slot.inside)
         assert operation.traffic(TINY, device) == sum(counted) + numbers + inside
+
+
+def test_every_operation_of_matching_and_its_prior_is_measured() -> None:
+    """As kernels/README.md promises; a plan of two kinds of work has a row for each."""
+    names = [operation.name for operation in OPERATIONS]
+    assert len(set(names)) == len(names)
+    asked = {name for part in (Matching, Prior) for name in vars(part) if not name.startswith("_")}
+    asked.remove("plane_sweep")
+    asked |= {f"plane_sweep_{kind}" for kind in vars(PlaneSweep) if kind.startswith("by_")}
+    assert {"plane_sweep_by_visibility", "semi_global", "nlm_on_surface"} <= asked
+    assert asked <= set(names)
+
+
+def test_traffic_of_matching_counts_labels_views_and_neighbours() -> None:
+    """By hand for 3 x 3 views of 48 x 48: 9 labels, 9 views in colour, 4 neighbours of 3 x 3, 40 of 9 x 9."""
+    pixels = 48 * 48
+    image, views, offsets, volume, nearest = 12 * pixels, 27 * pixels, 9 * 2 * 4, 36 * pixels, 36 * pixels
+    for name, bytes_ in {
+        "plane_sweep_by_view_sets": image + views + offsets + volume,
+        "plane_sweep_by_visibility": image + views + offsets + nearest + volume,
+        "nlm_average": 16 * pixels + 2 * volume,
+        "semi_global": 2 * volume + image,
+        "winner_takes_all": volume + 4 * pixels,
+        "z_buffer": 4 * pixels + offsets + nearest,
+        "alignment": image + views + offsets + 4 * pixels + nearest + 8 * pixels,
+        "nlm_ratio": 160 * pixels + 16 * pixels,
+        "nlm_on_surface": 320 * pixels + 4 * pixels,
+        "refine_boundaries": image + 8 * pixels,
+    }.items():
+        assert operations.find(name).traffic(TINY, "cpu") == bytes_, name
+
+
+@pytest.mark.parametrize(
+    "name", ["plane_sweep_by_view_sets", "plane_sweep_by_visibility", "z_buffer", "alignment", "refine_boundaries"]
+)
+def test_inputs_of_matching_have_something_to_find(name: str) -> None:
+    reference, operation = load("reference"), operations.find(name)
+    done = prepare(operation, reference, "cpu", TINY, whole(TINY))
+    done.once()
+    if name == "refine_boundaries":
+        assert (done.arrays["disparity_out"] != done.arrays["layers"]).mean() > 0.002
+    elif name == "z_buffer":
+        assert np.abs(done.arrays["nearest_out"] - done.arrays["layers"]).max() > 1
+    elif name == "alignment":
+        assert (done.arrays["curvature"] > 0).mean() > 0.9
+    else:
+        first, step, _ = sweep_labels(TINY)
+        found = first + step * np.argmin(done.arrays["volume_out"], axis=0)
+        assert np.median(np.abs(found - INPUTS["disparity"](TINY))) < step
 
 
 def test_views_that_are_compared_have_half_the_bytes_on_a_gpu() -> None:

@@ -279,7 +279,8 @@ def test_depth_says_what_it_did(solved: tuple[Path, Outcome]) -> None:
 
 def row_of(said: str, name: str) -> list[float]:
     """The numbers in the row of that name of a table of scores."""
-    line = next(line for line in said.splitlines() if line.split()[:1] == [name])
+    row = re.compile(rf" *{name}( +([0-9.]+|nan|%))+ *")
+    line = next(line for line in said.splitlines() if row.fullmatch(line))
     return [float(word) for word in line.split()[1:] if word != "%"]
 
 

@@ -19,6 +19,7 @@ from .vector import axpby, clamp, copy, divide, dot, fill, multiply, ratio, sele
 from .views import intensities, line_of_views, normalization
 
 name = "reference"
+compiles = False
 dtype = np.float64
 streaming = None
 recording = None
@@ -29,6 +30,7 @@ __all__ = [
     "axpby",
     "capture",
     "clamp",
+    "compiles",
     "copy",
     "data_term",
     "devices",

@@ -21,6 +21,7 @@ from .vector import axpby, clamp, copy, divide, fill, multiply, ratio, select, t
 from .views import intensities, line_of_views, normalization
 
 name = "taichi"
+compiles = True
 dtype = np.float32
 streaming = None
 recording = None
@@ -31,6 +32,7 @@ __all__ = [
     "axpby",
     "capture",
     "clamp",
+    "compiles",
     "copy",
     "data_term",
     "devices",

@@ -21,6 +21,7 @@ from .vector import axpby, clamp, copy, divide, dot, fill, multiply, ratio, sele
 from .views import intensities, line_of_views, normalization
 
 name = "warp"
+compiles = True
 dtype = np.float32
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "axpby",
     "capture",
     "clamp",
+    "compiles",
     "copy",
     "data_term",
     "devices",

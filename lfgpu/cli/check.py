@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT
+from lfgpu._backends import DEFAULT, backend_named
 from lfgpu.cli import values
 from lfgpu.cli.options import (
     AllowMissing,
@@ -78,7 +78,7 @@ def check(
     estimation = Estimation(
         values.configured("fast", ()),
         None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
-        backend,
+        backend_named(backend),
         device,
     )
     place = None if reference_view is None else values.parse_place("--reference-view", reference_view)

@@ -31,6 +31,10 @@ class KernelSet(Memory, Control, Images, Prior, StructureTensors, Matching, Synt
         """What fields are made of: float32 on devices, float64 in the reference."""
 
     @property
+    def compiles(self) -> bool:
+        """Whether operations are compiled when they are first used."""
+
+    @property
     def streaming(self) -> Streaming | None:
         """Frames and maps on their way while the device works; None if the backend has no streams."""
 

@@ -55,7 +55,8 @@ class DepthResult:
         How the iterations went, a number for each. Matching: the root mean square step of the alignment, pixels per
         view step; synthesis: the energy of the refinement, that before the first iteration ahead of them.
     timings
-        Seconds of each stage and in total.
+        Seconds by name: `compile`, until kernels were compiled and loaded; `measure`, for range, noise and memory; each
+        stage; and `total`, the sum. The first two are only there where they were a part of the run.
     backend, device
         What it was computed with.
     versions

@@ -20,6 +20,7 @@ from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.measured import Measured
+from lfgpu.pipelines.rehearsal import Rehearsal
 
 _NOT_FINITE = "views hold values that are not finite (NaN or infinity); mask or replace them."
 
@@ -80,15 +81,21 @@ class DepthPipeline:
         self._graph: Callable[[], None] | None = None
         self._runs = 0
         self._unseen = False  # whether the views came from a GPU, where NaN is not looked for
-        start = perf_counter()
+        rehearsal = Rehearsal(self.method, lf, self.kernels, self.device)
         with self.kernels.asking(self.device):
-            self.measured = measured or self.method.measure(
-                lf, self.kernels, self.device, disparity_range=disparity_range
-            )
-            self._views = self.kernels.image(lf.views, self.device)
-            self._waited_for = self.kernels.scalar(0.0, self.device)  # who reads it waits for all that was asked for
-            self._plan: Plan = self.method.plan(lf, self.measured, self.kernels, self.device)
-        self._preparation = perf_counter() - start
+            with self._timed("compile"):
+                if measured is None:
+                    rehearsal.measure(disparity_range)
+            with self._timed("measure"):
+                self.measured = measured or self.method.measure(
+                    lf, self.kernels, self.device, disparity_range=disparity_range
+                )
+            with self._timed("compile"):
+                rehearsal.run(self.measured)
+            with self._timed("measure"):
+                self._views = self.kernels.image(lf.views, self.device)
+                self._waited_for = self.kernels.scalar(0.0, self.device)  # who reads it waits for all that was asked
+                self._plan: Plan = self.method.plan(lf, self.measured, self.kernels, self.device)
 
     def upload(self, views: Any) -> None:
         """Take other views [n, y, x, c], of the shape and type of the light field's, with any strides.
@@ -175,6 +182,8 @@ class DepthPipeline:
     def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
         """Run and return everything; waits for the device after each stage."""
         stages = self.stages()
+        before = self._timings if self._runs == 0 else {}  # what came before the first run is a part of it
+        self._timings = dict(before)
         with self._timed("total"):
             for stage, work in stages.items():
                 with self._timed(stage):
@@ -186,9 +195,7 @@ class DepthPipeline:
                 if stage == self._plan.decided:
                     self._runs += 1
                     self._plan.check(self._lf.name)
-        if self._runs == 1:
-            for name in (next(iter(stages)), "total"):  # finding the range was a part of them
-                self._timings[name] += self._preparation
+        self._timings["total"] += sum(before.values())
         return self.result()
 
     def result(self) -> DepthResult:
@@ -248,7 +255,7 @@ class DepthPipeline:
     def _timed(self, stage: str) -> Iterator[None]:
         start = perf_counter()
         yield
-        self._timings[stage] = perf_counter() - start
+        self._timings[stage] = self._timings.get(stage, 0.0) + perf_counter() - start
 
 
 def _of_stage(on_progress: Progress, stage: str) -> Callback:

@@ -117,7 +117,8 @@ def estimate_in_tiles(
     }
     results = _estimate_all(lf, method, plan, devices, options, on_progress)
     joined = _joined(lf, plan, results, method.same_surface(lf))
-    timings = {name: sum(result.timings[name] for result in results if result is not None) for name in joined.timings}
+    there = [result.timings for result in results if result is not None]
+    timings = {name: sum(timings.get(name, 0.0) for timings in there) for name in joined.timings}
     return replace(joined, timings={**timings, "total": perf_counter() - start})
 
 
