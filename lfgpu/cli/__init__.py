@@ -28,6 +28,7 @@ from lfgpu.cli import (
     view,
 )
 from lfgpu.cli.failures import Group
+from lfgpu.cli.listings import Command
 
 app = typer.Typer(
     name="lfgpu",

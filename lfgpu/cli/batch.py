@@ -12,11 +12,13 @@ import typer
 from lfgpu._backends import DEFAULT, backend_named
 from lfgpu.cli import values
 from lfgpu.cli.options import (
+    AllowMissing,
     Backend,
     Deterministic,
     DisparityRange,
     Every,
     Flip,
+    FormatName,
     Grid,
     OutFolder,
     Parameters,
@@ -72,13 +74,11 @@ def batch(
     ] = None,
     deterministic: Deterministic = False,
     settings: Parameters = None,
-    format_name: Annotated[
-        str | None, typer.Option("--format", metavar="NAME", help="Format of all inputs.", show_default="recognised")
-    ] = None,
+    format_name: FormatName = None,
     grid: Grid = None,
     every: Every = None,
     flip: Flip = "",
-    allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept grids that lost some views.")] = False,
+    allow_missing: AllowMissing = False,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the disparity of many light fields, on all GPUs of this machine or on a Dask cluster.

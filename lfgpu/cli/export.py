@@ -14,7 +14,9 @@ from lfgpu.cli.options import Parameters
 def export(
     source: Annotated[Path, typer.Argument(metavar="INPUT", help="A light field of the kind that it is for.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the files go; made if missing.")],
-    preset: Annotated[str, typer.Option(metavar="NAME", help="accurate or fast.")] = "accurate",
+    preset: Annotated[
+        str, typer.Option(metavar="NAME", help="Parameters to start from: {recordable presets}.")
+    ] = "accurate",
     disparity_range: Annotated[
         str | None, typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found")
     ] = None,

@@ -34,7 +34,7 @@ def live(
         Path | None,
         typer.Option("-o", "--out", metavar="FOLDER", help="Record each map there as it comes, and what happened."),
     ] = None,
-    preset: Annotated[str, typer.Option(metavar="NAME", help="accurate or fast.")] = "accurate",
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Parameters to start from: {live presets}.")] = "accurate",
     disparity_range: Annotated[
         str | None,
         typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found on the first"),

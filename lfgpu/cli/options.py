@@ -7,8 +7,6 @@ from typing import Annotated
 
 import typer
 
-from lfgpu._backends import list_backends
-
 Threads = Annotated[
     int | None,
     typer.Option("--threads", metavar="N", help="Threads of the CPU to use at most.", show_default="one for each core"),
@@ -30,7 +28,7 @@ OutFolder = Annotated[
     Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the outputs go; made if missing.")
 ]
 
-Preset = Annotated[str, typer.Option("--preset", metavar="NAME", help="Set of parameters to start from.")]
+Preset = Annotated[str, typer.Option("--preset", metavar="NAME", help="Parameters to start from. {presets}.")]
 
 ReferenceView = Annotated[
     str | None,
@@ -53,7 +51,7 @@ DisparityRange = Annotated[
     ),
 ]
 
-Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help=f"Kernels: {', '.join(list_backends())}.")]
+Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="Kernels: {backends}.")]
 
 Deterministic = Annotated[
     bool,
@@ -62,7 +60,11 @@ Deterministic = Annotated[
 
 Parameters = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
+    typer.Option(
+        "--set",
+        metavar="STAGE.PARAMETER=VALUE",
+        help="Change one parameter; may be repeated. `lfgpu parameters` lists them.",
+    ),
 ]
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")]
@@ -75,7 +77,8 @@ Device = Annotated[
 Source = Annotated[Path, typer.Argument(metavar="INPUT", help="The light field, as a rule a folder of views.")]
 
 FormatName = Annotated[
-    str | None, typer.Option("--format", metavar="NAME", help="Format of INPUT.", show_default="recognised")
+    str | None,
+    typer.Option("--format", metavar="NAME", help="Format of the input: {formats}.", show_default="recognised"),
 ]
 
 AllowMissing = Annotated[bool, typer.Option("--allow-missing", help="Accept a grid that lost some views.")]

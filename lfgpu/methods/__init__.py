@@ -23,12 +23,14 @@ METHODS: dict[str, Entry] = {
         _matching.PRESETS,
         "lfgpu.methods.matching.method:Matching",
         "finds the surface on which the views agree, with occlusions",
+        {"accurate": "all views, occlusions in two sweeps", "fast": "one row and one column of views, one sweep"},
     ),
     "synthesis": Entry(
         _synthesis.SynthesisConfig,
         _synthesis.PRESETS,
         "lfgpu.methods.synthesis.method:Synthesis",
         "finds the map that predicts all views best (Sajjadi et al. 2016)",
+        {"paper": "Sajjadi et al. 2016"},
     ),
 }
 """All methods by name. A new method is a folder here and a row in this table."""

@@ -168,6 +168,11 @@ class Method(ABC, Generic[C]):
         """The parameters for maps that new views are rendered from."""
         return self.config
 
+    @property
+    def is_live(self) -> bool:
+        """Whether it can run on streams of frames."""
+        return type(self).live_plan is not Method.live_plan
+
     # --- what it needs to know about a light field ---
 
     def measure(

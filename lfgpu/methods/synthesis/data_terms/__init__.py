@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from lfgpu.contract import Array, KernelSet, SplatDataTerm
+if TYPE_CHECKING:
+    from lfgpu.contract import Array, KernelSet, SplatDataTerm
 
 _HOMES = {"additive": "additive", "z-buffer": "z_buffer"}
 
