@@ -96,13 +96,6 @@ def batch(
 
     check_writable(out)
     values.check_pattern("--views", pattern)
-    read_with = {
-        "format": format_name,
-        "allow_missing": allow_missing,
-        "grid": values.parse_grid(grid),
-        "every": every,
-        "flip": flip,
-    }
     how = Settings(
         config=values.configured(preset, settings or ()),
         disparity_range=None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),

@@ -146,18 +146,11 @@ def depth(
             raise LightFieldError("--max-memory is for the map of one view; leave it or --all-views out.")
     place = None if reference_view is None else values.parse_place("--reference-view", reference_view)
     values.check_pattern("--views", pattern)
+    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
     values.use_threads("--threads", threads)
     estimation.check_device()
 
-    lf = read(
-        source,
-        format=format_name,
-        allow_missing=allow_missing,
-        grid=values.parse_grid(grid),
-        every=every,
-        flip=flip,
-        lazy=max_memory is not None,
-    )
+    lf = read(source, lazy=max_memory is not None, **reading)
     lf = _chosen(lf, place, pattern)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)

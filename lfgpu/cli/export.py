@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from lfgpu.cli import values
-from lfgpu.cli.options import Parameters
+from lfgpu.cli.options import AllowMissing, DisparityRange, Every, Flip, FormatName, Grid, Parameters
 
 
 def export(
@@ -17,11 +17,14 @@ def export(
     preset: Annotated[
         str, typer.Option(metavar="NAME", help="Parameters to start from: {recordable presets}.")
     ] = "accurate",
-    disparity_range: Annotated[
-        str | None, typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found")
-    ] = None,
+    disparity_range: DisparityRange = None,
     device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu or cuda.")] = "cpu",
     settings: Parameters = None,
+    format_name: FormatName = None,
+    grid: Grid = None,
+    every: Every = None,
+    flip: Flip = "",
+    allow_missing: AllowMissing = False,
 ) -> None:
     """Write the estimate for light fields like INPUT as files that a program in C++ replays, and that program."""
     from lfgpu.io import check_writable, read
@@ -30,5 +33,6 @@ def export(
     check_writable(out)
     config = values.configured(preset, settings or ())
     bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
-    export_pipeline(read(source), out, config=config, disparity_range=bounds, device=device)
+    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
+    export_pipeline(read(source, **reading), out, config=config, disparity_range=bounds, device=device)
     typer.echo(f"Wrote the pipeline and replay.cpp to {out}; README.txt there says how to build and run it.")

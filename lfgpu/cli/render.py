@@ -12,7 +12,20 @@ import typer
 from lfgpu._backends import DEFAULT, backend_named
 from lfgpu.cli import values
 from lfgpu.cli.depth import Estimation
-from lfgpu.cli.options import AllowMissing, Backend, Device, FormatName, Quiet, Source, Threads
+from lfgpu.cli.options import (
+    AllowMissing,
+    Backend,
+    Device,
+    DisparityRange,
+    Every,
+    Flip,
+    FormatName,
+    Grid,
+    Preset,
+    Quiet,
+    Source,
+    Threads,
+)
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
@@ -53,15 +66,15 @@ def render(
     ] = None,
     frames: Annotated[int, typer.Option(min=2, max=10000, help="Frames of a sweep.")] = 30,
     fps: Annotated[float, typer.Option(help="Frames per second of a sweep.")] = 15.0,
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Set of parameters of the maps.")] = "accurate",
-    disparity_range: Annotated[
-        str | None,
-        typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found"),
-    ] = None,
+    preset: Preset = "accurate",
+    disparity_range: DisparityRange = None,
     backend: Backend = DEFAULT,
     device: Device = None,
     threads: Threads = None,
     format_name: FormatName = None,
+    grid: Grid = None,
+    every: Every = None,
+    flip: Flip = "",
     allow_missing: AllowMissing = False,
     quiet: Quiet = False,
 ) -> None:
@@ -89,10 +102,11 @@ def render(
         backend_named(backend),
         device,
     )
+    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
     values.use_threads("--threads", threads)
     estimation.check_device()
 
-    lf = read(source, format=format_name, allow_missing=allow_missing)
+    lf = read(source, **reading)
     if reference is not None:
         lf = lf.with_reference(lf.index_of(*reference))
     dtype = "uint16" if lf.views.dtype == "uint16" else "uint8"

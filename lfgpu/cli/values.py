@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lfgpu.errors import LightFieldError
 
@@ -39,6 +39,20 @@ def parse_size(option: str, text: str, what: str) -> tuple[int, int]:
 def parse_grid(text: str | None) -> tuple[int, int] | None:
     """ "9x9" of the option --grid as (rows, columns); None where it was not given."""
     return None if text is None else parse_size("--grid", text, "ROWSxCOLUMNS such as 9x9")
+
+
+def reading(
+    format_name: str | None, grid: str | None, every: int | None, flip: str, *, allow_missing: bool = False
+) -> dict[str, Any]:
+    """The options of `lfgpu.read` that were given, as keywords; LightFieldError if --grid is no pair of numbers."""
+    options = {
+        "format": format_name,
+        "grid": parse_grid(grid),
+        "every": every,
+        "flip": flip,
+        "allow_missing": allow_missing,
+    }
+    return {name: value for name, value in options.items() if value not in (None, "", False)}
 
 
 def parse_policy(option: str, text: str) -> tuple[str, int | None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,8 +173,22 @@ def _shown_view(result: ViewsResult, lf: LightField | None) -> int:
     return result.index_of(v, u)
 
 
-def opened_all(paths: Sequence[Path]) -> Contents:
-    """What several paths hold together, in any order: at most one light field, and maps of it."""
+def opened_all(paths: Sequence[Path], **reading: Any) -> Contents:
+    """What several paths hold together: at most one light field, and maps of it.
+
+    Parameters
+    ----------
+    paths
+        In any order, unless there are options for reading.
+    reading
+        Options of `lfgpu.read`. If there are any, the first path is read as the light field.
+
+    Raises
+    ------
+    LightFieldError
+        If a path is missing, or is neither a light field nor a map; if two are light fields; or if a map is of
+        another size than the light field.
+    """
     contents = Contents()
     for path in sorted(paths, key=holds_map):  # False first: the light field is what maps are fitted to
         before = contents.lf
