@@ -25,8 +25,8 @@ class RefinementConfig(Section):
     """Refinement: the map is changed until it predicts all views best, under the prior (paper §6)."""
 
     data_term: str = choice(
-        "additive", NAMES, "prediction of a view where several surfaces land on one pixel: additive sums them, as in the "
-        "paper; z-buffer keeps the nearest"
+        "additive", NAMES, "prediction of a pixel on which several surfaces land: additive sums them, as in the paper; "
+        "z-buffer keeps the nearest"
     )  # fmt: skip
     smoothness: float = number(
         0.2, 0.0, 1e6, "weight of the prior relative to the squared error, which is averaged over views and channels",
