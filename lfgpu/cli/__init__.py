@@ -1,6 +1,6 @@
-"""The command line: `lfgpu depth`, `batch`, `info`, `decode`, `convert`, `render`, `scene`, `eval` and others.
+"""The command line `lfgpu`: one module for each command.
 
-Commands import what they need when they run, so that help and mistakes answer at once.
+Commands import what they need when they run, so that help texts and wrong usage answer quickly.
 """
 
 from __future__ import annotations
@@ -56,10 +56,12 @@ app.command("backends")(backends.backends)
 
 
 def main() -> None:
-    """Run the command line and exit: 0 for done, 1 for an error (a sentence on stderr), 2 for wrong usage, 130 for
-    interrupted."""
+    """Run the command line and exit with a code.
+
+    0: done. 1: an error, with one sentence on stderr. 2: wrong usage. 130: interrupted.
+    """
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # names of files may hold what the terminal cannot show
+        sys.stdout.reconfigure(errors="replace")  # file names may hold characters that the terminal cannot show
     app(prog_name="lfgpu")
 
 

@@ -1,4 +1,4 @@
-"""`lfgpu export`: a pipeline as files, for programs without Python."""
+"""`lfgpu export`: the estimate as files that a C++ program runs without Python."""
 
 from __future__ import annotations
 
@@ -12,13 +12,18 @@ from lfgpu.cli.options import AllowMissing, DisparityRange, Every, Flip, FormatN
 
 
 def export(
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="A light field of the kind that it is for.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the files go; made if missing.")],
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="INPUT", help="Light field with the same cameras and size as those to be estimated."),
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the files; created if missing.")
+    ],
     preset: Annotated[
         str, typer.Option(metavar="NAME", help="Parameters to start from: {recordable presets}.")
     ] = "accurate",
     disparity_range: DisparityRange = None,
-    device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu or cuda.")] = "cpu",
+    device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.")] = "cpu",
     settings: Parameters = None,
     format_name: FormatName = None,
     grid: Grid = None,
@@ -26,7 +31,7 @@ def export(
     flip: Flip = "",
     allow_missing: AllowMissing = False,
 ) -> None:
-    """Write the estimate for light fields like INPUT as files that a program in C++ replays, and that program."""
+    """Write the estimate for light fields like INPUT as files, and a C++ program that runs them without Python."""
     from lfgpu.io import check_writable, read
     from lfgpu.pipelines.export import export_pipeline
 

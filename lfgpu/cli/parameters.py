@@ -19,7 +19,7 @@ _ALLOWED = 12  # characters of a range or of choices in a line
 
 @dataclass(frozen=True)
 class Row:
-    """One parameter, in texts."""
+    """One parameter as text."""
 
     name: str
     """`stage.parameter`, as `--set` takes it."""

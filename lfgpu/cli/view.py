@@ -1,4 +1,4 @@
-"""`lfgpu view`: a light field and maps of it in the browser."""
+"""`lfgpu view`: a light field and its maps in the browser."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ from lfgpu.cli.options import Every, Flip, FormatName, Grid, Threads
 def view(
     paths: Annotated[
         list[Path],
-        typer.Argument(metavar="INPUT_OR_RESULT...", help="A light field, and maps or folders that depth wrote."),
+        typer.Argument(
+            metavar="INPUT_OR_RESULT...", help="A light field, and its maps or folders that `lfgpu depth` wrote."
+        ),
     ],
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Of 127.0.0.1; the next free one if it is taken, 0 for any.")
+        int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; the next free one if it is taken, 0 for any.")
     ] = 8080,
-    show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    show: Annotated[bool, typer.Option("--open", help="Also open the page in the browser.")] = False,
     threads: Threads = None,
     format_name: FormatName = None,
     grid: Grid = None,
     every: Every = None,
     flip: Flip = "",
 ) -> None:
-    """Look at a light field, its epipolar plane images, maps and points in space, and estimate again, in the browser.
+    """Show a light field, its epipolar plane images, maps and point clouds in the browser, and estimate new maps there.
 
-    Only this machine reaches the page. Maps are compared if there are several. With --format, --grid, --every or
+    The page is reachable from this machine only. Several maps can be compared. With --format, --grid, --every or
     --flip, the first INPUT_OR_RESULT is read as the light field. Ctrl-C ends it.
     """
     from lfgpu.cli import values
@@ -37,7 +39,7 @@ def view(
     values.use_threads("--threads", threads)
     reading = values.reading(format_name, grid, every, flip)
     with Viewer.of(paths, port=port, **reading) as viewer:
-        typer.echo(f"Look at {viewer.url} with a browser of this machine; Ctrl-C ends it.")
+        typer.echo(f"Open {viewer.url} with a browser on this machine; Ctrl-C ends it.")
         if show:
             webbrowser.open(viewer.url)
         try:
