@@ -369,7 +369,7 @@ def test_a_batch_is_scored_per_item_and_in_total(undisturbed: Path, recorded: Pa
     (other / "scene_0" / "disparity.pfm").unlink()
     assert "1 items are left out" in lfgpu("eval", other).stdout
     shutil.copy(undisturbed / "scene_0" / "disparity.pfm", other / "scene_0")
-    assert "other was computed with different parameters" in lfgpu("eval", other).stdout
+    assert "The items of other have different parameters" in lfgpu("eval", other).stdout
     assert lfgpu("eval", undisturbed, "--border", "3").exit_code == 1
     assert lfgpu("eval", undisturbed).exit_code == 0
 
@@ -513,9 +513,7 @@ def test_interruption_is_clean_and_the_next_run_goes_on(recorded: Path, undistur
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does it: all processes get it
         out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
-    assert re.fullmatch(r"lfgpu: interrupted, \d of 5 items are done; run the same command again to go on\.\n", err), (
-        err
-    )
+    assert re.fullmatch(r"lfgpu: interrupted after \d of 5 items; run the same command again to continue\.\n", err), err
     assert out == ""
     before = sum(entry["status"] == DONE for entry in read_manifest(tmp_path).values())
     assert 1 <= before < 4

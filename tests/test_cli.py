@@ -216,15 +216,18 @@ def test_interruption_leaves_nothing(
     where: str, recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(where, raising(KeyboardInterrupt()))
-    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted, nothing was written", code=130)
+    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; nothing was written", code=130)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (MemoryError(), "memory does not suffice"),
-        (RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'"), "memory of the device"),
+        (MemoryError(), "lfgpu: out of memory; use fewer views"),
+        (
+            RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'"),
+            "lfgpu: out of memory on the device; use fewer views",
+        ),
         (PermissionError(errno.EACCES, "Permission denied", "/views/a.png"), "/views/a.png: Permission denied"),
         (LightFieldError("a sentence\nover two lines."), "a sentence over two lines."),
     ],
@@ -430,7 +433,7 @@ def test_frames_of_a_scene_that_moves(tmp_path: Path) -> None:
     assert lfgpu(*arguments).code == 0
     assert sorted(folder.name for folder in (tmp_path / "s").iterdir()) == ["frame_000", "frame_001"]
     assert (read(tmp_path / "s" / "frame_000").views != read(tmp_path / "s" / "frame_001").views).any()
-    refused(lfgpu(*arguments), "holds frames of another sequence")
+    refused(lfgpu(*arguments), "already holds frames of a sequence")
 
 
 def test_interrupted_frames_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -492,7 +495,7 @@ def test_eval_of_maps_with_mask_and_border(tmp_path: Path, rng: np.random.Genera
         (["views", "views"], "neither result.npz nor disparity.pfm"),
         (["out", "views", "--border", "40"], "border must be"),
         (["out", "views", "--mask", "no.png"], "no.png cannot be read"),
-        (["out", "other"], "they cannot be compared"),
+        (["out", "other"], "but the result belongs to the view at row 2, column 2; give a result of that view"),
         (["out", "bare"], "holds no ground truth"),
         (["out/disparity.pfm", "small.npy"], "same shape"),
         (["out/disparity.png", "views"], "not a kind of map"),
@@ -566,7 +569,7 @@ def test_threads_are_used_and_change_nothing(solved: tuple[Path, Outcome], recor
 
 @pytest.mark.parametrize("command", [["depth", "nowhere"], ["demo"]], ids=["depth", "demo"])
 def test_no_threads_are_refused(command: list[str], out: Path) -> None:
-    refused(lfgpu(*command, "-o", out, "--threads", 0), "--threads must be a whole number from 1 on, not 0")
+    refused(lfgpu(*command, "-o", out, "--threads", 0), "--threads must be an integer >= 1, not 0")
     assert not out.parent.exists()
 
 
@@ -708,4 +711,4 @@ def test_parameters_on_a_terminal_are_a_table(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_an_unknown_preset_has_no_parameters() -> None:
-    refused(lfgpu("parameters", "--preset", "fats"), "unknown preset 'fats'; take one of accurate, fast, paper")
+    refused(lfgpu("parameters", "--preset", "fats"), "unknown preset 'fats'; use one of accurate, fast, paper")

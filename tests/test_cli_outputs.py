@@ -114,7 +114,7 @@ def test_convert(recorded: Path, solved: Path, tmp_path: Path) -> None:
     refused(
         "no map of a view at row 9", "convert", solved / "disparities.npz", "--view", "9,9", "-o", tmp_path / "c.tif"
     )
-    refused("holds one map only", "convert", solved, "--view", "1,1", "-o", tmp_path / "c.tif")
+    refused("holds a single map", "convert", solved, "--view", "1,1", "-o", tmp_path / "c.tif")
     refused("stored as .pfm", "convert", solved, "-o", tmp_path / "c.jpg")
     refused("No such file", "convert", tmp_path / "none.npz", "-o", tmp_path / "c.tif")
     refused("does not say which view", "convert", solved / "map.pfm", "-o", tmp_path / "c.ply", "--image", recorded)
@@ -123,7 +123,7 @@ def test_convert(recorded: Path, solved: Path, tmp_path: Path) -> None:
 
 def test_render_images(recorded: Path, solved: Path, tmp_path: Path) -> None:
     lf, maps = lfgpu.read(recorded), lfgpu.load(solved / "disparities.npz")
-    assert "filled from beside" in run(
+    assert "filled from their surroundings" in run(
         "render", recorded, "--maps", solved, "--view", "0.5,1.25", "-o", tmp_path / "v.png"
     )
     run("render", recorded, "--refocus", "0.7", "-o", tmp_path / "r.png")

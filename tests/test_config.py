@@ -175,7 +175,7 @@ def test_a_parameter_that_the_method_does_not_read_is_refused(preset_name: str, 
     config = PRESETS[preset_name]
     sentence = refusal({name: 0.5}, config)
     assert repr(name) in sentence
-    assert f"{config.method} does not read it" in sentence
+    assert f"{config.method} does not use it" in sentence
     assert OWNER[name].method in sentence
 
 

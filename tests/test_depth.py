@@ -374,7 +374,7 @@ def test_unknown_names_are_refused() -> None:
         estimate_depth(small(), config="best")
     with pytest.raises(BackendError, match="unknown backend 'fpga'"):
         estimate_depth(small(), backend="fpga")
-    with pytest.raises(BackendError, match="sees no device 'tpu'"):
+    with pytest.raises(BackendError, match="finds no device 'tpu'"):
         estimate_depth(small(), device="tpu")
 
 

@@ -120,6 +120,6 @@ def test_command_reads_as_depth_does(tmp_path: Path) -> None:
 
 
 def test_only_matching_is_exported(tmp_path: Path) -> None:
-    with pytest.raises(lfgpu.LightFieldError, match="must match"):
+    with pytest.raises(lfgpu.LightFieldError, match="the method synthesis cannot be exported"):
         lfgpu.export_pipeline(frames()[0], tmp_path / "out", config="paper", disparity_range=RANGE)
     assert not (tmp_path / "out").exists()

@@ -114,13 +114,13 @@ def test_feed_tells_of_all_frames_in_order() -> None:
         (["nowhere"], "does not exist; give a folder of light fields, a grabber"),
         (["."], "holds no folders"),
         (["grabber_for_tests.py"], "is a file; give a folder"),
-        (["grabber_for_tests:nothing"], "gave no frame"),
+        (["grabber_for_tests:nothing"], "yielded no frame"),
         (["grabber_for_tests:arrays"], "must yield a LightField first"),
         (["grabber_for_tests:number"], "must be a function without arguments that yields frames"),
         (["grabber_for_tests:missing"], "cannot be loaded"),
         (["no_such_module:frames"], "cannot be loaded"),
         (["planes", "--policy=queue:x"], "--policy must be latest, block or queue:N"),
-        (["planes", "--preset=paper", "--size=32x32", "--grid=3x3"], "a stream matches"),
+        (["planes", "--preset=paper", "--size=32x32", "--grid=3x3"], "the method synthesis cannot do that"),
     ],
 )
 def test_mistakes_are_one_sentence(grabbers: None, arguments: list[str], sentence: str) -> None:

@@ -1,6 +1,6 @@
-"""Methods: how a disparity map is found. Each has a room of its own and one row here.
+"""Methods to estimate a disparity map. Each is a package here and a row of `METHODS`.
 
-`lfgpu/methods/base.py` says what a method is.
+`lfgpu/methods/base.py` is their interface.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ METHODS: dict[str, Entry] = {
         {"paper": "Sajjadi et al. 2016"},
     ),
 }
-"""All methods by name. A new method is a folder here and a row in this table."""
+"""All methods by name. A new method is a package here and a row of this table."""
 
 PRESETS: dict[str, Config] = {name: config for entry in METHODS.values() for name, config in entry.presets.items()}
 """Complete parameters by name, the default preset first."""
@@ -45,7 +45,7 @@ PresetName: TypeAlias = Literal["accurate", "fast", "paper"]
 def preset(name: str) -> Config:
     """The parameters of a preset; LightFieldError if there is none of that name."""
     if name not in PRESETS:
-        raise LightFieldError(f"unknown preset {name!r}; take one of {', '.join(PRESETS)}.")
+        raise LightFieldError(f"unknown preset {name!r}; use one of {', '.join(PRESETS)}.")
     return PRESETS[name]
 
 

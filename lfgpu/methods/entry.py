@@ -19,7 +19,7 @@ class Entry:
     presets
         Complete parameters by name.
     home
-        Module and class of the method, `module:Class`, loaded when it is first used.
+        Module and class of the method as `module:Class`; loaded when it is first used.
     label
         What the method does, in a few words.
     labels
