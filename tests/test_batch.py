@@ -455,7 +455,7 @@ def test_an_item_that_kills_its_worker_is_given_up_and_the_rest_goes_on(recorded
         **{"scarce": DONE, "scene_0": DONE, "scene_1": DONE},
     }
     assert "its worker was killed" in entries["deadly"]["error"]
-    assert re.match(r"the memory does not suffice.*, tried 2 times\.", entries["too scarce"]["error"])
+    assert re.match(r"out of memory; use fewer views.*, tried 2 times\.", entries["too scarce"]["error"])
     assert entries["scarce"]["attempts"] == 2
 
 

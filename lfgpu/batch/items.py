@@ -1,4 +1,4 @@
-"""What there is to do: light fields in folders, behind patterns, and frames of sequences, each with a name."""
+"""Finding the items of a batch: light fields in folders, from patterns, and frames of sequences."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _OF_OUTPUTS = ("manifest.jsonl", "result.npz")  # what tells folders of outputs 
 
 @dataclass(frozen=True)
 class Item:
-    """One light field to be estimated.
+    """One light field of a batch.
 
     Parameters
     ----------
     name
-        Its folder below that of the outputs.
+        The name of its folder below the output folder.
     source
-        Where it is read from.
+        The path that it is read from.
     sequence
-        What sequence it is a frame of; "" if of none.
+        The sequence that it is a frame of; "" (default) if of none.
     """
 
     name: str
@@ -48,18 +48,23 @@ class Item:
 def find_items(
     inputs: Sequence[str], *, sequence: bool, format_name: str | None = None, leave_out: Path | None = None
 ) -> tuple[list[Item], list[Path]]:
-    """The light fields that inputs name, and the folders in which none was found.
+    """Find the light fields that inputs name.
 
     Parameters
     ----------
     inputs
-        Light fields, folders that hold some at any depth, or patterns (`*`, `?`, `[..]`, `**`) of these.
+        Light fields, folders that hold light fields at any depth, or patterns (`*`, `?`, `[..]`, `**`) of these.
     sequence
-        Whether light fields in one folder are the frames of a sequence, in the order of the numbers in their names.
+        Whether the light fields of a folder are the frames of a sequence, in natural order of their names.
     format_name
-        Format of all light fields; each path that an input names is then one. None finds light fields by their kinds.
+        Format of all light fields. Then each path that an input names is a light field. Default None: light fields are
+        recognised.
     leave_out
-        The folder of the outputs, which is not looked into.
+        The output folder, which is not searched. Default None.
+
+    Returns
+    -------
+    The items, and the folders in which no light field was found.
 
     Whatever cannot be looked at (a folder without permission, a link in a circle) is one of the items: who reads it
     says what is wrong with it.
@@ -67,7 +72,7 @@ def find_items(
     Raises
     ------
     LightFieldError
-        If an input names nothing that exists, or nothing is found at all.
+        If an input does not exist, or no light field is found at all.
     """
     everything: list[Path] = []
     search = _Search(None if leave_out is None else real(leave_out))
@@ -78,15 +83,17 @@ def find_items(
             everything += search.below(path)
     paths = sorted({path.absolute() for path in everything}, key=lambda path: natural_order(str(path)))
     if not paths:
-        raise LightFieldError(f"no light field was found in {', '.join(inputs)}; give folders of views, or of such.")
+        raise LightFieldError(
+            f"no light field was found in {', '.join(inputs)}; give light fields, or folders that hold some."
+        )
     names = _names(paths)
     return [Item(names[path], str(path), str(path.parent) if sequence else "") for path in paths], search.barren
 
 
 def fingerprint(source: str, *, leave_out: Path | None = None) -> str:
-    """What changes when a light field's files do: from their names, sizes and times, not from what is in them.
+    """A hash of the names, sizes and times of the files of a light field, which tells whether the input changed.
 
-    The folder `leave_out`, where outputs go, is not looked into.
+    The output folder `leave_out` is not part of it.
     """
     root = Path(source)
     digest = hashlib.sha256()
@@ -115,22 +122,24 @@ def _matches(text: str) -> list[Path]:
         return [Path(text)]
     found = sorted(map(Path, glob.glob(text, recursive=True)))  # noqa: PTH207 - patterns may be absolute
     if not found:
-        raise LightFieldError(f"{text} does not exist, and as a pattern it matches nothing; give what is to be done.")
+        raise LightFieldError(
+            f"{text} does not exist, and matches nothing as a pattern; give light fields, folders or patterns."
+        )
     return found
 
 
 class _Search:
-    """Looks for light fields in folders, each of which is looked into once, however many links lead there.
+    """A search for light fields in folders. Each folder is searched once, even if several links lead to it.
 
     Parameters
     ----------
     excluded
-        A folder that is not looked into.
+        A folder that is not searched.
     """
 
     def __init__(self, excluded: Path | None) -> None:
         self.excluded, self.barren = excluded, list[Path]()
-        """`barren`: the folders in which none was found."""
+        """`barren`: the folders in which no light field was found."""
         self._seen: set[Path] = set()
 
     def below(self, folder: Path) -> list[Path]:
@@ -213,7 +222,7 @@ def recognised(path: Path) -> str | None:
 
 
 def _outweighs(found: Path, own: int) -> bool:
-    """Whether a light field inside a folder says that its `own` images are none: thumbnails, or a picture of it."""
+    """Whether a light field inside a folder shows that the folder's `own` images are not views but, say, thumbnails."""
     if found.is_dir():
         return _kind(found) not in _LOOSE or len(image_files(found)) > own
     return found.suffix.lower() not in IMAGE_SUFFIXES
@@ -248,4 +257,4 @@ def _is_taken(part: str) -> bool:
 
 
 def _comparable(name: str) -> str:
-    return name.casefold()  # of file systems to which these are the same
+    return name.casefold()  # some file systems ignore case
