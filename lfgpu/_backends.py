@@ -64,12 +64,12 @@ def package_of(backend: str) -> str:
 def backend_named(backend: str) -> BackendName:
     """The name of a backend, from text; BackendError if there is none of that name."""
     if backend not in _PACKAGES:
-        raise BackendError(f"unknown backend {backend!r}; there are {', '.join(_PACKAGES)}.")
+        raise BackendError(f"unknown backend {backend!r}; use one of {', '.join(_PACKAGES)}.")
     return cast("BackendName", backend)
 
 
 def load(backend: str = DEFAULT) -> KernelSet:
-    """The operations of a backend; BackendError if it is unknown or what it needs is not installed or broken."""
+    """Load a backend; BackendError if it is unknown, or if its package is missing or broken."""
     backend_named(backend)
     try:
         module = importlib.import_module(f"lfgpu.kernels.{backend}")

@@ -29,11 +29,11 @@ from lfgpu.threads import set_threads
 ITEM_TIMEOUT = 7200.0
 """Seconds that an item may take by default: ten times as long as large ones take on two cores."""
 
-_CONNECTING = 30.0  # seconds
+_CONNECTING = 30.0  # seconds to wait for an answer of the scheduler
 _PATIENCE = 300.0  # seconds in which a lost scheduler may come back
 _REPLACED = 60.0  # seconds after which a worker that died and does not come back is replaced
 _STARTS = 3  # of a local cluster
-_LOOK = 0.2  # seconds between two looks where nothing happens
+_LOOK = 0.2  # seconds between two polls
 
 Entry = dict[str, Any]
 
@@ -70,7 +70,8 @@ class Cluster:
     threads
         CPU threads per worker; None (default) leaves the number to the workers.
     retries
-        How often an item is tried again whose worker died or ran out of memory, or that was lost with the scheduler.
+        How often an item is tried again after its worker died or ran out of memory, or the scheduler was lost.
+        Default 3.
     item_timeout
         Seconds after which an item is given up, and its worker started anew: no file may stop the rest.
 
@@ -118,7 +119,7 @@ class Cluster:
             # Pages about a cluster can be read by everybody on the machine, and some of them give orders.
             "distributed.scheduler.http.routes": [],
             "distributed.worker.http.routes": [],
-            "distributed.deploy.lost-worker-timeout": "1 hour",  # a busy machine takes long to start another one
+            "distributed.deploy.lost-worker-timeout": "1 hour",  # a busy machine needs long to start a new worker
         }
         self._stack.enter_context(dask.config.set(settings))
         if self._scheduler is None:
@@ -215,7 +216,7 @@ class Cluster:
 
         for name in ("distributed", "asyncio", "tornado"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
-        with _ctrl_c_for_nobody():  # until the workers have begun
+        with _ctrl_c_for_nobody():  # while the workers start
             cluster = self._local()
         self._cluster = self._stack.enter_context(cluster)
         self._client = self._stack.enter_context(Client(cluster))

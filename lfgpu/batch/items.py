@@ -18,12 +18,12 @@ from lfgpu.io.images import IMAGE_SUFFIXES
 from lfgpu.io.numpy_file import holds_views
 from lfgpu.printable import printable
 
-_LOOSE = ("camera-row", "named-views")  # formats of folders that any images may be taken for, also those a folder below
+_LOOSE = ("camera-row", "named-views")  # formats that match any folder of images
 LEFT_OVER = ".lfgpu-"
 """What the names of outputs begin with until they are whole."""
 
 _OWN = ("manifest.jsonl", ".batch.lock", "report.html")
-_OF_OUTPUTS = ("manifest.jsonl", "result.npz")  # what tells folders of outputs from inputs
+_OF_OUTPUTS = ("manifest.jsonl", "result.npz")  # files that mark a folder as an output
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ class _Search:
         self._seen: set[Path] = set()
 
     def below(self, folder: Path) -> list[Path]:
-        """The folder, if it is a light field, or those inside; none if the folder holds outputs."""
+        """The folder, if it is a light field; else the light fields inside. None if the folder holds outputs."""
         where = real(folder)
         if where in self._seen:
             return []

@@ -169,7 +169,7 @@ class Manifest:
         self._lock.close()
 
     def add(self, entries: Iterable[Mapping[str, Any]]) -> None:
-        """Write lines; what the disk has no room for is kept in `unwritten`."""
+        """Write lines; if the disk is full, they are kept in `unwritten`."""
         self.unwritten += [_line(entry) for entry in entries]
         self._flush()
 

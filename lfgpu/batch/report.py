@@ -51,7 +51,7 @@ def facts(summary: Summary) -> list[tuple[str, str]]:
     if times:
         parts = ", ".join(f"{name} {median(t.get(name, 0.0) for t in times):.3g}" for name in times[0])
         each = median(entry.get("seconds", 0.0) for entry in done)
-        lines.append(("an item", f"{each:.3g} s in the median ({parts})"))
+        lines.append(("an item", f"{each:.3g} s, median ({parts})"))
     means = mean_scores(done)
     if means:
         scored = sum(1 for entry in done if entry.get("metrics"))

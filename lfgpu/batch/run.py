@@ -16,7 +16,7 @@ from lfgpu.batch.items import LEFT_OVER, Item, fingerprint
 from lfgpu.batch.manifest import DONE, Manifest, damaged_lines, is_done, key_of, read_manifest
 from lfgpu.batch.work import Job, Settings
 
-_MEASURED_ON = 8  # frames of a sequence, of which the first one that can be read decides on range and noise
+_MEASURED_ON = 8  # frames of a sequence that are tried, in order, to measure range and noise
 
 Entry = dict[str, Any]
 
@@ -209,7 +209,7 @@ def _parameter_sets(jobs: Sequence[Job]) -> list[Entry]:
 
 
 def _remove_left_overs(out: Path, items: Sequence[Item]) -> None:
-    """What processes that were killed had begun to write; nobody else writes here."""
+    """Remove incomplete outputs of killed processes; no other process writes here."""
     folders = {(out / item.name).parent for item in items} | {out / item.name for item in items}
     for folder in folders:
         if folder.is_dir():

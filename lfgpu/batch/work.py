@@ -226,7 +226,7 @@ def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | No
 
 
 def _write(folder: Path, result: DepthResult) -> dict[str, int]:
-    """Write a result into a folder that exists; the files and how many bytes they have."""
+    """Write a result into an existing folder; returns the sizes of the files in bytes, by name."""
     from lfgpu.io import DISPARITY_FILE, RESULT_FILE, write_pfm, write_result
     from lfgpu.viz.figures import scale_limits
     from lfgpu.viz.panels import LOOKS, colour, fitted

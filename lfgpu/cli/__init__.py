@@ -23,6 +23,7 @@ from lfgpu.cli import (
     export,
     info,
     live,
+    parameters,
     render,
     scene,
     view,
@@ -39,20 +40,21 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("depth")(depth.depth)
-app.command("batch")(batch.batch)
-app.command("info")(info.info)
-app.command("check")(check.check)
-app.command("decode")(decode.decode)
-app.command("convert")(convert.convert)
-app.command("render")(render.render)
-app.command("scene")(scene.scene)
-app.command("eval")(evaluate.evaluate)
-app.command("view")(view.view)
-app.command("live")(live.live)
-app.command("export")(export.export)
-app.command("demo")(demo.demo)
-app.command("backends")(backends.backends)
+app.command("depth", cls=Command)(depth.depth)
+app.command("batch", cls=Command)(batch.batch)
+app.command("info", cls=Command)(info.info)
+app.command("check", cls=Command)(check.check)
+app.command("decode", cls=Command)(decode.decode)
+app.command("convert", cls=Command)(convert.convert)
+app.command("render", cls=Command)(render.render)
+app.command("scene", cls=Command)(scene.scene)
+app.command("eval", cls=Command)(evaluate.evaluate)
+app.command("view", cls=Command)(view.view)
+app.command("live", cls=Command)(live.live)
+app.command("export", cls=Command)(export.export)
+app.command("demo", cls=Command)(demo.demo)
+app.command("backends", cls=Command)(backends.backends)
+app.command("parameters", cls=Command)(parameters.parameters)
 
 
 def main() -> None:

@@ -64,7 +64,7 @@ def batch(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Number of local worker processes.", show_default="one per GPU, or one")
     ] = None,
-    retries: Annotated[int, typer.Option(min=0, help="Tries more for an item whose worker died.")] = 3,
+    retries: Annotated[int, typer.Option(min=0, help="How often an item is tried again after its worker died.")] = 3,
     item_timeout: Annotated[
         float, typer.Option(min=1, metavar="SECONDS", help="An item that takes longer is given up.")
     ] = 7200,
@@ -110,7 +110,7 @@ def batch(
         disparity_range=None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
         place=None if reference_view is None else values.parse_place("--reference-view", reference_view),
         pattern=pattern,
-        reading={name: value for name, value in read_with.items() if value},
+        reading=values.reading(format_name, grid, every, flip, allow_missing=allow_missing),
         backend=backend_named(backend),
         deterministic=deterministic,
     )

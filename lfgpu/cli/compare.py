@@ -200,12 +200,14 @@ def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scen
 
 
 def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
-    """The file of a method's result on a scene; None if it has none."""
+    """The file with a method's result on a scene; None if there is none."""
     from lfgpu.io import MAP_FORMATS, holds_map, result_in
 
     single = [method / f"{scene}{suffix}" for entry in MAP_FORMATS for suffix in entry.suffixes]
     found = result_in(method / scene) or next((file for file in single if holds_map(file)), None)
-    return found or (result_in(method) if alone else None)  # of several scenes it would be scored on each of them
+    return found or (
+        result_in(method) if alone else None
+    )  # with several scenes, one file would be scored on each of them
 
 
 def _map(file: Path, lf: LightField) -> NDArray[np.float32]:

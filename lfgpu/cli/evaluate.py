@@ -48,7 +48,6 @@ def evaluate(
     border: Annotated[
         int | None, typer.Option(help="Width of the border that is left out, pixels.", show_default="15")
     ] = None,
-    border: Annotated[int | None, typer.Option(help="Pixels left out at each side.", show_default="15")] = None,
     submission: Annotated[
         Path | None,
         typer.Option(

@@ -58,7 +58,7 @@ def write_page(folder: Path, lf: LightField, result: DepthResult) -> tuple[str, 
 
 
 def check_names(option: str, names: Sequence[str]) -> None:
-    """LightFieldError if one of the names is no file of a known format in a folder, or one that is written anyway."""
+    """LightFieldError if a name has no known suffix, names a folder, or is the name of another output."""
     for name in names:
         writable_format(name)
         if Path(name).name != name:
@@ -72,7 +72,7 @@ def check_names(option: str, names: Sequence[str]) -> None:
 
 
 def write_saved(folder: Path, names: Sequence[str], result: DepthResult, image: Float32Array) -> list[tuple[str, str]]:
-    """Write a result under other names, too; what was written, as (file, meaning)."""
+    """Write a result under further names; returns the files as pairs (name, meaning)."""
     for name in names:
         save(result, folder / name, image=image)
     return [(name, writable_format(name).description) for name in names]

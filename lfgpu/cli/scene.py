@@ -34,7 +34,7 @@ def scene(
             metavar="FAR,NEAR", help="Smallest and largest true disparity, pixels per view step; larger is nearer."
         ),
     ] = "-1.5,1.5",
-    noise: Annotated[float, typer.Option(help="Standard deviation of the noise, intensities being 0 to 1.")] = 0.0,
+    noise: Annotated[float, typer.Option(help="Standard deviation of the noise, intensities 0 to 1.")] = 0.0,
     misalign: Annotated[
         str | None,
         typer.Option(

@@ -207,7 +207,7 @@ class Method(ABC, Generic[C]):
         """
         return None if disparity_range is None else Measured(checked_range(disparity_range, lf))
 
-    # --- what it takes ---
+    # --- what it uses ---
 
     def used_views(self, lf: LightField) -> list[int]:
         """Indices of the views that it reads, in order."""

@@ -130,7 +130,7 @@ class _Line:
 
 
 def _spacing(offsets: Float64Array) -> float:
-    """The distance of the nearest neighbours among views at `offsets`, in view steps; nearly equal ones are one."""
+    """The smallest distance between views at `offsets`, view steps; views at nearly equal offsets count as one."""
     gaps = np.diff(np.sort(offsets))
     return float(gaps[gaps > 1e-3 * gaps.max()].min())
 

@@ -188,7 +188,7 @@ class Join:
         ]
         maps = np.stack([estimate.disparity for estimate in estimates])
         known = np.isfinite(maps) if valid is None else np.isfinite(maps) & valid
-        # What is not known lands nowhere, and has no voice where it is looked at.
+        # Masked pixels land nowhere and do not vote.
         self._landing = [kernels.field(values, device) for values in np.where(known, maps, np.float32(-_UNKNOWN))]
         self._maps = np.where(known, maps, np.float32(_UNKNOWN))
         self._landed = kernels.zeros((1, *self._size), device)

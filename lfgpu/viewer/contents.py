@@ -190,6 +190,9 @@ def opened_all(paths: Sequence[Path], **reading: Any) -> Contents:
         another size than the light field.
     """
     contents = Contents()
+    if reading:
+        contents = Contents(read(paths[0], **{"allow_missing": True, **reading}))
+        paths = paths[1:]
     for path in sorted(paths, key=holds_map):  # False first: the light field is what maps are fitted to
         before = contents.lf
         contents = opened(path, contents)

@@ -22,15 +22,14 @@ _LARGEST = 1e4  # px per view step
 def refocus(
     lf: LightField, disparity: float, *, step: int = 1, most_views: int | None = None, order: int = CUBIC
 ) -> Float32Array:
-    """The picture that a lens as wide as all cameras together would take, focused at one disparity (shift and add).
+    """Refocus on one disparity by shift and add: the image of a lens as wide as the camera array.
 
     Parameters
     ----------
     lf
         The light field. `lf.subset` gives a smaller lens.
     disparity
-        What is sharp, pixels per view step; things at other disparities are blurred by as many pixels as they would
-        move between the views.
+        The disparity that is in focus, pixels per view step, within ±10000.
     step
         Only every `step`-th pixel of each row and column is computed, >= 1, for previews. Default 1.
     most_views
@@ -50,7 +49,9 @@ def refocus(
     """
     check_light_field(lf)
     if not (math.isfinite(disparity) and abs(disparity) <= _LARGEST):
-        raise LightFieldError(f"the disparity to focus at must be a number within ±{_LARGEST:g}, not {disparity}.")
+        raise LightFieldError(
+            f"the disparity to focus on must be a number from -{_LARGEST:g} to {_LARGEST:g}, not {disparity}."
+        )
     _check_preview(step, most_views, order)
     height, width = (len(range(0, side, step)) for side in lf.size)
     total, count = np.zeros((height, width, lf.channels), np.float32), np.zeros((height, width), np.float32)

@@ -119,7 +119,10 @@ class Renderer:
         )
         disparity, _ = join(place)
         if np.isnan(disparity).all():
-            raise LightFieldError(f"{lf.name}: nothing recorded is seen from row {place[1]:g}, column {place[0]:g}.")
+            raise LightFieldError(
+                f"{lf.name}: nothing of the scene is visible from row {place[1]:g}, column {place[0]:g}; choose a "
+                "nearer position."
+            )
         disparity = fill_unknown(disparity)
         looks = in_threads(lambda n: self._look(n, place, disparity, _SAME / reach), chosen)
         image, known = _blended(looks, distance[chosen])

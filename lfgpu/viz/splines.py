@@ -41,7 +41,7 @@ def sampled(values: Float32Array, at: Float32Array, order: int) -> Float32Array:
 
 
 def valid_at(valid: np.ndarray, at: Float32Array) -> np.ndarray:
-    """bool [y, x]: whether all pixels of a mask [y, x] around rows and columns [2, y, x] are True."""
+    """bool [y, x]: whether all pixels of a mask around rows and columns [2, y, x] are True."""
     return np.asarray(sampled(valid.astype(np.float32), at, LINEAR) > 1 - 1e-3)
 
 
