@@ -136,7 +136,8 @@ WRONG = [
     ),
     (
         lambda views: Tensor(views.astype(np.float64)),
-        "views must be uint8 [15, 32, 36, 3], like those that the pipeline was made for; found float64 [15, 32, 36, 3].",
+        "views must be uint8 [15, 32, 36, 3], like those that the pipeline was made for; found float64 [15, 32, 36, "
+        "3].",
     ),
     (
         lambda views: Elsewhere(views, (2, 1)),

@@ -251,7 +251,10 @@ def test_the_good_arguments_are_good() -> None:
         ({"valid": np.ones((3, 4, 4), np.uint8)}, ["valid", "uint8"]),
         ({"truth": GroundTruth(np.zeros((4, 5), np.float32), (1.0, 0.0))}, ["truth", "(4, 4)", "(4, 5)"]),
         ({"grid_shape": (1, 2)}, ["positions", "1 x 2", "0 to 2"]),
-        ({"grid_shape": (1, 3), "positions": np.array([[0, 0], [0.5, 0], [1, 0]])}, ["integers in the grid", "counted from 0"]),
+        (
+            {"grid_shape": (1, 3), "positions": np.array([[0, 0], [0.5, 0], [1, 0]])},
+            ["integers in the grid", "counted from 0"],
+        ),
     ],
 )
 def test_what_is_no_light_field_is_refused(changes: dict[str, Any], words: list[str]) -> None:

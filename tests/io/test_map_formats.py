@@ -261,7 +261,8 @@ def test_a_cloud_needs_points_and_an_image_of_its_size(tmp_path: Path) -> None:
         (np.zeros((*SHAPE, 3), np.int64), "found int64"),
     ):
         assert words in refusal(lambda image=image: save(a_map(), path, image=image))
-    assert "so the point cloud is empty" in refusal(lambda: save(a_map(disparity=np.full(SHAPE, np.nan, np.float32)), path))
+    nothing = a_map(disparity=np.full(SHAPE, np.nan, np.float32))
+    assert "so the point cloud is empty" in refusal(lambda: save(nothing, path))
     assert not path.exists()
 
 
