@@ -484,7 +484,7 @@ def test_eval_of_maps_with_mask_and_border(tmp_path: Path, rng: np.random.Genera
     outcome = lfgpu("eval", tmp_path / "e.npy", tmp_path / "t.pfm", "--mask", tmp_path / "m.png", "--border", 3)
     m = evaluate(estimate, truth.astype(np.float32), mask=mask, border=3)
     assert row_of(outcome.out, "e.npy")[:2] == pytest.approx([m.mse_100, m.badpix_07], abs=0.0051)
-    assert f"Over {m.count} pixels, a border of 3" in outcome.out
+    assert f"Over {m.count} pixels, without a border of 3 px." in outcome.out
 
 
 @pytest.mark.parametrize(

@@ -202,7 +202,7 @@ def test_every_new_name_is_one() -> None:
 
 
 def test_config_by_itself_has_no_parameters() -> None:
-    with pytest.raises(LightFieldError, match="take a preset, or one of MatchingConfig, SynthesisConfig"):
+    with pytest.raises(LightFieldError, match="use a preset, or one of MatchingConfig, SynthesisConfig"):
         Config()
 
 
