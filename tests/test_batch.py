@@ -585,7 +585,9 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(
     outcome = lfgpu("batch", recorded, "-o", tmp_path, "--scheduler", "tcp://127.0.0.1:9")
     assert outcome.exit_code == 1
     assert re.fullmatch(
-        r"lfgpu: the scheduler tcp://127\.0\.0\.1:9 does not answer \(.*\); check the address, and that it is running\.\n", outcome.stderr
+        r"lfgpu: the scheduler tcp://127\.0\.0\.1:9 does not answer \(.*\); check the address, and that it is "
+        r"running\.\n",
+        outcome.stderr,
     )
 
 
