@@ -1,4 +1,4 @@
-"""The one seam between the host side and the kernels: a backend's name becomes its `KernelSet`."""
+"""The backends: finding, describing and loading them. A name becomes a `KernelSet`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lfgpu.errors import BackendError
 if TYPE_CHECKING:
     from lfgpu.contract import KernelSet
 
-_PACKAGES = {"warp": "warp-lang", "taichi": "taichi", "reference": "numpy"}  # backend -> what pip calls what it needs
+_PACKAGES = {"warp": "warp-lang", "taichi": "taichi", "reference": "numpy"}  # backend -> the package that it needs
 
 BackendName: TypeAlias = Literal["warp", "taichi", "reference"]
 """The names of the backends, for type checkers."""
@@ -22,20 +22,20 @@ DEFAULT: Final[BackendName] = "warp"
 
 @dataclass(frozen=True)
 class BackendInfo:
-    """What of a backend is here.
+    """What is known about a backend on this machine.
 
     Parameters
     ----------
     name
-        The name under which it is asked for.
+        Its name.
     package, version
-        What pip calls what it needs, and the version that is installed; None if there is none.
+        The package that it needs, and the installed version; None if it is not installed.
     devices
-        Names of the devices that it sees, its default first; none if it cannot be loaded.
+        The devices that it can use, the default first; empty if it cannot be loaded.
     problem
         Why it cannot be loaded; None if it can.
     remedy
-        The command that would install what it needs; None if nothing is missing.
+        The command that installs the package; None if nothing is missing.
     """
 
     name: str
@@ -47,29 +47,29 @@ class BackendInfo:
 
 
 def list_backends() -> tuple[str, ...]:
-    """Names of all backends, the default first; whether one can run here is known when it is loaded."""
+    """Names of all backends, the default first. Some may not be installed; see `describe_backends`."""
     return tuple(_PACKAGES)
 
 
 def describe_backends() -> tuple[BackendInfo, ...]:
-    """What of each backend is here, the default first. Loads them all; one that fails says why and hides no other."""
+    """Describe all backends, the default first. Loads each; one that fails has a `problem`."""
     return tuple(_describe(backend) for backend in _PACKAGES)
 
 
 def package_of(backend: str) -> str:
-    """What pip calls the package that a backend computes with."""
+    """The package that a backend needs."""
     return _PACKAGES[backend]
 
 
 def backend_named(backend: str) -> BackendName:
     """The name of a backend, from text; BackendError if there is none of that name."""
     if backend not in _PACKAGES:
-        raise BackendError(f"unknown backend {backend!r}; there are {', '.join(_PACKAGES)}.")
+        raise BackendError(f"unknown backend {backend!r}; use one of {', '.join(_PACKAGES)}.")
     return cast("BackendName", backend)
 
 
 def load(backend: str = DEFAULT) -> KernelSet:
-    """The operations of a backend; BackendError if it is unknown or what it needs is not installed or broken."""
+    """Load a backend; BackendError if it is unknown, or if its package is missing or broken."""
     backend_named(backend)
     try:
         module = importlib.import_module(f"lfgpu.kernels.{backend}")
@@ -81,13 +81,13 @@ def load(backend: str = DEFAULT) -> KernelSet:
 
 
 def pick_device(kernels: KernelSet, device: str | None) -> str:
-    """The device to run on: the backend's default for None, "cuda" for the first GPU; BackendError if not there."""
+    """The device to run on; None is the default of the backend, "cuda" the first GPU. BackendError if missing."""
     devices = kernels.devices()
     if device is None:
         return devices[0]
     wanted = "cuda:0" if device == "cuda" else device
     if wanted not in devices:
-        raise BackendError(f"backend {kernels.name!r} sees no device {device!r} here; there is {', '.join(devices)}.")
+        raise BackendError(f"backend {kernels.name!r} finds no device {device!r}; use one of {', '.join(devices)}.")
     return wanted
 
 
@@ -113,12 +113,12 @@ def _version(package: str) -> str | None:
 
 
 def _remedy(backend: str) -> str:
-    """What is there and cannot be loaded is broken: pip would leave it as it is unless it is told not to."""
+    """The command that repairs a backend. A package that is installed but broken has to be reinstalled by force."""
     package = _PACKAGES[backend]
     return f"pip install {package}" if _version(package) is None else f"pip install --force-reinstall {package}"
 
 
 def _said(error: BaseException) -> str:
-    """The message of an error in one line; what kind it is where that is not plain from the message."""
+    """The message of an error in one line, with its type if it is not an ImportError."""
     message = " ".join(str(error).split())
     return message if message and isinstance(error, ImportError) else f"{type(error).__name__}: {message}".rstrip(": ")

@@ -1,4 +1,4 @@
-"""Several methods on several scenes, scored: the tables of light field papers."""
+"""Comparisons of several methods on several scenes: scores and tables."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ COLUMNS = {
     "BadPix 0.01": "badpix_01",
     "Q25 x100": "q25",
 }
-"""The metrics of a table, by name: attributes of `lfgpu.metrics.Metrics`; smaller is better throughout."""
+"""The metrics of a table: their titles, and the attributes of `lfgpu.metrics.Metrics`. Smaller is better."""
 
 _AVERAGE = "average"
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One scene, and what several methods made of it."""
+    """A scene with its ground truth, and the maps of several methods."""
 
     name: str
     view: NDArray[np.float32]
-    """float32 [y, x, c] in [0, 1], the view that the truth is of."""
+    """The view that the ground truth belongs to, float32 [y, x, c] in [0, 1]."""
     truth: NDArray[np.float32]
-    """[y, x], pixels per view step; NaN where it is not known or not scored."""
+    """The ground truth, float32 [y, x], pixels per view step; NaN where unknown or not scored."""
     maps: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     """The maps by method, [y, x]."""
     border: int = BORDER
 
     def scores(self) -> dict[str, Metrics]:
-        """Those of each method. LightFieldError, with the scene's and the method's name, where a map does not fit."""
+        """The scores of each method; LightFieldError, which names scene and method, if a map has another size."""
         found = {}
         for method, values in self.maps.items():
             try:
@@ -50,7 +50,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class Row:
-    """One metric on one scene: a value for each method, NaN where it has no map."""
+    """One metric on one scene, with a value for each method; NaN without a map."""
 
     scene: str
     metric: str
@@ -64,18 +64,18 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """Scenes and metrics from top to bottom, methods from left to right; the averages last."""
+    """A table with a row for each scene and metric, and a column for each method; averages come last."""
 
     methods: tuple[str, ...]
     rows: tuple[Row, ...]
 
     def cells(self, row: Row) -> list[str]:
-        """The values of a row as text, rounded alike."""
+        """The values of a row as text, all with the same number of digits."""
         digits = 3 if row.metric.endswith("x100") else 2
         return ["-" if math.isnan(value) else f"{value:.{digits}f}" for value in row.values]
 
     def markdown(self) -> str:
-        """For a README: the best of each row in bold."""
+        """The table in Markdown; the best of each row is bold."""
         head = ["scene", "metric", *self.methods]
         lines = [_piped(head), "|---|---|" + "---:|" * len(self.methods)]
         for row in self.rows:
@@ -84,7 +84,7 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def latex(self) -> str:
-        """For a paper: a tabular of the package booktabs, the best of each row in bold."""
+        """The table in LaTeX, with the package booktabs; the best of each row is bold."""
         lines = [
             f"\\begin{{tabular}}{{ll{'r' * len(self.methods)}}}",
             "\\toprule",
@@ -101,7 +101,7 @@ class Table:
         return "\n".join([*lines, "\\bottomrule", "\\end{tabular}"]) + "\n"
 
     def csv(self) -> str:
-        """For programs: all digits."""
+        """The table as CSV, with all digits."""
         lines = [",".join(["scene", "metric", *map(_quoted, self.methods)])]
         for row in self.rows:
             values = ["" if math.isnan(value) else repr(value) for value in row.values]
@@ -110,21 +110,21 @@ class Table:
 
 
 def table(scenes: Sequence[Scene]) -> Table:
-    """The scores of all methods on all scenes; averages are over the scenes that every method has a map of.
+    """Score all methods on all scenes. Averages are over the scenes for which every method has a map.
 
     Raises
     ------
     LightFieldError
-        If there is no scene, or a map does not fit its truth.
+        If there is no scene, or a map and its ground truth differ in size.
     """
     methods = tuple(dict.fromkeys(method for scene in scenes for method in scene.maps))
     return table_of(methods, {scene.name: scene.scores() for scene in scenes})
 
 
 def table_of(methods: tuple[str, ...], scores: Mapping[str, Mapping[str, Metrics]]) -> Table:
-    """The same from the scores of each scene, by method. LightFieldError if there is no scene."""
+    """Make the table from scores by scene and method; LightFieldError if there is no scene."""
     if not scores:
-        raise LightFieldError("there is nothing to compare: give at least one scene.")
+        raise LightFieldError("there is nothing to compare; give at least one scene.")
     rows = [
         Row(scene, metric, tuple(_score(of, method, attribute) for method in methods))
         for scene, of in scores.items()

@@ -1,6 +1,6 @@
-"""Parameters: sections of checked numbers and choices, and the configuration of a method made of such sections.
+"""Parameters of methods: a configuration has sections, and a section has checked numbers and choices.
 
-Each method has a configuration class of its own in its room, `lfgpu/methods/NAME/config.py`.
+The configuration class of each method is in `lfgpu/methods/NAME/config.py`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from lfgpu.errors import LightFieldError
 
 
 def number(default: float, low: float, high: float, doc: str, *, symbol: str = "", odd: bool = False) -> Any:
-    """A parameter that is a number from `low` to `high`, whole if the default is, and `odd` if that is asked for."""
+    """A parameter that is a number from `low` to `high`: an integer if the default is one; odd if `odd`."""
     return field(default=default, metadata={"low": low, "high": high, "doc": doc, "symbol": symbol, "odd": odd})
 
 
@@ -43,16 +43,16 @@ class Section:
             elif isinstance(value, bool) or not isinstance(value, Real):
                 raise LightFieldError(f"{f.name} must be a number, not {value!r}.")
             elif isinstance(f.default, int) and not isinstance(value, Integral):
-                raise LightFieldError(f"{f.name} must be a whole number, not {float(value):g}.")
+                raise LightFieldError(f"{f.name} must be an integer, not {float(value):g}.")
             elif not meta["low"] <= value <= meta["high"]:
-                raise LightFieldError(f"{f.name} must lie in {meta['low']:g} to {meta['high']:g}, not {value:g}.")
+                raise LightFieldError(f"{f.name} must be from {meta['low']:g} to {meta['high']:g}, not {value:g}.")
             elif meta["odd"] and value % 2 == 0:
                 raise LightFieldError(f"{f.name} must be odd, not {value:g}.")
 
 
 @dataclass(frozen=True)
 class Config:
-    """All parameters of one method. `MatchingConfig` and `SynthesisConfig` derive from it; by itself it has none.
+    """All parameters of one method. This is the base class, without parameters, of `MatchingConfig` and the others.
 
     The fields of a derived class are sections. A parameter is named `section.parameter`.
     """
@@ -61,7 +61,7 @@ class Config:
     """Name of the method that reads these parameters."""
 
     renamed: ClassVar[Mapping[str, str]] = {}
-    """Old names of sections and parameters, and what they are called now."""
+    """Old names of sections and parameters, with their new names."""
 
     known: ClassVar[dict[str, type[Config]]] = {}
     """The configuration classes of all methods, by the name of the method."""
@@ -73,10 +73,10 @@ class Config:
     def __post_init__(self) -> None:
         if type(self) is Config:
             kinds = ", ".join(sorted(kind.__name__ for kind in self.known.values()))
-            raise LightFieldError(f"Config has no parameters by itself; take a preset, or one of {kinds}.")
+            raise LightFieldError(f"Config itself has no parameters; use a preset, or one of {kinds}.")
 
     def with_values(self, values: Mapping[str, Any]) -> Self:
-        """A copy with some parameters changed.
+        """Return a copy with some parameters changed.
 
         Parameters
         ----------
@@ -105,10 +105,10 @@ class Config:
         return config
 
     def _unknown(self, name: str) -> str:
-        """The sentence about a parameter that the method does not have."""
+        """The message about a parameter that the method does not have."""
         section, _, parameter = name.partition(".")
         if name == "method.name":
-            return f"the method follows from the preset, and this one is {self.method}; take another preset instead."
+            return f"the preset determines the method, and this preset has {self.method}; use another preset instead."
         for old in (name, section):
             if old in self.renamed:
                 now = self.renamed[old] + (f".{parameter}" if old == section else "")
@@ -116,19 +116,19 @@ class Config:
         for kind in self.known.values():
             if kind is not type(self) and name in dict(parameters(kind)):
                 return (
-                    f"parameter {name!r} belongs to the method {kind.method}, but {self.method} does not read it; "
-                    f"take a preset of {kind.method}, or leave the parameter out."
+                    f"parameter {name!r} belongs to the method {kind.method}, but {self.method} does not use it; "
+                    f"use a preset of {kind.method}, or leave the parameter out."
                 )
         return f"unknown parameter {name!r}; {self.method} has {', '.join(dict(parameters(self)))}."
 
 
 def parameters(config: Config | type[Config]) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
-    """All parameters as (`section.parameter`, field); the field's metadata holds range, meaning and paper symbol."""
+    """All parameters as (`section.parameter`, field). The metadata of the field hold range, meaning and symbol."""
     for section in dataclasses.fields(config):
         for parameter in dataclasses.fields(section.default):  # type: ignore[arg-type]  # sections are dataclasses
             yield f"{section.name}.{parameter.name}", parameter
 
 
 def as_dict(config: Config) -> dict[str, Any]:
-    """The parameters as plain values: the name of the method under "method", and a dictionary for each section."""
+    """The parameters as plain values: the name of the method under "method", and a dictionary per section."""
     return {"method": config.method, **dataclasses.asdict(config)}

@@ -1,4 +1,4 @@
-"""What goes wrong, said in one sentence that a person can act on."""
+"""The errors of lfgpu. Each message is one sentence for the user."""
 
 from lfgpu.printable import message
 
@@ -11,8 +11,8 @@ class LfgpuError(Exception):
 
 
 class LightFieldError(LfgpuError, ValueError):
-    """A light field, file, map or parameter is not what it has to be."""
+    """A light field, file, map or parameter is wrong."""
 
 
 class BackendError(LfgpuError, RuntimeError):
-    """A kernel backend or a device that was asked for is not there."""
+    """A backend or a device is missing, or cannot do what was asked."""

@@ -1,4 +1,4 @@
-"""How far a disparity map is from the truth, in the measures of the HCI 4D Light Field Benchmark."""
+"""The metrics of the HCI 4D Light Field Benchmark, and the sparsification of a confidence."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lfgpu.data.summary import view_at
 from lfgpu.errors import LightFieldError
 
 BORDER = 15
-"""Pixels at each side of the image that the benchmark leaves out."""
+"""Width of the border that the benchmark leaves out, pixels."""
 
 _SHARES = np.arange(20, 0, -1) / 20  # of the pixels that are kept: 1, 0.95 .. 0.05
 _ROUNDING = 1e-9  # percent
@@ -22,10 +22,10 @@ _SAME_PLACE = 1e-6  # view steps
 
 @dataclass(frozen=True)
 class Metrics:
-    """What `evaluate` found; smaller is better throughout.
+    """The scores of a disparity map; smaller is better for all.
 
-    BadPix is over all scored pixels, and undefined ones (NaN or infinite in the estimate) are bad. The measures of
-    size (MSE, RMSE, Q25) are over the defined pixels only and NaN if there are none: look at `undefined` with them.
+    BadPix is over all scored pixels and counts undefined pixels (NaN or infinite in the estimate) as bad. MSE, RMSE and
+    Q25 are over the defined pixels only, NaN if there are none; so read them together with `undefined`.
     """
 
     mse_100: float
@@ -37,7 +37,7 @@ class Metrics:
     badpix_01: float
     """Percent of pixels with |error| > 0.01 pixels per view step."""
     q25: float
-    """25 % quantile of |error| times 100: how good the best quarter is."""
+    """25 % quantile of |error|, times 100: the accuracy of the best quarter of the pixels."""
     rmse: float
     """Root of the mean squared error, pixels per view step."""
     undefined: float
@@ -78,7 +78,7 @@ def evaluate(
     mask
         bool [y, x], True where pixels are scored. Default: that of the truth, if it has one, else everywhere.
     border
-        Pixels at each side that are left out, >= 0; the benchmark's 15 by default.
+        Width of the border that is left out, pixels, >= 0; default 15, as in the benchmark.
 
     Raises
     ------
@@ -103,18 +103,19 @@ def evaluate(
 
 @dataclass(frozen=True, eq=False)
 class Sparsification:
-    """What `sparsification` found: how well a confidence tells which pixels are bad."""
+    """A sparsification curve: how well a confidence tells which pixels are bad."""
 
     kept: NDArray[np.float64]
     """Percent of the scored pixels that are kept, the most confident ones: 100, 95 .. 5."""
     bad: NDArray[np.float64]
     """Percent of the kept pixels that are bad."""
     oracle: NDArray[np.float64]
-    """The same if those of the smallest true errors were kept: no confidence can do better."""
+    """The same if the pixels with the smallest true errors are kept: the best possible confidence."""
     ause: float
-    """Area between both curves over the share kept, 0.05 to 1, of curves divided by the percentage of all pixels that
-    are bad: 0 is the oracle, a confidence that says nothing has at most 0.95, and the less the more pixels are bad. NaN
-    if no pixel is bad."""
+    """Area between both curves, each divided by the percentage of bad pixels, over the share kept, 0.05 to 1.
+
+    0 is the best. A random confidence has at most 0.95, and less if many pixels are bad. NaN if no pixel is bad.
+    """
     monotone: bool
     """Whether `bad` never rises as less confident pixels are left out."""
     threshold: float
@@ -139,11 +140,11 @@ def sparsification(
     border: int = BORDER,
     threshold: float = 0.07,
 ) -> Sparsification:
-    """Leave out the least confident pixels, more and more of them, and see what becomes of the share of bad ones.
+    """Compute the share of bad pixels while the least confident pixels are left out step by step.
 
-    Pixels of one confidence have no order: as many of them as are kept are bad in the proportion of them all. Undefined
-    disparities are bad, and where the confidence is NaN it is less than anywhere else. The area is that of Ilg et al.
-    (2018), "area under the sparsification error", for the share of bad pixels instead of the mean error.
+    Pixels of equal confidence are kept in proportion. Undefined disparities are bad. A confidence of NaN is lower than
+    all others. The area is the "area under the sparsification error" of Ilg et al. (2018), here for the share of bad
+    pixels instead of the mean error.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ def sparsification(
     confidence
         The larger the surer, of the same shape; only its order counts.
     threshold
-        Pixels with |error| > threshold are bad, pixels per view step, >= 0; 0.07 by default.
+        Pixels with |error| > threshold are bad; pixels per view step, >= 0, default 0.07.
 
     Raises
     ------
@@ -191,7 +192,7 @@ def _errors(
     mask: ArrayLike | None,
     border: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """|error| of the scored pixels [p], NaN or infinite where the estimate is undefined, and which they are [y, x]."""
+    """|error| of the scored pixels [p], NaN or infinite where undefined, and the mask [y, x] of scored pixels."""
     if isinstance(truth, GroundTruth):
         _check_same_view(disparity, truth)
         mask = truth.mask if mask is None else mask

@@ -1,4 +1,4 @@
-"""How many threads of the CPU lfgpu may use: one number for the process."""
+"""The largest number of CPU threads that lfgpu uses in a process."""
 
 from __future__ import annotations
 
@@ -18,10 +18,17 @@ _chosen: int | None = None
 
 
 def set_threads(count: int | None) -> None:
-    """Use at most `count` threads of the CPU (1 or more) from now on; None for as many as the process has cores.
+    """Set the largest number of CPU threads. Results do not depend on it.
 
-    Results do not depend on it. The Taichi backend takes the number when it starts and keeps it. LfgpuError if `count`
-    is not a whole number from 1 on.
+    Parameters
+    ----------
+    count
+        An integer >= 1; None for one thread per core. The Taichi backend keeps the number with which it starts.
+
+    Raises
+    ------
+    LfgpuError
+        If `count` is not an integer >= 1.
     """
     global _chosen
     _chosen = None if count is None else _checked(count, "set_threads")
@@ -29,7 +36,7 @@ def set_threads(count: int | None) -> None:
 
 @contextmanager
 def limited_threads(count: int) -> Iterator[None]:
-    """Use at most `count` threads of the CPU while the block runs."""
+    """Use at most `count` CPU threads while the block runs."""
     global _chosen
     before, _chosen = _chosen, count
     try:
@@ -39,7 +46,7 @@ def limited_threads(count: int) -> Iterator[None]:
 
 
 def get_threads() -> int:
-    """How many threads of the CPU are used: what `set_threads` said, else $LFGPU_THREADS, else one for each core."""
+    """The largest number of CPU threads: from `set_threads`, else from $LFGPU_THREADS, else one per core."""
     if _chosen is not None:
         return _chosen
     given = os.environ.get(_VARIABLE)
@@ -47,17 +54,17 @@ def get_threads() -> int:
 
 
 def in_threads(work: Callable[[_Item], _Done], items: Iterable[_Item], *, most: int | None = None) -> list[_Done]:
-    """What `work` returns for each item, called on all threads, or at most so many; its first error ends it.
+    """Call `work` on each item in several threads, at most `most`; returns the results in order.
 
-    The first in the order of the items. For work that leaves the interpreter's lock, as large operations of NumPy and
-    decoders of images do.
+    If several calls raise, the error of the first item is raised. Useful for work that releases the interpreter lock,
+    as large NumPy operations and image decoders do.
     """
     with ThreadPoolExecutor(min(get_threads(), most or get_threads())) as pool:
         return list(pool.map(work, items))
 
 
 def _cores() -> int:
-    """The cores that this process may run on, which a container or a scheduler may have limited."""
+    """The number of cores that this process may use; a container or a scheduler may limit it."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -68,4 +75,4 @@ def _checked(count: object, source: str) -> int:
             return int(number)
     except (TypeError, ValueError, OverflowError):
         pass
-    raise LfgpuError(f"{source}: the number of threads must be a whole number from 1 on, found {count!r}.")
+    raise LfgpuError(f"{source}: the number of threads must be an integer >= 1, found {count!r}.")

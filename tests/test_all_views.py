@@ -247,7 +247,7 @@ def test_masked_pixels_of_a_key_neither_land_nor_vote() -> None:
 
 @pytest.mark.parametrize("keys", [0, -1, 2.5, True, "nine"])
 def test_keys_are_a_number_of_views(keys: Any) -> None:
-    with pytest.raises(LightFieldError, match="keys must be a whole number >= 1"):
+    with pytest.raises(LightFieldError, match="keys must be an integer >= 1"):
         estimate_all_views(scene("planes"), keys=keys)
 
 
@@ -260,5 +260,5 @@ def test_a_view_that_sees_nothing_of_the_others_is_named() -> None:
     lf = scenes.make("relief", grid=(3, 3), size=(32, 32), disparity_range=(0.5, 1.5))
     away = lf.positions.copy()
     away[8] = (500.0, 0.0)
-    with pytest.raises(LightFieldError, match=r"view 8 \(row 0, column 500\) shows nothing .* take more keys"):
+    with pytest.raises(LightFieldError, match=r"view 8 \(row 0, column 500\) shows nothing .* use more key views"):
         estimate_all_views(LightField(lf.views, away, reference=4), keys=1, config="fast", disparity_range=(0.4, 1.6))

@@ -49,7 +49,7 @@ def test_the_reference_computes_in_double_and_others_in_single(target: Any) -> N
 def test_an_unknown_backend_is_refused_with_those_that_there_are() -> None:
     with pytest.raises(BackendError) as error:
         _backends.load("fpga")
-    assert str(error.value) == f"unknown backend 'fpga'; there are {', '.join(_backends.list_backends())}."
+    assert str(error.value) == f"unknown backend 'fpga'; use one of {', '.join(_backends.list_backends())}."
 
 
 @pytest.mark.parametrize(("backend", "package"), list(_backends._PACKAGES.items()))
@@ -193,4 +193,4 @@ def test_devices_are_picked_by_name(asked: str | None, found: str) -> None:
 def test_a_device_that_is_not_there_is_refused_with_those_that_are(asked: str) -> None:
     with pytest.raises(BackendError) as error:
         _backends.pick_device(machine_with("cpu"), asked)
-    assert str(error.value) == f"backend 'some' sees no device {asked!r} here; there is cpu."
+    assert str(error.value) == f"backend 'some' finds no device {asked!r}; use one of cpu."

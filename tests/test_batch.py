@@ -369,7 +369,7 @@ def test_a_batch_is_scored_per_item_and_in_total(undisturbed: Path, recorded: Pa
     (other / "scene_0" / "disparity.pfm").unlink()
     assert "1 items are left out" in lfgpu("eval", other).stdout
     shutil.copy(undisturbed / "scene_0" / "disparity.pfm", other / "scene_0")
-    assert "other was computed with different parameters" in lfgpu("eval", other).stdout
+    assert "The items of other have different parameters" in lfgpu("eval", other).stdout
     assert lfgpu("eval", undisturbed, "--border", "3").exit_code == 1
     assert lfgpu("eval", undisturbed).exit_code == 0
 
@@ -455,7 +455,7 @@ def test_an_item_that_kills_its_worker_is_given_up_and_the_rest_goes_on(recorded
         **{"scarce": DONE, "scene_0": DONE, "scene_1": DONE},
     }
     assert "its worker was killed" in entries["deadly"]["error"]
-    assert re.match(r"the memory does not suffice.*, tried 2 times\.", entries["too scarce"]["error"])
+    assert re.match(r"out of memory; use fewer views.*, tried 2 times\.", entries["too scarce"]["error"])
     assert entries["scarce"]["attempts"] == 2
 
 
@@ -513,9 +513,7 @@ def test_interruption_is_clean_and_the_next_run_goes_on(recorded: Path, undistur
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does it: all processes get it
         out, err = process.communicate(timeout=600)
     assert process.returncode == 130, err
-    assert re.fullmatch(r"lfgpu: interrupted, \d of 5 items are done; run the same command again to go on\.\n", err), (
-        err
-    )
+    assert re.fullmatch(r"lfgpu: interrupted after \d of 5 items; run the same command again to continue\.\n", err), err
     assert out == ""
     before = sum(entry["status"] == DONE for entry in read_manifest(tmp_path).values())
     assert 1 <= before < 4
@@ -587,7 +585,9 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(
     outcome = lfgpu("batch", recorded, "-o", tmp_path, "--scheduler", "tcp://127.0.0.1:9")
     assert outcome.exit_code == 1
     assert re.fullmatch(
-        r"lfgpu: the scheduler tcp://127\.0\.0\.1:9 does not answer \(.*\); is it there\?\n", outcome.stderr
+        r"lfgpu: the scheduler tcp://127\.0\.0\.1:9 does not answer \(.*\); check the address, and that it is "
+        r"running\.\n",
+        outcome.stderr,
     )
 
 

@@ -21,10 +21,13 @@ from lfgpu import get_threads, list_backends, scenes, set_threads
 from lfgpu._backends import BackendInfo
 from lfgpu.cli import app, demo
 from lfgpu.cli.machine import device_name
+from lfgpu.config import Config, Section, number, parameters
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io import read, read_map, read_result, write_hci, write_pfm
-from lfgpu.methods import preset
+from lfgpu.io import formats, read, read_map, read_result, write_hci, write_pfm
+from lfgpu.io.formats import FORMATS, Format
+from lfgpu.methods import METHODS, PRESETS, preset
+from lfgpu.methods.entry import Entry
 from lfgpu.metrics import evaluate, sparsification
 
 OUTPUTS = {"confidence.png", "depth.pfm", "disparity.pfm", "disparity.png", "result.npz"}
@@ -213,15 +216,18 @@ def test_interruption_leaves_nothing(
     where: str, recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(where, raising(KeyboardInterrupt()))
-    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted, nothing was written", code=130)
+    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; nothing was written", code=130)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (MemoryError(), "memory does not suffice"),
-        (RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'"), "memory of the device"),
+        (MemoryError(), "lfgpu: out of memory; use fewer views"),
+        (
+            RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'"),
+            "lfgpu: out of memory on the device; use fewer views",
+        ),
         (PermissionError(errno.EACCES, "Permission denied", "/views/a.png"), "/views/a.png: Permission denied"),
         (LightFieldError("a sentence\nover two lines."), "a sentence over two lines."),
     ],
@@ -428,7 +434,7 @@ def test_frames_of_a_scene_that_moves(tmp_path: Path) -> None:
     assert lfgpu(*arguments).code == 0
     assert sorted(folder.name for folder in (tmp_path / "s").iterdir()) == ["frame_000", "frame_001"]
     assert (read(tmp_path / "s" / "frame_000").views != read(tmp_path / "s" / "frame_001").views).any()
-    refused(lfgpu(*arguments), "holds frames of another sequence")
+    refused(lfgpu(*arguments), "already holds frames of a sequence")
 
 
 def test_interrupted_frames_leave_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -479,7 +485,7 @@ def test_eval_of_maps_with_mask_and_border(tmp_path: Path, rng: np.random.Genera
     outcome = lfgpu("eval", tmp_path / "e.npy", tmp_path / "t.pfm", "--mask", tmp_path / "m.png", "--border", 3)
     m = evaluate(estimate, truth.astype(np.float32), mask=mask, border=3)
     assert row_of(outcome.out, "e.npy")[:2] == pytest.approx([m.mse_100, m.badpix_07], abs=0.0051)
-    assert f"Over {m.count} pixels, a border of 3" in outcome.out
+    assert f"Over {m.count} pixels, without a border of 3 px." in outcome.out
 
 
 @pytest.mark.parametrize(
@@ -490,7 +496,7 @@ def test_eval_of_maps_with_mask_and_border(tmp_path: Path, rng: np.random.Genera
         (["views", "views"], "neither result.npz nor disparity.pfm"),
         (["out", "views", "--border", "40"], "border must be"),
         (["out", "views", "--mask", "no.png"], "no.png cannot be read"),
-        (["out", "other"], "they cannot be compared"),
+        (["out", "other"], "but the result belongs to the view at row 2, column 2; give a result of that view"),
         (["out", "bare"], "holds no ground truth"),
         (["out/disparity.pfm", "small.npy"], "same shape"),
         (["out/disparity.png", "views"], "not a kind of map"),
@@ -564,7 +570,7 @@ def test_threads_are_used_and_change_nothing(solved: tuple[Path, Outcome], recor
 
 @pytest.mark.parametrize("command", [["depth", "nowhere"], ["demo"]], ids=["depth", "demo"])
 def test_no_threads_are_refused(command: list[str], out: Path) -> None:
-    refused(lfgpu(*command, "-o", out, "--threads", 0), "--threads must be a whole number from 1 on, not 0")
+    refused(lfgpu(*command, "-o", out, "--threads", 0), "--threads must be an integer >= 1, not 0")
     assert not out.parent.exists()
 
 
@@ -604,14 +610,106 @@ def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_help_loads_nothing_heavy() -> None:
+LIGHT = {"matplotlib", "warp", "taichi", "imageio", "viser", "distributed"}
+LIGHTER = LIGHT | {"numpy", "scipy", "PIL"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "heavy"),
+    [
+        (["--help"], 0, LIGHTER),
+        (["backends", "--help"], 0, LIGHTER),
+        (["parameters", "--help"], 0, LIGHTER),
+        (["parameters", "--preset", "paper"], 0, LIGHTER),
+        (["depth", "--nonsense"], 2, LIGHTER),
+        (["depth", "--help"], 0, LIGHT),  # lists the formats, whose readers need NumPy
+        (["live", "--help"], 0, LIGHT),
+        (["export", "--help"], 0, LIGHT),
+    ],
+)
+def test_help_loads_nothing_heavy(arguments: list[str], code: int, heavy: set[str]) -> None:
     script = (
-        "import sys\nfrom lfgpu.cli import main\nsys.argv = ['lfgpu', 'depth', '--help']\n"
-        "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 0\n"
-        "heavy = {'numpy', 'scipy', 'matplotlib', 'warp', 'imageio', 'PIL'} & set(sys.modules)\n"
+        f"import sys\nfrom lfgpu.cli import main\nsys.argv = ['lfgpu', *{arguments}]\n"
+        f"try:\n    main()\nexcept SystemExit as end:\n    assert not end.code if {code} == 0 else end.code == {code}\n"
+        f"heavy = {heavy} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
     )
     done = python("-c", script)
     assert done.returncode == 0, done.stderr
-    assert "--disparity-range" in done.stdout
-    assert all(backend in done.stdout for backend in list_backends())
+
+
+def test_help_lists_presets_formats_and_backends() -> None:
+    shown = " ".join(lfgpu("depth", "--help").out.replace("│", " ").split())
+    assert "--disparity-range" in shown
+    assert "lfgpu parameters" in shown
+    for name, label in (item for entry in METHODS.values() for item in entry.labels.items()):
+        assert f"{name}: {label}" in shown
+    assert ", ".join(entry.name for entry in FORMATS) in shown
+    assert ", ".join(list_backends()) in shown
+
+
+@dataclass(frozen=True)
+class ToySection(Section):
+    """Knobs of the toy."""
+
+    weight: float = number(0.5, 0.0, 1.0, "weight of nothing, pixels", symbol="ω")
+
+
+@pytest.fixture
+def toy(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A third method and a further format, registered while a test runs."""
+    monkeypatch.setattr(Config, "known", dict(Config.known))
+
+    @dataclass(frozen=True)
+    class ToyConfig(Config):
+        method = "toy"
+        knobs: ToySection = ToySection()
+
+    monkeypatch.setitem(
+        METHODS, "toy", Entry(ToyConfig, {"plain": ToyConfig()}, "nowhere:Toy", "does nothing", {"plain": "a toy"})
+    )
+    monkeypatch.setitem(PRESETS, "plain", ToyConfig())
+    more = Format("toy-files", "files of a toy", lambda path: None, lambda path, **_: scenes.make("boxes"))
+    monkeypatch.setattr(formats, "FORMATS", (*FORMATS, more))
+
+
+@pytest.mark.usefixtures("toy")
+def test_a_new_method_and_a_new_format_appear_in_the_help_by_themselves() -> None:
+    for command in ("depth", "batch"):
+        shown = " ".join(lfgpu(command, "--help").out.replace("│", " ").split())
+        assert "plain: a toy" in shown
+        assert "toy-files" in shown
+    assert lfgpu("parameters", "--preset", "plain").out == "knobs.weight\t0.5\t0 to 1\tweight of nothing, pixels\tω\n"
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_parameters_in_a_pipe_are_one_line_each_that_set_takes(name: str) -> None:
+    shown = lfgpu("parameters", "--preset", name)
+    assert (shown.code, shown.err) == (0, "")
+    lines = [line.split("\t") for line in shown.out.splitlines()]
+    assert [line[0] for line in lines] == list(dict(parameters(PRESETS[name])))
+    assert all(len(line) == 5 and all(line[:4]) for line in lines)
+    assert preset(name).with_values({line[0]: line[1] for line in lines}) == preset(name)
+
+
+def test_parameters_tell_range_choices_and_symbol() -> None:
+    lines = {line.split("\t")[0]: line.split("\t")[1:] for line in lfgpu("parameters").out.splitlines()}
+    assert lines["sweep.views"][:2] == ["full", "full, star, cross"]
+    assert lines["prior.window"][:2] == ["9", "3 to 31, odd"]
+    assert lines["alignment.iterations"][1] == "1 to 100, integer"
+    assert lines["semi_global.small_penalty"][3] == "P1"
+
+
+def test_parameters_on_a_terminal_are_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    shown = re.sub(r"\x1b\[[0-9;]*m", "", lfgpu("parameters", "--preset", "paper").out)
+    assert "\t" not in shown
+    assert "paper: Sajjadi et al. 2016." in shown
+    for name, _ in parameters(PRESETS["paper"]):
+        assert len(re.findall(rf"^  {re.escape(name)} ", shown, re.MULTILINE)) == 1
+    assert "[λ / (views · channels)]" in " ".join(shown.split())
+
+
+def test_an_unknown_preset_has_no_parameters() -> None:
+    refused(lfgpu("parameters", "--preset", "fats"), "unknown preset 'fats'; use one of accurate, fast, paper")

@@ -114,7 +114,7 @@ def test_convert(recorded: Path, solved: Path, tmp_path: Path) -> None:
     refused(
         "no map of a view at row 9", "convert", solved / "disparities.npz", "--view", "9,9", "-o", tmp_path / "c.tif"
     )
-    refused("holds one map only", "convert", solved, "--view", "1,1", "-o", tmp_path / "c.tif")
+    refused("holds a single map", "convert", solved, "--view", "1,1", "-o", tmp_path / "c.tif")
     refused("stored as .pfm", "convert", solved, "-o", tmp_path / "c.jpg")
     refused("No such file", "convert", tmp_path / "none.npz", "-o", tmp_path / "c.tif")
     refused("does not say which view", "convert", solved / "map.pfm", "-o", tmp_path / "c.ply", "--image", recorded)
@@ -123,7 +123,7 @@ def test_convert(recorded: Path, solved: Path, tmp_path: Path) -> None:
 
 def test_render_images(recorded: Path, solved: Path, tmp_path: Path) -> None:
     lf, maps = lfgpu.read(recorded), lfgpu.load(solved / "disparities.npz")
-    assert "filled from beside" in run(
+    assert "filled from their surroundings" in run(
         "render", recorded, "--maps", solved, "--view", "0.5,1.25", "-o", tmp_path / "v.png"
     )
     run("render", recorded, "--refocus", "0.7", "-o", tmp_path / "r.png")
@@ -142,6 +142,36 @@ def test_render_images(recorded: Path, solved: Path, tmp_path: Path) -> None:
 def test_render_estimates_what_is_not_there(recorded: Path, tmp_path: Path) -> None:
     run("render", recorded, "--view", "1,0.5", "-o", tmp_path / "v.png", "--preset", "fast", *RANGE, "-q")
     assert Image.open(tmp_path / "v.png").size == (56, 48)
+
+
+@pytest.fixture(scope="module")
+def loose(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six of the views, one after the other and from right to left: only options say how they stand."""
+    file = tmp_path_factory.mktemp("loose") / "views.npy"
+    lf = lfgpu.read(recorded)
+    np.save(file, lf.views.reshape(3, 3, *lf.views.shape[1:])[:2, ::-1].reshape(6, *lf.views.shape[1:]))
+    return file
+
+
+READ = ("--format", "numpy", "--grid", "2x3", "--flip", "u")
+
+
+def test_render_reads_as_depth_does(recorded: Path, loose: Path, tmp_path: Path) -> None:
+    refused("6 views", "render", loose, "--refocus", "0.7", "-o", tmp_path / "r.png")
+    run("render", loose, *READ, "--reference-view", "1,1", "--refocus", "0.7", "-o", tmp_path / "r.png")
+    lf = lfgpu.read(loose, grid=(2, 3), flip="u")
+    expected = lfgpu.refocus(lf.with_reference(lf.index_of(1, 1)), 0.7)
+    stored = np.asarray(Image.open(tmp_path / "r.png")) / 255
+    np.testing.assert_allclose(stored, expected, atol=0.51 / 255)
+    np.testing.assert_array_equal(lf.view(1, 1), lfgpu.read(recorded).view(1, 1))
+    for option in (("--every", "2"), ("--format", "nonsense"), ("--flip", "w"), ("--grid", "2")):
+        refused(option[0].strip("-"), "render", loose, *option, "--refocus", "0.7", "-o", tmp_path / "no.png")
+
+
+def test_render_with_any_preset(recorded: Path, tmp_path: Path) -> None:
+    for name in lfgpu.PRESETS:
+        run("render", recorded, "--view", "1,0.5", "-o", tmp_path / f"{name}.png", "--preset", name, *RANGE, "-q")
+        assert (tmp_path / f"{name}.png").is_file()
 
 
 @pytest.mark.parametrize("sweep", ["circle", "across", "down", "focus"])

@@ -175,7 +175,7 @@ def test_a_parameter_that_the_method_does_not_read_is_refused(preset_name: str, 
     config = PRESETS[preset_name]
     sentence = refusal({name: 0.5}, config)
     assert repr(name) in sentence
-    assert f"{config.method} does not read it" in sentence
+    assert f"{config.method} does not use it" in sentence
     assert OWNER[name].method in sentence
 
 
@@ -202,7 +202,7 @@ def test_every_new_name_is_one() -> None:
 
 
 def test_config_by_itself_has_no_parameters() -> None:
-    with pytest.raises(LightFieldError, match="take a preset, or one of MatchingConfig, SynthesisConfig"):
+    with pytest.raises(LightFieldError, match="use a preset, or one of MatchingConfig, SynthesisConfig"):
         Config()
 
 

@@ -191,7 +191,7 @@ def test_views_of_another_kind_are_refused_and_change_nothing(target: Any) -> No
         with pytest.raises(LightFieldError) as error:
             pipeline.upload(wrong(scene(1).views))
         assert str(error.value) == (
-            f"views must be uint8 [15, 32, 36, 3] as those that the pipeline was made for, found {found}."
+            f"views must be uint8 [15, 32, 36, 3], like those that the pipeline was made for; found {found}."
         )
     assert_same(ran(pipeline), want, target)
 

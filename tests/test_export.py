@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lfgpu.kernels.warp import export as exporting
+from lfgpu.kernels.warp import recording as exporting
 from typer.testing import CliRunner
 
 import lfgpu
@@ -103,7 +103,23 @@ def test_command_and_what_it_writes(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "replay.cpp").is_file()
 
 
+def test_command_reads_as_depth_does(tmp_path: Path) -> None:
+    views = frames()[0].views
+    np.save(tmp_path / "views.npy", views[:6])
+    arguments = ["export", str(tmp_path / "views.npy"), "-o", str(tmp_path / "out"), "--disparity-range=-1,1"]
+    refused = CliRunner().invoke(app, arguments)
+    assert refused.exit_code == 1
+    assert "6 views" in refused.stderr
+    assert not (tmp_path / "out").exists()
+    given = ["--preset=fast", "--format=numpy", "--grid=3x2", "--flip=v"]
+    outcome = CliRunner().invoke(app, [*arguments, *given])
+    assert outcome.exit_code == 0, outcome.output
+    about = json.loads((tmp_path / "out" / "pipeline.json").read_text())
+    expected = lfgpu.read(tmp_path / "views.npy", grid=(3, 2), flip="v")
+    assert about["offsets"] == expected.offsets.tolist()
+
+
 def test_only_matching_is_exported(tmp_path: Path) -> None:
-    with pytest.raises(lfgpu.LightFieldError, match="must match"):
+    with pytest.raises(lfgpu.LightFieldError, match="the method synthesis cannot be exported"):
         lfgpu.export_pipeline(frames()[0], tmp_path / "out", config="paper", disparity_range=RANGE)
     assert not (tmp_path / "out").exists()

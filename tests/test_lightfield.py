@@ -241,7 +241,7 @@ def test_the_good_arguments_are_good() -> None:
         ({"views": np.zeros((3, 4, 4), np.int16)}, ["int16"]),
         ({"views": np.full((3, 4, 4), np.nan, np.float32)}, ["view 0 (row 0, column 0)", "NaN"]),
         ({"views": np.full((3, 4, 4), 255, np.float32)}, ["view 0", "255", "[0, 1]"]),
-        (views_of(1), ["one view"]),
+        (views_of(1), ["a single view", "at least two"]),
         ({"positions": np.zeros((2, 2))}, ["positions", "3", "(2, 2)"]),
         ({"positions": np.full((3, 2), np.nan)}, ["positions", "finite"]),
         ({"positions": np.array([[0, 0], [1, 2], [1, 2]])}, ["two views", "row 2", "column 1"]),
@@ -251,7 +251,10 @@ def test_the_good_arguments_are_good() -> None:
         ({"valid": np.ones((3, 4, 4), np.uint8)}, ["valid", "uint8"]),
         ({"truth": GroundTruth(np.zeros((4, 5), np.float32), (1.0, 0.0))}, ["truth", "(4, 4)", "(4, 5)"]),
         ({"grid_shape": (1, 2)}, ["positions", "1 x 2", "0 to 2"]),
-        ({"grid_shape": (1, 3), "positions": np.array([[0, 0], [0.5, 0], [1, 0]])}, ["whole numbers"]),
+        (
+            {"grid_shape": (1, 3), "positions": np.array([[0, 0], [0.5, 0], [1, 0]])},
+            ["integers in the grid", "counted from 0"],
+        ),
     ],
 )
 def test_what_is_no_light_field_is_refused(changes: dict[str, Any], words: list[str]) -> None:
@@ -271,12 +274,12 @@ def test_grids_must_have_their_axes() -> None:
         ("scene has no view at row 7, column 0; rows span 0 to 2", lambda lf: lf.view(7, 0)),
         ("reference view 15 does not exist", lambda lf: lf.with_reference(15)),
         ("unknown view pattern 'ring'", lambda lf: lf.subset("ring")),
-        ("view indices must be 0 to 14", lambda lf: lf.subset([15])),
+        ("view indices must be from 0 to 14", lambda lf: lf.subset([15])),
         ("leaves the reference view alone", lambda lf: lf.subset([7])),
-        ("leaves nothing", lambda lf: lf.crop(np.s_[4:4], np.s_[:])),
-        ("has a step", lambda lf: lf.crop(np.s_[::2], np.s_[:])),
-        ("cannot be shrunk 7 times", lambda lf: lf.downsampled(7)),
-        ("cannot be shrunk 0 times", lambda lf: lf.downsampled(0)),
+        ("must have no step and leave pixels", lambda lf: lf.crop(np.s_[4:4], np.s_[:])),
+        ("must have no step", lambda lf: lf.crop(np.s_[::2], np.s_[:])),
+        ("pixels, not 7", lambda lf: lf.downsampled(7)),
+        ("pixels, not 0", lambda lf: lf.downsampled(0)),
     ],
 )
 def test_requests_that_cannot_be_met(light_field: LightField, words: str, ask: Callable[[LightField], object]) -> None:

@@ -114,7 +114,7 @@ def test_feed_tells_of_all_frames_in_order() -> None:
         (["nowhere"], "does not exist; give a folder of light fields, a grabber"),
         (["."], "holds no folders"),
         (["grabber_for_tests.py"], "is a file; give a folder"),
-        (["grabber_for_tests:nothing"], "gave no frame"),
+        (["grabber_for_tests:nothing"], "yielded no frame"),
         (["grabber_for_tests:arrays"], "must yield a LightField first"),
         (["grabber_for_tests:number"], "must be a function without arguments that yields frames"),
         (["grabber_for_tests:missing"], "cannot be loaded"),

@@ -131,7 +131,7 @@ def test_what_cannot_be_rendered_is_refused() -> None:
         (known, (1.0, np.nan), "column must be a finite number"),
         (known, (1.0, 100.0), "row 1, column 100 is too far away"),
         (replace(known, disparities=known.disparities[:, 1:]), (1.0, 1.0), "79 x 96 pixels"),
-        (replace(known, positions=known.positions + 1), (1.0, 1.0), "other cameras"),
+        (replace(known, positions=known.positions + 1), (1.0, 1.0), "other camera positions"),
     ):
         with pytest.raises(LightFieldError, match=words):
             lfgpu.render_view(lf, maps_, *position)

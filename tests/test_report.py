@@ -176,8 +176,8 @@ def test_a_method_without_a_map_leaves_a_gap(folder: Path, tmp_path: Path) -> No
     [
         (["good", "--scene", "nowhere"], "nowhere does not exist"),
         (["nowhere", "--scene", "one"], "nowhere does not exist"),
-        (["good", "good", "--scene", "one"], "same name"),
-        (["good", "--scene", "one", "--scene", "one"], "same name"),
+        (["good", "good", "--scene", "one"], "two methods are called 'good'"),
+        (["good", "--scene", "one", "--scene", "one"], "two scenes are called 'one'"),
         (["one", "--scene", "two"], "no method has a result of two"),
         (["good", "--scene", "one", "--mask", "m.png"], "--mask"),
         (["good", "--scene", "one", "--border", "40"], "good on one: border"),

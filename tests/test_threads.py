@@ -43,7 +43,7 @@ def test_what_is_no_number_of_threads_is_refused_and_changes_nothing(wrong: Any)
     lfgpu.set_threads(2)
     with pytest.raises(LfgpuError) as error:
         lfgpu.set_threads(wrong)
-    assert str(error.value) == f"set_threads: the number of threads must be a whole number from 1 on, found {wrong!r}."
+    assert str(error.value) == f"set_threads: the number of threads must be an integer >= 1, found {wrong!r}."
     assert lfgpu.get_threads() == 2
 
 
@@ -52,7 +52,7 @@ def test_a_wrong_environment_is_named(wrong: str, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv(VARIABLE, wrong)
     with pytest.raises(LfgpuError) as error:
         lfgpu.get_threads()
-    assert str(error.value) == f"${VARIABLE}: the number of threads must be a whole number from 1 on, found {wrong!r}."
+    assert str(error.value) == f"${VARIABLE}: the number of threads must be an integer >= 1, found {wrong!r}."
 
 
 ESTIMATE = """

@@ -351,6 +351,24 @@ def test_the_command_says_where_to_look(tmp_path: Path, monkeypatch: pytest.Monk
     assert viser.__name__ not in said
 
 
+def test_the_command_reads_as_depth_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("viser")
+    lf = scenes.make("relief", grid=(3, 3), size=SIZE)
+    np.save(tmp_path / "views.npy", lf.views[:6])
+    write_pfm(tmp_path / "map.pfm", np.zeros(SIZE))
+    shown: list[Contents] = []
+    monkeypatch.setattr("lfgpu.viewer.server.Viewer.wait", lambda viewer: shown.append(viewer.contents))
+    code, _, err = view(tmp_path / "views.npy", tmp_path / "map.pfm", "--grid", "2x3", "--flip", "u")
+    assert (code, err) == (0, "")
+    assert shown[0].lf is not None
+    assert shown[0].lf.grid_shape == (2, 3)
+    np.testing.assert_array_equal(shown[0].lf.view(0, 0), lf.view(0, 2))
+    assert list(shown[0].entries) == ["map"]
+    code, said, err = view(tmp_path / "map.pfm", "--grid", "2x3")
+    assert (code, said) == (1, "")
+    assert "map.pfm" in err
+
+
 @pytest.mark.parametrize(
     ("name", "words"), [("nowhere", "does not exist"), ("empty", "an empty folder"), ("bad.pfm", "bad.pfm")]
 )

@@ -1,3 +1,5 @@
-"""`lfgpu batch`: many light fields, all of which come out; what runs them is Dask (`cluster.py`, the only one that
-imports it), what is done with each is in `work.py`, what became of each in the `manifest.py`.
+"""`lfgpu batch`: depth for many light fields.
+
+`items.py` finds them, `work.py` estimates one of them, `cluster.py` runs the jobs with Dask (no other module imports
+Dask), `manifest.py` records the outcomes, `run.py` puts this together, and `report.py` writes the page.
 """

@@ -1,8 +1,8 @@
-"""Jobs on the workers of a Dask cluster: which comes when, and what if a worker or the scheduler dies.
+"""Running jobs on a Dask cluster: their order, and what happens when a worker or the scheduler dies.
 
-Dask runs a job again if its worker died, up to a limit, and then gives it up; it may have been another one's fault that
-shared the worker, so such jobs are tried once more at the end, alone. What is lost with a scheduler is asked for again
-when there is one.
+Dask repeats a job whose worker died, up to a limit. A job over the limit may be innocent, if another job on the same
+worker was the cause; so it is tried once more at the end, alone. Jobs that are lost with a scheduler are submitted
+again when the scheduler is back.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from lfgpu.threads import set_threads
 ITEM_TIMEOUT = 7200.0
 """Seconds that an item may take by default: ten times as long as large ones take on two cores."""
 
-_CONNECTING = 30.0  # seconds
+_CONNECTING = 30.0  # seconds to wait for an answer of the scheduler
 _PATIENCE = 300.0  # seconds in which a lost scheduler may come back
 _REPLACED = 60.0  # seconds after which a worker that died and does not come back is replaced
 _STARTS = 3  # of a local cluster
-_LOOK = 0.2  # seconds between two looks where nothing happens
+_LOOK = 0.2  # seconds between two polls
 
 Entry = dict[str, Any]
 
 
 class BatchError(LfgpuError):
-    """A batch cannot go on."""
+    """A batch cannot continue, or items of it failed."""
 
 
 @dataclass
 class _Task:
-    """A job, the jobs that come after it in its sequence, and what has happened to it."""
+    """A job, the jobs after it in its sequence, and its history."""
 
     job: Job
     after: deque[Job]
@@ -57,20 +57,21 @@ class _Task:
 
 
 class Cluster:
-    """A local cluster, or an existing one that a scheduler is at the head of. Use it in a `with` block.
+    """A local cluster, or an existing cluster with a scheduler. Use it in a `with` block.
 
     Parameters
     ----------
     scheduler
         Address such as tls://host:8786, or tcp:// in a network of one's own; None starts workers on this machine.
     workers
-        Processes of a local cluster.
+        Number of worker processes of a local cluster, >= 1; default 1.
     devices
-        What they compute on, taken in turn.
+        Devices that are assigned to the workers in turn. Default: each worker picks its own.
     threads
-        Threads of the CPU of each of them; None leaves it to them.
+        CPU threads per worker; None (default) leaves the number to the workers.
     retries
-        How often an item is tried again whose worker died or ran out of memory, or that was lost with the scheduler.
+        How often an item is tried again after its worker died or ran out of memory, or the scheduler was lost.
+        Default 3.
     item_timeout
         Seconds after which an item is given up, and its worker started anew: no file may stop the rest.
 
@@ -103,22 +104,22 @@ class Cluster:
         self._client: Any = None
         self._cluster: Any = None
         self._complete = time.monotonic()
-        """When all workers were last there."""
+        """The time when all workers were last alive."""
         self._running: dict[Any, _Task] = {}
         self._woken = threading.Event()
 
     def __enter__(self) -> Cluster:
         import dask
 
-        # How often Dask runs a job again whose worker died is decided when a scheduler starts.
+        # The scheduler reads the number of retries when it starts.
         settings = {
             "distributed.scheduler.allowed-failures": self._retries,
-            "distributed.scheduler.worker-saturation": 1.0,  # no job waits on a worker that another one may kill
+            "distributed.scheduler.worker-saturation": 1.0,  # no job is queued on a worker that another job may kill
             "distributed.worker.daemon": True,
             # Pages about a cluster can be read by everybody on the machine, and some of them give orders.
             "distributed.scheduler.http.routes": [],
             "distributed.worker.http.routes": [],
-            "distributed.deploy.lost-worker-timeout": "1 hour",  # a busy machine takes long to start another one
+            "distributed.deploy.lost-worker-timeout": "1 hour",  # a busy machine needs long to start a new worker
         }
         self._stack.enter_context(dask.config.set(settings))
         if self._scheduler is None:
@@ -130,7 +131,7 @@ class Cluster:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with suppress(Exception):  # what is lost with a cluster that is gone is in no manifest, and done again
+        with suppress(Exception):  # lost jobs are not in the manifest, so the next run repeats them
             self._client.cancel(list(self._running), force=True)
         self._running.clear()
         self._cluster = None
@@ -138,7 +139,7 @@ class Cluster:
 
     @property
     def client(self) -> Any:
-        """Dask's."""
+        """The client of Dask."""
         return self._client
 
     @property
@@ -148,7 +149,7 @@ class Cluster:
 
     @property
     def size(self) -> int:
-        """How many jobs can run at a time: the threads of all workers."""
+        """How many jobs can run at the same time: the number of threads of all workers."""
         with suppress(Exception):
             return sum(self._client.nthreads().values())
         return 0
@@ -159,11 +160,21 @@ class Cluster:
         done: Callable[[list[Entry]], None],
         tick: Callable[[int], None] = lambda _: None,
     ) -> None:
-        """Do all jobs, those of a sequence in order and on one worker as long as it lives.
+        """Run all jobs. Those of a sequence run in order, and on one worker while it lives.
 
-        `done` is called with what the manifest shall say of those that ended, before others begin in their place;
-        `tick` a few times a second with the number of jobs that can run at a time. BatchError if the scheduler is lost
-        and does not come back.
+        Parameters
+        ----------
+        sequences
+            The jobs of each sequence, in order. A single job is a sequence of one.
+        done
+            Called with the manifest entries of jobs that ended, before new jobs start.
+        tick
+            Called a few times a second with the number of jobs that can run at the same time.
+
+        Raises
+        ------
+        BatchError
+            If the scheduler is lost and does not come back.
         """
         waiting = deque(_Task(jobs[0], deque(jobs[1:])) for jobs in map(list, sequences) if jobs)
         suspects: deque[_Task] = deque()
@@ -205,7 +216,7 @@ class Cluster:
 
         for name in ("distributed", "asyncio", "tornado"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
-        with _ctrl_c_for_nobody():  # until the workers have begun
+        with _ctrl_c_for_nobody():  # while the workers start
             cluster = self._local()
         self._cluster = self._stack.enter_context(cluster)
         self._client = self._stack.enter_context(Client(cluster))
@@ -251,16 +262,17 @@ class Cluster:
         except (OSError, TimeoutError, ValueError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise BatchError(
-                f"the scheduler {self._scheduler} does not answer ({reason[:200]}); is it there?"
+                f"the scheduler {self._scheduler} does not answer ({reason[:200]}); check the address, and that it is "
+                "running."
             ) from error
         self._stack.callback(lambda: self._client.close(timeout=5))
 
     def _is_there(self) -> bool:
-        """Whether the scheduler answers; where it is gone, wait for it to come back."""
+        """Whether the scheduler answers. If it is lost, wait for it to come back."""
         if self._client.status == "running":
             return True
         if self._scheduler is None:
-            raise BatchError("the local cluster has ended; run the same command again to go on.")
+            raise BatchError("the local cluster has ended; run the same command again to continue.")
         if self._client.status == "connecting":
             return False
         since = time.monotonic()
@@ -271,11 +283,11 @@ class Cluster:
             time.sleep(1)
         raise BatchError(
             f"the scheduler {self._scheduler} was lost and has not come back in {_PATIENCE:g} s; run the same command "
-            "again to go on with what is left."
+            "again to continue."
         )
 
     def _replace_lost(self, size: int) -> None:
-        """Start workers of a local cluster anew that have not come back for long."""
+        """Replace dead workers of a local cluster that have not come back for a while."""
         now = time.monotonic()
         if self._cluster is None or size >= self._workers:
             self._complete = now
@@ -319,23 +331,23 @@ class Cluster:
         self._running[future] = task
 
     def _results(self, ended: Sequence[Any]) -> dict[Any, tuple[str, Entry]]:
-        """What jobs returned, all fetched at once; those that are not there are to be asked for one by one."""
+        """The results of jobs, fetched together; missing ones have to be fetched one by one."""
         finished = [future for future in ended if future.status == "finished"]
         if len(finished) > 1:
-            with suppress(Exception):  # some were lost on the way
+            with suppress(Exception):  # some results were lost
                 gathered = self._client.sync(self._client._gather, finished, callback_timeout=_CONNECTING)
                 return dict(zip(finished, gathered, strict=True))
         return {}
 
     def _outcome(self, future: Any, result: tuple[str, Entry] | None, task: _Task) -> Entry | None:
-        """What the manifest shall say, or None if the task is to be tried again."""
+        """The manifest entry of a task, or None if it is to be tried again."""
         from distributed import KilledWorker
 
         if future.status == "finished":
             try:
                 task.worker, entry = result or future.result(timeout=_CONNECTING)
                 return {**entry, "attempts": task.attempts + 1}
-            except Exception as error:  # it was lost on the way
+            except Exception as error:  # the result was lost
                 return self._again(task, f"{type(error).__name__}")
         if future.status != "error":
             there = self._client.status == "running"
@@ -347,7 +359,7 @@ class Cluster:
         if isinstance(raised, OutOfMemory):
             return self._again(task, str(raised).rstrip("."))
         if isinstance(raised, KilledWorker):
-            task.errors.append("its worker was killed, by a signal or for the memory that it took")
+            task.errors.append("its worker was killed, by a signal or because it used too much memory")
             if task.alone:
                 return self._failed(task)
             task.alone, task.attempts = True, 0
@@ -381,8 +393,8 @@ class Cluster:
 
 @contextmanager
 def _ctrl_c_for_nobody() -> Iterator[None]:
-    """Processes that are started meanwhile ignore it too."""
-    if threading.current_thread() is not threading.main_thread():  # the only one that may decide about signals
+    """Ignore Ctrl-C in this block, and in the processes that are started in it."""
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may change signal handlers
         yield
         return
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -393,7 +405,7 @@ def _ctrl_c_for_nobody() -> Iterator[None]:
 
 
 def _on_worker(job: Job, devices: tuple[str, ...], threads: int | None) -> tuple[str, Entry]:
-    """What a worker calls: which worker it was, and what became of the job."""
+    """Runs on a worker: does the job, and returns the address of the worker and the manifest entry."""
     from distributed import get_worker
 
     worker = get_worker()

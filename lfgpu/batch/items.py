@@ -1,4 +1,4 @@
-"""What there is to do: light fields in folders, behind patterns, and frames of sequences, each with a name."""
+"""Finding the items of a batch: light fields in folders, from patterns, and frames of sequences."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from lfgpu.io.images import IMAGE_SUFFIXES
 from lfgpu.io.numpy_file import holds_views
 from lfgpu.printable import printable
 
-_LOOSE = ("camera-row", "named-views")  # formats of folders that any images may be taken for, also those a folder below
+_LOOSE = ("camera-row", "named-views")  # formats that match any folder of images
 LEFT_OVER = ".lfgpu-"
 """What the names of outputs begin with until they are whole."""
 
 _OWN = ("manifest.jsonl", ".batch.lock", "report.html")
-_OF_OUTPUTS = ("manifest.jsonl", "result.npz")  # what tells folders of outputs from inputs
+_OF_OUTPUTS = ("manifest.jsonl", "result.npz")  # files that mark a folder as an output
 
 
 @dataclass(frozen=True)
 class Item:
-    """One light field to be estimated.
+    """One light field of a batch.
 
     Parameters
     ----------
     name
-        Its folder below that of the outputs.
+        The name of its folder below the output folder.
     source
-        Where it is read from.
+        The path that it is read from.
     sequence
-        What sequence it is a frame of; "" if of none.
+        The sequence that it is a frame of; "" (default) if of none.
     """
 
     name: str
@@ -49,18 +49,23 @@ class Item:
 def find_items(
     inputs: Sequence[str], *, sequence: bool, format_name: str | None = None, leave_out: Path | None = None
 ) -> tuple[list[Item], list[Path]]:
-    """The light fields that inputs name, and the folders in which none was found.
+    """Find the light fields that inputs name.
 
     Parameters
     ----------
     inputs
-        Light fields, folders that hold some at any depth, or patterns (`*`, `?`, `[..]`, `**`) of these.
+        Light fields, folders that hold light fields at any depth, or patterns (`*`, `?`, `[..]`, `**`) of these.
     sequence
-        Whether light fields in one folder are the frames of a sequence, in the order of the numbers in their names.
+        Whether the light fields of a folder are the frames of a sequence, in natural order of their names.
     format_name
-        Format of all light fields; each path that an input names is then one. None finds light fields by their kinds.
+        Format of all light fields. Then each path that an input names is a light field. Default None: light fields are
+        recognised.
     leave_out
-        The folder of the outputs, which is not looked into.
+        The output folder, which is not searched. Default None.
+
+    Returns
+    -------
+    The items, and the folders in which no light field was found.
 
     Whatever cannot be looked at (a folder without permission, a link in a circle) is one of the items: who reads it
     says what is wrong with it.
@@ -68,7 +73,7 @@ def find_items(
     Raises
     ------
     LightFieldError
-        If an input names nothing that exists, or nothing is found at all.
+        If an input does not exist, or no light field is found at all.
     """
     everything: list[Path] = []
     search = _Search(None if leave_out is None else real(leave_out))
@@ -79,15 +84,17 @@ def find_items(
             everything += search.below(path)
     paths = sorted({path.absolute() for path in everything}, key=lambda path: natural_order(str(path)))
     if not paths:
-        raise LightFieldError(f"no light field was found in {', '.join(inputs)}; give folders of views, or of such.")
+        raise LightFieldError(
+            f"no light field was found in {', '.join(inputs)}; give light fields, or folders that hold some."
+        )
     names = _names(paths)
     return [Item(names[path], str(path), str(path.parent) if sequence else "") for path in paths], search.barren
 
 
 def fingerprint(source: str, *, leave_out: Path | None = None) -> str:
-    """What changes when a light field's files do: from their names, sizes and times, not from what is in them.
+    """A hash of the names, sizes and times of the files of a light field, which tells whether the input changed.
 
-    The folder `leave_out`, where outputs go, is not looked into.
+    The output folder `leave_out` is not part of it.
     """
     root = Path(source)
     digest = hashlib.sha256()
@@ -116,26 +123,28 @@ def _matches(text: str) -> list[Path]:
         return [Path(text)]
     found = sorted(map(Path, glob.glob(text, recursive=True)))  # noqa: PTH207 - patterns may be absolute
     if not found:
-        raise LightFieldError(f"{text} does not exist, and as a pattern it matches nothing; give what is to be done.")
+        raise LightFieldError(
+            f"{text} does not exist, and matches nothing as a pattern; give light fields, folders or patterns."
+        )
     return found
 
 
 class _Search:
-    """Looks for light fields in folders, each of which is looked into once, however many links lead there.
+    """A search for light fields in folders. Each folder is searched once, even if several links lead to it.
 
     Parameters
     ----------
     excluded
-        A folder that is not looked into.
+        A folder that is not searched.
     """
 
     def __init__(self, excluded: Path | None) -> None:
         self.excluded, self.barren = excluded, list[Path]()
-        """`barren`: the folders in which none was found."""
+        """`barren`: the folders in which no light field was found."""
         self._seen: set[Path] = set()
 
     def below(self, folder: Path) -> list[Path]:
-        """The folder, if it is a light field, or those inside; none if the folder holds outputs."""
+        """The folder, if it is a light field; else the light fields inside. None if the folder holds outputs."""
         where = real(folder)
         if where in self._seen:
             return []
@@ -228,7 +237,7 @@ def _without_light_field(file: Path) -> bool:
 
 
 def _outweighs(found: Path, own: int) -> bool:
-    """Whether a light field inside a folder says that its `own` images are none: thumbnails, or a picture of it."""
+    """Whether a light field inside a folder shows that the folder's `own` images are not views but, say, thumbnails."""
     if found.is_dir():
         return _kind(found) not in _LOOSE or len(image_files(found)) > own
     return found.suffix.lower() not in IMAGE_SUFFIXES
@@ -263,4 +272,4 @@ def _is_taken(part: str) -> bool:
 
 
 def _comparable(name: str) -> str:
-    return name.casefold()  # of file systems to which these are the same
+    return name.casefold()  # some file systems ignore case

@@ -1,4 +1,4 @@
-"""The manifest of a batch: a line of JSON for whatever became of an item, the last one of an item being what holds."""
+"""The manifest of a batch: a line of JSON for each outcome of an item; the last line of an item is valid."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LOCK_FILE = ".batch.lock"
 
 
 def key_of(config: Config, options: Mapping[str, Any]) -> str:
-    """What changes when any parameter does that results depend on."""
+    """A hash of all parameters that results depend on."""
     text = json.dumps({"config": asdict(config), **options}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -92,7 +92,7 @@ _FITS: dict[str, Callable[[Any], bool]] = {
 
 
 def is_done(entry: Mapping[str, Any] | None, item: Item, parameters: str, input_key: str, out: Path) -> bool:
-    """Whether an item need not be done again: it was done, from these files, with these parameters, and is there."""
+    """Whether an item is up to date: done from these files, with these parameters, and its outputs exist."""
     if entry is None or entry.get("status") != DONE:
         return False
     if (entry.get("parameters_key"), entry.get("input_key")) != (parameters, input_key):
@@ -101,9 +101,9 @@ def is_done(entry: Mapping[str, Any] | None, item: Item, parameters: str, input_
 
 
 def standing(entries: Mapping[str, dict[str, Any]], out: Path) -> dict[str, dict[str, Any]]:
-    """Those of a manifest's entries that still say what is there.
+    """The entries of a manifest that still describe the output folder.
 
-    Not those whose outputs are gone, nor those whose input has since been done under another name.
+    Left out are entries whose outputs are missing, and those whose input was done again under another name.
     """
     newest = {entry.get("input"): name for name, entry in sorted(entries.items(), key=lambda e: e[1].get("began", 0.0))}
     return {
@@ -126,12 +126,12 @@ def _size(file: Path) -> int:
 
 
 class Manifest:
-    """The manifest while a batch writes it; one batch at a time. Use it in a `with` block.
+    """The manifest of a running batch. Only one batch can write it at a time. Use it in a `with` block.
 
     Raises
     ------
     LightFieldError
-        If another batch is at work there, or the file cannot be opened.
+        If another batch is writing to the folder, or the file cannot be opened.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -139,7 +139,7 @@ class Manifest:
         self._file: IO[bytes] | None = None
         self._lock: IO[bytes] | None = None
         self.unwritten: list[bytes] = []
-        """Lines that did not fit onto the disk; they are tried again with the next one."""
+        """Lines that could not be written because the disk was full; they are tried again with the next one."""
 
     def __enter__(self) -> Manifest:
         try:
@@ -169,7 +169,7 @@ class Manifest:
         self._lock.close()
 
     def add(self, entries: Iterable[Mapping[str, Any]]) -> None:
-        """Write lines; what the disk has no room for is kept in `unwritten`."""
+        """Write lines; if the disk is full, they are kept in `unwritten`."""
         self.unwritten += [_line(entry) for entry in entries]
         self._flush()
 
@@ -179,7 +179,7 @@ class Manifest:
         while self.unwritten:
             line, end = self.unwritten[0], self._file.seek(0, os.SEEK_END)
             if end and not written and not self._ends_a_line(end):
-                line = b"\n" + line  # a crash left half a line
+                line = b"\n" + line  # a crash left an incomplete line
             try:
                 whole = self._file.write(line) == len(line)
             except OSError:
@@ -207,7 +207,7 @@ def _line(entry: Mapping[str, Any]) -> bytes:
 
 
 def _lock(file: IO[bytes]) -> None:
-    """Lock a file until it is closed or the process ends, however; BlockingIOError if somebody else has."""
+    """Lock a file until it is closed or the process ends; BlockingIOError if another process has locked it."""
     try:
         import fcntl
     except ImportError:  # Windows

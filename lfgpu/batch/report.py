@@ -1,4 +1,4 @@
-"""What came of a batch on one page: a row for each item, the failed ones first."""
+"""The report of a batch: one page with a row for each item, failed ones first."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REPORT_FILE = "report.html"
 
 
 def write_report(summary: Summary, out: Path, title: str) -> Path:
-    """Write the page into the folder of the batch, to whose pictures it refers; whole or not at all."""
+    """Write the page atomically into the folder of the batch, because it refers to pictures there."""
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined)
     text = resources.files("lfgpu").joinpath("templates/batch.html").read_text(encoding="utf-8")
     entries = [summary.entries[item.name] for item in summary.items if item.name in summary.entries]
@@ -39,7 +39,7 @@ def write_report(summary: Summary, out: Path, title: str) -> Path:
 
 
 def facts(summary: Summary) -> list[tuple[str, str]]:
-    """Counts, times and mean scores, with a label each."""
+    """Counts, times and mean scores, as pairs of label and text."""
     done = [entry for entry in summary.entries.values() if entry["status"] == DONE]
     lines = [
         ("items", f"{len(summary.items)}: {len(done)} done, {len(summary.failed)} failed, {summary.left} not reached"),
@@ -51,7 +51,7 @@ def facts(summary: Summary) -> list[tuple[str, str]]:
     if times:
         parts = ", ".join(f"{name} {median(t.get(name, 0.0) for t in times):.3g}" for name in times[0])
         each = median(entry.get("seconds", 0.0) for entry in done)
-        lines.append(("an item", f"{each:.3g} s in the median ({parts})"))
+        lines.append(("an item", f"{each:.3g} s, median ({parts})"))
     means = mean_scores(done)
     if means:
         scored = sum(1 for entry in done if entry.get("metrics"))
@@ -61,7 +61,7 @@ def facts(summary: Summary) -> list[tuple[str, str]]:
 
 
 def mean_scores(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Mean of each metric over the items that have ground truth; empty if none has."""
+    """The mean of each metric over the items with ground truth; empty if there is none."""
     scored = [entry["metrics"] for entry in entries if entry.get("metrics")]
     if not scored:
         return {}

@@ -1,4 +1,4 @@
-"""A whole batch: what is left to do, doing it, and what became of all."""
+"""A batch as a whole: which items are to be done, running them, and the summary."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from lfgpu.batch.items import LEFT_OVER, Item, fingerprint
 from lfgpu.batch.manifest import DONE, Manifest, damaged_lines, is_done, key_of, read_manifest
 from lfgpu.batch.work import Job, Settings
 
-_MEASURED_ON = 8  # frames of a sequence, of which the first one that can be read decides on range and noise
+_MEASURED_ON = 8  # frames of a sequence that are tried, in order, to measure range and noise
 
 Entry = dict[str, Any]
 
 
 @dataclass
 class Summary:
-    """What became of a batch."""
+    """The outcome of a batch."""
 
     items: list[Item]
     entries: dict[str, Entry] = field(default_factory=dict)
-    """What the manifest says of the items, by name; those that were not reached are not there."""
+    """The manifest entries of the items, by name, without those that were not reached."""
     kept: int = 0
-    """How many were done before."""
+    """The number of items that were already up to date."""
     computed: int = 0
     failed: list[Entry] = field(default_factory=list)
     seconds: float = 0.0
@@ -38,13 +38,13 @@ class Summary:
 
     @property
     def left(self) -> int:
-        """How many were not reached."""
+        """The number of items that were not reached."""
         return len(self.items) - self.kept - self.computed - len(self.failed)
 
 
 @dataclass
 class Progress:
-    """How far a batch is, for whoever shows it."""
+    """The progress of a batch."""
 
     summary: Summary
     todo: int
@@ -54,35 +54,35 @@ class Progress:
 
 
 class Batch:
-    """All items of a batch, of which those are done that are missing, failed or stale.
+    """A batch. It computes the items that are missing, failed or out of date.
 
     Parameters
     ----------
     items
-        As `find_items` gives them.
+        The items, from `find_items`.
     out
-        The folder of the outputs and of the manifest.
+        The folder for the outputs and the manifest.
     settings
-        How items are estimated.
+        The settings of the estimate.
     """
 
     def __init__(self, items: Sequence[Item], out: Path, settings: Settings) -> None:
         self._items, self._out, self._settings = list(items), out, settings
         self.summary = Summary(self._items)
-        """What became of the items so far, also after an exception."""
+        """The outcome so far, also after an exception."""
 
     def run(self, cluster: Cluster, *, on_progress: Callable[[Progress], None] = lambda _: None) -> Summary:
-        """Do what is to be done on a cluster, which is started only then.
+        """Compute the items on a cluster, which is started only if there is work.
 
-        `on_progress` is called a few times a second, and after each item. Whatever ends this early (Ctrl-C, a lost
-        cluster), what was done by then stands in the manifest.
+        `on_progress` is called a few times a second, and after each item. If the run ends early (Ctrl-C, a lost
+        cluster), the manifest holds what was done until then.
 
         Raises
         ------
         LightFieldError
             If the folder cannot be written, or another batch writes to it.
         BatchError
-            If the cluster does not start or is lost, or the disk has no room for the manifest.
+            If the cluster does not start or is lost, or the disk is full.
         """
         start, out = time.perf_counter(), self._out
         with Manifest(out) as manifest:
@@ -100,14 +100,14 @@ class Batch:
                     self.summary.seconds = time.perf_counter() - start
         if manifest.unwritten:
             raise BatchError(
-                f"the disk has no room for the manifest in {out}: {len(manifest.unwritten)} items that are done are "
-                "not in it, and will be done again; make room, and run the same command again."
+                f"the disk is full: the manifest in {out} lacks {len(manifest.unwritten)} items that are done; free "
+                "some space and run the same command again, which repeats them."
             )
         self._check_there()
         return self.summary
 
     def _check_there(self) -> None:
-        """Workers of another machine may have written where only they can see it."""
+        """BatchError if outputs are missing, because workers on another machine wrote them to a local disk."""
         away = [
             name
             for name, entry in self.summary.entries.items()
@@ -115,8 +115,8 @@ class Batch:
         ]
         if away:
             raise BatchError(
-                f"{len(away)} items are done, such as {away[0]}, but are not in {self._out}: workers and this machine "
-                "need one file system, with the same paths."
+                f"{len(away)} items, such as {away[0]}, are done, but their outputs are not in {self._out}; use a "
+                "folder that all workers and this machine share under the same path."
             )
 
     def _todo(self, known: Mapping[str, Entry]) -> list[Job]:
@@ -186,7 +186,7 @@ def _jobs(items: Sequence[Item], out: Path, settings: Settings) -> list[Job]:
 
 
 def _sequences(jobs: Sequence[Job]) -> list[list[Job]]:
-    """Jobs that stay in order, and the others each alone."""
+    """The jobs of each sequence in order; other jobs are sequences of one."""
     found: dict[str, list[Job]] = defaultdict(list)
     for job in jobs:
         found[job.item.sequence or f"\0{job.item.name}"].append(job)
@@ -194,7 +194,7 @@ def _sequences(jobs: Sequence[Job]) -> list[list[Job]]:
 
 
 def _parameter_sets(jobs: Sequence[Job]) -> list[Entry]:
-    """A line for each set of parameters, which the items name by its key."""
+    """A manifest line for each set of parameters; items refer to it by its key."""
     sets = {job.keys["parameters_key"]: job for job in jobs}
     return [
         {
@@ -209,7 +209,7 @@ def _parameter_sets(jobs: Sequence[Job]) -> list[Entry]:
 
 
 def _remove_left_overs(out: Path, items: Sequence[Item]) -> None:
-    """What processes that were killed had begun to write; nobody else writes here."""
+    """Remove incomplete outputs of killed processes; no other process writes here."""
     folders = {(out / item.name).parent for item in items} | {out / item.name for item in items}
     for folder in folders:
         if folder.is_dir():

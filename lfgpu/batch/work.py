@@ -1,4 +1,4 @@
-"""What is done with one item, in whatever process: read, estimate, score, write. Nothing here knows of Dask."""
+"""The work on one item: read, estimate, score, write. It runs in any process and does not use Dask."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ PREVIEW_FILE = "preview.png"
 DEPTH_FILE = "depth.pfm"
 
 _PREVIEW = 320, 240  # pixels
-_MEMORY = "the memory does not suffice; take fewer views (--views cross), smaller ones, or fewer workers."
+_MEMORY = "out of memory; use fewer views (--views cross), smaller ones, or fewer workers."
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How items are estimated: what results depend on, and where they are computed."""
+    """The settings of the estimate of all items."""
 
     config: Config
     disparity_range: tuple[float, float] | None = None
     place: tuple[float, float] | None = None
-    """(row, column) of the reference view; None takes the reader's."""
+    """(row, column) of the reference view; None for the default of the reader."""
     pattern: str = "full"
     reading: Mapping[str, Any] = field(default_factory=dict)
     """Keywords of `lfgpu.read`."""
@@ -47,7 +47,7 @@ class Settings:
 
     @property
     def options(self) -> dict[str, Any]:
-        """All but the parameters of the method that results depend on, as JSON holds it."""
+        """All settings that results depend on, without the parameters of the method, as JSON values."""
         return {
             "disparity_range": None if self.disparity_range is None else list(self.disparity_range),
             "reference_view": None if self.place is None else list(self.place),
@@ -59,16 +59,16 @@ class Settings:
 
 @dataclass(frozen=True)
 class Job:
-    """One item, and what is needed to do it.
+    """One item, and all that a worker needs for it.
 
     Parameters
     ----------
     item, settings, out
-        What, how, and below which folder the outputs go.
+        The item, the settings, and the output folder.
     first
-        The first frames of its sequence: on the first one that can be read, range and noise are measured for all.
+        The first frames of its sequence. Range and noise of the sequence are measured on the first readable one.
     keys
-        What the manifest shall say of parameters and files.
+        The hashes of parameters and files, for the manifest.
     """
 
     item: Item
@@ -78,14 +78,14 @@ class Job:
     keys: Mapping[str, str] = field(default_factory=dict)
 
 
-class OutOfMemory(Exception):  # noqa: N818 - what happened, which may not happen again
-    """An item did not fit into memory beside whatever else was there."""
+class OutOfMemory(Exception):  # noqa: N818 - a state, after which a retry may succeed
+    """An item did not fit into memory together with everything else that runs."""
 
 
 def work(job: Job, device: str | None = None) -> dict[str, Any]:
-    """Do an item on a device, by default the backend's best, and say what became of it, as the manifest has it.
+    """Do an item on a device, by default the backend's best. Returns its manifest entry.
 
-    What is wrong with an item is in the entry; only OutOfMemory, after which it may be tried again, is raised.
+    Errors of the item are in the entry. Only OutOfMemory is raised, because a retry may succeed.
     """
     begin = time.time()
     entry: dict[str, Any] = {"item": job.item.name, "input": job.item.source, "status": FAILED, **job.keys}
@@ -95,8 +95,8 @@ def work(job: Job, device: str | None = None) -> dict[str, Any]:
         raise OutOfMemory(_MEMORY) from error
     except LfgpuError as error:
         entry["error"] = " ".join(str(error).split())
-    except Exception as error:  # whatever it is, the other items go on
-        if "Failed to allocate" in str(error):  # Warp's words
+    except Exception as error:  # the other items must continue, whatever it is
+        if "Failed to allocate" in str(error):  # the message of Warp
             raise OutOfMemory(_MEMORY) from error
         entry["error"] = f"{type(error).__name__}: {' '.join(str(error).split())[:500]}"
     return {**entry, "began": begin, "seconds": round(time.time() - begin, 4)}
@@ -112,7 +112,7 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
     clock.lap("estimate")
     scores = _scores(lf, result)
     out = Path(job.out, job.item.name)
-    out.parent.mkdir(parents=True, exist_ok=True)  # others make it at the same time
+    out.parent.mkdir(parents=True, exist_ok=True)  # other workers may create it at the same time
     with atomic_folder(out) as folder:
         sizes = _write(folder, result)
     clock.lap("write")
@@ -152,12 +152,12 @@ def _estimate(lf: LightField, job: Job, device: str) -> DepthResult:
 
 
 def _measured(first: tuple[str, ...], settings: Settings, device: str) -> Measured | None:
-    """Range and noise of a sequence, from the first of its frames that can be read; None if none can."""
+    """Range and noise of a sequence, measured on its first readable frame; None if no frame is readable."""
     key = (first, device, repr(settings))
     if key not in _MEASURED:
         _MEASURED[key] = None
         for source in first:
-            with suppress(LfgpuError):  # such a frame says so itself when its turn comes
+            with suppress(LfgpuError):  # the frame reports its error when it is its turn
                 lf, kernels = _read(source, settings), load(settings.backend)
                 _MEASURED[key] = method_of(settings.config).measure(
                     lf, kernels, device, disparity_range=settings.disparity_range
@@ -171,10 +171,10 @@ _MEASURED: dict[Any, Measured | None] = {}
 
 
 class _Resident:
-    """The last pipeline, which serves the next item if nothing of its result comes from the items before.
+    """Keeps the last pipeline, and uses it again if the result does not depend on earlier items.
 
-    That is so where the method need not measure anything, or range and noise were measured on the sequence. Else each
-    item gets a pipeline of its own.
+    That is the case if the method measures nothing, or if range and noise were measured on the sequence. Otherwise each
+    item gets its own pipeline.
     """
 
     def __init__(self) -> None:
@@ -184,7 +184,7 @@ class _Resident:
     def pipeline(
         self, lf: LightField, measured: Measured | None, settings: Settings, device: str
     ) -> tuple[DepthPipeline, bool]:
-        """A pipeline for a light field, and whether it was made for it and has its views."""
+        """A pipeline for a light field, and whether it is new, so that it already holds the views."""
         from lfgpu.pipelines.pipeline import DepthPipeline
 
         measured = measured or method_of(settings.config).given(lf, settings.disparity_range)
@@ -194,7 +194,7 @@ class _Resident:
         )
         if self._pipeline is not None and measured is not None and key == self._key:
             return self._pipeline, False
-        self._pipeline = None  # its memory first
+        self._pipeline = None  # frees its memory first
         self._pipeline = DepthPipeline(
             lf,
             config=settings.config,
@@ -212,7 +212,7 @@ _RESIDENT = _Resident()
 
 
 def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | None:
-    """The metrics by name, None where they are not numbers; None where there is no truth of the reference view."""
+    """The metrics by name, None if not finite; or None if the ground truth of the reference view is unknown."""
     from lfgpu.metrics import evaluate
 
     truth = lf.reference_truth()
@@ -221,12 +221,12 @@ def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | No
     try:
         scores = asdict(evaluate(result.disparity, truth.disparity, mask=truth.mask))
         return {name: value if math.isfinite(value) else None for name, value in scores.items()}
-    except LightFieldError:  # too small to be scored: that is no fault of the estimate
+    except LightFieldError:  # too small to be scored
         return None
 
 
 def _write(folder: Path, result: DepthResult) -> dict[str, int]:
-    """Write a result into a folder that exists; the files and how many bytes they have."""
+    """Write a result into an existing folder; returns the sizes of the files in bytes, by name."""
     from lfgpu.io import DISPARITY_FILE, RESULT_FILE, write_pfm, write_result
     from lfgpu.viz.figures import scale_limits
     from lfgpu.viz.panels import LOOKS, colour, fitted
@@ -242,7 +242,7 @@ def _write(folder: Path, result: DepthResult) -> dict[str, int]:
 
 
 class _Clock:
-    """Seconds from lap to lap."""
+    """Measures the seconds of consecutive steps."""
 
     def __init__(self) -> None:
         self.laps: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""What each worker process of a local cluster begins with (Dask calls this a preload)."""
+"""The start-up code of worker processes of a local cluster (a preload of Dask)."""
 
 from __future__ import annotations
 
@@ -7,5 +7,5 @@ from typing import Any
 
 
 def dask_setup(_: Any) -> None:
-    """Leave Ctrl-C, which a terminal sends to all processes, to the one that ends the batch."""
+    """Ignore Ctrl-C, which a terminal sends to all processes; the main process ends the batch."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

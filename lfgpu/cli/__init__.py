@@ -1,6 +1,6 @@
-"""The command line: `lfgpu depth`, `batch`, `info`, `decode`, `convert`, `render`, `scene`, `eval` and others.
+"""The command line `lfgpu`: one module for each command.
 
-Commands import what they need when they run, so that help and mistakes answer at once.
+Commands import what they need when they run, so that help texts and wrong usage answer quickly.
 """
 
 from __future__ import annotations
@@ -23,11 +23,13 @@ from lfgpu.cli import (
     export,
     info,
     live,
+    parameters,
     render,
     scene,
     view,
 )
 from lfgpu.cli.failures import Group
+from lfgpu.cli.listings import Command
 
 app = typer.Typer(
     name="lfgpu",
@@ -38,27 +40,30 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("depth")(depth.depth)
-app.command("batch")(batch.batch)
-app.command("info")(info.info)
-app.command("check")(check.check)
-app.command("decode")(decode.decode)
-app.command("convert")(convert.convert)
-app.command("render")(render.render)
-app.command("scene")(scene.scene)
-app.command("eval")(evaluate.evaluate)
-app.command("view")(view.view)
-app.command("live")(live.live)
-app.command("export")(export.export)
-app.command("demo")(demo.demo)
-app.command("backends")(backends.backends)
+app.command("depth", cls=Command)(depth.depth)
+app.command("batch", cls=Command)(batch.batch)
+app.command("info", cls=Command)(info.info)
+app.command("check", cls=Command)(check.check)
+app.command("decode", cls=Command)(decode.decode)
+app.command("convert", cls=Command)(convert.convert)
+app.command("render", cls=Command)(render.render)
+app.command("scene", cls=Command)(scene.scene)
+app.command("eval", cls=Command)(evaluate.evaluate)
+app.command("view", cls=Command)(view.view)
+app.command("live", cls=Command)(live.live)
+app.command("export", cls=Command)(export.export)
+app.command("demo", cls=Command)(demo.demo)
+app.command("backends", cls=Command)(backends.backends)
+app.command("parameters", cls=Command)(parameters.parameters)
 
 
 def main() -> None:
-    """Run the command line and exit: 0 for done, 1 for an error (a sentence on stderr), 2 for wrong usage, 130 for
-    interrupted."""
+    """Run the command line and exit with a code.
+
+    0: done. 1: an error, with one sentence on stderr. 2: wrong usage. 130: interrupted.
+    """
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # names of files may hold what the terminal cannot show
+        sys.stdout.reconfigure(errors="replace")  # file names may hold characters that the terminal cannot show
     app(prog_name="lfgpu")
 
 

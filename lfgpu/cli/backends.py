@@ -1,4 +1,4 @@
-"""`lfgpu backends`: which kernels there are, which can run here and on what."""
+"""`lfgpu backends`: the backends, whether they can run here, and on which devices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def backends() -> None:
-    """Show all backends: whether each is installed, the devices that it sees, and how to install what is missing."""
+    """List the backends: whether each is installed, its devices here, and how to install what is missing."""
     from lfgpu._backends import DEFAULT, describe_backends
     from lfgpu.cli.console import backend_rows, output
 
@@ -27,7 +27,7 @@ def _installed(info: BackendInfo) -> str:
 
 
 def _runs_on(info: BackendInfo) -> list[str]:
-    """A line for each device, or why there is none and what to do."""
+    """One line per device; or why the backend cannot run, and what to do."""
     from lfgpu.cli.machine import device_name
 
     if info.problem is not None:

@@ -1,4 +1,4 @@
-"""`lfgpu batch`: many light fields in, a folder of results for each of them out, whatever happens on the way."""
+"""`lfgpu batch`: depth for many light fields, with a folder of results for each, even if some fail."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ import typer
 from lfgpu._backends import DEFAULT, backend_named
 from lfgpu.cli import values
 from lfgpu.cli.options import (
+    AllowMissing,
     Backend,
     Deterministic,
     DisparityRange,
     Every,
     Flip,
+    FormatName,
     Grid,
     OutFolder,
     Parameters,
@@ -33,28 +35,36 @@ if TYPE_CHECKING:
     from lfgpu.batch.run import Progress, Summary
 
 _INTERRUPTED = 130
-_NAMED = 5  # failures and folders that are named; the report has all
+_NAMED = 5  # failures and folders that are printed by name; the report lists all
 
 
 def batch(
     inputs: Annotated[
         list[str],
-        typer.Argument(metavar="INPUT...", help="Light fields, folders that hold some at any depth, or patterns."),
+        typer.Argument(
+            metavar="INPUT...",
+            help="Light fields, folders that are searched for light fields, or patterns such as 'scans/*'.",
+        ),
     ],
     out: OutFolder,
     sequence: Annotated[
-        bool, typer.Option("--sequence", help="Light fields in one folder are frames: in order, on one worker.")
+        bool,
+        typer.Option(
+            "--sequence", help="Treat the light fields of a folder as frames: one worker processes them in order."
+        ),
     ] = False,
     scheduler: Annotated[
         str | None,
         typer.Option(
-            metavar="ADDRESS", help="Dask scheduler, such as tcp://host:8786.", show_default="a local cluster"
+            metavar="ADDRESS",
+            help="Address of a Dask scheduler, such as tcp://host:8786.",
+            show_default="a local cluster",
         ),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Local processes.", show_default="one for each GPU, or one")
+        int | None, typer.Option(min=1, help="Number of local worker processes.", show_default="one per GPU, or one")
     ] = None,
-    retries: Annotated[int, typer.Option(min=0, help="Tries more for an item whose worker died.")] = 3,
+    retries: Annotated[int, typer.Option(min=0, help="How often an item is tried again after its worker died.")] = 3,
     item_timeout: Annotated[
         float, typer.Option(min=1, metavar="SECONDS", help="An item that takes longer is given up.")
     ] = 7200,
@@ -64,27 +74,26 @@ def batch(
     disparity_range: DisparityRange = None,
     backend: Backend = DEFAULT,
     device: Annotated[
-        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="all GPUs, or the CPU")
+        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="all GPUs, else the CPU")
     ] = None,
     threads: Annotated[
         int | None,
-        typer.Option(min=1, help="Threads of the CPU for each worker.", show_default="its share of the cores"),
+        typer.Option(min=1, help="CPU threads per worker.", show_default="an equal share of the cores"),
     ] = None,
     deterministic: Deterministic = False,
     settings: Parameters = None,
-    format_name: Annotated[
-        str | None, typer.Option("--format", metavar="NAME", help="Format of all inputs.", show_default="recognised")
-    ] = None,
+    format_name: FormatName = None,
     grid: Grid = None,
     every: Every = None,
     flip: Flip = "",
-    allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept grids that lost some views.")] = False,
+    allow_missing: AllowMissing = False,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the disparity of many light fields, on all GPUs of this machine or on a Dask cluster.
 
-    Each gets a folder below FOLDER. manifest.jsonl says what became of them; run the same command again, and only
-    what is missing, failed or stale is computed. In the end, report.html shows all.
+    Each light field gets a folder of results below FOLDER. manifest.jsonl records what happened to each one. Run the
+    same command again to compute only what is missing, failed or out of date. At the end, report.html shows all
+    results.
     """
     from lfgpu.batch.cluster import BatchError, Cluster
     from lfgpu.batch.items import find_items
@@ -96,19 +105,12 @@ def batch(
 
     check_writable(out)
     values.check_pattern("--views", pattern)
-    read_with = {
-        "format": format_name,
-        "allow_missing": allow_missing,
-        "grid": values.parse_grid(grid),
-        "every": every,
-        "flip": flip,
-    }
     how = Settings(
         config=values.configured(preset, settings or ()),
         disparity_range=None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
         place=None if reference_view is None else values.parse_place("--reference-view", reference_view),
         pattern=pattern,
-        reading={name: value for name, value in read_with.items() if value},
+        reading=values.reading(format_name, grid, every, flip, allow_missing=allow_missing),
         backend=backend_named(backend),
         deterministic=deterministic,
     )
@@ -119,7 +121,10 @@ def batch(
         cluster = Cluster(workers=count, devices=devices, threads=threads or _share_of_cores(count), **lasting)
     else:
         if workers is not None:
-            raise LightFieldError("--workers are those of a local cluster; leave it or --scheduler out.")
+            raise LightFieldError(
+                "--workers sets the size of a local cluster, but --scheduler names another cluster; give one of the "
+                "two."
+            )
         devices = () if device is None else (device,)
         cluster = Cluster(scheduler=scheduler, devices=devices, threads=threads, **lasting)
     items, barren = find_items(inputs, sequence=sequence, format_name=format_name, leave_out=out)
@@ -131,7 +136,7 @@ def batch(
     except KeyboardInterrupt:
         done = work.summary.kept + work.summary.computed
         typer.echo(
-            f"lfgpu: interrupted, {done} of {len(items)} items are done; run the same command again to go on.", err=True
+            f"lfgpu: interrupted after {done} of {len(items)} items; run the same command again to continue.", err=True
         )
         raise typer.Exit(_INTERRUPTED) from None
     summary = work.summary
@@ -145,7 +150,7 @@ def batch(
 
 
 def _devices(backend: str, device: str | None) -> tuple[str, ...]:
-    """What local workers compute on; BackendError if it is not there."""
+    """The devices of local workers; BackendError if the backend or the device is missing."""
     from lfgpu._backends import load, pick_device
 
     kernels = load(backend)
@@ -161,7 +166,7 @@ def _share_of_cores(workers: int) -> int:
 
 @contextmanager
 def _display(*, quiet: bool) -> Iterator[Callable[[Progress], None]]:
-    """Show on stderr how far a batch is; nothing where that is no terminal."""
+    """Show the progress of a batch on stderr, if that is a terminal."""
     from rich.console import Console, Group
     from rich.live import Live
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -211,13 +216,13 @@ def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> 
     shown.lines(console, facts(summary))
     if barren:
         more = f" and {len(barren) - _NAMED} more" if len(barren) > _NAMED else ""
-        shown.lines(console, [("no light field", ", ".join(map(str, barren[:_NAMED])) + more)])
+        shown.lines(console, [("no light field in", ", ".join(map(str, barren[:_NAMED])) + more)])
     shown.heading(console, f"Written to {out}")
     shown.lines(
         console,
         [
             ("ITEM/", "disparity.pfm, depth.pfm, result.npz, preview.png"),
-            (MANIFEST_FILE, "what became of each item, with which parameters, its time and scores"),
-            (REPORT_FILE, "all of it on one page"),
+            (MANIFEST_FILE, "status, parameters, time and scores of each item"),
+            (REPORT_FILE, "all results on one page"),
         ],
     )

@@ -1,4 +1,4 @@
-"""`lfgpu eval --scene`: several methods on several scenes, as a table and as error maps; or whole batches."""
+"""`lfgpu eval` for comparisons: several methods on several scenes, or several batches, as tables and error maps."""
 
 from __future__ import annotations
 
@@ -18,13 +18,19 @@ if TYPE_CHECKING:
 _FILES = {
     "table.md": "scores, for a README",
     "table.tex": "the same for LaTeX, with booktabs",
-    "table.csv": "the same for programs, all digits",
-    "errors.png": "error maps, a row for each scene and a column for each method",
+    "table.csv": "the same for programs, with all digits",
+    "errors.png": "error maps: a row per scene, a column per method",
 }
 
 
 def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: int | None) -> None:
-    """Score, show, and write if there is an `out`. LightFieldError if nothing fits together."""
+    """Score methods on scenes, print the table, and write files into the folder `out`, if given.
+
+    Raises
+    ------
+    LightFieldError
+        If a path is missing, two names are equal, a scene has no ground truth, or no method has a result of a scene.
+    """
     from lfgpu.cli.console import comparison, output, remark
     from lfgpu.cli.summary import show_outputs
     from lfgpu.comparison import table
@@ -35,18 +41,28 @@ def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: i
         check_writable(out)
     names = [method.resolve().name for method in methods]
     if len(set(names)) < len(names):
-        raise LightFieldError("two methods have the same name; columns are called as their folders are: rename one.")
+        raise LightFieldError(
+            f"two methods are called {_repeated(names)!r}, but the name of the folder is the title of the column; "
+            "rename one folder."
+        )
     for method in methods:
         if not method.exists():
-            raise LightFieldError(f"{method} does not exist; give folders that hold a result of each scene.")
+            raise LightFieldError(f"{method} does not exist; give folders that hold one result for each scene.")
     left_out = BORDER if border is None else border
     found = [_scene(scene, methods, left_out, alone=len(scenes) == 1) for scene in scenes]
     if len({scene.name for scene in found}) < len(found):
-        raise LightFieldError("two scenes have the same name; rows are called as their folders are: rename one.")
+        raise LightFieldError(
+            f"two scenes are called {_repeated([scene.name for scene in found])!r}, but the name is the title of the "
+            "row; rename one."
+        )
     scored = table(found)
     console = output()
     comparison(console, scored)
-    remark(console, f"Smaller is better; a border of {left_out} left out. BadPix in percent, undefined pixels are bad.")
+    remark(
+        console,
+        f"Smaller is better. A border of {left_out} px is left out. BadPix is in percent and counts undefined pixels "
+        "as bad.",
+    )
     if out is not None:
         _write(out, found, scored)
         show_outputs(console, out, list(_FILES.items()))
@@ -60,7 +76,13 @@ def are_batches(folders: list[Path]) -> bool:
 
 
 def compare_batches(folders: list[Path], out: Path | None) -> None:
-    """The scores that batches have found, of each item with ground truth and on average; LightFieldError if of none."""
+    """Print the scores that batches recorded: of each item with ground truth, and their averages.
+
+    Raises
+    ------
+    LightFieldError
+        If two folders have the same name, or no item has ground truth.
+    """
     from lfgpu.batch.manifest import DONE, read_manifest, standing
     from lfgpu.cli.console import comparison, output, remark
     from lfgpu.cli.summary import show_outputs
@@ -72,7 +94,10 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
         check_writable(out)
     names = [folder.resolve().name for folder in folders]
     if len(set(names)) < len(names):
-        raise LightFieldError("two batches have the same name; columns are called as their folders are: rename one.")
+        raise LightFieldError(
+            f"two batches are called {_repeated(names)!r}, but the name of the folder is the title of the column; "
+            "rename one folder."
+        )
     scores: dict[str, dict[str, Metrics]] = {}
     unscored = gone = 0
     mixed = []
@@ -90,23 +115,34 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
         if len(parameters) > 1:
             mixed.append(name)
     if not scores:
-        raise LightFieldError(f"no item in {', '.join(map(str, folders))} has ground truth; there is nothing to score.")
+        raise LightFieldError(
+            f"no item in {', '.join(map(str, folders))} has ground truth, so there is nothing to compare."
+        )
     scored = table_of(tuple(names), scores)
     console = output()
     comparison(console, scored)
-    remark(console, f"Smaller is better; a border of {BORDER} left out. BadPix in percent, undefined pixels are bad.")
+    remark(
+        console,
+        f"Smaller is better. A border of {BORDER} px is left out. BadPix is in percent and counts undefined pixels as "
+        "bad.",
+    )
     if unscored:
         remark(console, f"{unscored} items failed or have no ground truth.")
     if gone:
-        remark(console, f"{gone} items are left out: their outputs are gone, or they have another name since.")
+        remark(console, f"{gone} items are left out, because their outputs were deleted or renamed.")
     for name in mixed:
-        remark(console, f"{name} was computed with different parameters: run the batch again until all is done.")
+        remark(console, f"The items of {name} have different parameters; run the batch again to bring them up to date.")
     if out is not None:
         from lfgpu.io import atomic_folder
 
         with atomic_folder(out) as folder:
             _write_tables(folder, scored)
         show_outputs(console, out, [(name, what) for name, what in _FILES.items() if name.startswith("table")])
+
+
+def _repeated(names: list[str]) -> str:
+    """The first name that occurs twice."""
+    return next(name for name in names if names.count(name) > 1)
 
 
 def _metrics(found: dict[str, float | None], folder: Path) -> Metrics:
@@ -116,7 +152,7 @@ def _metrics(found: dict[str, float | None], folder: Path) -> Metrics:
         return Metrics(**{name: float("nan") if value is None else value for name, value in found.items()})  # type: ignore[arg-type]
     except TypeError as error:
         raise LightFieldError(
-            f"{folder} was written by a version of lfgpu with other metrics; run it again."
+            f"{folder} was written by another version of lfgpu, with other metrics; run the batch again."
         ) from error
 
 
@@ -142,7 +178,9 @@ def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scen
 
     lf = read(path, allow_missing=True)
     if lf.truth is None:
-        raise LightFieldError(f"{path} holds no ground truth; it cannot be scored.")
+        raise LightFieldError(
+            f"{path} holds no ground truth, so nothing can be scored on it; give a light field with ground truth."
+        )
     truth = lf.truth.disparity
     if lf.truth.mask is not None:
         truth = np.where(lf.truth.mask, truth, np.float32(np.nan))
@@ -154,20 +192,22 @@ def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scen
             maps[method.resolve().name] = _map(file, lf)
     if not maps:
         raise LightFieldError(
-            f"no method has a result of {name}; they are looked for as METHOD/{name}/result.npz, METHOD/{name}.pfm, or "
-            "in METHOD itself if there is one scene only."
+            f"no method has a result of {name}; put it at METHOD/{name}/result.npz or METHOD/{name}.pfm, or, with a "
+            "single scene, in METHOD itself."
         )
     u, v = lf.truth.position
     return Scene(name, lf.image(lf.index_of(v, u)), truth, maps, border)
 
 
 def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
-    """The file of a method's result on a scene; None if it has none."""
+    """The file with a method's result on a scene; None if there is none."""
     from lfgpu.io import MAP_FORMATS, holds_map, result_in
 
     single = [method / f"{scene}{suffix}" for entry in MAP_FORMATS for suffix in entry.suffixes]
     found = result_in(method / scene) or next((file for file in single if holds_map(file)), None)
-    return found or (result_in(method) if alone else None)  # of several scenes it would be scored on each of them
+    return found or (
+        result_in(method) if alone else None
+    )  # with several scenes, one file would be scored on each of them
 
 
 def _map(file: Path, lf: LightField) -> NDArray[np.float32]:
@@ -181,7 +221,7 @@ def _map(file: Path, lf: LightField) -> NDArray[np.float32]:
         result = result.map(result.index_of(lf.truth.position[1], lf.truth.position[0]))
     if result.position is not None and result.position != lf.truth.position:
         raise LightFieldError(
-            f"{file} is of the view at {place(*result.position)}, the truth of {lf.name} of the one at "
-            f"{place(*lf.truth.position)}; they cannot be compared."
+            f"{file} belongs to the view at {place(*result.position)}, but the ground truth of {lf.name} belongs to "
+            f"the view at {place(*lf.truth.position)}; give a result of that view."
         )
     return result.disparity

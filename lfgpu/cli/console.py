@@ -1,4 +1,4 @@
-"""What people see: lines with a label, a table of scores, and how far the computation is."""
+"""What commands print: labelled lines, tables and a progress display."""
 
 from __future__ import annotations
 
@@ -25,11 +25,15 @@ if TYPE_CHECKING:
 Progress = Callable[[str, int, float], None]
 """Called as progress(stage, iteration, value), as `estimate_depth` does."""
 
-_LABELS = 13  # characters, so that the lines of several calls stand in line
-_NARROWEST = 100  # columns where the output goes to a file: nobody wraps it there
+_LABELS = 13  # characters: the width of labels, so that several blocks are aligned
+_NARROWEST = 100  # columns at least where the output is not a terminal
 _KEPT = (100, 95, 90, 75, 50, 25)  # percent
-_RUNNERS = {"keys": "key views", "join": "all views", "tiles": "tiles"}  # stages of those who run a method
-_SHARE = "share"  # what these report
+_RUNNERS = {
+    "keys": "key views",
+    "join": "all views",
+    "tiles": "tiles",
+}  # stages of pipelines, beside those of the method
+_SHARE = "share"  # the value that these report
 
 
 class _Shown(Console):
@@ -51,13 +55,13 @@ def output() -> Console:
 
 
 def heading(console: Console, text: str) -> None:
-    """A line in bold after an empty one."""
+    """An empty line, then a line in bold."""
     console.print()
     console.print(Text(text, style="bold"))
 
 
 def lines(console: Console, facts: Sequence[tuple[str, str]]) -> None:
-    """Texts with a label each; long ones continue below themselves."""
+    """Labelled texts; a long text continues in its own column."""
     grid = Table.grid(padding=(0, 2, 0, 0))
     grid.add_column(min_width=_LABELS, no_wrap=True, style="cyan")
     grid.add_column(overflow="fold")
@@ -67,7 +71,7 @@ def lines(console: Console, facts: Sequence[tuple[str, str]]) -> None:
 
 
 def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
-    """The benchmark's metrics (DESIGN section 8), a row for each map; narrow enough for 80 columns."""
+    """The metrics of the HCI 4D benchmark, a row for each map; fits into 80 columns."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
     table.add_column("")
     for name in ("MSE\nx100", "BadPix\n0.07", "BadPix\n0.03", "BadPix\n0.01", "Q25\nx100", "RMSE", "un-\ndefined"):
@@ -100,7 +104,7 @@ def region_scores(console: Console, rows: Mapping[str, Mapping[str, float]]) -> 
 
 
 def comparison(console: Console, scored: Compared) -> None:
-    """Scenes and metrics from top to bottom, methods from left to right, the best of each row in bold."""
+    """A table with a row per scene and metric and a column per method; the best of each row is bold."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
     table.add_column("scene")
     table.add_column("metric", no_wrap=True)
@@ -117,7 +121,7 @@ def comparison(console: Console, scored: Compared) -> None:
 
 
 def sparsification(console: Console, curve: Sparsification) -> None:
-    """The share of bad pixels among the most confident ones, and the least it could be; fits into 80 columns."""
+    """The share of bad pixels among the most confident ones, and the smallest possible share; fits into 80 columns."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
     table.add_column(f"BadPix {curve.threshold:g}\nof the surest", vertical="bottom", no_wrap=True)
     shown = [index for index, share in enumerate(curve.kept) if round(share) in _KEPT]
@@ -127,18 +131,18 @@ def sparsification(console: Console, curve: Sparsification) -> None:
         table.add_row(name, *(f"{shares[index]:.2f} %" for index in shown))
     console.print(Padding(table, (0, 0, 0, 2), expand=False))
     if math.isnan(curve.ause):
-        remark(console, "No pixel is bad: there is nothing that the confidence could tell.")
+        remark(console, "No pixel is bad, so the confidence cannot be judged.")
         return
     never = "never rises" if curve.monotone else "rises here and there"
     remark(
         console,
-        f"The oracle knows the errors; the area between them is {curve.ause:.3f} (AUSE, 0 is best). The share of bad "
-        f"pixels {never} as less confident ones are left out.",
+        f"The oracle sorts pixels by their true error. The area between both curves is {curve.ause:.3f} (AUSE, 0 is "
+        f"best). The share of bad pixels {never} as less confident pixels are left out.",
     )
 
 
 def backend_rows(console: Console, rows: Sequence[tuple[str, str, Sequence[str]]]) -> None:
-    """A row for each backend: its name, what of it is installed, and lines on where it runs or why it does not."""
+    """A row for each backend: its name, the installed package, and its devices or why it cannot run."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
     table.add_column("backend", no_wrap=True)
     table.add_column("needs", no_wrap=True)
@@ -171,7 +175,7 @@ def waiting(text: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
-    """Show each stage with its iterations and value on stderr while the block runs; nothing where it is no terminal."""
+    """Show the stages, their iterations and values on stderr while the block runs, if stderr is a terminal."""
     from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Display
 
@@ -203,7 +207,7 @@ def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
 
 
 def _said(stage: Stage | None, value: float) -> str:
-    """What a stage reports after an iteration, with its unit."""
+    """The value of a stage after an iteration, with its name and unit."""
     if stage is None or stage.value is None:
         return f"{_SHARE} {value:.6g}"
     return f"{stage.value} {value:.6g} {stage.unit or ''}".rstrip()

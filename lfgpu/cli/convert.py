@@ -1,4 +1,4 @@
-"""`lfgpu convert`: a result or a map as a file of another format."""
+"""`lfgpu convert`: a disparity map in another file format."""
 
 from __future__ import annotations
 
@@ -13,21 +13,26 @@ from lfgpu.errors import LightFieldError
 
 def convert(
     result: Annotated[
-        Path, typer.Argument(metavar="RESULT", help="A folder that depth wrote, a file of it, or another map.")
+        Path, typer.Argument(metavar="RESULT", help="A folder that `lfgpu depth` wrote, a file in it, or another map.")
     ],
     out: Annotated[
-        Path, typer.Option("-o", "--out", metavar="FILE", help="Its suffix says what: .pfm .png .tif .exr .npz .ply.")
+        Path,
+        typer.Option(
+            "-o", "--out", metavar="FILE", help="Output; its suffix is the format: .pfm .png .tif .exr .npz .ply."
+        ),
     ],
     view: Annotated[
         str | None,
-        typer.Option(metavar="ROW,COL", help="Of maps of all views, that of this one.", show_default="the reference"),
+        typer.Option(
+            metavar="ROW,COL", help="Which map to take from maps of all views.", show_default="the reference view"
+        ),
     ] = None,
     colours: Annotated[
         Path | None,
-        typer.Option("--image", metavar="INPUT", help="The light field, for the colours of a point cloud."),
+        typer.Option("--image", metavar="INPUT", help="Light field that gives the colours of a point cloud."),
     ] = None,
 ) -> None:
-    """Write a disparity map in another format, or its points in space, with all it takes to read it right."""
+    """Write a disparity map in another format, or as a point cloud, with its metadata."""
     from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import check_writable, load, read, save, writable_format
 
@@ -38,12 +43,18 @@ def convert(
     if isinstance(found, ViewsResult):
         found = found.map(found.keys[0] if place is None else found.index_of(*place))
     elif place is not None:
-        raise LightFieldError(f"--view: {result} holds one map only; leave it out, or give a disparities.npz.")
+        raise LightFieldError(
+            f"--view chooses from the maps of all views, but {result} holds a single map; leave --view out, or give a "
+            "disparities.npz."
+        )
     image = None
     if colours is not None:
         lf = read(colours, allow_missing=True)
         if found.position is None:
-            raise LightFieldError(f"{result} does not say which view it belongs to: its points cannot be coloured.")
+            raise LightFieldError(
+                f"{result} does not say which view it belongs to, so --image cannot colour its points; leave --image "
+                "out."
+            )
         u, v = found.position
         image = lf.view(v, u)
     save(found, out, image=image)

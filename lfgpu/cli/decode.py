@@ -1,4 +1,4 @@
-"""`lfgpu decode`: the views of a raw lenslet capture, as files."""
+"""`lfgpu decode`: the views of a raw capture of a lenslet camera, as image files."""
 
 from __future__ import annotations
 
@@ -12,22 +12,28 @@ from lfgpu.errors import LightFieldError
 
 def decode(
     source: Annotated[
-        Path, typer.Argument(metavar="RAW", help="A raw capture: .lfp, .lfr, .raw, or a grey picture of the sensor.")
+        Path, typer.Argument(metavar="RAW", help="Raw capture: .lfp, .lfr, .raw, or a grey image of the sensor.")
     ],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the views go; made if missing.")],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the views; created if missing.")
+    ],
     white: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="White image of the same camera and zoom.", show_default="the capture itself"
+            metavar="FILE", help="White image, taken with the same camera and zoom.", show_default="the capture itself"
         ),
     ] = None,
     bayer: Annotated[
         str | None,
-        typer.Option(metavar="PATTERN", help="bggr, grbg, gbrg, rggb or grey.", show_default="found"),
+        typer.Option(
+            metavar="PATTERN", help="Colour filter of the sensor: bggr, grbg, gbrg, rggb or grey.", show_default="found"
+        ),
     ] = None,
     views: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Views along each side.", show_default="as many as lie under a microlens"),
+        typer.Option(
+            metavar="N", help="Rows and columns of views.", show_default="as many as pixels under a microlens"
+        ),
     ] = None,
 ) -> None:
     """Make views of a raw capture of a lenslet camera: 16-bit PNG files that all commands read, and the lattice found.
@@ -71,8 +77,8 @@ def decode(
     lines(
         console,
         [
-            ("view_row_col.png", "views, 16 bits, square roots of linear values"),
-            (ABOUT_FILE, "the grid of microlenses, colours and values"),
+            ("view_row_col.png", "views: 16 bits, square roots of linear values"),
+            (ABOUT_FILE, "grid of microlenses, colours and value range"),
         ],
     )
 

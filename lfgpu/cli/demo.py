@@ -1,4 +1,4 @@
-"""`lfgpu demo`: everything once, on a scene whose truth is known."""
+"""`lfgpu demo`: the whole pipeline on a synthetic scene with exact ground truth."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ if TYPE_CHECKING:
     from lfgpu.metrics import Metrics
 
 GRID, SIZE = (7, 7), (192, 256)
-"""Small enough for a few seconds on two cores of a CPU."""
+"""Size of the light field: a few seconds of work on two CPU cores."""
 
 _SCENE, _LIGHT_FIELD, _OVERVIEW, _CURVE = "boxes", "light-field", "overview.png", "sparsification.png"
 
 
 def demo(
     out: Annotated[
-        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where everything goes; made if missing.")
+        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for all files; created if missing.")
     ] = Path("lfgpu-demo"),
-    seed: Annotated[int, typer.Option(help="Another scene for each.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the random scene.")] = 0,
     threads: Threads = None,
 ) -> None:
-    """Make a light field, estimate its depth, compare with the exact truth and draw an overview."""
+    """Make a synthetic light field, estimate its depth, compare it with the exact ground truth and draw an overview."""
     from lfgpu.cli import summary, values
     from lfgpu.cli.console import output
     from lfgpu.cli.depth import Estimation
@@ -54,11 +54,11 @@ def demo(
         _draw_overview(lf, result, scores, folder / _OVERVIEW)
         if curve is not None:
             save_png(sparsification_figure(curve, name=lf.name), folder / _CURVE)
-            files.append((_CURVE, "the share of bad pixels among the most confident ones"))
+            files.append((_CURVE, "share of bad pixels among the most confident ones"))
     summary.show_outputs(
         console,
         out,
-        [(_OVERVIEW, "look here first: view, map, truth and error"), *files, (_LIGHT_FIELD, "the views themselves")],
+        [(_OVERVIEW, "start here: view, map, ground truth and error"), *files, (_LIGHT_FIELD, "the views")],
     )
     _show_next(out)
 
@@ -67,7 +67,7 @@ def _draw_overview(lf: LightField, result: DepthResult, scores: dict[str, Metric
     from lfgpu.metrics import BORDER
     from lfgpu.viz.figures import overview_figure, save_png
 
-    assert lf.truth is not None  # the scene brings it along
+    assert lf.truth is not None  # synthetic scenes have it
     view, title = lf.image(lf.reference_index), lf.name
     if scores:
         m = scores[next(reversed(result.stages))]

@@ -1,4 +1,4 @@
-"""`lfgpu depth`: a light field in, a folder of maps and pictures out."""
+"""`lfgpu depth`: a disparity map of a light field, with confidence and depth, as a folder of files."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Estimation:
-    """How to estimate, checked before anything is read or computed."""
+    """The options of an estimate, which are checked before anything is read or computed."""
 
     config: Config
     disparity_range: tuple[float, float] | None = None
@@ -49,13 +49,13 @@ class Estimation:
     max_memory: str | None = None
 
     def check_device(self) -> None:
-        """BackendError if the backend or the device is not there."""
+        """BackendError if the backend or the device is missing."""
         from lfgpu._backends import load, pick_device
 
         pick_device(load(self.backend), self.device)
 
     def run(self, lf: LightField, *, quiet: bool) -> DepthResult:
-        """The estimate, with a progress display on a terminal."""
+        """Estimate the map of the reference view, with a progress display."""
         from lfgpu.cli.console import progress
         from lfgpu.pipelines.estimate import estimate_depth
 
@@ -63,7 +63,7 @@ class Estimation:
             return estimate_depth(lf, on_progress=on_progress, **self._options)
 
     def run_all(self, lf: LightField, *, quiet: bool) -> ViewsResult:
-        """The same for all views."""
+        """Estimate the maps of all views, with a progress display."""
         from lfgpu.cli.console import progress
         from lfgpu.pipelines.all_views import estimate_all_views
 
@@ -82,15 +82,14 @@ def depth(
     preset: Preset = "accurate",
     reference_view: ReferenceView = None,
     pattern: Pattern = "full",
-    all_views: Annotated[
-        bool, typer.Option("--all-views", help="Also write maps of all views, consistent with each other.")
-    ] = False,
+    all_views: Annotated[bool, typer.Option("--all-views", help="Also write consistent maps of all views.")] = False,
     saved: Annotated[
         list[str] | None,
         typer.Option(
             "--save",
             metavar="FILE",
-            help="Also write the map as this file in FOLDER: .exr, .tif, .png, .pfm, .npz, or its points: .ply.",
+            help="Also write the map to FILE in FOLDER, as .exr, .tif, .png, .pfm or .npz, or as a point cloud .ply; "
+            "may be repeated.",
         ),
     ] = None,
     fill: Annotated[
@@ -104,7 +103,9 @@ def depth(
     max_memory: Annotated[
         str | None,
         typer.Option(
-            metavar="SIZE", help="Estimate in tiles that take no more, such as 8GiB.", show_default="no limit"
+            metavar="SIZE",
+            help="Memory limit, such as 8GiB; larger light fields are estimated in tiles.",
+            show_default="no limit",
         ),
     ] = None,
     settings: Parameters = None,
@@ -114,14 +115,14 @@ def depth(
     flip: Flip = "",
     allow_missing: AllowMissing = False,
     report: Annotated[
-        bool, typer.Option("--report", help="Also write report.html: input, maps, scores, parameters on one page.")
+        bool, typer.Option("--report", help="Also write report.html: input, maps, scores and parameters on one page.")
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the disparity of one view, or of all, and depth if the cameras are known.
+    """Estimate the disparity of one view, or of all views, and metric depth if the cameras are known.
 
-    Writes maps (.pfm), pictures (.png) and everything together as result.npz, the maps of all views as
-    disparities.npz: all of it or nothing.
+    Writes maps (.pfm), pictures (.png) and a result.npz with everything; --all-views adds disparities.npz. If anything
+    fails, no file is written.
     """
     from lfgpu.cli import summary
     from lfgpu.cli.console import output
@@ -143,21 +144,16 @@ def depth(
     if max_memory is not None:
         parse_memory(max_memory)
         if all_views:
-            raise LightFieldError("--max-memory is for the map of one view; leave it or --all-views out.")
+            raise LightFieldError(
+                "--max-memory works for the map of one view only; leave out --max-memory or --all-views."
+            )
     place = None if reference_view is None else values.parse_place("--reference-view", reference_view)
     values.check_pattern("--views", pattern)
+    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
     values.use_threads("--threads", threads)
     estimation.check_device()
 
-    lf = read(
-        source,
-        format=format_name,
-        allow_missing=allow_missing,
-        grid=values.parse_grid(grid),
-        every=every,
-        flip=flip,
-        lazy=max_memory is not None,
-    )
+    lf = read(source, lazy=max_memory is not None, **reading)
     lf = _chosen(lf, place, pattern)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)

@@ -1,4 +1,4 @@
-"""`lfgpu eval`: how far a disparity map is from the truth."""
+"""`lfgpu eval`: the error of a disparity map against ground truth."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ def evaluate(
         list[Path],
         typer.Argument(
             metavar="RESULT TRUTH | METHOD... | BATCH...",
-            help="A map (.pfm, .npz, .tif, .exr, ...) or a folder that depth wrote, and the truth: a map, or a light "
-            "field folder that holds it. With --scene: folders of such results. Or folders that batch wrote.",
+            help="A map (.pfm, .npz, .tif, .exr, ...) or a folder that `lfgpu depth` wrote, and its ground truth: a "
+            "map, or a light field with ground truth. With --scene: folders of results. Or folders that `lfgpu batch` "
+            "wrote.",
         ),
     ],
     scenes: Annotated[
@@ -32,18 +33,21 @@ def evaluate(
         typer.Option(
             "--scene",
             metavar="TRUTH",
-            help="Compare methods on this light field; may be repeated. A METHOD has its result in NAME/ or NAME.pfm.",
+            help="Light field with ground truth on which methods are compared; may be repeated. A METHOD folder holds "
+            "its result as NAME/ or NAME.pfm.",
         ),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FOLDER", help="Where tables and error maps of a comparison go."),
+        typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the tables and error maps of a comparison."),
     ] = None,
     mask: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Image, not zero where it is scored.", show_default="that of TRUTH"),
+        typer.Option(metavar="FILE", help="Image that is not zero at scored pixels.", show_default="the mask of TRUTH"),
     ] = None,
-    border: Annotated[int | None, typer.Option(help="Pixels left out at each side.", show_default="15")] = None,
+    border: Annotated[
+        int | None, typer.Option(help="Width of the border that is left out, pixels.", show_default="15")
+    ] = None,
     submission: Annotated[
         Path | None,
         typer.Option(
@@ -54,11 +58,11 @@ def evaluate(
         ),
     ] = None,
 ) -> None:
-    """Score a disparity map with the metrics of the HCI 4D Light Field Benchmark; smaller is better throughout.
+    """Score a disparity map with the metrics of the HCI 4D Light Field Benchmark; smaller is better.
 
-    For what depth wrote, also the share of bad pixels among the most confident ones. Several methods on several scenes
-    give one table, and with -o files: table.md, table.tex, table.csv and errors.png. So do whole batches, but for the
-    picture: all their items that have ground truth, and the averages.
+    Results of `lfgpu depth` also get a sparsification curve: the share of bad pixels among the most confident ones.
+    Several methods on several scenes (--scene) give one table; -o writes it as table.md, table.tex and table.csv, with
+    error maps in errors.png. Several batches give one table of all items with ground truth.
     """
     if submission is not None:
         if scenes or out is not None or mask is not None or border is not None:
@@ -69,7 +73,9 @@ def evaluate(
         return
     if scenes:
         if mask is not None:
-            raise LightFieldError("--mask belongs to one scene; with --scene, the masks of the light fields are used.")
+            raise LightFieldError(
+                "--mask does not work with --scene, which uses the masks of the light fields; leave --mask out."
+            )
         from lfgpu.cli.compare import compare
 
         compare(paths, scenes, out, border)
@@ -78,13 +84,16 @@ def evaluate(
 
     if are_batches(paths):
         if mask is not None or border is not None:
-            raise LightFieldError("batches were scored when they ran; for --mask or --border, give --scene as well.")
+            raise LightFieldError(
+                "--mask and --border do not work with batches, which were scored when they ran; leave them out, or "
+                "give --scene."
+            )
         compare_batches(paths, out)
         return
     if len(paths) != 2:
         raise typer.BadParameter("give one RESULT and its TRUTH, or methods and --scene.")
     if out is not None:
-        raise typer.BadParameter("--out is for comparisons: give the light fields with --scene.")
+        raise typer.BadParameter("--out works for comparisons only; give --scene as well.")
     result, truth = paths
     _score(result, truth, mask, border)
 
@@ -146,7 +155,7 @@ def _submit(results: list[Path], out: Path) -> None:
 
 
 def _maps(path: Path, truth: Path) -> tuple[dict[str, NDArray[np.float32]], DepthResult | DisparityMap | None]:
-    """The maps to score by name, the stages of a result each, and what they are of where the file says that."""
+    """The maps to score, by name (the stages of a result), and the estimate itself, if its view is known."""
     from lfgpu.data.result import DepthResult
     from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import load, result_in
@@ -162,7 +171,7 @@ def _maps(path: Path, truth: Path) -> tuple[dict[str, NDArray[np.float32]], Dept
 
 
 def _true_view(result: ViewsResult, truth: Path) -> int:
-    """The view whose truth a light field folder holds; the reference view where it is a map."""
+    """Index of the view whose ground truth a light field holds; the reference view if `truth` is a map."""
     from lfgpu.io import read
 
     known = read(truth, allow_missing=True).truth if truth.is_dir() else None
@@ -174,11 +183,13 @@ def _true_view(result: ViewsResult, truth: Path) -> int:
 
 def _check_exists(path: Path) -> None:
     if not path.exists():
-        raise LightFieldError(f"{path} does not exist; give a map, a folder that depth wrote, or a light field.")
+        raise LightFieldError(
+            f"{path} does not exist; give a map, a folder that `lfgpu depth` wrote, or a light field."
+        )
 
 
 def _truth(path: Path, position: tuple[float, float] | None) -> GroundTruth:
-    """The truth in a map or a light field; the latter's has to be of the view at `position`, if that is known."""
+    """The ground truth in a map or in a light field, which must belong to the view at `position` (u, v), if known."""
     from lfgpu.cli.facts import place
     from lfgpu.data.lightfield import GroundTruth
     from lfgpu.io import read, read_map
@@ -188,10 +199,10 @@ def _truth(path: Path, position: tuple[float, float] | None) -> GroundTruth:
         return GroundTruth(read_map(path), position or (0.0, 0.0))
     known = read(path, allow_missing=True).truth
     if known is None:
-        raise LightFieldError(f"{path} holds no ground truth; give the map file or another light field.")
+        raise LightFieldError(f"{path} holds no ground truth; give a map of it, or another light field.")
     if position is not None and known.position != position:
         raise LightFieldError(
-            f"the truth in {path} is of the view at {place(*known.position)}, the result of the one at "
-            f"{place(*position)}; they cannot be compared."
+            f"the ground truth in {path} belongs to the view at {place(*known.position)}, but the result belongs to "
+            f"the view at {place(*position)}; give a result of that view."
         )
     return known

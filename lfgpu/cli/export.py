@@ -1,4 +1,4 @@
-"""`lfgpu export`: a pipeline as files, for programs without Python."""
+"""`lfgpu export`: the estimate as files that a C++ program runs without Python."""
 
 from __future__ import annotations
 
@@ -8,25 +8,36 @@ from typing import Annotated
 import typer
 
 from lfgpu.cli import values
-from lfgpu.cli.options import Parameters
+from lfgpu.cli.options import AllowMissing, DisparityRange, Every, Flip, FormatName, Grid, Parameters
 
 
 def export(
-    source: Annotated[Path, typer.Argument(metavar="INPUT", help="A light field of the kind that it is for.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the files go; made if missing.")],
-    preset: Annotated[str, typer.Option(metavar="NAME", help="accurate or fast.")] = "accurate",
-    disparity_range: Annotated[
-        str | None, typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found")
-    ] = None,
-    device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu or cuda.")] = "cpu",
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="INPUT", help="Light field with the same cameras and size as those to be estimated."),
+    ],
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the files; created if missing.")
+    ],
+    preset: Annotated[
+        str, typer.Option(metavar="NAME", help="Parameters to start from: {recordable presets}.")
+    ] = "accurate",
+    disparity_range: DisparityRange = None,
+    device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.")] = "cpu",
     settings: Parameters = None,
+    format_name: FormatName = None,
+    grid: Grid = None,
+    every: Every = None,
+    flip: Flip = "",
+    allow_missing: AllowMissing = False,
 ) -> None:
-    """Write the estimate for light fields like INPUT as files that a program in C++ replays, and that program."""
+    """Write the estimate for light fields like INPUT as files, and a C++ program that runs them without Python."""
     from lfgpu.io import check_writable, read
     from lfgpu.pipelines.export import export_pipeline
 
     check_writable(out)
     config = values.configured(preset, settings or ())
     bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
-    export_pipeline(read(source), out, config=config, disparity_range=bounds, device=device)
+    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
+    export_pipeline(read(source, **reading), out, config=config, disparity_range=bounds, device=device)
     typer.echo(f"Wrote the pipeline and replay.cpp to {out}; README.txt there says how to build and run it.")

@@ -1,4 +1,4 @@
-"""What there is to say about a light field: one line for each fact."""
+"""Facts about a light field, one line of text each."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ if TYPE_CHECKING:
     from lfgpu.data.geometry import Geometry
     from lfgpu.data.lightfield import LightField
 
-_NAMED = 8  # so many missing views are named
+_NAMED = 8  # missing views that are named
 
 
 def views(lf: LightField) -> str:
-    """How many views there are and how they stand: "81 of 81 in a 9 x 9 grid"."""
+    """The number and arrangement of the views: "81 of 81 in a 9 x 9 grid"."""
     if lf.grid_shape is None:
         return f"{len(lf.views)}, not in a grid"
     rows, columns = lf.grid_shape
@@ -50,17 +50,17 @@ def size(lf: LightField) -> str:
 
 
 def reference(lf: LightField) -> str:
-    """Where the reference view stands."""
+    """The position of the reference view."""
     return place(*lf.positions[lf.reference_index])
 
 
 def place(u: float, v: float) -> str:
-    """A position (u, v) in the words that people give it with."""
+    """A position (u, v) in words: "row 4, column 4"."""
     return f"row {v:g}, column {u:g}"
 
 
 def offsets(lf: LightField) -> str:
-    """How far the other cameras stand from the reference camera."""
+    """The range of the offsets from the reference view."""
     (left, top), (right, bottom) = lf.offsets.min(axis=0), lf.offsets.max(axis=0)
     return f"{left:g} to {right:g} view steps across (du), {top:g} to {bottom:g} down (dv), from the reference view"
 
@@ -77,7 +77,7 @@ def geometry(known: Geometry | None) -> str:
 
 
 def truth(lf: LightField) -> str:
-    """Of which view the true disparity is known, its range, and how much of it is scored."""
+    """The view whose ground truth is known, its range, and the share of it that is scored."""
     import numpy as np
 
     if lf.truth is None:

@@ -1,4 +1,4 @@
-"""Whatever goes wrong in a command becomes one sentence on stderr and an exit code."""
+"""Errors of commands: each becomes one sentence on stderr and an exit code."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typer.core import TyperGroup
 from lfgpu.errors import LfgpuError
 from lfgpu.printable import message
 
-_FAILED, _INTERRUPTED = 1, 130  # 130: what shells give for a program that Ctrl-C ended
-_INTERRUPTION = "interrupted, nothing was written."
-_MEMORY = "the memory does not suffice; take fewer views (--views cross) or smaller ones."
-_DEVICE_MEMORY = "the memory of the device does not suffice; take fewer views (--views cross) or --device cpu."
+_FAILED, _INTERRUPTED = 1, 130  # 130: the exit code of shells after Ctrl-C
+_INTERRUPTION = "interrupted; nothing was written."
+_MEMORY = "out of memory; use fewer views (--views cross) or smaller ones."
+_DEVICE_MEMORY = "out of memory on the device; use fewer views (--views cross) or --device cpu."
 
 
 class Group(TyperGroup):
-    """The commands, with everything that a person can cause turned into a sentence; bugs keep their traceback.
+    """The group of all commands. Errors that users can cause become a sentence; bugs keep their traceback.
 
-    Sentences begin with the name that `typer.Typer` is given.
+    Sentences begin with the name of the program.
     """
 
     def invoke(self, ctx: Any) -> Any:
@@ -41,15 +41,15 @@ class Group(TyperGroup):
 
 
 def _sentence(error: Exception) -> str | None:
-    """What to say about an error; None if it is not a person's doing."""
+    """The sentence about an error; None if it is a bug."""
     if isinstance(error, LfgpuError):
         return str(error)
     if isinstance(error, MemoryError):
         return _MEMORY
     if isinstance(error, OSError):
-        # A reader such as `head` that has seen enough is no error: typer ends quietly.
+        # A reader such as `head` that closes the pipe is no error: typer ends quietly.
         return None if error.errno == errno.EPIPE else _of_system(error)
-    return _DEVICE_MEMORY if "Failed to allocate" in str(error) else None  # Warp's words
+    return _DEVICE_MEMORY if "Failed to allocate" in str(error) else None  # the message of Warp
 
 
 def _of_system(error: OSError) -> str:

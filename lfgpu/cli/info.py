@@ -1,4 +1,4 @@
-"""`lfgpu info`: what a light field is taken for, before anything is computed."""
+"""`lfgpu info`: how a light field is read, without computing anything."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ def info(
     flip: Flip = "",
     write: Annotated[
         Path | None,
-        typer.Option("--write", metavar="FILE", help="Describe it in a .toml or .json file, to be changed and read."),
+        typer.Option(
+            "--write",
+            metavar="FILE",
+            help="Write a description (.toml or .json) that can be edited and read as a light field.",
+        ),
     ] = None,
 ) -> None:
-    """Show what the files are taken for: grid, views, cameras, ground truth. Missing views are reported, no error."""
+    """Show how a light field is read: format, grid, views, cameras, ground truth. Missing views are no error here."""
     from lfgpu.cli import facts, values
     from lfgpu.cli.console import heading, lines, output, waiting
     from lfgpu.io import inside, read, recognise, write_description

@@ -1,4 +1,4 @@
-"""`lfgpu live`: depth for each frame while they come."""
+"""`lfgpu live`: depth of a stream of frames."""
 
 from __future__ import annotations
 
@@ -27,48 +27,65 @@ def live(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="SOURCE", help="A folder of light fields, a scene such as moving, or a grabber as module:function."
+            metavar="SOURCE",
+            help="A folder of light fields, a synthetic scene such as moving, or a grabber as module:function.",
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FOLDER", help="Record each map there as it comes, and what happened."),
+        typer.Option(
+            "-o", "--out", metavar="FOLDER", help="Folder in which each map is recorded as it comes, with a log."
+        ),
     ] = None,
-    preset: Annotated[str, typer.Option(metavar="NAME", help="accurate or fast.")] = "accurate",
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Parameters to start from: {live presets}.")] = "accurate",
     disparity_range: Annotated[
         str | None,
-        typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found on the first"),
+        typer.Option(
+            metavar="LOW,HIGH",
+            help="Smallest and largest disparity, pixels per view step.",
+            show_default="found on the first frame",
+        ),
     ] = None,
     policy: Annotated[
         str | None,
         typer.Option(
             metavar="NAME[:N]",
-            help="Frames that come too fast: latest (a newer one takes the place of the one that waits), block (the "
-            "source waits) or queue:N (N wait).",
+            help="What happens to frames that come too fast: latest (only the newest one waits), block (the source "
+            "waits) or queue:N (up to N frames wait).",
             show_default="latest; block for a folder",
         ),
     ] = None,
     budget: Annotated[
-        float | None, typer.Option(metavar="MS", help="Milliseconds of the device for a frame; does what fits.")
+        float | None,
+        typer.Option(metavar="MS", help="Device time per frame, milliseconds; the work is reduced to fit."),
     ] = None,
-    cold: Annotated[bool, typer.Option("--cold", help="Each frame on its own, not from the last map.")] = False,
-    fps: Annotated[float | None, typer.Option(metavar="RATE", help="Take at most so many frames a second.")] = None,
-    frames: Annotated[int | None, typer.Option(metavar="N", help="End after so many.", min=1)] = None,
-    grid: Annotated[str, typer.Option(metavar="ROWSxCOLUMNS", help="Views of a scene.")] = "7x7",
-    size: Annotated[str, typer.Option(metavar="HEIGHTxWIDTH", help="Pixels of a scene's views.")] = "192x256",
-    noise: Annotated[float, typer.Option(help="Noise of a scene's views, intensities being 0 to 1.")] = 0.005,
+    cold: Annotated[
+        bool, typer.Option("--cold", help="Estimate each frame independently, without the temporal prior.")
+    ] = False,
+    fps: Annotated[float | None, typer.Option(metavar="RATE", help="Largest number of frames per second.")] = None,
+    frames: Annotated[int | None, typer.Option(metavar="N", help="Stop after N frames.", min=1)] = None,
+    grid: Annotated[str, typer.Option(metavar="ROWSxCOLUMNS", help="Grid of views of a synthetic scene.")] = "7x7",
+    size: Annotated[
+        str, typer.Option(metavar="HEIGHTxWIDTH", help="Size of the views of a synthetic scene, pixels.")
+    ] = "192x256",
+    noise: Annotated[
+        float, typer.Option(help="Noise of the views of a synthetic scene: standard deviation, intensities 0 to 1.")
+    ] = 0.005,
     device: Device = None,
     threads: Threads = None,
     settings: Parameters = None,
     metrics: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Keep the numbers there, in the text format of Prometheus.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="File that is kept up to date with statistics, in the text format of Prometheus."
+        ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the disparity of each frame while they come; Ctrl-C ends it.
+    """Estimate the disparity of each frame of a stream. Ctrl-C ends it.
 
-    With -o each map is written as soon as it is there (disparity_000000.pfm, confidence_000000.pfm), at the end
-    live.json with what became of every frame.
+    With -o each map is written as soon as it is computed (disparity_000000.pfm, confidence_000000.pfm). At the end
+    live.json records what happened to every frame.
     """
     from lfgpu.io import check_writable
     from lfgpu.methods.temporal_prior import TemporalPrior
@@ -114,7 +131,7 @@ def live(
 
 
 class Record:
-    """What became of each frame, and the maps in a folder if there is one."""
+    """The log of all frames; with a folder, it also writes the maps."""
 
     def __init__(self, out: Path | None) -> None:
         self.out, self._frames, self.failed = out, [], []  # type: ignore[var-annotated]
@@ -122,7 +139,7 @@ class Record:
             out.mkdir(parents=True, exist_ok=True)
 
     def add(self, result: StreamResult) -> None:
-        """A frame has come to its end."""
+        """Record a frame that has a result, failed or was dropped."""
         from lfgpu.io import write_pfm
 
         if result.error is not None:
@@ -148,7 +165,7 @@ class Record:
         )
 
     def finish(self, stream: DepthStream, stats: dict[str, Any]) -> None:
-        """Write what happened."""
+        """Write the log."""
         if self.out is None:
             return
         from dataclasses import asdict
@@ -169,7 +186,7 @@ class Record:
 
 
 class Display:
-    """Rate and latency on a terminal while frames come, and in a file for those who watch from elsewhere."""
+    """Shows rate and latency on a terminal while frames come, and keeps a file of statistics up to date."""
 
     def __init__(self, stream: DepthStream, metrics: Path | None, *, quiet: bool) -> None:
         from rich.console import Console
@@ -193,7 +210,7 @@ class Display:
             self._live.stop()
 
     def look(self, _: StreamResult | None) -> None:
-        """Show how it goes, if that is some time ago."""
+        """Update the display, unless that was done a moment ago."""
         now = time.monotonic()
         if now < self._next:
             return
@@ -211,7 +228,7 @@ class Display:
 
 
 def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
-    """What people want to know of a stream, a label and a text each."""
+    """The statistics of a stream for people, as pairs of label and text."""
 
     def times(what: str) -> str:
         return " / ".join(f"{stats[f'{what}_p{quantile}_ms']:.1f}" for quantile in (50, 95, 99))

@@ -1,4 +1,4 @@
-"""What people call the devices of this machine; backends know them as "cpu" and "cuda:0"."""
+"""The product names of devices that backends call "cpu" and "cuda:0"."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import platform
 import sys
 from pathlib import Path
 
-_LONGEST = 256  # bytes of a name, its end included
+_LONGEST = 256  # bytes of a name, with its terminating zero
 
 
 def device_name(device: str) -> str | None:
-    """The make of a device, such as "NVIDIA H200" for "cuda:0"; None if it is not known."""
+    """The product name of a device, such as "NVIDIA H200" for "cuda:0"; None if unknown."""
     if device == "cpu":
         return _cpu()
     kind, _, index = device.partition(":")
@@ -29,7 +29,7 @@ def _cpu() -> str | None:
 
 
 def _gpu(index: int) -> str | None:
-    """What the CUDA driver calls a GPU: it numbers them as the backends do."""
+    """The name of a GPU from the CUDA driver, which numbers GPUs as the backends do."""
     try:
         driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:

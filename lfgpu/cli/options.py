@@ -7,35 +7,42 @@ from typing import Annotated
 
 import typer
 
-from lfgpu._backends import list_backends
-
 Threads = Annotated[
     int | None,
-    typer.Option("--threads", metavar="N", help="Threads of the CPU to use at most.", show_default="one for each core"),
+    typer.Option("--threads", metavar="N", help="Largest number of CPU threads.", show_default="one per core"),
 ]
 
 Grid = Annotated[
     str | None,
-    typer.Option("--grid", metavar="ROWSxCOLUMNS", help="How the views stand.", show_default="found, or asked for"),
+    typer.Option(
+        "--grid",
+        metavar="ROWSxCOLUMNS",
+        help="Rows and columns of the grid of views.",
+        show_default="found from the input",
+    ),
 ]
 Every = Annotated[
-    int | None, typer.Option("--every", metavar="N", help="Take one image or frame of N.", show_default="all")
+    int | None,
+    typer.Option("--every", metavar="N", help="Use every N-th image or frame as a view.", show_default="all"),
 ]
 Flip = Annotated[
     str,
-    typer.Option("--flip", metavar="AXES", help="Cameras are counted from the right (u), from below (v): u, v, uv."),
+    typer.Option("--flip", metavar="AXES", help="Reverse the order of the columns (u), the rows (v) or both (uv)."),
 ]
 
 OutFolder = Annotated[
-    Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where the outputs go; made if missing.")
+    Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the outputs; created if missing.")
 ]
 
-Preset = Annotated[str, typer.Option("--preset", metavar="NAME", help="Set of parameters to start from.")]
+Preset = Annotated[str, typer.Option("--preset", metavar="NAME", help="Parameters to start from. {presets}.")]
 
 ReferenceView = Annotated[
     str | None,
     typer.Option(
-        "--reference-view", metavar="ROW,COL", help="View to estimate, counted from 0.", show_default="the centre"
+        "--reference-view",
+        metavar="ROW,COL",
+        help="Reference view: the view to estimate, counted from 0.",
+        show_default="the centre",
     ),
 ]
 
@@ -48,34 +55,39 @@ DisparityRange = Annotated[
     typer.Option(
         "--disparity-range",
         metavar="LOW,HIGH",
-        help="Bounds in pixels per view step, larger is nearer.",
+        help="Smallest and largest disparity, pixels per view step; larger is nearer.",
         show_default="found",
     ),
 ]
 
-Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help=f"Kernels: {', '.join(list_backends())}.")]
+Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="Backend that computes: {backends}.")]
 
 Deterministic = Annotated[
     bool,
-    typer.Option("--deterministic", help="Refuse backends whose maps differ from run to run by their last bits."),
+    typer.Option("--deterministic", help="Refuse backends whose results are not bit-identical from run to run."),
 ]
 
 Parameters = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="STAGE.PARAMETER=VALUE", help="Change one parameter; may be repeated."),
+    typer.Option(
+        "--set",
+        metavar="STAGE.PARAMETER=VALUE",
+        help="Change one parameter; may be repeated. `lfgpu parameters` lists them.",
+    ),
 ]
 
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing unless something goes wrong.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 
 Device = Annotated[
     str | None,
-    typer.Option("--device", metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the best there is"),
+    typer.Option("--device", metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the first GPU, else the CPU"),
 ]
 
-Source = Annotated[Path, typer.Argument(metavar="INPUT", help="The light field, as a rule a folder of views.")]
+Source = Annotated[Path, typer.Argument(metavar="INPUT", help="Light field: usually a folder of views.")]
 
 FormatName = Annotated[
-    str | None, typer.Option("--format", metavar="NAME", help="Format of INPUT.", show_default="recognised")
+    str | None,
+    typer.Option("--format", metavar="NAME", help="Format of the input: {formats}.", show_default="recognised"),
 ]
 
-AllowMissing = Annotated[bool, typer.Option("--allow-missing", help="Accept a grid that lost some views.")]
+AllowMissing = Annotated[bool, typer.Option("--allow-missing", help="Accept a grid with missing views.")]

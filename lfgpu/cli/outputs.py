@@ -1,4 +1,4 @@
-"""The files that a depth estimate becomes."""
+"""The output files of a depth estimate."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ REPORT_FILE = "report.html"
 
 _MEANING = {
     DISPARITY_FILE: "float32 map, px per view step, larger is nearer",
-    "disparity.png": "the same as a picture",
-    "confidence.png": "how far to trust it, 0 to 1",
+    "disparity.png": "the same as a colour picture",
+    "confidence.png": "confidence of each pixel, 0 to 1",
     "depth.pfm": "float32 map, metres along the optical axis",
     RESULT_FILE: "all maps and stages, parameters, versions, timings",
 }
 
 
 def write_outputs(folder: Path, result: DepthResult) -> list[tuple[str, str]]:
-    """Write a result into a folder that exists; what was written, as (file, meaning)."""
+    """Write a result into an existing folder; returns the files as pairs (name, meaning)."""
     from lfgpu.io import write_pfm, write_result
     from lfgpu.viz.figures import confidence_figure, disparity_figure, save_png
 
@@ -42,33 +42,37 @@ def write_outputs(folder: Path, result: DepthResult) -> list[tuple[str, str]]:
 
 
 def write_view_maps(folder: Path, result: ViewsResult) -> list[tuple[str, str]]:
-    """Write the maps of all views into a folder that exists; what was written, as (file, meaning)."""
+    """Write the maps of all views into an existing folder; returns the files as pairs (name, meaning)."""
     from lfgpu.io import write_views
 
     write_views(result, folder / VIEWS_FILE)
-    return [(VIEWS_FILE, f"maps of all {len(result.disparities)} views, consistent with each other")]
+    return [(VIEWS_FILE, f"consistent maps of all {len(result.disparities)} views")]
 
 
 def write_page(folder: Path, lf: LightField, result: DepthResult) -> tuple[str, str]:
-    """Write the report into a folder that exists; what was written, as (file, meaning)."""
+    """Write the report into an existing folder; returns the file as a pair (name, meaning)."""
     from lfgpu.cli.report import write_report
 
     write_report(folder / REPORT_FILE, lf, result)
-    return REPORT_FILE, "all of it on one page, for any browser"
+    return REPORT_FILE, "everything on one page, for any browser"
 
 
 def check_names(option: str, names: Sequence[str]) -> None:
-    """LightFieldError if one of the names is no file of a known format in a folder, or one that is written anyway."""
+    """LightFieldError if a name has no known suffix, names a folder, or is the name of another output."""
     for name in names:
         writable_format(name)
         if Path(name).name != name:
-            raise LightFieldError(f"{option} must be the name of a file, without folders, not {name!r}; it goes to -o.")
+            raise LightFieldError(
+                f"{option} must be a file name without folders, not {name!r}; the file goes into the folder of -o."
+            )
         if name.lower() in (*_MEANING, VIEWS_FILE):
-            raise LightFieldError(f"{option} must not be {name!r}, which is the name of another output.")
+            raise LightFieldError(
+                f"{option} must not be {name!r}, because another output has that name; choose another name."
+            )
 
 
 def write_saved(folder: Path, names: Sequence[str], result: DepthResult, image: Float32Array) -> list[tuple[str, str]]:
-    """Write a result under other names, too; what was written, as (file, meaning)."""
+    """Write a result under further names; returns the files as pairs (name, meaning)."""
     for name in names:
         save(result, folder / name, image=image)
     return [(name, writable_format(name).description) for name in names]

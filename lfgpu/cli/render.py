@@ -1,4 +1,4 @@
-"""`lfgpu render`: new views, refocused and all-in-focus images, and films of them."""
+"""`lfgpu render`: new views, refocused and all-in-focus images, and videos of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,20 @@ import typer
 from lfgpu._backends import DEFAULT, backend_named
 from lfgpu.cli import values
 from lfgpu.cli.depth import Estimation
-from lfgpu.cli.options import AllowMissing, Backend, Device, FormatName, Quiet, Source, Threads
+from lfgpu.cli.options import (
+    AllowMissing,
+    Backend,
+    Device,
+    DisparityRange,
+    Every,
+    Flip,
+    FormatName,
+    Grid,
+    Preset,
+    Quiet,
+    Source,
+    Threads,
+)
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
@@ -22,7 +35,7 @@ if TYPE_CHECKING:
     from lfgpu.data.views_result import ViewsResult
 
 _SWEEPS = ("circle", "across", "down", "focus")
-_REACH = 0.9  # of the way from the middle of the cameras to the outermost
+_REACH = 0.9  # share of the way from the middle of the cameras to the outermost ones
 
 
 def render(
@@ -30,44 +43,56 @@ def render(
     out: Annotated[
         Path,
         typer.Option(
-            "-o", "--out", metavar="FILE", help="An image: .png, .tif. A sweep: .gif, .mp4, or a folder of PNGs."
+            "-o", "--out", metavar="FILE", help="Image: .png, .tif. Sweep: .gif, .mp4, or a folder of PNG files."
         ),
     ],
     view: Annotated[
-        str | None, typer.Option(metavar="ROW,COL", help="A view from there; between the recorded ones or beyond.")
+        str | None,
+        typer.Option(
+            metavar="ROW,COL",
+            help="Render a view at this position, between the recorded views or beyond; counted from 0.",
+        ),
     ] = None,
     focus: Annotated[
-        float | None, typer.Option("--refocus", metavar="D", help="Focused at this disparity, the rest blurred.")
+        float | None, typer.Option("--refocus", metavar="D", help="Refocus on this disparity, pixels per view step.")
     ] = None,
     in_focus: Annotated[
-        bool, typer.Option("--all-in-focus", help="The reference view, with less noise, from all views.")
+        bool, typer.Option("--all-in-focus", help="Render the reference view from all views, which lowers the noise.")
     ] = False,
-    sweep: Annotated[str | None, typer.Option(metavar="PATH", help=f"A film of views: {', '.join(_SWEEPS)}.")] = None,
+    sweep: Annotated[
+        str | None, typer.Option(metavar="PATH", help=f"Render a video along a path: {', '.join(_SWEEPS)}.")
+    ] = None,
     maps: Annotated[
         Path | None,
-        typer.Option(metavar="RESULT", help="What depth --all-views wrote; without it, maps are estimated first."),
+        typer.Option(
+            metavar="RESULT", help="Maps that `lfgpu depth --all-views` wrote.", show_default="estimated first"
+        ),
     ] = None,
     reference_view: Annotated[
         str | None,
-        typer.Option(metavar="ROW,COL", help="View that is refocused or all in focus.", show_default="the centre"),
+        typer.Option(
+            metavar="ROW,COL",
+            help="View that is refocused or rendered all in focus, counted from 0.",
+            show_default="the centre",
+        ),
     ] = None,
-    frames: Annotated[int, typer.Option(min=2, max=10000, help="Frames of a sweep.")] = 30,
+    frames: Annotated[int, typer.Option(min=2, max=10000, help="Number of frames of a sweep.")] = 30,
     fps: Annotated[float, typer.Option(help="Frames per second of a sweep.")] = 15.0,
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Set of parameters of the maps.")] = "accurate",
-    disparity_range: Annotated[
-        str | None,
-        typer.Option(metavar="LOW,HIGH", help="Bounds in pixels per view step.", show_default="found"),
-    ] = None,
+    preset: Preset = "accurate",
+    disparity_range: DisparityRange = None,
     backend: Backend = DEFAULT,
     device: Device = None,
     threads: Threads = None,
     format_name: FormatName = None,
+    grid: Grid = None,
+    every: Every = None,
+    flip: Flip = "",
     allow_missing: AllowMissing = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make new views, refocused images or an all-in-focus image of a light field, or a film of them.
+    """Render a new view, a refocused image, an all-in-focus image, or a video of a light field.
 
-    One of --view, --refocus, --all-in-focus and --sweep says which.
+    Give exactly one of --view, --refocus, --all-in-focus and --sweep.
     """
     from lfgpu.io import check_writable, read
     from lfgpu.io.frames import check_frames_path, check_image_path, write_frames, write_image
@@ -89,10 +114,11 @@ def render(
         backend_named(backend),
         device,
     )
+    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
     values.use_threads("--threads", threads)
     estimation.check_device()
 
-    lf = read(source, format=format_name, allow_missing=allow_missing)
+    lf = read(source, **reading)
     if reference is not None:
         lf = lf.with_reference(lf.index_of(*reference))
     dtype = "uint16" if lf.views.dtype == "uint16" else "uint8"
@@ -125,14 +151,16 @@ def _picture(
     found = render_view(lf, _maps(lf, maps, estimation, quiet=quiet), row, column, backend=backend, device=device)
     if not quiet:
         hidden = 100 * (1 - found.known.mean())
-        typer.echo(f"{hidden:.2f} % of it is shown by no recorded view and filled from beside.")
+        typer.echo(
+            f"{hidden:.2f} % of the pixels are seen by no recorded view; they are filled from their surroundings."
+        )
     return found.image
 
 
 def _film(
     lf: LightField, sweep: str, count: int, maps: Path | None, estimation: Estimation, *, quiet: bool
 ) -> Iterator[Float32Array]:
-    """The frames of a sweep that begins where it ends."""
+    """The frames of a sweep along a closed path."""
     import numpy as np
 
     from lfgpu.viz.refocusing import refocus
@@ -157,7 +185,7 @@ def _film(
 
 
 def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> ViewsResult:
-    """The maps of all views: those that are there, or new ones."""
+    """The maps of all views, read from `path` or estimated."""
     from lfgpu.cli.outputs import VIEWS_FILE
     from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import load
@@ -179,7 +207,7 @@ def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: b
 
 
 def _map(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> DepthResult | DisparityMap:
-    """The map of the reference view."""
+    """The map of the reference view, read from `path` or estimated."""
     from lfgpu.cli.outputs import VIEWS_FILE
     from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import load

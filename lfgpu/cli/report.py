@@ -1,4 +1,4 @@
-"""`lfgpu depth --report`: one page that says what went in, what came out and how; it needs no network."""
+"""`lfgpu depth --report`: one HTML page with the input, the results and the parameters; it needs no network."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ from lfgpu.metrics import BORDER, evaluate
 from lfgpu.viz import panels as frames
 from lfgpu.viz.figures import error_reach, scale_limits
 
-_LONG_SIDE = 720  # pixels of a picture: larger maps are drawn smaller
+_LONG_SIDE = 720  # pixels: larger maps are scaled down to this
 _HEADS = ("MSE ×100", "BadPix 0.07 %", "BadPix 0.03 %", "BadPix 0.01 %", "Q25 ×100", "RMSE", "undefined %")
-_EPI_PLACES = (0.3, 0.5, 0.7)  # shares of the height and the width: where the rows and columns are
-_WIDEST = 330  # of a bar, in the drawing's units
-_LEFT, _RIGHT, _TOP, _BOTTOM = 70.0, 505.0, 12.0, 190.0  # of the curve, likewise
+_EPI_PLACES = (0.3, 0.5, 0.7)  # rows and columns of the EPIs, as shares of height and width
+_WIDEST = 330  # width of the longest bar, in units of the drawing
+_LEFT, _RIGHT, _TOP, _BOTTOM = 70.0, 505.0, 12.0, 190.0  # edges of the curve, in the same units
 
 
 def write_report(path: Path, lf: LightField, result: DepthResult) -> None:
-    """Write the page; whole or not at all. LightFieldError if the file cannot be written."""
+    """Write the page atomically; LightFieldError if the file cannot be written."""
     page = html(lf, result)
     with atomic_write(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
 def html(lf: LightField, result: DepthResult) -> str:
-    """The page: pictures, scripts' absence and style all in one text."""
+    """The page as one text, with its pictures and style inside and without scripts."""
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined)
     text = resources.files("lfgpu").joinpath("templates/report.html").read_text(encoding="utf-8")
     return environment.from_string(text).render(
@@ -79,7 +79,7 @@ def _run(result: DepthResult) -> list[tuple[str, str]]:
         ("computed by", f"{result.backend} on {result.device}"),
         ("versions", ", ".join(f"{name} {version}" for name, version in result.versions.items())),
         ("time", f"{result.timings['total']:.2f} s"),
-        ("converged", "yes" if result.converged else "no: more iterations may give a better map"),
+        ("converged", "yes" if result.converged else "no; more iterations may improve the map"),
         ("status", result.status),
     ]
 
@@ -129,7 +129,7 @@ def _map(title: str, values: NDArray[np.float32], kind: str, limits: tuple[float
 
 
 def _epis(lf: LightField, result: DepthResult) -> list[dict[str, str]]:
-    """Some rows and columns, with the line of the slope that was found in their middle."""
+    """EPIs of some rows and columns, with a line of the estimated slope in the middle of each."""
     height, width = lf.size
     found = []
     lines: list[tuple[str, Any, list[tuple[int, int]]]] = []
@@ -159,10 +159,10 @@ def _scores(lf: LightField, result: DepthResult) -> dict[str, Any] | None:
             rows.append({"name": name, "cells": [*cells, f"{m.undefined:.2f}"]})
             count = m.count
     except LightFieldError as error:
-        return {"heads": (), "rows": [], "remark": f"It cannot be scored: {error}"}
+        return {"heads": (), "rows": [], "remark": f"The result cannot be scored: {error}"}
     remark = (
-        f"Over {count} pixels, a border of {BORDER} left out; smaller is better. Undefined pixels are bad in "
-        "BadPix and left out of the other measures. No estimate looks at the truth."
+        f"Over {count} pixels, without a border of {BORDER} px; smaller is better. BadPix counts undefined pixels as "
+        "bad; the other metrics leave them out. The estimate does not use the ground truth."
     )
     return {"heads": _HEADS, "rows": rows, "remark": remark}
 

@@ -22,14 +22,19 @@ def scene(
     name: Annotated[
         str, typer.Argument(help="relief, planes, boxes, bars, textureless or moving.", show_default=False)
     ],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FOLDER", help="Where it goes; made if missing.")],
-    seed: Annotated[int, typer.Option(help="Decides places, colours, textures and noise.")] = 0,
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the light field; created if missing.")
+    ],
+    seed: Annotated[int, typer.Option(help="Seed of positions, colours, textures and noise.")] = 0,
     grid: Annotated[str, typer.Option(metavar="ROWSxCOLUMNS", help="Grid of views.")] = "9x9",
-    size: Annotated[str, typer.Option(metavar="HEIGHTxWIDTH", help="Size of each view in pixels.")] = "512x512",
+    size: Annotated[str, typer.Option(metavar="HEIGHTxWIDTH", help="Size of each view, pixels.")] = "512x512",
     disparity_range: Annotated[
-        str, typer.Option(metavar="FAR,NEAR", help="True disparities, pixels per view step, larger is nearer.")
+        str,
+        typer.Option(
+            metavar="FAR,NEAR", help="Smallest and largest true disparity, pixels per view step; larger is nearer."
+        ),
     ] = "-1.5,1.5",
-    noise: Annotated[float, typer.Option(help="Standard deviation of the noise, intensities being 0 to 1.")] = 0.0,
+    noise: Annotated[float, typer.Option(help="Standard deviation of the noise, intensities 0 to 1.")] = 0.0,
     misalign: Annotated[
         str | None,
         typer.Option(
@@ -41,10 +46,10 @@ def scene(
     ] = None,
     frames: Annotated[
         int | None,
-        typer.Option(help="Frames of a scene that moves, each in a folder of its own.", show_default=False),
+        typer.Option(help="Number of frames of the scene moving; each frame gets its own folder.", show_default=False),
     ] = None,
 ) -> None:
-    """Make a light field whose disparity is known exactly, in the format of the HCI 4D Light Field Benchmark."""
+    """Make a synthetic light field with exact ground truth, in the format of the HCI 4D Light Field Benchmark."""
     from lfgpu.io import check_writable, write_hci
     from lfgpu.scenes import make, sequence
 
@@ -70,11 +75,11 @@ def scene(
 
 
 def _write_frames(light_fields: Iterator[LightField], out: Path) -> None:
-    """All frames or none. Frames that are there already would mix with the new ones, so they are refused."""
+    """Write all frames or none. A folder that already holds frames is refused, as old and new frames would mix."""
     from lfgpu.io import atomic_folder, write_hci
 
     if any(out.glob(f"{_FRAME}*")):
-        raise LightFieldError(f"{out} holds frames of another sequence; choose an empty folder.")
+        raise LightFieldError(f"{out} already holds frames of a sequence; choose an empty folder.")
     with atomic_folder(out) as place:
         for index, frame in enumerate(light_fields):
             write_hci(frame, place / f"{_FRAME}{index:03d}")

@@ -1,4 +1,4 @@
-"""What `depth` and `demo` say when they are done."""
+"""What `lfgpu depth` and `lfgpu demo` print at the end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def show_input(console: Console, lf: LightField) -> None:
-    """What was computed on."""
+    """Print the facts about the light field."""
     shown.heading(console, lf.name)
     shown.lines(
         console,
@@ -31,7 +31,7 @@ def show_input(console: Console, lf: LightField) -> None:
 
 
 def show_result(console: Console, result: DepthResult, *, range_given: bool) -> None:
-    """The range that was found, how long it took and why it stopped."""
+    """Print the range of the map, the time, and why the solver stopped."""
     import numpy as np
 
     low, high = result.disparity_range
@@ -52,7 +52,7 @@ def show_result(console: Console, result: DepthResult, *, range_given: bool) -> 
         rows.append(("unknown", f"{unknown:.2g} % of the pixels (NaN): masked in this view; --fill fills them"))
     rows += [
         ("time", _times(result)),
-        ("converged", "yes" if result.converged else "no: more iterations may give a better map"),
+        ("converged", "yes" if result.converged else "no; more iterations may improve the map"),
         ("status", result.status),
     ]
     shown.lines(console, rows)
@@ -61,15 +61,19 @@ def show_result(console: Console, result: DepthResult, *, range_given: bool) -> 
 def show_scores(
     console: Console, lf: LightField, result: DepthResult
 ) -> tuple[dict[str, Metrics], Sparsification | None]:
-    """The metrics after each stage and what the confidence tells, if the truth of the reference view is known, else why
-    there are none."""
+    """Print the metrics after each stage and the sparsification curve, or why there are none.
+
+    Returns
+    -------
+    The metrics by stage, and the curve: ({}, None) if the ground truth of the reference view is unknown.
+    """
     if lf.truth is None:
         return {}, None
-    shown.heading(console, "Against the ground truth (for evaluation only: no estimate looks at it)")
+    shown.heading(console, "Against the ground truth (which the estimate does not use)")
     truth = lf.reference_truth()
     if truth is None:
         place = facts.place(*lf.truth.position)
-        shown.remark(console, f"It belongs to the view at {place}, not to the reference view: there is no score.")
+        shown.remark(console, f"It belongs to the view at {place}, not to the reference view, so there is no score.")
         return {}, None
     from lfgpu.metrics import BORDER, evaluate, sparsification
 
@@ -77,7 +81,7 @@ def show_scores(
         rows = {name: evaluate(values, truth.disparity, mask=truth.mask) for name, values in result.stages.items()}
         curve = sparsification(result.disparity, result.confidence, truth.disparity, mask=truth.mask)
     except LightFieldError as error:
-        shown.remark(console, f"It cannot be scored: {error}")
+        shown.remark(console, f"The result cannot be scored: {error}")
         return {}, None
     shown.scores(console, rows)
     shown.remark(console, scored_where(next(iter(rows.values())).count, BORDER))
@@ -86,15 +90,15 @@ def show_scores(
 
 
 def scored_where(count: int, border: int) -> str:
-    """What the numbers of a table of scores are about."""
+    """The sentence below a table of scores."""
     return (
-        f"Over {count} pixels, a border of {border} left out. Undefined pixels are bad in BadPix and left out of the "
-        "other measures."
+        f"Over {count} pixels, without a border of {border} px. BadPix counts undefined pixels as bad; the other "
+        "metrics leave them out."
     )
 
 
 def show_outputs(console: Console, folder: object, files: list[tuple[str, str]]) -> None:
-    """Where the outputs are."""
+    """Print the list of written files."""
     shown.heading(console, f"Written to {folder}")
     shown.lines(console, files)
 

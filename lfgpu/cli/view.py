@@ -1,4 +1,4 @@
-"""`lfgpu view`: a light field and maps of it in the browser."""
+"""`lfgpu view`: a light field and its maps in the browser."""
 
 from __future__ import annotations
 
@@ -11,16 +11,18 @@ from typing import Annotated
 
 import typer
 
-from lfgpu.cli.options import Threads
+from lfgpu.cli.options import Every, Flip, FormatName, Grid, Threads
 
 
 def view(
     paths: Annotated[
         list[Path],
-        typer.Argument(metavar="INPUT_OR_RESULT...", help="A light field, and maps or folders that depth wrote."),
+        typer.Argument(
+            metavar="INPUT_OR_RESULT...", help="A light field, and its maps or folders that `lfgpu depth` wrote."
+        ),
     ],
     port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Of 127.0.0.1; the next free one if it is taken, 0 for any.")
+        int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; the next free one if it is taken, 0 for any.")
     ] = 8080,
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     allow_open: Annotated[
@@ -28,8 +30,12 @@ def view(
         typer.Option("--allow-open", help="Let the page open any path, not only INPUT_OR_RESULT and what is in it."),
     ] = False,
     threads: Threads = None,
+    format_name: FormatName = None,
+    grid: Grid = None,
+    every: Every = None,
+    flip: Flip = "",
 ) -> None:
-    """Look at a light field, its epipolar plane images, maps and points in space, and estimate again, in the browser.
+    """Show a light field, its epipolar plane images, maps and point clouds in the browser, and estimate new maps there.
 
     Only this machine reaches the page, and only who knows its address, which has a token. Maps are compared if there
     are several. Ctrl-C ends it.

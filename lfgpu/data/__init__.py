@@ -1,1 +1,1 @@
-"""Light fields, their geometry and results: what everything else works on. It imports nothing above it."""
+"""Light fields, their geometry, and results. Imports no other package of lfgpu above it."""

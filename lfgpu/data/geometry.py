@@ -1,4 +1,4 @@
-"""Disparity and metric depth: the geometry of parallel cameras whose frames are shifted onto a focus plane."""
+"""The geometry of parallel cameras, which relates disparity to metric depth."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from lfgpu.errors import LightFieldError
 
 @dataclass(frozen=True)
 class Geometry:
-    """Cameras side by side with parallel axes, their frames shifted so that one plane has disparity 0.
+    """Parallel cameras in one plane. Their frames are shifted so that points at the focus distance have disparity 0.
 
     A point at depth Z (metres along the optical axis) has the disparity
 
         d = baseline_m * focal_length_px * (1 / Z - 1 / focus_distance_m)      [pixels per view step]
 
-    which is how the HCI 4D Light Field Benchmark defines it (Honauer et al., ACCV 2016). It is counted in columns of
-    pixels. Cameras whose rows stand closer or farther than their columns, and pixels that are not square, do not change
-    it: a camera's position (u, v) tells both, see `positions`.
+    as in the HCI 4D Light Field Benchmark (Honauer et al., ACCV 2016). Disparity is measured in pixel widths. It does
+    not depend on the vertical spacing of the cameras or on the pixel aspect, because the position v of a camera
+    accounts for both; see `positions`.
 
     Parameters
     ----------
     focal_length_px
-        Focal length in widths of pixels, > 0.
+        Focal length in pixel widths, > 0.
     baseline_m
-        Distance of neighbouring cameras of a row (one unit of a view's position) in metres, > 0.
+        Distance between neighbouring cameras of a row (one view step) in metres, > 0.
     focus_distance_m
-        Depth of the plane of disparity 0 in metres, > 0; infinity for frames that are not shifted.
+        Depth of the plane of disparity 0 in metres, > 0. Default infinity: the frames are not shifted.
     principal_point
-        Where the optical axis meets the image of the camera whose frame is not shifted, (x, y) in pixels; None is the
-        middle of the image.
+        Principal point (x, y) in pixels of the camera whose frame is not shifted. Default None: the image centre.
     pixel_aspect
-        Width of a pixel over its height, > 0: focal_length_px * pixel_aspect is the focal length in heights of pixels.
+        Width of a pixel divided by its height, > 0; default 1. focal_length_px * pixel_aspect is the focal length in
+        pixel heights.
     unshifted_at
-        Position (u, v), as in `LightField.positions`, of the camera whose frame is not shifted; None takes the one that
-        a map belongs to. It makes no difference for depth, nor for anything if `focus_distance_m` is infinite.
+        Position (u, v), as in `LightField.positions`, of the camera whose frame is not shifted. Default None: the
+        camera that a map belongs to. It does not affect depth. It has no effect if `focus_distance_m` is infinite.
 
     Raises
     ------
     LightFieldError
-        If a length or the aspect is not a positive number, or a place no pair of finite numbers.
+        If a length or the aspect is not a positive number, or a point is not two finite numbers.
     """
 
     focal_length_px: float
@@ -63,7 +63,7 @@ class Geometry:
                 raise LightFieldError(f"geometry: {name} must be two finite numbers, not {place}.")
 
     def depth(self, disparity: ArrayLike) -> NDArray[np.float64]:
-        """Depth in metres of a disparity in pixels per view step; infinity at or beyond the horizon, NaN of NaN."""
+        """Depth in metres of a disparity in pixels per view step; infinity at or beyond the horizon, NaN for NaN."""
         inverse = np.asarray(disparity, np.float64) / (self.baseline_m * self.focal_length_px)
         inverse = inverse + 1.0 / self.focus_distance_m
         with np.errstate(divide="ignore"):
@@ -75,43 +75,42 @@ class Geometry:
         return np.asarray(self.baseline_m * self.focal_length_px * inverse)
 
     def positions(self, centres_m: ArrayLike) -> NDArray[np.float64]:
-        """Positions (u, v) in view steps, [n, 2], of cameras that stand at (right, down) in metres, [n, 2].
+        """Positions (u, v) [n, 2] in view steps of cameras at (right, down) [n, 2] in metres.
 
-        Both are in units of what moves an image as one baseline does, so that one disparity holds for both directions:
-        u = right / baseline_m and v = pixel_aspect * down / baseline_m.
+        u = right / baseline_m and v = pixel_aspect * down / baseline_m; so one disparity holds for both directions.
         """
         return _pairs("centres", centres_m) * (1.0, self.pixel_aspect) / self.baseline_m
 
     def centres(self, positions: ArrayLike) -> NDArray[np.float64]:
-        """Where cameras stand, (right, down) in metres, [n, 2]; the inverse of `positions`."""
+        """Camera centres (right, down) [n, 2] in metres; the inverse of `positions`."""
         return _pairs("positions", positions) * self.baseline_m / (1.0, self.pixel_aspect)
 
     def points(
         self, disparity: ArrayLike, *, position: tuple[float, float] | None = None, step: int = 1
     ) -> NDArray[np.float64]:
-        """The points in space that the pixels of a disparity map show.
+        """The 3D points of the pixels of a disparity map.
 
         Parameters
         ----------
         disparity
-            [y, x], pixels per view step, of all pixels of a view.
+            [y, x], pixels per view step, of a whole view.
         position
-            (u, v) of that view; None is that of `unshifted_at`, or if that is None too, any.
+            (u, v) of that view. Default None: `unshifted_at`.
         step
             Only every `step`-th pixel of each row and column is computed. Default 1.
 
         Returns
         -------
-        float64 [y, x, 3] in metres: right, down and away from the camera at `unshifted_at` (or at `position`, where
-        that is None), so that the points of all views of one light field are in one frame. NaN where the disparity is
-        undefined or at or beyond the horizon.
+        float64 [y, x, 3] in metres: right, down and forward from the camera at `unshifted_at`, or at `position` if that
+        is None. So the points of all views of a light field are in one coordinate frame. NaN where the disparity is
+        undefined, or at or beyond the horizon.
 
-        With (u, v) counted from there, a pixel's column is x = cx + f X / Z - d u: the frame of a camera that stands u
-        steps to the right is shifted by u b f / F.
+        With (u, v) counted from that camera, the column of a pixel is x = cx + f X / Z - d u, because the frame of a
+        camera u steps to the right is shifted by u b f / F.
         """
         values = np.asarray(disparity, np.float64)
         if values.ndim != 2:
-            raise LightFieldError(f"geometry: a disparity map must be [y, x], found shape {values.shape}.")
+            raise LightFieldError(f"geometry: a disparity map must be [y, x]; found shape {values.shape}.")
         height, width = values.shape
         cx, cy = self.principal_point or ((width - 1) / 2, (height - 1) / 2)
         u, v = self._steps_from_unshifted(position)
@@ -140,5 +139,5 @@ class Geometry:
 def _pairs(name: str, values: ArrayLike) -> NDArray[np.float64]:
     pairs = np.asarray(values, np.float64)
     if pairs.ndim != 2 or pairs.shape[1] != 2:
-        raise LightFieldError(f"geometry: {name} must be [n, 2], found shape {pairs.shape}.")
+        raise LightFieldError(f"geometry: {name} must be [n, 2]; found shape {pairs.shape}.")
     return pairs

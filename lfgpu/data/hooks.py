@@ -1,6 +1,6 @@
-"""What rooms above add to light fields and results: how they are saved, and how notebooks show them.
+"""Hooks through which higher packages add methods to light fields and results: saving, and HTML for notebooks.
 
-`lfgpu/__init__.py` attaches the functions, so that nothing here imports them.
+`lfgpu/__init__.py` attaches the functions, so that this package does not import them.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ _attached: dict[str, Callable[..., Any]] = {}
 
 
 def attach(name: str, function: Callable[..., Any]) -> None:
-    """Let `call(name, ...)` call a function."""
+    """Attach a function to a name, for `call`."""
     _attached[name] = function
 
 
 def call(name: str, *arguments: Any, **options: Any) -> Any:
-    """Call what is attached under a name."""
+    """Call the function that is attached to a name."""
     return _attached[name](*arguments, **options)

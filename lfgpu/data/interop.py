@@ -1,4 +1,4 @@
-"""Arrays of other libraries: where they are and what they hold, by DLPack and the CUDA array interface."""
+"""Arrays of other libraries: their device, dtype and shape, from DLPack or the CUDA array interface."""
 
 from __future__ import annotations
 
@@ -10,15 +10,25 @@ from numpy.typing import NDArray
 from lfgpu.errors import LightFieldError
 
 SOME_GPU = "a GPU"
-"""The place of arrays that do not say which GPU they are on."""
+"""The place of an array on a GPU that does not say which one."""
 
-_HOST, _CUDA = (1, 3), (2, 13)  # DLPack's device types: memory of the CPU, pinned or not; of a GPU, managed or not
+_HOST, _CUDA = (1, 3), (2, 13)  # device types of DLPack: CPU memory, pageable or pinned; GPU memory, plain or managed
 
 
 def place_of(name: str, values: Any) -> str:
-    """Where an array is: "cpu", "cuda:0" and so on, or SOME_GPU; LightFieldError if it is nowhere that is known.
+    """The device of an array: "cpu", "cuda:0" and so on, or `SOME_GPU`.
 
-    `name` is what to call it in messages.
+    Parameters
+    ----------
+    name
+        The name of the array in messages.
+    values
+        The array.
+
+    Raises
+    ------
+    LightFieldError
+        If it is not an array, or its device is neither a CPU nor a CUDA GPU.
     """
     if isinstance(values, np.ndarray):
         return "cpu"
@@ -29,7 +39,8 @@ def place_of(name: str, values: Any) -> str:
             raise LightFieldError(f"{name} cannot be read ({_said(error)}); convert them to NumPy first.") from error
         if kind not in (*_HOST, *_CUDA):
             raise LightFieldError(
-                f"{name} are on a device of another kind (DLPack calls it {int(kind)}); copy them first."
+                f"{name} are neither on a CPU nor on a CUDA GPU (DLPack device type {int(kind)}); copy them to the CPU "
+                "first."
             )
         return "cpu" if kind in _HOST else f"cuda:{index}"
     if hasattr(values, "__cuda_array_interface__"):
@@ -40,7 +51,7 @@ def place_of(name: str, values: Any) -> str:
 
 
 def kind_of(name: str, values: Any) -> tuple[str, tuple[int, ...]]:
-    """(dtype, shape) of an array, with NumPy's name of the dtype; LightFieldError if it does not say."""
+    """(dtype, shape) of an array, with NumPy's name of the dtype; LightFieldError if it is not an array."""
     try:
         dtype, shape = values.dtype, tuple(values.shape)
     except Exception:
@@ -53,7 +64,7 @@ def kind_of(name: str, values: Any) -> tuple[str, tuple[int, ...]]:
 
 
 def on_host(name: str, values: Any) -> NDArray[Any]:
-    """An array as one of NumPy, copied only if it is not in the memory of the CPU, or its library must."""
+    """A NumPy array with the same values; copied only if it is on a GPU, or its library requires it."""
     if isinstance(values, np.ndarray):
         return values
     place = place_of(name, values)

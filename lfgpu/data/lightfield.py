@@ -1,4 +1,4 @@
-"""The light field: views of one scene, where their cameras stand, and which of them is the reference."""
+"""The light field: views of one scene, the positions of their cameras, and the reference view."""
 
 from __future__ import annotations
 
@@ -19,27 +19,31 @@ from lfgpu.errors import LightFieldError
 from lfgpu.printable import printable
 
 PATTERNS = ("full", "star", "cross", "row", "column")
-"""Names that `LightField.subset` knows: all views; the reference's row, column and diagonals; row and column; one."""
+"""Names of view patterns for `LightField.subset`.
 
-_POSITION_TOLERANCE = 1e-6  # in view steps: what is nearer is the same place
+full: all views. star: the row, the column and both diagonals through the reference view. cross: its row and its column.
+row and column: one of them.
+"""
+
+_POSITION_TOLERANCE = 1e-6  # view steps: positions that differ by less are equal
 _NEAREST = 1e-3  # in view steps, to which views must stand apart
-_LINE_TOLERANCE = 0.1  # in view steps: measured cameras do not stand exactly in line
-_FARTHEST = 1e6  # in view steps
+_LINE_TOLERANCE = 0.1  # view steps: measured cameras are not exactly in line
+_FARTHEST = 1e6  # view steps: the largest coordinate of a position
 _LONGEST_NAME = 300  # characters
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """The true disparity of one view, for evaluation only: no estimate ever looks at it.
+    """The true disparity of one view. It is used for evaluation only, never by an estimate.
 
     Parameters
     ----------
     disparity
-        float32 [y, x], pixels per view step, larger is nearer; NaN where it is not known.
+        float32 [y, x], pixels per view step; larger is nearer; NaN where unknown.
     position
         (u, v) position of the view that it belongs to, as in `LightField.positions`.
     mask
-        bool [y, x], True where a benchmark scores; None scores everywhere.
+        bool [y, x], True at scored pixels. Default None: all pixels are scored.
     """
 
     disparity: NDArray[np.float32]
@@ -56,36 +60,37 @@ class GroundTruth:
 
 @dataclass(frozen=True, eq=False)
 class LightField:
-    """Views of one scene from cameras that stand in one plane and look the same way.
+    """Views of one scene from parallel cameras in one plane.
 
-    The point at (x, y) of the reference view is at (x - d*du, y - d*dv) in the view whose camera stands (du, dv) view
-    steps to the right of and below the reference camera, where d is its disparity: larger d is nearer.
+    A point at (x, y) of the reference view with disparity d is at (x - d*du, y - d*dv) in the view whose camera is du
+    view steps to the right of and dv below the reference camera. Larger d is nearer.
 
     Parameters
     ----------
     views
-        [n, y, x, c] or [n, y, x], c = 1 or 3, uint8, uint16 or float32 in [0, 1]; kept as they came. n >= 2. They may
-        be an array of another library (DLPack); one of a GPU is copied to the CPU, where a light field lives. Other
-        views of its kind need not be: see `DepthPipeline.upload`.
+        [n, y, x, c] or [n, y, x], n >= 2, c = 1 or 3, uint8, uint16 or float32 in [0, 1]; stored as given. An array of
+        another library (DLPack) is accepted; from a GPU it is copied to the CPU. `DepthPipeline.upload` takes views on
+        a GPU without that copy.
     positions
-        [n, 2], where each camera stands as (u, v): u to the right, v down, in view steps (units of the nominal
+        [n, 2], the position (u, v) of each camera: u to the right, v down, in view steps (units of the nominal
         baseline). In a grid these are column and row: methods that name a view take (row, column) = (v, u), as the
         command line does. All different. Where rows of cameras stand closer or farther than
         columns, or pixels are not square, v is scaled such that one disparity holds for both (`Geometry.positions`).
     reference
-        Index of the view whose disparity is estimated; None takes the view nearest to the middle of the positions.
+        Index of the reference view, whose disparity is estimated. Default None: the view nearest to the middle of the
+        positions.
     grid_shape
-        (rows, columns) where the positions are places in a grid, some of which may be empty; None for any array.
+        (rows, columns) if the positions are places of a grid, some of which may be empty. Default None: not a grid.
     valid
-        bool [n, y, x], False where a view recorded nothing of use (vignetting, dead pixels); None is valid everywhere.
+        bool [n, y, x], False at unusable pixels (vignetting, dead pixels). Default None: all pixels are valid.
     geometry
-        What turns disparity into metres; None if unknown.
+        The camera geometry, which relates disparity to metric depth. Default None: unknown.
     truth
-        Ground truth of one view, for evaluation; None if unknown.
+        Ground truth of one view, for evaluation. Default None: unknown.
     name
         What to call the scene in messages; what is not printable in it is written out ("\\x1b").
     notes
-        What a reader noticed about the files, one sentence each.
+        Remarks of the reader about the files, one sentence each.
     files
         The image file of each view; empty where views have no files of their own.
     white
@@ -95,7 +100,7 @@ class LightField:
     Raises
     ------
     LightFieldError
-        If shapes, dtypes, values or positions do not make a light field; the sentence says which.
+        If shapes, dtypes, values or positions are wrong; the message says which.
     """
 
     views: NDArray[Any]
@@ -116,17 +121,17 @@ class LightField:
             views = views[..., None]
         if views.ndim != 4 or views.shape[3] not in (1, 3) or 0 in views.shape:
             raise LightFieldError(
-                f"views must be [n, y, x] or [n, y, x, c] with c = 1 or 3, found shape {views.shape}."
+                f"views must be [n, y, x] or [n, y, x, c] with c = 1 or 3; found shape {views.shape}."
             )
         if views.dtype not in (np.uint8, np.uint16, np.float32):
-            raise LightFieldError(f"views must be uint8, uint16 or float32, found {views.dtype}; convert them first.")
+            raise LightFieldError(f"views must be uint8, uint16 or float32; found {views.dtype}; convert them first.")
         if len(views) < 2:
-            raise LightFieldError(f"{self.name} has one view only; depth needs at least two views of the scene.")
+            raise LightFieldError(f"{self.name} has a single view, but depth needs at least two views of the scene.")
         positions = _array("positions", self.positions, np.float64).copy()
         if positions.shape != (len(views), 2) or not (np.abs(positions) <= _FARTHEST).all():
             raise LightFieldError(
                 f"positions must be {len(views)} finite pairs (u, v) within {_FARTHEST:g} view steps, one for each "
-                f"view, found shape {positions.shape}."
+                f"view; found shape {positions.shape}."
             )
         _check_values(views, positions)
         _check_distinct(positions)
@@ -135,20 +140,22 @@ class LightField:
             middle = (positions.min(0) + positions.max(0)) / 2
             reference = int(np.argmin(np.abs(positions - middle).sum(1)))
         if not isinstance(reference, Integral) or not 0 <= reference < len(views):
-            raise LightFieldError(f"reference view {reference} does not exist: there are views 0 to {len(views) - 1}.")
+            raise LightFieldError(
+                f"reference view {reference} does not exist; give an index from 0 to {len(views) - 1}."
+            )
         valid = None if self.valid is None else _array("valid", self.valid)
         if valid is not None and (valid.shape != views.shape[:3] or valid.dtype != np.bool_):
-            raise LightFieldError(f"valid must be bool {views.shape[:3]}, found {valid.dtype} {valid.shape}.")
+            raise LightFieldError(f"valid must be bool {views.shape[:3]}; found {valid.dtype} {valid.shape}.")
         if self.truth is not None:
             for values in (self.truth.disparity, self.truth.mask):
                 if values is not None and values.shape != views.shape[1:3]:
-                    raise LightFieldError(f"truth must be {views.shape[1:3]} as the views are, found {values.shape}.")
+                    raise LightFieldError(f"truth must be {views.shape[1:3]}, like the views; found {values.shape}.")
         if self.grid_shape is not None:
             _check_grid(positions, self.grid_shape)
         if self.white is not None and (not isinstance(self.white, Integral) or self.white < 1):
             raise LightFieldError(f"white must be a whole number of at least 1, not {self.white}.")
         if self.files and len(self.files) != len(views):
-            raise LightFieldError(f"files must be one for each of {len(views)} views, found {len(self.files)}.")
+            raise LightFieldError(f"files must be one for each of {len(views)} views; found {len(self.files)}.")
         object.__setattr__(self, "name", printable(self.name, longest=_LONGEST_NAME))
         object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
         object.__setattr__(self, "views", views)
@@ -158,20 +165,31 @@ class LightField:
 
     @classmethod
     def from_grid(cls, views: ArrayLike, *, vertical_step: float = 1.0, **fields: Any) -> LightField:
-        """A light field of a full grid: `views` is [v, u, y, x, c] or [v, u, y, x]; `fields` as in `LightField`.
+        """A light field from a full grid of views.
 
-        The reference is the middle view, or for even counts the one right below and to the right of the middle.
+        Parameters
+        ----------
+        views
+            [v, u, y, x, c] or [v, u, y, x], otherwise as in `LightField`.
+        vertical_step
+            Parallax from row to row of the grid divided by that from column to column: the vertical camera spacing
+            over the horizontal one, times the width of a pixel over its height; > 0, default 1. Disparity is that from
+            column to column. If it is not 1, the view in grid row r is at v = r * vertical_step, which `index_of` and
+            messages then call its row, and `grid_shape` is None.
+        fields
+            Other fields of `LightField`. The default reference is the middle view; for even counts it is the view just
+            below and to the right of the middle.
 
-        `vertical_step` is how far things move, in pixels, from row to row of the grid over how far they move from
-        column to column: the distance of rows over that of columns, times the width of a pixel over its height. A
-        disparity is that from column to column. If it is not 1, the view in grid row r stands at v = r * vertical_step,
-        which is what `index_of` and messages mean by its row then, and `grid_shape` is None.
+        Raises
+        ------
+        LightFieldError
+            As `LightField`.
         """
         if not (math.isfinite(vertical_step) and vertical_step > 0):
             raise LightFieldError(f"vertical_step must be a positive number, not {vertical_step}.")
         grid = _array("views", views)
         if grid.ndim not in (4, 5):
-            raise LightFieldError(f"a grid of views must be [v, u, y, x] or [v, u, y, x, c], found shape {grid.shape}.")
+            raise LightFieldError(f"a grid of views must be [v, u, y, x] or [v, u, y, x, c]; found shape {grid.shape}.")
         rows, columns = grid.shape[:2]
         v, u = np.mgrid[:rows, :columns]
         fields.setdefault("reference", (rows // 2) * columns + columns // 2)
@@ -182,7 +200,7 @@ class LightField:
             **fields,
         )
 
-    # --- what it is ---
+    # --- properties ---
 
     @property
     def reference_index(self) -> int:
@@ -212,7 +230,7 @@ class LightField:
 
     @property
     def missing(self) -> tuple[tuple[int, int], ...]:
-        """(row, column) of each empty place of the grid; empty where there is no grid."""
+        """(row, column) of each missing view of the grid; empty without a grid."""
         if self.grid_shape is None:
             return ()
         present = {(round(v), round(u)) for u, v in self.positions}
@@ -225,14 +243,14 @@ class LightField:
             return None
         return self.truth
 
-    # --- looking at it ---
+    # --- views and EPIs ---
 
     def image(self, index: int) -> NDArray[np.float32]:
         """View `index` as float32 [y, x, c] in [0, 1]."""
         return self.views[index].astype(np.float32) * np.float32(self.scale)
 
     def view(self, row: float, column: float) -> NDArray[Any]:
-        """The sub-aperture view at grid place (row, column), that is v and u, as it came: [y, x, c]."""
+        """The view at position v = `row`, u = `column`, as stored: [y, x, c]."""
         return np.asarray(self.views[self.index_of(row, column)])
 
     def index_of(self, row: float, column: float) -> int:
@@ -246,15 +264,15 @@ class LightField:
         return index
 
     def row(self) -> NDArray[np.intp]:
-        """Indices of the views in the reference's row (same v within 0.1 view steps), from left to right."""
+        """Indices of the views in the reference view's row (same v within 0.1 view steps), from left to right."""
         return self._line(axis=0)
 
     def column(self) -> NDArray[np.intp]:
-        """Indices of the views in the reference's column (same u within 0.1 view steps), from top to bottom."""
+        """Indices of the views in the reference view's column (same u within 0.1 view steps), from top to bottom."""
         return self._line(axis=1)
 
     def pattern(self, name: str) -> NDArray[np.bool_]:
-        """Which views, [n], lie in a pattern through the reference: "full", "star", "cross", "row" or "column"."""
+        """bool [n]: which views belong to one of the `PATTERNS` through the reference view."""
         du, dv = np.abs(self.offsets).T
         in_row, in_column = dv < _LINE_TOLERANCE, du < _LINE_TOLERANCE
         match name:
@@ -268,14 +286,14 @@ class LightField:
                 return in_row
             case "column":
                 return in_column
-        raise LightFieldError(f"unknown view pattern {name!r}; known are {', '.join(PATTERNS)}.")
+        raise LightFieldError(f"unknown view pattern {name!r}; use one of {', '.join(PATTERNS)}.")
 
     def epi_horizontal(self, y: int) -> NDArray[Any]:
-        """The epipolar plane image of image row `y` over the reference's row of views: [u, x, c]."""
+        """The epipolar plane image [u, x, c] of image row `y`, from the reference view's row of views."""
         return np.asarray(self.views[self.row(), y])
 
     def epi_vertical(self, x: int) -> NDArray[Any]:
-        """The epipolar plane image of image column `x` over the reference's column of views: [v, y, c]."""
+        """The epipolar plane image [v, y, c] of image column `x`, from the reference view's column of views."""
         return np.asarray(self.views[self.column(), :, x])
 
     def __repr__(self) -> str:
@@ -292,19 +310,27 @@ class LightField:
         )
 
     def _repr_html_(self) -> str:
-        """What notebooks show."""
+        """The HTML for notebooks."""
         return str(hooks.call("light_field_html", self))
 
-    # --- other light fields from it ---
+    # --- derived light fields ---
 
     def with_reference(self, index: int) -> LightField:
-        """The same views with view `index` as the reference; use `index_of` to name it by row and column."""
+        """The same light field with view `index` as the reference; `index_of` finds an index by row and column."""
         return replace(self, reference=index)
 
     def subset(self, which: str | Sequence[int]) -> LightField:
-        """Some of the views: a pattern through the reference ("full", "star", "cross", "row", "column") or indices.
+        """A light field with some of the views.
 
-        The reference is always kept. LightFieldError if fewer than two views remain.
+        Parameters
+        ----------
+        which
+            One of the `PATTERNS` through the reference view, or indices of views. The reference view is always kept.
+
+        Raises
+        ------
+        LightFieldError
+            If fewer than two views remain, or an index or pattern is unknown.
         """
         keep = self._chosen(which)
         if keep.all():
@@ -314,11 +340,13 @@ class LightField:
         )
 
     def crop(self, y: slice, x: slice) -> LightField:
-        """The same window of every view: `y` and `x` are slices of rows and columns of pixels, without a step."""
+        """Crop every view to the same window; `y` and `x` are slices of pixel rows and columns, without a step."""
         height, width = self.size
         (top, bottom, y_step), (left, right, x_step) = y.indices(height), x.indices(width)
         if y_step != 1 or x_step != 1 or top >= bottom or left >= right:
-            raise LightFieldError(f"crop {y}, {x} leaves nothing of the {height} x {width} views, or has a step.")
+            raise LightFieldError(
+                f"crop {y}, {x} must have no step and leave pixels of the {height} x {width} views; give other slices."
+            )
         window = np.s_[top:bottom, left:right]
         geometry, truth = self.geometry, self.truth
         if geometry is not None:
@@ -337,20 +365,23 @@ class LightField:
         )
 
     def downsampled(self, factor: int, *, which: str | Sequence[int] = "full") -> LightField:
-        """A coarser pyramid level: means over `factor` x `factor` pixels as float32; disparities shrink by `factor`.
+        """Downsample all views by averaging blocks of `factor` x `factor` pixels.
 
-        A coarse pixel is valid where all its pixels are. Geometry and ground truth belong to full size and are left
-        out, as are rows and columns that do not fill a block, and all views but those that `which` names, as for
-        `subset`.
+        Views become float32, and disparities shrink by `factor`. A block is valid if all its pixels are. Incomplete
+        blocks at the right and lower edge are dropped, and so are geometry and ground truth. `which` chooses views as
+        in `subset`.
         """
         if not 1 <= factor <= min(self.size):
-            raise LightFieldError(f"views of {self.size[0]} x {self.size[1]} pixels cannot be shrunk {factor} times.")
+            raise LightFieldError(
+                f"factor must be from 1 to {min(self.size)} for views of {self.size[0]} x {self.size[1]} pixels, not "
+                f"{factor}."
+            )
         height, width = (side // factor for side in self.size)
         chosen = np.flatnonzero(self._chosen(which))
         views = np.empty((len(chosen), height, width, self.channels), np.float32)
 
         def shrink(place: int, view: NDArray[Any]) -> None:
-            # Whole rows and then columns are added: a mean over blocks goes through memory a pixel at a time.
+            # Sums over rows first, then over columns: faster than a mean over blocks.
             blocks = view[: height * factor].reshape(height, factor, -1, self.channels)
             rows = np.add.reduce(blocks, axis=1, dtype=np.float32)[:, : width * factor]
             np.einsum("yxkc->yxc", rows.reshape(height, width, factor, -1), out=views[place])
@@ -366,26 +397,26 @@ class LightField:
     # --- helpers ---
 
     def _chosen(self, which: str | Sequence[int]) -> NDArray[np.bool_]:
-        """Whether each view is one of those that `subset` leaves."""
+        """bool [n]: the views that `subset` keeps."""
         if isinstance(which, str):
             keep = self.pattern(which)
         else:
             wanted = np.asarray(which, np.int64)
             if wanted.size and not (wanted.min() >= 0 and wanted.max() < len(self.views)):
-                raise LightFieldError(f"view indices must be 0 to {len(self.views) - 1}, found {wanted.tolist()}.")
+                raise LightFieldError(f"view indices must be from 0 to {len(self.views) - 1}; found {wanted.tolist()}.")
             keep = np.zeros(len(self.views), np.bool_)
             keep[wanted] = True
         keep[self.reference_index] = True
         if keep.sum() < 2:
             raise LightFieldError(
-                f"{self.name}: the subset {which!r} leaves the reference view alone; take more views."
+                f"{self.name}: the subset {which!r} leaves the reference view alone; choose more views."
             )
         return keep
 
     def _with_views(
         self, chosen: NDArray[np.intp], views: NDArray[Any], valid: NDArray[np.bool_] | None, **others: Any
     ) -> LightField:
-        """With these views in the place of the chosen ones, without all others, and with other fields changed."""
+        """A light field of the chosen views, with new pixels `views` and other fields changed."""
         fields = {
             "positions": self.positions[chosen],
             "reference": int((chosen < self.reference_index).sum()),
@@ -416,7 +447,7 @@ def check_light_field(lf: object) -> None:
 
 
 def farthest(offsets: NDArray[np.float64]) -> float:
-    """How far the farthest view is from the reference in u or in v, view steps."""
+    """The largest distance of a view from the reference view, along u or v, in view steps."""
     return float(np.abs(offsets).max())
 
 
@@ -426,7 +457,7 @@ def _array(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:
     try:
         return np.asarray(values, dtype)
     except (TypeError, ValueError) as error:
-        raise LightFieldError(f"{name} must be one array of numbers: {error}.") from error
+        raise LightFieldError(f"{name} must be an array of numbers: {error}.") from error
 
 
 def _check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:
@@ -438,8 +469,8 @@ def _check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:
         where = f"view {index} (row {positions[index, 1]:g}, column {positions[index, 0]:g})"
         if not np.isfinite(low + high):
             raise LightFieldError(f"{where} has NaN or infinite values; float views must be finite.")
-        if low < -0.5 or high > 1.5:  # resampling may overshoot a little; other units are far off
-            raise LightFieldError(f"{where} spans {low:g} to {high:g}; float views must be scaled to [0, 1].")
+        if low < -0.5 or high > 1.5:  # resampling may overshoot a little; other units differ by much more
+            raise LightFieldError(f"{where} has values from {low:g} to {high:g}; scale float views to [0, 1].")
 
     each_view(views, range(len(views)), check)
 
@@ -449,7 +480,7 @@ def _check_distinct(positions: NDArray[np.float64]) -> None:
     unique, counts = np.unique(rounded, axis=0, return_counts=True)
     if len(unique) < len(positions):
         u, v = unique[counts > 1][0] * _POSITION_TOLERANCE
-        raise LightFieldError(f"two views stand at row {v:g}, column {u:g}; positions must be different.")
+        raise LightFieldError(f"two views have the position row {v:g}, column {u:g}; all positions must differ.")
     from scipy.spatial import cKDTree  # only here: it takes a while to load
 
     distances = cKDTree(positions).query(positions, k=2)[0][:, 1]
@@ -465,7 +496,7 @@ def _check_grid(positions: NDArray[np.float64], grid_shape: tuple[int, int]) -> 
     last = (grid_shape[1] - 1, grid_shape[0] - 1)
     if np.abs(positions - places).max() > _POSITION_TOLERANCE or (places < 0).any() or (places > last).any():
         raise LightFieldError(
-            f"positions must be places in the grid of {grid_shape[0]} x {grid_shape[1]} views, whole numbers from 0; "
+            f"positions must be integers in the grid of {grid_shape[0]} x {grid_shape[1]} views, counted from 0; "
             f"found rows {_span(positions[:, 1])} and columns {_span(positions[:, 0])}."
         )
 

@@ -1,4 +1,4 @@
-"""Arrays that are mapped from files: only what is looked at takes memory, until it is forgotten."""
+"""Memory-mapped arrays: only the parts that are read take memory, until it is released."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from numpy.typing import NDArray
 
 from lfgpu.threads import in_threads
 
-_AT_ONCE = 2**26  # bytes of views that are forgotten together,
-_LEAST = 4  # or as many views, so that threads have something to do
-_WORTHWHILE = 2**22  # bytes: less is looked at before threads have begun
+_AT_ONCE = 2**26  # bytes of views after which memory is released,
+_LEAST = 4  # or this many views, so that all threads have work
+_WORTHWHILE = 2**22  # bytes: below this size, threads are not worth their start
 
 
 def mapped(
     file: IO[bytes], shape: Sequence[int], dtype: Any, *, offset: int = 0, fortran: bool = False
 ) -> NDArray[Any]:
-    """An array that lies in an open file from `offset` on, read-only."""
+    """A read-only array mapped from an open file, beginning at byte `offset`."""
     order: Any = "F" if fortran else "C"
     return np.asarray(np.memmap(file, dtype, "r", offset=offset, shape=tuple(shape), order=order))
 
 
 def is_mapped(array: NDArray[Any]) -> bool:
-    """Whether an array lies in a file, which it cannot change."""
+    """Whether an array is mapped read-only from a file."""
     return _mapping(array) is not None
 
 
 def forget(array: NDArray[Any]) -> None:
-    """Give back the memory that a mapped array took for what was read of it; nothing happens to other arrays."""
+    """Release the memory of the parts of a mapped array that were read; other arrays are left alone."""
     mapping = _mapping(array)
     if mapping is not None and hasattr(mapping, "madvise"):  # not on Windows
         mapping.madvise(mmap.MADV_DONTNEED)
 
 
 def each_view(views: NDArray[Any], chosen: Sequence[int], work: Callable[[int, NDArray[Any]], None]) -> None:
-    """Call work(k, views[chosen[k]]) for all k, on all threads, and forget on the way what was read of a file."""
+    """Call work(k, views[chosen[k]]) for all k in several threads; releases the memory of mapped views on the way."""
     at_once = len(chosen)
     if is_mapped(views):
-        # Where they are windows of views in the file, the system maps what lies between their rows as well.
+        # For windows of views, the system also loads the parts of the file between their rows.
         at_once = max(_LEAST, _AT_ONCE // max(views[0].nbytes, abs(views.strides[0])))
     elif views.nbytes < _WORTHWHILE:
         for k, index in enumerate(chosen):
@@ -52,7 +52,7 @@ def each_view(views: NDArray[Any], chosen: Sequence[int], work: Callable[[int, N
 
 
 def _mapping(array: Any) -> mmap.mmap | None:
-    """Of a mapped array what it is mapped by, if nothing of it can have been changed: that would be forgotten, too."""
+    """The mapping of a read-only mapped array, else None; a writable one could lose changes when it is released."""
     while isinstance(array, np.ndarray):
         if isinstance(array, np.memmap) and array.mode != "r":
             return None

@@ -1,4 +1,4 @@
-"""What a disparity map shows as points in space."""
+"""Point clouds from disparity maps."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from lfgpu.errors import LightFieldError
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """Points in space, one for each pixel of a map that has a finite depth.
+    """A point cloud, with one point for each pixel of finite depth.
 
     Parameters
     ----------
     points
-        float32 [n, 3]. With a geometry: metres to the right, down and away, from the camera that `Geometry.points`
-        says. Without: pixels to the right of and below the middle of the image, and -disparity, in pixels per view
-        step: what is farther away has a larger third coordinate in both.
+        float32 [n, 3]. With a geometry: metres to the right, down and forward from the camera that `Geometry.points`
+        names. Without one: pixels to the right of and below the image centre, and -disparity in pixels per view step.
+        In both cases farther points have a larger third coordinate.
     colors
         uint8 [n, 3], red, green and blue; None without an image.
     confidence
         float32 [n], 0 to 1; None if the map has none.
     pixels
-        int64 [n, 2], (column, row) of the pixel that shows the point.
+        int64 [n, 2], (column, row) of the pixel of each point.
     metric
         Whether the points are in metres.
     """
@@ -56,16 +56,17 @@ def point_cloud(
     least_confidence: float = 0.0,
     step: int = 1,
 ) -> PointCloud:
-    """The points that a disparity map shows, in metres if its geometry is known.
+    """Make a point cloud from a disparity map, in metres if its geometry is known.
 
     Parameters
     ----------
     result
         A result or a map.
     image
-        [y, x, c] or [y, x], c = 1 or 3, uint8, uint16 or float in [0, 1]: the view, for colours. Default: none.
+        The view that gives the colours: [y, x, c] or [y, x], c = 1 or 3, uint8, uint16 or float in [0, 1]. Default
+        None: no colours.
     least_confidence
-        Pixels of less confidence are left out; 0 (default) to 1.
+        Pixels with a lower confidence are left out; 0 (default) to 1.
     step
         Only every `step`-th pixel of each row and column has a point, >= 1. Default 1.
 
@@ -89,7 +90,8 @@ def point_cloud(
         kept &= confidence >= least_confidence
     if not kept.any():
         raise LightFieldError(
-            "no pixel of the map has a finite depth and enough confidence: there is no cloud of points."
+            "no pixel of the map has a finite depth and enough confidence, so the point cloud is empty; lower "
+            "least_confidence."
         )
     colors = None if image is None else _colors(np.asarray(image), (height, width))[every][kept]
     return PointCloud(
@@ -106,12 +108,12 @@ def _colors(image: NDArray[Any], size: tuple[int, int]) -> NDArray[np.uint8]:
         image = image[..., None]
     if image.ndim != 3 or image.shape[:2] != size or image.shape[2] not in (1, 3):
         raise LightFieldError(
-            f"the image must be [y, x], [y, x, 1] or [y, x, 3] of {size[0]} x {size[1]} pixels, found {image.shape}."
+            f"the image must be [y, x], [y, x, 1] or [y, x, 3] of {size[0]} x {size[1]} pixels; found {image.shape}."
         )
     if image.dtype.kind == "f":
         image = np.rint(255 * np.clip(image, 0, 1))
     elif image.dtype == np.uint16:
         image = np.rint(image / 257)
     elif image.dtype != np.uint8:
-        raise LightFieldError(f"the image must be uint8, uint16 or float, found {image.dtype}.")
+        raise LightFieldError(f"the image must be uint8, uint16 or float; found {image.dtype}.")
     return np.broadcast_to(image, (*size, 3)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""What an estimate returns: the map, how far to trust it, and all that is needed to know how it came about."""
+"""Results: a disparity map with confidence and provenance."""
 
 from __future__ import annotations
 
@@ -21,50 +21,49 @@ class DepthResult:
     Parameters
     ----------
     disparity
-        float32 [y, x], pixels per view step, larger is nearer: the point at (x, y) of the reference view is at
-        (x - d*du, y - d*dv) in the view (du, dv) view steps to the right of and below it. NaN where it is not known,
-        that is where the reference view is masked; `lfgpu.fill_unknown` fills such holes.
+        float32 [y, x], pixels per view step; larger is nearer. The point at (x, y) of the reference view is at
+        (x - d*du, y - d*dv) in the view that is du view steps to the right of and dv below it. NaN where the reference
+        view is masked; `lfgpu.fill_unknown` fills such holes.
     confidence
-        float32 [y, x], 0 to 1, larger is surer; what it means depends on the method.
+        float32 [y, x], 0 to 1; larger is more certain. Its meaning depends on the method.
 
-        Matching: about the share of such pixels that are within 0.07 pixels per view step of the truth. It is
-        1 / (1 + (1 - c) / 2 + (s / 0.22)²). c, 0 to 1, is how far texture decided, in the views that see the pixel; s
-        is the root mean square distance of its disparity from what the matches had been, pixels per view step; both are
-        taken over its window with the weights of the prior. So it is low at edges of depth between alike colours, where
-        something is hidden, and where later stages disagree with the first. Without texture it is at most 2/3: such
-        pixels are filled in from around them. Where the disparity is NaN it is 0.
-        Form and numbers were chosen on synthetic scenes: on others the share may be another, so trust the order more
-        than the value.
+        Matching: approximately the probability that the error is at most 0.07 pixels per view step. It is
+        1 / (1 + (1 - c) / 2 + (s / 0.22)²). c, 0 to 1, says how far texture determines the disparity, in the views that
+        see the pixel. s is the root mean square difference between the final and the matched disparity, pixels per view
+        step. Both are averaged over the window of the prior, with its weights. So confidence is low at depth edges
+        between similar colours, in occluded regions, and where later stages disagree with the first. Without texture it
+        is at most 2/3, because such pixels are filled from their surroundings. Where the disparity is NaN it is 0.
+        Formula and constants were chosen on synthetic scenes; on other scenes trust the order more than the value.
 
-        Synthesis (the preset "paper"): the coherence of the local estimates that a pixel rests on, averaged likewise.
-        It orders pixels and is no share; 0 means that a pixel was filled in from elsewhere.
+        Synthesis (the preset "paper"): the coherence of the local estimates near a pixel, averaged in the same way. It
+        orders pixels but is not a probability. 0 means that the pixel was filled from elsewhere.
     stages
-        The map after each stage, by its name. Matching: `sweep`, `resweep` (if occlusions are looked at twice), `align`
-        and `boundaries`; synthesis: `local` (NaN where undefined), `propagate` and `refine`.
+        The map after each stage, by the name of the stage. Matching: `sweep`, `resweep` (if occlusions are handled in a
+        second sweep), `align` and `boundaries`. Synthesis: `local` (NaN where undefined), `propagate` and `refine`.
     position
         (u, v) of the reference view, as in `LightField.positions`.
     disparity_range
-        (low, high), the bounds of the estimate.
+        (low, high), the bounds of the disparity, pixels per view step.
     config
         All parameters.
     status
-        Why the solvers stopped, in sentences.
+        Why the solvers stopped, as sentences.
     converged
         Whether the iterations met their tolerance.
     trace
-        How the iterations went, a number for each. Matching: the root mean square step of the alignment, pixels per
-        view step; synthesis: the energy of the refinement, that before the first iteration ahead of them.
+        One number per iteration. Matching: the root mean square step of the alignment, pixels per view step. Synthesis:
+        the energy of the refinement, beginning with the energy before the first iteration.
     timings
         Seconds by name: `compile`, until kernels were compiled and loaded; `measure`, for range, noise and memory; each
         stage; and `total`, the sum. The first two are only there where they were a part of the run.
     backend, device
-        What it was computed with.
+        The backend and the device that computed it.
     versions
-        Versions of lfgpu and of the packages that computed it, that of the backend among them.
+        Versions of lfgpu, of the package of the backend, and of other packages.
     geometry
-        What turns disparity into metres; None if unknown.
+        The camera geometry; None if unknown.
     name
-        The light field's name.
+        The name of the light field.
     """
 
     disparity: Float32Array
@@ -97,12 +96,12 @@ class DepthResult:
         )
 
     def _repr_html_(self) -> str:
-        """What notebooks show."""
+        """The HTML for notebooks."""
         return str(hooks.call("result_html", self))
 
     @property
     def map(self) -> DisparityMap:
-        """The map by itself, with what it takes to read it right."""
+        """The map, with its metadata."""
         return DisparityMap(
             self.disparity,
             self.confidence,
@@ -113,28 +112,28 @@ class DepthResult:
         )
 
     def save(self, path: str | os.PathLike[str], *, image: ArrayLike | None = None) -> None:
-        """Write the result (.npz), its map (.pfm, .png, .tif, .exr) or its points (.ply); see `lfgpu.save`."""
+        """Write the result (.npz), its map (.pfm, .png, .tif, .exr) or its point cloud (.ply); see `lfgpu.save`."""
         hooks.call("save", self, path, image=image)
 
 
 @dataclass(frozen=True, eq=False)
 class DisparityMap:
-    """A disparity map of one view and what it takes to read it right: what files of maps hold.
+    """A disparity map of one view, with its metadata: the contents of a map file.
 
     Parameters
     ----------
     disparity
-        float32 [y, x], as in `DepthResult`; NaN where it is not known.
+        float32 [y, x], as in `DepthResult`; NaN where unknown.
     confidence
         float32 [y, x], 0 to 1; None if unknown.
     position
         (u, v) of the view, as in `LightField.positions`; None if unknown.
     geometry
-        What turns disparity into metres; None if unknown.
+        The camera geometry; None if unknown.
     name
-        The light field's name.
+        The name of the light field.
     versions
-        Versions of what computed it.
+        Versions of the packages that computed it.
     """
 
     disparity: Float32Array
@@ -153,7 +152,7 @@ class DisparityMap:
         return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)
 
     def save(self, path: str | os.PathLike[str], *, image: ArrayLike | None = None) -> None:
-        """Write the map (.npz, .pfm, .png, .tif, .exr) or its points (.ply); see `lfgpu.save`."""
+        """Write the map (.npz, .pfm, .png, .tif, .exr) or its point cloud (.ply); see `lfgpu.save`."""
         hooks.call("save", self, path, image=image)
 
 

@@ -1,4 +1,4 @@
-"""What an estimate of all views returns."""
+"""The result of `estimate_all_views`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lfgpu.data.geometry import Geometry
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 
-_SAME_PLACE = 1e-6  # view steps
+_SAME_PLACE = 1e-6  # view steps: positions that differ by less are equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,21 +24,21 @@ class ViewsResult:
     Parameters
     ----------
     disparities
-        float32 [n, y, x] in the order of `LightField.views`, pixels per view step, larger is nearer: the point at
-        (x, y) of view a is at (x - d*du, y - d*dv) in the view du steps to the right of and dv steps below view a. NaN
-        where no key view shows the pixel; `lfgpu.fill_unknown` fills them.
+        float32 [n, y, x], in the order of `LightField.views`, pixels per view step; larger is nearer. The point at
+        (x, y) of view a is at (x - d*du, y - d*dv) in the view that is du steps to the right of and dv steps below a.
+        NaN where no key view shows the point; `lfgpu.fill_unknown` fills such holes.
     confidences
         float32 [n, y, x], 0 to 1: the mean confidence of the key views that agree, times their share among those that
         agree or see through. 0 where the disparity is NaN.
     positions
         float64 [n, 2], (u, v) of each view, as `LightField.positions`.
     keys
-        Indices of the views that were estimated themselves; the first is the reference.
+        Indices of the key views, which were estimated directly; the first is the reference view.
     reference
-        The estimate of the reference view by itself, as from `estimate_depth`: with its stages, status and parameters.
-        Its map is what went into `disparities`, before the other key views had their say.
+        The estimate of the reference view, as from `estimate_depth`, with its stages, status and parameters. Its map is
+        that before the other key views were joined.
     timings
-        Seconds: `keys` for estimating them, `join` for all views' maps from theirs, `total`.
+        Seconds: `keys` for the key views, `join` for the maps of all views, `total`.
     """
 
     disparities: Float32Array
@@ -63,11 +63,13 @@ class ViewsResult:
         """Index of the view at position v = `row`, u = `column`; LightFieldError if there is none."""
         distance = np.abs(self.positions - (column, row)).max(1)
         if not distance.min() < _SAME_PLACE:
-            raise LightFieldError(f"there is no map of a view at row {row:g}, column {column:g}.")
+            raise LightFieldError(
+                f"there is no map of a view at row {row:g}, column {column:g}; give the position of a view."
+            )
         return int(np.argmin(distance))
 
     def map(self, index: int) -> DisparityMap:
-        """The map of view `index` by itself, with what it takes to read it right."""
+        """The map of view `index`, with its metadata."""
         u, v = (float(value) for value in self.positions[index])
         about = self.reference
         return DisparityMap(
@@ -85,7 +87,7 @@ class ViewsResult:
 
     @property
     def geometry(self) -> Geometry | None:
-        """What turns disparity into metres, the same for all views; None if unknown."""
+        """The camera geometry, the same for all views; None if unknown."""
         return self.reference.geometry
 
     @property

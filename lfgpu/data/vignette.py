@@ -1,4 +1,4 @@
-"""Black corners: what the round exit of a lens leaves of the views that a lens array records."""
+"""Black corners of views, which the round exit pupil of a lens leaves; they are masked."""
 
 from __future__ import annotations
 
@@ -12,23 +12,22 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import each_view
 
 _BLACK = 0.016  # intensity: 4 of 255
-_LEAST, _MOST = 1e-4, 0.3  # of all pixels: a few black ones are nothing, and a night scene has no vignette
-_RIM = 2  # pixels that are darker than they should be, beside those that are black
+_LEAST, _MOST = 1e-4, 0.3  # share of all pixels: fewer black ones are no vignette, and more are a dark scene
+_RIM = 2  # pixels: width of the darkened rim around the black region
 
 
 def without_black_corners(lf: LightField) -> LightField:
-    """The light field with what is black in its corners marked as not valid, and a note that says so.
+    """Mask the black corners of a light field, and add a note.
 
-    Black corners stand still while the scene moves from view to view: matched, they have the disparity 0. A pixel is
-    taken for one of theirs if it is black, and connected through black pixels to one that is black in all views, which
-    in turn is connected to a corner in this way; and if all four corners are so. A light field that has a mask, or
-    nothing of that kind, comes back as it is.
+    Black corners do not move from view to view, so matching would give them disparity 0. A region of black pixels is
+    masked if it is connected to pixels that are black in all views, and these are connected to a corner. All four
+    corners must be black. A light field that has a mask, or no black corners, is returned unchanged.
     """
     corners = (0, 0, -1, -1), (0, -1, 0, -1)
     threshold = _BLACK / lf.scale
     if lf.valid is not None or np.any(lf.views[(slice(None), *corners)] > threshold):
         return lf
-    from scipy.ndimage import binary_dilation, label  # takes long to import, and most light fields have no such corners
+    from scipy.ndimage import binary_dilation, label  # slow to import, and rarely needed
 
     black = np.empty(lf.views.shape[:3], np.bool_)
 
@@ -46,6 +45,6 @@ def without_black_corners(lf: LightField) -> LightField:
 
 
 def _connected(labels: NDArray[np.int32], seeds: Any) -> NDArray[np.bool_]:
-    """The regions of some pixels."""
+    """The labelled regions that contain the pixels `seeds`."""
     found = np.unique(labels[seeds])
     return np.isin(labels, found[found > 0])

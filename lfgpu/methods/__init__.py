@@ -1,6 +1,6 @@
-"""Methods: how a disparity map is found. Each has a room of its own and one row here.
+"""Methods to estimate a disparity map. Each is a package here and a row of `METHODS`.
 
-`lfgpu/methods/base.py` says what a method is.
+`lfgpu/methods/base.py` is their interface.
 """
 
 from __future__ import annotations
@@ -23,15 +23,17 @@ METHODS: dict[str, Entry] = {
         _matching.PRESETS,
         "lfgpu.methods.matching.method:Matching",
         "finds the surface on which the views agree, with occlusions",
+        {"accurate": "all views, occlusions in two sweeps", "fast": "one row and one column of views, one sweep"},
     ),
     "synthesis": Entry(
         _synthesis.SynthesisConfig,
         _synthesis.PRESETS,
         "lfgpu.methods.synthesis.method:Synthesis",
         "finds the map that predicts all views best (Sajjadi et al. 2016)",
+        {"paper": "Sajjadi et al. 2016"},
     ),
 }
-"""All methods by name. A new method is a folder here and a row in this table."""
+"""All methods by name. A new method is a package here and a row of this table."""
 
 PRESETS: dict[str, Config] = {name: config for entry in METHODS.values() for name, config in entry.presets.items()}
 """Complete parameters by name, the default preset first."""
@@ -43,7 +45,7 @@ PresetName: TypeAlias = Literal["accurate", "fast", "paper"]
 def preset(name: str) -> Config:
     """The parameters of a preset; LightFieldError if there is none of that name."""
     if name not in PRESETS:
-        raise LightFieldError(f"unknown preset {name!r}; take one of {', '.join(PRESETS)}.")
+        raise LightFieldError(f"unknown preset {name!r}; use one of {', '.join(PRESETS)}.")
     return PRESETS[name]
 
 

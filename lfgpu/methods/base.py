@@ -1,9 +1,8 @@
-"""What a method is to those who run it.
+"""The interface of methods.
 
-A `Method` is a method with its parameters: it knows its stages, what it measures, how much memory it takes and how far
-a pixel reaches. Its `Plan` is the same for light fields of one kind on one device: everything is allocated, and stages
-leave a map and a confidence on the device. Pipelines, tiles, streams, batches, the viewer and the command line know
-methods by these two classes only.
+A `Method` is a method with its parameters. It knows its stages, what it measures, its memory and its halo. A `Plan` is
+a method allocated for light fields of one kind on one device; its stages compute a map and a confidence there.
+Pipelines, tiles, streams, batches, the viewer and the command line use methods through these two classes only.
 """
 
 from __future__ import annotations
@@ -28,13 +27,13 @@ from lfgpu.solvers.solution import Solution
 C = TypeVar("C", bound=Config)
 
 SAME_SURFACE = 0.4
-"""Pixels in the farthest view: maps that differ by more show different surfaces."""
+"""Largest difference between disparities of the same surface, pixels in the farthest view."""
 
 Callback: TypeAlias = Callable[[int, float], None]
 """Called as callback(iteration, value) after each iteration of a stage."""
 
 Work: TypeAlias = Callable[[Callback | None], None]
-"""Work to ask the device for; with None instead of a callback it can be captured."""
+"""Starts work on the device. It is called with a callback, or with None; with None it can be captured."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +45,9 @@ class Stage:
     name
         Its key in `Plan.stages`, `DepthResult.stages` and `DepthResult.timings`.
     label
-        What people read, such as "plane sweep".
+        Its name for people, such as "plane sweep".
     value
-        What the number is that the stage reports after each iteration, such as "energy"; None if it has no iterations.
+        The name of the value that the stage reports after each iteration, such as "energy"; None without iterations.
     unit
         The unit of that number; None if it has none.
     has_start
@@ -63,55 +62,55 @@ class Stage:
 
 
 class Plan(Protocol):
-    """A method for light fields of one kind on one device; everything is allocated when it is made."""
+    """A method for light fields of one kind on one device. All memory is allocated when it is created."""
 
     disparity: Array
     confidence: Array
     """The results, fields [y, x]."""
 
     decided: str
-    """The stage after which `check` knows whether anything will come of the run."""
+    """The stage after which `check` can tell whether the run finds an estimate."""
 
     def stages(self, views: Array) -> dict[str, Work]:
-        """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
+        """The work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
 
     def check(self, name: str) -> None:
-        """LightFieldError, with the light field's name, if nothing came of the last run; waits for the device."""
+        """Raise LightFieldError, which names `name`, if the last run found no estimate; waits for the device."""
 
     def is_finite(self) -> bool:
-        """Whether the last run met finite numbers only; waits for the device."""
+        """Whether all numbers of the last run were finite; waits for the device."""
 
     def maps(self) -> dict[str, Float32Array]:
         """The map after each stage, float32 [y, x], NaN where it is undefined; waits for the device."""
 
     def solution(self) -> Solution:
-        """How the iterations of the last run went; waits for the device."""
+        """How the solvers did in the last run; waits for the device."""
 
 
 class LivePlan(Protocol):
-    """A plan for a stream of frames: each frame may start from the map before."""
+    """A plan for a stream of frames; each frame may start from the previous map."""
 
     disparity: Array
     confidence: Array
 
     @property
     def noise(self) -> float:
-        """Difference between views that agree, intensity."""
+        """Root mean square difference between views that show the same point, intensity."""
 
     @property
     def numbers(self) -> tuple[Scalar, Scalar]:
-        """How much evidence there was, 0 if none; and a number that is NaN if something was not finite."""
+        """The amount of evidence, 0 if there was none; and a number that is NaN if a value was not finite."""
 
     @property
     def levels(self) -> tuple[tuple[int, Callable[[Array], None]], ...]:
-        """(steps, work) for a frame on its own, from the least to the most work."""
+        """(steps, work) for a frame without a previous map, from the least to the most work."""
 
     @property
     def warm_levels(self) -> tuple[tuple[int, Callable[[Array], None]], ...]:
-        """The same for a frame that starts from the map before."""
+        """The same for a frame that starts from the previous map."""
 
     def mask(self, valid: Array | None) -> None:
-        """Which pixels of the used views count from now on, a field [n, y, x]; None if all do."""
+        """Set the mask of the used views, a field [n, y, x], 0 at invalid pixels; None if all are valid."""
 
 
 class Method(ABC, Generic[C]):
@@ -120,19 +119,19 @@ class Method(ABC, Generic[C]):
     Parameters
     ----------
     config
-        All parameters, an instance of the method's configuration class.
+        All parameters: an instance of the configuration class of the method.
     """
 
     STAGES: ClassVar[tuple[Stage, ...]]
-    """All stages that there may be, in order."""
+    """All possible stages, in order."""
 
     TRACED: ClassVar[str]
-    """Name of the stage whose values are the `trace` of a result."""
+    """The name of the stage whose values become the `trace` of a result."""
 
     def __init__(self, config: C) -> None:
         self.config = config
 
-    # --- what it is ---
+    # --- description ---
 
     @property
     def name(self) -> str:
@@ -141,16 +140,16 @@ class Method(ABC, Generic[C]):
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """The stages that these parameters ask for, in order."""
+        """The stages that run with these parameters, in order."""
         return self.STAGES
 
     @property
     def traced(self) -> Stage:
-        """The stage whose values are the `trace` of a result."""
+        """The stage whose values become the `trace` of a result."""
         return next(stage for stage in self.STAGES if stage.name == self.TRACED)
 
     def iterations(self, stage: str) -> int | None:
-        """The most iterations that a stage makes; None if it has none."""
+        """The largest number of iterations of a stage; None if it is not iterative."""
         return None
 
     @property
@@ -160,15 +159,20 @@ class Method(ABC, Generic[C]):
 
     @property
     def is_recordable(self) -> bool:
-        """Whether a run is the same sequence of operations for all views, so that it can be written as a file."""
+        """Whether it can be exported: a run is the same sequence of operations for all views."""
         return False
 
     @property
     def for_rendering(self) -> C:
-        """The parameters for maps that new views are rendered from."""
+        """The parameters for maps from which new views are rendered."""
         return self.config
 
-    # --- what it needs to know about a light field ---
+    @property
+    def is_live(self) -> bool:
+        """Whether it can run on streams of frames."""
+        return type(self).live_plan is not Method.live_plan
+
+    # --- measuring a light field ---
 
     def measure(
         self,
@@ -178,12 +182,12 @@ class Method(ABC, Generic[C]):
         *,
         disparity_range: tuple[float, float] | None = None,
     ) -> Measured:
-        """The disparity range, checked if it is given and found if not, and what else the method measures.
+        """Measure the disparity range, or check the given one, and measure what else the method needs.
 
         Raises
         ------
         LightFieldError
-            If the range cannot be one of this light field, or none is found.
+            If the given range is impossible for this light field, or none is found.
         """
         bounds = checked_range(disparity_range, lf) if disparity_range is not None else find_disparity_range(lf)
         return Measured(bounds, self.measure_noise(lf, bounds, kernels, device))
@@ -191,50 +195,50 @@ class Method(ABC, Generic[C]):
     def measure_noise(
         self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str
     ) -> float | None:
-        """Difference between views that agree, intensity; None if the method does not use it."""
+        """Measure the noise: the difference between views that show the same point, intensity; None if not used."""
         return None
 
     def given(
         self, lf: LightField, disparity_range: tuple[float, float] | None, noise: float | None = None
     ) -> Measured | None:
-        """What `measure` would return without looking at any view; None if it would have to look.
+        """The result of `measure` if it needs no views; None if it needs them.
 
-        `noise` stands in for a measured one, where the parameters do not give it.
+        `noise` is used in place of a measured noise, if the parameters do not give one.
         """
         return None if disparity_range is None else Measured(checked_range(disparity_range, lf))
 
-    # --- what it takes ---
+    # --- what it uses ---
 
     def used_views(self, lf: LightField) -> list[int]:
-        """Indices of the views that it looks at, in order."""
+        """Indices of the views that it reads, in order."""
         return list(range(len(lf.views)))
 
     @abstractmethod
     def footprint(self, lf: LightField, measured: Measured, *, on_gpu: bool) -> Footprint:
         """The memory of a pipeline for light fields of one kind, whose views are on disk.
 
-        Of `lf` its cameras, channels, stored type and whether it has masks count. With `on_gpu` it is the memory of a
-        GPU, else that of the process.
+        It is the memory of a GPU if `on_gpu`, else that of the process. `lf` gives the cameras, channels, stored type,
+        and whether there are masks.
         """
 
     @abstractmethod
     def halo(self, lf: LightField, measured: Measured) -> tuple[int, int]:
-        """Pixels (y, x) around a pixel that its disparity depends on: how far tiles must overlap."""
+        """The halo (y, x) in pixels: how far around a pixel its disparity depends on others; tiles overlap so far."""
 
     def same_surface(self, lf: LightField) -> float:
-        """Disparities that differ by up to this are of one surface, pixels per view step."""
+        """Largest difference between disparities of the same surface, pixels per view step."""
         return SAME_SURFACE / float(np.abs(lf.offsets).max())
 
-    # --- running it ---
+    # --- running ---
 
     @abstractmethod
     def plan(self, lf: LightField, measured: Measured, kernels: KernelSet, device: str) -> Plan:
-        """The method for light fields of the kind of `lf`, whose views do not count.
+        """Allocate the method for light fields of the kind of `lf`, whose views are not used.
 
         Raises
         ------
         LightFieldError
-            If the cameras do not suit the method.
+            If the method cannot work with these cameras.
         """
 
     def live_plan(
@@ -247,7 +251,7 @@ class Method(ABC, Generic[C]):
         streaming: Streaming,
         prior: TemporalPrior,
     ) -> LivePlan:
-        """The method for a stream of frames of the kind of `lf`, which holds the used views only.
+        """Allocate the method for a stream of frames of the kind of `lf`, which holds the used views only.
 
         Raises
         ------
@@ -255,6 +259,6 @@ class Method(ABC, Generic[C]):
             If the method cannot run on streams.
         """
         raise LightFieldError(
-            f"a stream needs a method that can start from the map before, and {self.name} cannot; take the preset "
-            "accurate or fast."
+            f"a stream needs a method that can start from the previous map, but the method {self.name} cannot do that; "
+            "use another preset (`lfgpu live --help` lists them)."
         )

@@ -19,12 +19,15 @@ class Entry:
     presets
         Complete parameters by name.
     home
-        Module and class of the method, `module:Class`, loaded when it is first used.
+        Module and class of the method as `module:Class`; loaded when it is first used.
     label
         What the method does, in a few words.
+    labels
+        What each preset is, in a few words, by its name.
     """
 
     config: type[Config]
     presets: Mapping[str, Config]
     home: str
     label: str
+    labels: Mapping[str, str]

@@ -1,4 +1,4 @@
-"""How much memory an estimate takes, from sizes alone; `tests/test_tiles.py` measures that it does."""
+"""The memory of an estimate, computed from sizes alone; `tests/test_tiles.py` compares it with measured memory."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from numbers import Real
 from lfgpu.errors import LightFieldError
 
 PROCESS = 500 * 2**20  # bytes: Python, the libraries and the compiled kernels
-GPU_CONTEXT = 640 * 2**20  # bytes: what a process takes of a GPU whatever the sizes, most of it before it has any array
-_SLACK = 1.1  # what allocators round up, and small buffers
+GPU_CONTEXT = 640 * 2**20  # bytes of GPU memory that a process takes besides its arrays
+_SLACK = 1.1  # covers rounding by allocators, and small buffers
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
 
 def parse_memory(value: str | float) -> int:
-    """Bytes from a number of them or from text such as "8GiB", "500 MB" or "2g"; LightFieldError for anything else."""
+    """A size in bytes, from a number or from text such as "8GiB", "500 MB" or "2g"; LightFieldError for other text."""
     if isinstance(value, Real) and not isinstance(value, bool) and 1 <= float(value) < math.inf:
         return int(value)
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([kmgt]i?|)b?\s*", str(value).lower())
@@ -28,11 +28,11 @@ def parse_memory(value: str | float) -> int:
 
 @dataclass(frozen=True)
 class Footprint:
-    """Bytes that a `DepthPipeline` takes: so many for each pixel of a view, and so many besides."""
+    """The memory of a `DepthPipeline`: bytes per pixel of a view, plus a constant."""
 
     per_pixel: float
     besides: int
 
     def bytes(self, height: int, width: int) -> int:
-        """Of a pipeline for views of that size, the process or the context of the GPU included."""
+        """The bytes for views of one size, including the process, or the context of the GPU."""
         return self.besides + int(_SLACK * self.per_pixel * height * width)

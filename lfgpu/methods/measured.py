@@ -1,4 +1,4 @@
-"""What is measured on a light field before it is estimated: found once, checked once, handed on."""
+"""What is measured on a light field before the estimate: its disparity range and its noise."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from lfgpu.errors import LightFieldError
 
 @dataclass(frozen=True)
 class Measured:
-    """The disparity range and the noise of a light field.
+    """The disparity range and the noise of a light field: measured once, checked once, then passed on.
 
     Parameters
     ----------
     disparity_range
         (low, high) in pixels per view step.
     noise
-        Difference between views that agree, intensity; None if the method does not use it.
+        Root mean square difference between views that show the same point, intensity; None if the method does not use
+        it.
     """
 
     disparity_range: tuple[float, float]
@@ -27,7 +28,7 @@ class Measured:
 
 
 def checked_range(disparity_range: tuple[float, float], lf: LightField) -> tuple[float, float]:
-    """A range that somebody gave, as two numbers; LightFieldError if it cannot be one of this light field."""
+    """A range that the user gave, as two numbers; LightFieldError if this light field cannot have it."""
     try:
         low, high = (float(bound) for bound in disparity_range)
     except (TypeError, ValueError):
@@ -41,7 +42,7 @@ def checked_range(disparity_range: tuple[float, float], lf: LightField) -> tuple
     nearest, size = distances[distances > 0].min(), max(lf.size)
     if max(abs(low), abs(high)) * nearest >= size:
         raise LightFieldError(
-            f"disparity range {low:g}, {high:g} is in pixels per view step: already the nearest view would be shifted "
-            f"by {max(abs(low), abs(high)) * nearest:g} px, out of views of {size} px; give smaller disparities."
+            f"disparity range {low:g} to {high:g} is too large for views of {size} px: it shifts even the nearest view "
+            f"by {max(abs(low), abs(high)) * nearest:g} px; give smaller disparities, in pixels per view step."
         )
     return low, high

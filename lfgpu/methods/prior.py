@@ -1,4 +1,4 @@
-"""The non-local-means prior of one reference image: its weights and what they do to a map."""
+"""The non-local-means prior: weights between pixels of a reference image, and the operators made of them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from lfgpu.contract import Array, KernelSet, Scalar, half_window
 from lfgpu.methods.sections import PriorConfig
 
 UNLIKE_ANY = 10.0
-"""An intensity far from all recorded ones: where the reference is not valid, similar to nothing but to its like."""
+"""The intensity of invalid pixels of the reference: so far from [0, 1] that they resemble only each other."""
 
 
 class NonLocalMeans:
-    """Weights w_pq of the pixels in each other's window, computed from a reference image, and their operators.
+    """The weights w_pq between pixels of a neighbourhood, computed from a reference image, and their operators.
 
     Parameters
     ----------
@@ -21,7 +21,8 @@ class NonLocalMeans:
     config
         Window, patch and scales of the weights.
     kernels, device
-        Where the weights live; they and what it takes to compute them are window² floats a pixel.
+        The backend's kernels, and the name of the device. The weights and the workspace to compute them take window²
+        floats per pixel.
     """
 
     def __init__(self, shape: Sequence[int], config: PriorConfig, kernels: KernelSet, device: str) -> None:
@@ -38,16 +39,16 @@ class NonLocalMeans:
             floor=config.floor,
         )
         self.ones, self.degree = kernels.zeros(shape[:2], device), kernels.zeros(shape[:2], device)
-        """1; and W 1, the sum of the weights of each pixel's window, its own 1 included; fields [y, x]."""
+        """Fields [y, x]: ones; and W 1, the sum of the weights in each pixel's window, its own weight 1 included."""
 
     def load(self, image: Array) -> None:
-        """Take another reference image, float32 [y, x, c] in [0, 1], or UNLIKE_ANY where it is not valid."""
+        """Compute the weights of a reference image, float32 [y, x, c] in [0, 1], `UNLIKE_ANY` where it is invalid."""
         self._weigh(image, self.weights)
         self.kernels.fill(1.0, self.ones)
         self.neighbors(self.ones, self.degree)
 
     def neighbors(self, values: Array, sums_out: Array) -> None:
-        """W v: the weighted sum over each pixel's window, itself included."""
+        """W v: the weighted sum over each pixel's window, the pixel itself included."""
         self.kernels.nlm_neighbors(self.weights, values, window=self.window, sums_out=sums_out)
 
     def mean(self, values: Array, means_out: Array) -> None:
@@ -65,13 +66,16 @@ class NonLocalMeans:
         self.kernels.dot(values, laplacian_out, half_out)
 
     def average(self, volume: Array, average_out: Array) -> None:
-        """W v / W 1 of each slice of a volume [l, y, x]."""
+        """W v / W 1: the weighted mean over each pixel's window, for each slice of a volume [l, y, x]."""
         self.kernels.nlm_average(self.weights, volume, window=self.window, average_out=average_out)
 
     def ratio(
         self, guide: Array, numerator: Array, denominator: Array, *, support: float, floor: float, ratio_out: Array
     ) -> None:
-        """W' numerator / W' (denominator + floor), W' being the weights of pixels on the same surface of the guide."""
+        """W' numerator / W' (denominator + floor). W' are the weights, lowered between pixels of different disparity.
+
+        `guide` is the disparity map [y, x] that tells; at a difference of `support` a weight is halved.
+        """
         self.kernels.nlm_ratio(
             self.weights,
             guide,

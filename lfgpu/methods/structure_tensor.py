@@ -1,4 +1,4 @@
-"""The first estimate: structure tensors on EPIs, and the more coherent answer at each pixel."""
+"""The local estimate: structure tensors on epipolar plane images (EPIs); each pixel keeps the most coherent one."""
 
 from __future__ import annotations
 
@@ -11,26 +11,31 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.sections import LocalConfig
 
-_NEGLIGIBLE = 1e-3  # filters end where their Gaussian has fallen below this
+_NEGLIGIBLE = 1e-3  # filters are cut off where their Gaussian is below this
 
 
 class LocalEstimator:
-    """Disparity by structure tensors on the EPIs of the reference's row and column of views (DESIGN §5, steps 1, 2).
+    """Estimates disparity by structure tensors on the EPIs of the row and the column of the reference view.
 
-    EPIs are sheared to base disparities over the range; each answers for the disparities around it, the most coherent
-    one is kept. All is done in steps between neighbouring cameras of a line, in which aliasing sets in at a disparity
-    of about 1.
+    EPIs are sheared to base disparities that cover the range. A sheared EPI gives estimates near its base disparity
+    only; of all estimates at a pixel the most coherent one is kept. Positions are measured in steps between
+    neighbouring cameras of the line, because aliasing starts at about 1 pixel per such step.
 
     Parameters
     ----------
     lf
-        A light field of the kind that is estimated: its cameras, size, stored type, masks and reference view count.
+        Gives the cameras, size, stored type, masks and reference view; its views are not used.
     disparity_range
-        (low, high) of what is looked for, pixels per view step.
+        (low, high) of the disparities that are searched, pixels per view step.
     config
         Scales, shears and threshold.
     kernels, device
-        Where it is done. LightFieldError where neither row nor column has a second view.
+        The backend's kernels, and the name of the device.
+
+    Raises
+    ------
+    LightFieldError
+        If neither the row nor the column of the reference view has a second view.
     """
 
     def __init__(
@@ -38,9 +43,8 @@ class LocalEstimator:
     ) -> None:
         if max(len(lf.row()), len(lf.column())) < 2:
             raise LightFieldError(
-                f"{lf.name}: the reference view is alone in its row and in its column of views, but the local estimate "
-                "needs a second camera in line with it (within 0.1 view steps); pick another reference view, or add "
-                "one."
+                f"{lf.name}: the local estimate needs a second view in the row or the column of the reference view "
+                "(within 0.1 view steps), but there is none; choose another reference view, or add views."
             )
         self._kernels, self._threshold = kernels, config.coherence_threshold
         self._lines = [
@@ -49,10 +53,10 @@ class LocalEstimator:
             if len(lf.column() if vertical else lf.row()) > 1
         ]
         self.disparity, self.coherence = kernels.zeros(lf.size, device), kernels.zeros(lf.size, device)
-        """Fields [y, x]: the disparity, and its coherence, 0 where undefined, to 1."""
+        """Fields [y, x]: the disparity, pixels per view step, and its coherence, 0 (undefined) to 1."""
 
     def run(self, views: Array) -> None:
-        """Estimate from views [n, y, x, c], as stored."""
+        """Estimate disparity and coherence from views [n, y, x, c], as stored."""
         kernels = self._kernels
         kernels.fill(0.0, self.disparity)
         kernels.fill(0.0, self.coherence)
@@ -62,7 +66,7 @@ class LocalEstimator:
 
 
 class _Line:
-    """One line of views: its EPIs, lying along x also if it is a column, and the shears that they are given."""
+    """A row or a column of views: its EPIs and their shears. EPIs of a column are transposed to lie along x, too."""
 
     def __init__(
         self,
@@ -90,7 +94,7 @@ class _Line:
             floor=config.gradient_floor,
         )
         self._disparity, self._coherence = (kernels.zeros((height, width), device) for _ in range(2))
-        # Multiples of the step: whole shears need no interpolation on a regular grid.
+        # Multiples of the step, because integer shears need no interpolation on a regular grid.
         self._step = config.shear_step
         first, last = (np.round(bound * self._spacing / self._step) for bound in disparity_range)
         self._shears = [float(shear) for shear in np.arange(first, last + 1) * self._step]
@@ -105,7 +109,7 @@ class _Line:
             ]
 
     def keep_better(self, views: Array, best_disparity: Array, best_coherence: Array) -> None:
-        """Put in what is more coherent than the best so far."""
+        """Replace the best estimates so far by those of this line, where these are more coherent."""
         kernels = self._kernels
         kernels.line_of_views(views, self._line, vertical=self._vertical, epis_out=self._epis)
         for shear, trusted in zip(self._shears, self._trusted, strict=True):
@@ -115,7 +119,7 @@ class _Line:
                 self._coherence,
                 trusted,
                 shear=shear,
-                reach=self._step,  # beyond its neighbours' places a shear aliases, however coherent it looks
+                reach=self._step,  # estimates farther from the base disparity are aliased, even if they look coherent
                 unit=self._spacing,
                 low=self._range[0],
                 high=self._range[1],
@@ -126,16 +130,16 @@ class _Line:
 
 
 def _spacing(offsets: Float64Array) -> float:
-    """The distance of the nearest neighbours among views at `offsets`, in view steps; nearly equal ones are one."""
+    """The smallest distance between views at `offsets`, view steps; views at nearly equal offsets count as one."""
     gaps = np.diff(np.sort(offsets))
     return float(gaps[gaps > 1e-3 * gaps.max()].min())
 
 
 def structure_filters(offsets: Float64Array, config: LocalConfig) -> StructureFilters:
-    """The filters of a structure tensor at offset 0 of views at `offsets` [u], which need not be evenly spaced.
+    """The filters of a structure tensor at offset 0, for views at `offsets` [u], which may be unevenly spaced.
 
-    Along the views value and slope are those of a line fitted with Gaussian weights. On an even grid these are the
-    Gaussian and its derivative; at the end of a row of views they stay unbiased.
+    Along the views, value and slope come from a line fit with Gaussian weights. On a regular grid this gives the
+    Gaussian and its derivative. At the end of a row of views it stays unbiased.
     """
     inner, outer = _reach(config.inner_scale), _reach(config.outer_scale)
     places = offsets[np.abs(offsets) <= outer]
@@ -143,7 +147,7 @@ def structure_filters(offsets: Float64Array, config: LocalConfig) -> StructureFi
     for m, place in enumerate(places):
         distance = offsets - place
         near, scale = np.abs(distance) <= inner, config.inner_scale
-        if near.sum() < 2:  # a small scale or an uneven line: the nearest two
+        if near.sum() < 2:  # a small scale or an uneven line: the two nearest views
             near[np.argsort(np.abs(distance))[:2]] = True
             scale = max(scale, np.abs(distance[near]).max() / 3)
         weight = np.where(near, _gaussian(distance, scale), 0)
@@ -169,7 +173,7 @@ def structure_filters(offsets: Float64Array, config: LocalConfig) -> StructureFi
 def _rests_on_valid(
     valid: NDArray[np.bool_], offsets: Float64Array, shear: float, config: LocalConfig
 ) -> NDArray[np.bool_]:
-    """Where nothing that the filters reach is invalid: [y, x] from masks [u, y, x], sheared as the EPIs are."""
+    """Where all pixels under the filters are valid: [y, x], from masks [u, y, x] that are sheared like the EPIs."""
     across = int(_reach(config.inner_scale)) + int(_reach(config.outer_scale)) + 1  # one for the shear's rounding
     columns = np.arange(valid.shape[2])
     clean = np.ones(valid.shape[1:], np.bool_)

@@ -1,4 +1,4 @@
-"""How much the last map of a stream says about the next one."""
+"""The temporal prior: how strongly the map of a frame follows the map of the frame before."""
 
 from __future__ import annotations
 
@@ -18,23 +18,29 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class TemporalPrior:
-    """How much the last map says about the next one. LightFieldError where a value is out of range.
+    """How strongly the map of a frame follows the map of the frame before.
 
     Parameters
     ----------
     persistence
-        Share of the frames so far that still count one frame later where nothing changed, 0 to 0.99: in the long run
-        1 / (1 - persistence) frames are averaged. Default 0.8.
+        Weight that earlier frames keep from one frame to the next, at pixels that did not change. In the long run
+        1 / (1 - persistence) frames are averaged. 0 to 0.99, default 0.8.
     strength
-        Cost of being far from the last map, in units of `semi_global.large_penalty`; 0 to 10, default 0.5.
+        Largest cost of a disparity that differs from the last map, in units of `semi_global.large_penalty`. 0 to 10,
+        default 0.5.
     reach
-        Distance from which on that cost stays the same, in steps of the sweep; 0.5 to 100, default 2.
+        Difference in disparity from which on this cost is constant, in steps of the sweep. 0.5 to 100, default 2.
     tolerance
-        Mean change of intensity, over 3 x 3 pixels, that makes a pixel half trusted; in units of the noise of the
-        views, 0.5 to 100, default 1.5.
+        Change of intensity, averaged over 3 x 3 pixels, that halves the trust in the last map. In units of the noise of
+        the views. 0.5 to 100, default 1.5.
     support
-        Difference to the last map that halves how much of it is kept, pixels in the farthest view; 0.001 to 100,
+        Difference in disparity that halves the weight of the last map, pixels in the farthest view. 0.001 to 100,
         default 0.4.
+
+    Raises
+    ------
+    LightFieldError
+        If a value is out of range.
     """
 
     persistence: float = 0.8

@@ -1,8 +1,8 @@
-"""A disparity map for every view of a light field, all of one scene: what one says, the others confirm.
+"""`estimate_all_views`: consistent disparity maps of all views of a light field.
 
-A few key views are estimated, spread as far apart as can be. Their maps are carried into each other view, where what is
-nearest lands on top; where they tell different things, they vote; and what agrees is averaged at sub-pixel precision.
-Estimating every view on its own would cost more, and its maps would differ by as much as each is wrong.
+A few key views, far apart from each other, are estimated. Their maps are warped into every other view with a z-buffer.
+Where the warped maps disagree, the key views vote. Where they agree, they are averaged at sub-pixel precision. This
+takes less time than to estimate every view, and the maps are consistent.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from lfgpu.methods.measured import Measured
 from lfgpu.pipelines.pipeline import DepthPipeline, Progress
 
 _KEYS = 9
-_LEAST_VALID = 0.5  # share of a view's pixels, for it to become a key
-_LANDED = -1e5  # px per view step: `z_buffer` writes less where nothing lands
-_UNKNOWN = 1e6  # px per view step: so near that it hides everything, farther away than all that lands if negative
-_SEEN_THROUGH = 0.5  # of a vote: beside an edge a key that sees through is wrong more often than one that agrees
+_LEAST_VALID = 0.5  # smallest share of valid pixels of a key view
+_LANDED = -1e5  # px per view step: `z_buffer` writes a smaller value where nothing lands
+_UNKNOWN = 1e6  # px per view step: nearer than everything; if negative, farther than everything that lands
+_SEEN_THROUGH = 0.5  # weight of a vote against: beside a depth edge it is wrong more often than a vote for
 
 
 def estimate_all_views(
@@ -43,33 +43,34 @@ def estimate_all_views(
     deterministic: bool = False,
     on_progress: Progress | None = None,
 ) -> ViewsResult:
-    """Estimate the disparity of every view of a light field, consistent with each other.
+    """Estimate consistent disparity maps of all views of a light field.
 
     Parameters
     ----------
     lf
         The light field.
     keys
-        How many views are estimated, >= 1, 9 by default: the reference, and then each time the view that is farthest
-        from those before, if at least half of its pixels are valid. Time is nearly in proportion to them; from as many
-        as there are views on, all are.
+        Number of key views, >= 1; default 9. The first is the reference view. Each further one is the view that is
+        farthest from those before, among the views with at least half of their pixels valid. The time is nearly
+        proportional to this number. If it is the number of views or more, all views are key views.
     config, disparity_range, backend, device, deterministic
-        As for `estimate_depth`. The range and the noise are found once, from the reference view. Disparities that
-        differ by up to `Method.same_surface` are of one surface.
+        As for `estimate_depth`. Range and noise are measured once, on the reference view. Disparities that differ by up
+        to `Method.same_surface` belong to the same surface.
     on_progress
         Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
-        view: `keys` estimates key views, `join` makes the maps of all views, and value is the share that is done.
+        view. The stage "keys" estimates the key views, "join" makes the maps of all views. The value is the share that
+        is done. Default None.
 
     Raises
     ------
     LightFieldError
-        As `estimate_depth`; if `keys` is no whole number >= 1; or if a view shows nothing that a key view shows.
+        As `estimate_depth`; if `keys` is not an integer >= 1; or if a view shows nothing that a key view shows.
     BackendError
         As `estimate_depth`.
     """
     check_light_field(lf)
     if isinstance(keys, bool) or not isinstance(keys, Integral) or keys < 1:
-        raise LightFieldError(f"keys must be a whole number >= 1, found {keys!r}.")
+        raise LightFieldError(f"keys must be an integer >= 1; found {keys!r}.")
     report = on_progress or (lambda stage, iteration, value: None)
     usable = None if lf.valid is None else lf.valid.mean((1, 2)) >= _LEAST_VALID
     chosen = spread_out(lf.positions, lf.reference_index, int(keys), usable)
@@ -98,7 +99,7 @@ def estimate_all_views(
             u, v = position
             raise LightFieldError(
                 f"{lf.name}: view {index} (row {v:g}, column {u:g}) shows nothing that one of the {len(chosen)} key "
-                "views shows; take more keys."
+                "views shows; use more key views."
             )
         disparities[index], confidences[index] = disparity, confidence
         report("join", index + 1, (index + 1) / len(lf.positions))
@@ -114,9 +115,10 @@ def estimate_all_views(
 
 
 def spread_out(positions: Float64Array, first: int, count: int, usable: NDArray[np.bool_] | None = None) -> list[int]:
-    """Indices of up to `count` of the positions [n, 2]: `first`, then each time the one farthest from all before.
+    """Indices of up to `count` positions that are far apart.
 
-    Only those that are `usable` [n] (None: all) come after the first.
+    The first is `first`. Each further one is the position [n, 2] that is farthest from all before, among those that are
+    `usable` [n] (None: all).
     """
     chosen = [first]
     distance = np.full(len(positions), np.inf) if usable is None else np.where(usable, np.inf, 0.0)
@@ -137,7 +139,7 @@ def _pipelines(
     device: str | None,
     deterministic: bool,
 ) -> Iterator[DepthPipeline]:
-    """One for each view, made when it is its turn; range and noise are those of the first."""
+    """One pipeline per key view, each made when it is needed; range and noise are those of the first view."""
     measured: Measured | None = None
     for index in chosen:
         pipeline = DepthPipeline(
@@ -154,18 +156,18 @@ def _pipelines(
 
 
 class Join:
-    """What the maps of the key views say together about any view.
+    """Makes the map of any view from the maps of the key views.
 
     Parameters
     ----------
     estimates
-        Those of the key views.
+        The estimates of the key views.
     valid
-        bool [k, y, x]: where these say something; None is everywhere.
+        bool [k, y, x], False where a key view is masked; None if nothing is masked.
     kernels, device
-        Where maps are carried into other views; the rest is done on the host.
+        The backend and the device that warp maps into other views; the rest runs on the host.
     tolerance
-        Disparities that differ by more belong to different surfaces, pixels per view step.
+        Largest difference between disparities of the same surface, pixels per view step.
     """
 
     def __init__(
@@ -186,13 +188,13 @@ class Join:
         ]
         maps = np.stack([estimate.disparity for estimate in estimates])
         known = np.isfinite(maps) if valid is None else np.isfinite(maps) & valid
-        # What is not known lands nowhere, and has no voice where it is looked at.
+        # Masked pixels land nowhere and do not vote.
         self._landing = [kernels.field(values, device) for values in np.where(known, maps, np.float32(-_UNKNOWN))]
         self._maps = np.where(known, maps, np.float32(_UNKNOWN))
         self._landed = kernels.zeros((1, *self._size), device)
 
     def __call__(self, position: Float64Array) -> tuple[Float32Array, Float32Array]:
-        """Disparity, NaN where no key view shows what is there, and confidence of the view at `position`; [y, x]."""
+        """Disparity and confidence [y, x] of the view at `position` (u, v); NaN where no key view shows the point."""
         steps = [key - position for key in self._positions]
         disparity = self._most_agreed(steps)
         total, agreeing, opposed, trust = (np.zeros(self._size, np.float32) for _ in range(4))
@@ -209,11 +211,11 @@ class Join:
         return mean.astype(np.float32), trust / np.maximum(agreeing + opposed, 1)
 
     def _most_agreed(self, steps: Sequence[Float64Array]) -> Float32Array:
-        """Of what lands on each pixel from the key views, that for which most of them are; 0 where nothing lands, so
-        that the keys say whether that is true.
+        """The disparity at each pixel that wins the vote among those that land there; 0 if nothing lands.
 
-        A key is for a disparity if it has the same one where that points to, and against it if it sees through: only
-        there, as what is nearer in the key may hide the pixel. The farther one wins a tie.
+        A key view votes for a disparity if its own map agrees at the corresponding point. It votes against if its map
+        is farther there, because then it sees through the assumed surface. It abstains if its map is nearer, because
+        then the point may be hidden. In a tie the farther disparity wins.
         """
         landed = np.sort(np.stack([self._carried(n, step) for n, step in enumerate(steps)]), axis=0)
         nothing = landed < _LANDED
@@ -240,7 +242,7 @@ class Join:
         return votes
 
     def _carried(self, key: int, step: Float64Array) -> Float32Array:
-        """The map of a key view in the view from which it is `step` away, [y, x]; below _LANDED where nothing lands."""
+        """The map [y, x] of a key view, warped into a view `-step` away from it; < _LANDED where nothing lands."""
         offset = self._kernels.field(-step[None], self._device)
         carry = self._kernels.z_buffer((1, *self._size, 1), offset, reach=0)
         carry(self._landing[key], self._landed)
@@ -248,7 +250,7 @@ class Join:
 
 
 class _Place:
-    """Places (x, y) in a map of that size; those outside are moved to its border."""
+    """Sample positions (x, y) in a map of one size; positions outside are moved to its border."""
 
     def __init__(self, x: Float32Array, y: Float32Array, size: tuple[int, ...]) -> None:
         bottom, right = size[0] - 1, size[1] - 1

@@ -1,4 +1,4 @@
-"""From a light field to a disparity map: in one piece, or in tiles where memory is short."""
+"""`estimate_depth`: the disparity map of a light field, in one piece or in tiles."""
 
 from __future__ import annotations
 
@@ -25,28 +25,29 @@ def estimate_depth(
 ) -> DepthResult:
     """Estimate the disparity of the reference view of a light field.
 
-    "accurate" and "fast" match: they find the surface on which the views agree, each as far as nothing hides it.
-    "paper" synthesises: it finds the map from which the reference view predicts all others best (Sajjadi et al. 2016).
+    The presets "accurate" and "fast" use matching: they find the surface on which the views agree, and handle
+    occlusions. The preset "paper" uses synthesis: it finds the map with which the reference view predicts all other
+    views best (Sajjadi et al. 2016).
 
     Parameters
     ----------
     lf
-        The light field; its `reference` is the view that is estimated.
+        The light field; the map is that of its reference view.
     config
         All parameters, or the name of a preset: "accurate" (default), "fast" or "paper".
     disparity_range
-        (low, high) bounds of the disparity in pixels per view step, larger is nearer. Default: found from the views.
+        (low, high) of the disparities in pixels per view step; larger is nearer. Default None: found from the views.
     backend
         "warp" (default), "taichi" or "reference".
     device
-        "cpu", "cuda", "cuda:1"; default is the backend's best.
+        "cpu", "cuda" or "cuda:1". Default None: the first GPU that the backend can use, else the CPU.
     deterministic
-        Whether the map must have the same bits each time on the same device, whatever the number of threads. So it has
-        with "warp" and "reference" anyway, and with "taichi" on a CPU; elsewhere BackendError. Default False.
+        Whether to refuse a backend whose maps are not bit-identical from run to run on the same device. "warp" and
+        "reference" are always deterministic, "taichi" on a CPU only. Default False.
     max_memory
-        What the estimate may take, as "8GiB", "500MB" or bytes: of the process on a CPU, of each GPU there. Light
-        fields that do not fit are estimated in tiles that overlap, on all GPUs unless `device` names one. Read them
-        with `lfgpu.read(..., lazy=True)`. Default None: in one piece.
+        Memory limit, as "8GiB", "500MB" or a number of bytes. It applies to the process on a CPU, and to each GPU.
+        Light fields that do not fit are estimated in overlapping tiles, on all GPUs unless `device` names one. Read
+        large light fields with `lfgpu.read(..., lazy=True)`. Default None: no limit, and no tiles.
     on_progress
         Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
         iteration of those that have some: value is the root mean square step in pixels per view step (align), the
@@ -55,14 +56,14 @@ def estimate_depth(
     Returns
     -------
     DepthResult
-        Disparity, confidence and depth, all [y, x] of the reference view at full size.
+        Disparity, confidence and depth of the reference view, each [y, x] at full resolution.
 
     Raises
     ------
     LightFieldError
-        If the range or a parameter is wrong or the views allow no estimate.
+        If the range or a parameter is wrong, or if the views show too little to estimate anything.
     BackendError
-        If the backend or the device is not there, or is not deterministic when it must be.
+        If the backend or the device is missing, or if `deterministic` is set and the backend is not.
     """
     check_light_field(lf)
     if max_memory is not None:

@@ -1,4 +1,4 @@
-"""A pipeline as files, for programs without Python."""
+"""`export_pipeline`: a pipeline as files that a program runs without Python."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ from lfgpu.threads import limited_threads
 _PROGRAM = "replay.cpp"
 
 _README = """\
-What `lfgpu export` wrote: the estimate of disparity for light fields of one kind, to be run without Python.
+This folder holds an exported lfgpu pipeline. It estimates disparity for light fields of one kind, without Python.
 
-pipeline.wrp, pipeline_modules/  the recorded work and its compiled kernels, for {device}
-pipeline.json                    shapes, types, cameras, range and parameters
-replay.cpp                       a program that loads it, gives it frames from a file and writes the maps
+pipeline.wrp, pipeline_modules/  the recorded operations and their compiled kernels, for {device}
+pipeline.json                    shapes, types, cameras, disparity range and parameters
+replay.cpp                       a program that runs the pipeline on frames from a file and writes the maps
 
-It belongs to Warp {version} and to processors like the one it was written on. Where Warp's package is installed
-(its folder is {package} here), build and run the program with
+The pipeline needs Warp {version} and the same kind of processor as the one it was exported on. Install Warp's package
+(its folder is {package} on the exporting machine), then build and run the program with
 
     g++ -O2 -std=c++17 replay.cpp -o replay -L"$WARP/bin" -l:warp.so -l:warp-clang.so -Wl,-rpath,"$WARP/bin"
     ./replay . frames.raw maps.raw
 
-with WARP set to that folder. frames.raw holds frames one after the other, each {frame_bytes} bytes: the views
-[n, y, x, c] = {shape}, {dtype}. For each frame maps.raw gets {map_bytes} bytes of disparity and as many of
-confidence, float32 [y, x]. They have the same bits as those of lfgpu on the same device. On a CPU one thread does it
-all.
+where WARP is that folder. frames.raw holds one frame after the other. Each frame has {frame_bytes} bytes: the views
+[n, y, x, c] = {shape}, {dtype}. For each frame, maps.raw gets {map_bytes} bytes of disparity and as many of
+confidence, both float32 [y, x]. The maps are bit-identical to those of lfgpu on the same device. On a CPU the program
+uses one thread.
 """
 
 
@@ -50,37 +50,37 @@ def export_pipeline(
     backend: BackendName = DEFAULT,
     device: str | None = "cpu",
 ) -> None:
-    """Write what a `DepthPipeline` does, for programs that replay it through Warp's C interface; whole or not at all.
+    """Write a `DepthPipeline` as files that a program runs through Warp's C interface; all files or none.
 
     Parameters
     ----------
     lf
-        A light field of the kind, as for `DepthPipeline`. Its cameras and masks stay what they are.
+        A light field of the kind, as for `DepthPipeline`. Its cameras and masks become part of the files.
     out
-        The folder; README.txt in it says what is there. Files of an older export are written over.
+        The folder; its README.txt explains the files. An older export is overwritten.
     config, disparity_range
-        As for `estimate_depth`. The method must be one that can be exported, as matching is.
+        As for `estimate_depth`. The method must be exportable (`Method.is_recordable`), as matching is.
     backend
-        "warp" (default), the only one that can write pipelines.
+        "warp" (default), the only backend that can export.
     device
         "cpu" (default), "cuda" or "cuda:1".
 
     Raises
     ------
     LightFieldError, BackendError
-        As `DepthPipeline`, if the method or the backend cannot be exported, or if the folder cannot be written.
+        As `DepthPipeline`; if the method or the backend cannot export; or if the folder cannot be written.
     """
     check_light_field(lf)
     check_writable(out)
     method, recording = method_of(config), load(backend).recording
     if recording is None:
-        raise BackendError(f"backend {backend!r} cannot write pipelines as files; take backend {DEFAULT!r}.")
+        raise BackendError(f"backend {backend!r} cannot export pipelines; use backend {DEFAULT!r}.")
     if not method.is_recordable:
         raise LightFieldError(
-            f"the method {method.name} cannot be exported: its number of iterations depends on the views; take the "
-            "preset accurate or fast."
+            f"the method {method.name} cannot be exported, because its number of iterations depends on the views; use "
+            "another preset (`lfgpu export --help` lists them)."
         )
-    with limited_threads(1):  # what other threads ask for would not be recorded
+    with limited_threads(1):  # the work of other threads would not be recorded
         pipeline = DepthPipeline(lf, config=config, disparity_range=disparity_range, backend=backend, device=device)
         pipeline.run()
         views, maps = pipeline.buffers()

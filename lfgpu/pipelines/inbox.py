@@ -1,4 +1,4 @@
-"""Where frames of a stream wait, and what happens to those for which there is no room."""
+"""The queue in which the frames of a stream wait, and its policies for frames that come too fast."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from typing import Generic, TypeVar
 from lfgpu.errors import LfgpuError
 
 POLICIES = {"latest": 1, "block": 2, "queue": 4}
-"""Names of the policies, and how many frames may wait unless it is said."""
+"""The policies, and for each the default number of frames that may wait."""
 
 Frame = TypeVar("Frame")
 Slot = TypeVar("Slot")
 
 
 class Inbox(Generic[Frame, Slot]):
-    """Frames wait here in order, each with a slot that holds what it is made of; used from any threads.
+    """A queue of frames in order, each with a slot that holds its data. It may be used from any thread.
 
     Parameters
     ----------
     policy
-        "block" makes those who bring a frame wait until there is room; otherwise the oldest waiting frame makes room.
+        With "block", adding a frame waits until there is space. Otherwise the oldest waiting frame is dropped.
     waiting
         How many frames may wait, >= 1.
     slots
-        What holds the frames; more than `waiting`, as one is filled and one is read meanwhile.
+        Buffers for the data of frames; more than `waiting`, because one is being filled and one is being read.
     drop
-        Called with each frame that is given up, without any lock held.
+        Called with each dropped frame, while no lock is held.
     """
 
     def __init__(self, policy: str, waiting: int, slots: list[Slot], drop: Callable[[Frame], None]) -> None:
@@ -43,11 +43,11 @@ class Inbox(Generic[Frame, Slot]):
 
     @property
     def closed(self) -> bool:
-        """Whether frames are refused."""
+        """Whether new frames are refused."""
         return self._closed
 
     def slot(self) -> Slot:
-        """An empty slot to fill; `put` or `give_back` must follow. LfgpuError if the inbox is or gets closed."""
+        """Get an empty slot to fill; `put` or `give_back` must follow. LfgpuError if the inbox is or becomes closed."""
         dropped: list[Frame] = []
         try:
             with self._changed:
@@ -69,7 +69,7 @@ class Inbox(Generic[Frame, Slot]):
                 self._drop(frame)
 
     def put(self, frame: Frame, slot: Slot) -> None:
-        """A frame whose slot is filled waits from now on."""
+        """Add a frame whose slot is filled."""
         dropped: list[Frame] = []
         with self._changed:
             self._filling -= 1
@@ -87,14 +87,14 @@ class Inbox(Generic[Frame, Slot]):
             self._drop(old)
 
     def give_back(self, slot: Slot, *, filled: bool = False) -> None:
-        """A slot is empty again: it could not be filled, or, if it was `filled`, what it held has been read."""
+        """Return a slot: its data has been read (`filled`), or it could not be filled."""
         with self._changed:
             self._filling -= not filled
             self._free.append(slot)
             self._changed.notify_all()
 
     def get(self) -> tuple[Frame, Slot] | None:
-        """The frame that has waited longest, as soon as there is one; None when the inbox is closed and empty."""
+        """Wait for the oldest frame and take it; None when the inbox is closed and empty."""
         with self._changed:
             while not self._waiting:
                 if self._closed and not self._filling:
@@ -105,7 +105,7 @@ class Inbox(Generic[Frame, Slot]):
             return taken
 
     def close(self, *, finish: bool) -> None:
-        """Refuse frames from now on; those that wait are still given out if `finish`, else dropped."""
+        """Refuse new frames; waiting frames can still be taken if `finish`, else they are dropped."""
         dropped: list[Frame] = []
         with self._changed:
             self._closed = True
@@ -119,4 +119,4 @@ class Inbox(Generic[Frame, Slot]):
 
     def _refuse_if_closed(self) -> None:
         if self._closed:
-            raise LfgpuError("the stream is closed; make another one.")
+            raise LfgpuError("the stream is closed; create a new one.")

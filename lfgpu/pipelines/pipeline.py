@@ -1,4 +1,4 @@
-"""A method with all memory allocated: views go in as often as they come, and maps come out."""
+"""`DepthPipeline`: a method with all memory allocated, for many light fields of one kind."""
 
 from __future__ import annotations
 
@@ -22,33 +22,32 @@ from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.measured import Measured
 from lfgpu.pipelines.rehearsal import Rehearsal
 
-_NOT_FINITE = "views hold values that are not finite (NaN or infinity); mask or replace them."
+_NOT_FINITE = "views hold NaN or infinity; mask or replace these values."
 
 Progress = Callable[[str, int, float], None]
 """Called as progress(stage, iteration, value)."""
 
 
 class DepthPipeline:
-    """The method for light fields of one kind: everything is allocated once, and views go in as often as they come.
+    """A depth estimator for many light fields of one kind. All memory is allocated once.
 
         pipeline = DepthPipeline(lf, disparity_range=(-2, 2))
         pipeline.upload(views)          # [n, y, x, c], like lf.views
-        pipeline.run()                  # asks for all work and returns
+        pipeline.run()                  # starts the work and returns
         pipeline.disparity()            # float32 [y, x]; waits for the device
 
-    On a GPU, `run` is one graph of work that the device goes through without the host, once it has been captured:
-    the second run does that.
+    On a GPU, the second run captures all work as a graph. From then on `run` launches this graph, which needs no host.
 
     Parameters
     ----------
     lf
-        A light field of that kind: its cameras, size, stored type, masks and reference view count. Its views are the
-        first to be there; the range of disparities, if it is not given, and the noise are found on them.
+        Gives the cameras, size, stored type, masks and reference view. Its views are the first input. The noise, and
+        the disparity range if it is not given, are measured on them.
     config, disparity_range, backend, device, deterministic
         As for `estimate_depth`.
     measured
-        The disparity range and the noise, where they were measured before; `disparity_range` does not count then.
-        Default None: measured on the views of `lf`.
+        The disparity range and the noise, if they were measured before; then `disparity_range` is not used. Default
+        None: measured on the views of `lf`.
 
     Raises
     ------
@@ -73,8 +72,8 @@ class DepthPipeline:
         self.device = pick_device(self.kernels, device)
         if deterministic and not self.kernels.is_deterministic(self.device):
             raise BackendError(
-                f"backend {backend!r} on {self.device} adds up in an order that differs from run to run; use backend "
-                f"{DEFAULT!r}, or the CPU."
+                f"backend {backend!r} on {self.device} is not deterministic: its order of summation differs from run "
+                f"to run; use backend {DEFAULT!r}, or the CPU."
             )
         self._lf, self._backend = lf, backend
         self._timings: dict[str, float] = {}
@@ -98,28 +97,35 @@ class DepthPipeline:
                 self._plan: Plan = self.method.plan(lf, self.measured, self.kernels, self.device)
 
     def upload(self, views: Any) -> None:
-        """Take other views [n, y, x, c], of the shape and type of the light field's, with any strides.
+        """Replace the views.
 
-        NumPy, or an array of another library that has DLPack or `__cuda_array_interface__` (PyTorch, CuPy, JAX, Numba).
-        One of the pipeline's own GPU is copied there, without the host, by the "warp" backend. The copy takes its turn
-        on the stream on which PyTorch or CuPy work at this moment: it waits for what they were asked for, and what they
-        are asked for next waits for it, so that the array may be changed or dropped at once. For other libraries the
-        host waits for the copy, as it does for arrays in its own memory.
-
-        Values that are not finite are refused at once, but on a GPU, where nothing is looked at on the way:
-        `disparity` and `result` refuse to answer then, and `device_disparity` means nothing.
+        Parameters
+        ----------
+        views
+            The new views [n, y, x, c], of the same shape and type as the light field's, with any strides: a NumPy
+            array, or an array with DLPack or `__cuda_array_interface__` (PyTorch, CuPy, JAX, Numba).
 
         Raises
         ------
         LightFieldError
-            If shape, type or device are not the pipeline's, or values are not finite.
+            If the shape, type or device is not that of the pipeline, or if a value is NaN or infinite.
+
+        Notes
+        -----
+        The "warp" backend copies an array on the pipeline's own GPU there, without the host. The copy runs on the
+        current stream of PyTorch or CuPy: it waits for their earlier work, and their later work waits for it. So the
+        array may be changed or freed at once. For other libraries, and for arrays in host memory, the host waits until
+        the copy is done.
+
+        Values from a GPU are not checked here. If one is not finite, `disparity` and `result` raise, and
+        `device_disparity` is meaningless.
         """
         place = interop.place_of("views", views)
         (found, shape), expected = interop.kind_of("views", views), self._lf.views
         if shape != expected.shape or found != str(expected.dtype):
             raise LightFieldError(
-                f"views must be {expected.dtype} {list(expected.shape)} as those that the pipeline was made for, found "
-                f"{found} {list(shape)}."
+                f"views must be {expected.dtype} {list(expected.shape)}, like those that the pipeline was made for; "
+                f"found {found} {list(shape)}."
             )
         if place == "cpu":
             views = interop.on_host("views", views)
@@ -127,20 +133,20 @@ class DepthPipeline:
                 raise LightFieldError(_NOT_FINITE)
         elif self._backend != "warp" or self.device == "cpu":
             raise LightFieldError(
-                f"views are on {place} and the pipeline on {self.device} with backend {self._backend!r}; copy them to "
-                "the CPU first, or make the pipeline for that GPU with backend 'warp'."
+                f"views are on {place}, but the pipeline is on {self.device} with backend {self._backend!r}; copy them "
+                "to the CPU first, or make the pipeline for that GPU with backend 'warp'."
             )
         elif place not in (self.device, interop.SOME_GPU):
-            raise LightFieldError(f"views are on {place} and the pipeline on {self.device}; copy them there first.")
+            raise LightFieldError(f"views are on {place}, but the pipeline is on {self.device}; copy them there first.")
         try:
             with self.kernels.asking(self.device):
                 self.kernels.upload(views, self._views)
-        except (BufferError, RuntimeError) as error:  # of the array's library
-            raise LightFieldError(f"views cannot be taken: {' '.join(str(error).split())}") from error
+        except (BufferError, RuntimeError) as error:  # raised by the library of the array
+            raise LightFieldError(f"views cannot be read: {' '.join(str(error).split())}") from error
         self._unseen = place != "cpu" and expected.dtype.kind == "f"
 
     def run(self) -> None:
-        """Estimate from the views that are there."""
+        """Estimate the disparity of the current views. Returns before the device has finished."""
         if self._graph is None and self._runs > 0 and self.method.is_on_device:
             self._graph = self.kernels.capture(self.work, self.device)
         with self.kernels.asking(self.device):
@@ -154,33 +160,44 @@ class DepthPipeline:
 
     @property
     def device_disparity(self) -> Any:
-        """The map of the last run where it was computed, [y, x], float32 (float64 with backend "reference").
+        """The map of the last run in device memory, [y, x], float32 (float64 with backend "reference"); not copied.
 
             torch.from_dlpack(pipeline.device_disparity)
             cupy.asarray(pipeline.device_disparity)
 
-        It has DLPack, and `__cuda_array_interface__` on a GPU or `__array_interface__` on a CPU, and is not copied.
-        Whoever takes it waits, on a stream of its own, for what was asked for by then: take it anew after each run. The
-        next run writes over it. If the views of that run are uploaded from the stream that reads this map, they come
-        after; otherwise be done with it before. BackendError from backend "taichi", which has nothing to share.
+        It has DLPack, and `__cuda_array_interface__` on a GPU or `__array_interface__` on a CPU.
+
+        Raises
+        ------
+        BackendError
+            With backend "taichi", which cannot share arrays.
+
+        Notes
+        -----
+        The stream that takes the array waits for the work that was started before; so take it anew after each run. The
+        next run overwrites the array. Finish reading it before that run, or upload the next views from the stream that
+        reads it.
         """
         return self.kernels.shared(self._plan.disparity)
 
     @property
     def device_confidence(self) -> Any:
-        """The confidence of the last run where it was computed, [y, x], 0 to 1; as `device_disparity`."""
+        """The confidence of the last run in device memory, [y, x], 0 to 1; as `device_disparity`."""
         return self.kernels.shared(self._plan.confidence)
 
     def disparity(self) -> Float32Array:
         """The map of the last run, float32 [y, x]; waits for the device.
 
-        LightFieldError if nothing was coherent, or views came from a GPU and are not finite.
+        Raises
+        ------
+        LightFieldError
+            If there was no run, if the views showed too little, or if they came from a GPU and were not finite.
         """
         self._check()
         return self._map(self._plan.disparity)
 
     def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
-        """Run and return everything; waits for the device after each stage."""
+        """Run all stages and return the result; waits for the device after each stage."""
         stages = self.stages()
         before = self._timings if self._runs == 0 else {}  # what came before the first run is a part of it
         self._timings = dict(before)
@@ -199,7 +216,7 @@ class DepthPipeline:
         return self.result()
 
     def result(self) -> DepthResult:
-        """Everything about the last run; waits for the device. LightFieldError as from `disparity`."""
+        """The result of the last run; waits for the device. Raises as `disparity`."""
         self._check()
         lf, solution, maps = self._lf, self._plan.solution(), self._plan.maps()
         position = lf.positions[lf.reference_index]
@@ -225,19 +242,19 @@ class DepthPipeline:
         )
 
     def stages(self) -> dict[str, Work]:
-        """What a run asks for, by name and in order; each stage needs those before it.
+        """The work of each stage, by name and in order; each stage needs those before it.
 
-        `method.stages` says what each of them is. A stage is called with what to call as callback(iteration, value)
-        after each iteration, or None; only with None can it be captured. `run` and `estimate` do all of them.
+        `method.stages` describes the stages. Call a stage with a callback(iteration, value), which it calls after each
+        iteration, or with None; it can be captured only with None. `run` and `estimate` do all stages.
         """
         return self._plan.stages(self._views)
 
     def buffers(self) -> tuple[Array, dict[str, Array]]:
-        """What `work` reads, the views, and what it writes, by name: arrays of the backend, for those who record it."""
+        """Input and outputs of `work`, for recording: the views, and the maps by name; arrays of the backend."""
         return self._views, {"disparity": self._plan.disparity, "confidence": self._plan.confidence}
 
     def work(self) -> None:
-        """Ask for all stages, one operation after the other; `run` does so until it has captured them."""
+        """Start all stages, one operation after the other. `run` does this until it has captured them."""
         for stage in self.stages().values():
             stage(None)
 

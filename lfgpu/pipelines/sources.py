@@ -1,4 +1,4 @@
-"""Where frames come from when depth runs along, and what feeds them to a stream."""
+"""Sources of frames for `lfgpu live`: folders, synthetic scenes and grabbers; and the loop that feeds a stream."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from lfgpu.io.folders import natural_order
 from lfgpu.pipelines.stream import DepthStream, StreamResult
 
 Frames = Iterator[Any]
-"""A `LightField` first, then light fields of its kind, arrays like its views, or pairs of these and what is valid."""
+"""A `LightField` first; then light fields of its kind, arrays like its views, or pairs (array, valid)."""
 
-_RENDERED = 24  # frames of a synthetic scene, which are then repeated
+_RENDERED = 24  # frames of a synthetic scene that are rendered; then they repeat
 
 
 def open_source(source: str, *, scene_options: dict[str, Any] | None = None) -> tuple[LightField, Frames]:
@@ -30,11 +30,11 @@ def open_source(source: str, *, scene_options: dict[str, Any] | None = None) -> 
     Parameters
     ----------
     source
-        A folder of light fields, taken in the order of their names, numbers by value; the name of a synthetic scene
-        ("moving" goes round for ever, the others stand still); or `module:function`, a grabber. It is called without
-        arguments and yields `LightField`s, or after the first one also views [n, y, x, c] as arrays of any library, or
-        pairs (views, valid) with bool [n], False for cameras that gave nothing. The module is looked for in the current
-        folder, too.
+        One of three. A folder of light fields, in natural order of their names. The name of a synthetic scene:
+        "moving" repeats for ever, the others stand still. Or a grabber as `module:function`; the module may be in the
+        current folder. The function has no arguments. It yields a `LightField` first, then light fields, arrays of
+        views [n, y, x, c] of any library, or pairs (views, valid), where valid is bool [n], False for cameras without
+        a picture.
     scene_options
         `grid`, `size`, `disparity_range`, `noise` and `seed` of `scenes.make`.
 
@@ -47,10 +47,11 @@ def open_source(source: str, *, scene_options: dict[str, Any] | None = None) -> 
     try:
         first = next(frames)
     except StopIteration:
-        raise LightFieldError(f"{source} gave no frame.") from None
+        raise LightFieldError(f"{source} yielded no frame; give a source with at least one.") from None
     if not isinstance(first, LightField):
         raise LightFieldError(
-            f"{source} must yield a LightField first, which says where the cameras stand; found {type(first).__name__}."
+            f"{source} must yield a LightField first, because it gives the camera positions; found "
+            f"{type(first).__name__}."
         )
     return first, itertools.chain([first], frames)
 
@@ -68,13 +69,13 @@ def feed(
     Parameters
     ----------
     frames
-        As from `open_source`; those that are no arrays fail in the stream, as wrong frames do.
+        As from `open_source`. A wrong frame becomes a failed result of the stream.
     fps
-        Frames a second at most; None takes them as they come.
+        Largest number of frames per second; None (default) takes frames as they come.
     most
-        How many frames; None takes all.
+        Largest number of frames; None (default) takes all.
     on_done
-        Called with each result in order, in the thread that feeds: also those that failed or were dropped.
+        Called with each result in order, also failed and dropped ones, in the thread that feeds.
     """
     pending: deque[StreamResult] = deque()
 
@@ -121,12 +122,17 @@ def _of_folder(path: Path) -> Frames:
     )
     folders = [entry for entry in found if entry.is_dir()]
     if not folders:
-        raise LightFieldError(f"{path} holds no folders; give a folder that holds a light field for each frame.")
+        raise LightFieldError(
+            f"{path} holds no folders; give a folder that holds one light field folder for each frame."
+        )
     first: LightField | None = None
     for folder in folders:
         lf = read(folder)
         if first is not None and not np.array_equal(lf.positions, first.positions):
-            raise LightFieldError(f"{folder} has other cameras than {folders[0]}; a stream is made for one array.")
+            raise LightFieldError(
+                f"{folder} has other camera positions than {folders[0]}; all frames of a stream must come from the "
+                "same cameras."
+            )
         first = first or lf
         yield lf
 
@@ -151,7 +157,7 @@ def _of_grabber(source: str) -> Frames:
     try:
         grabber = getattr(importlib.import_module(module_name), function_name)
     except (ImportError, AttributeError, ValueError) as error:
-        raise LightFieldError(f"{source} cannot be loaded: {error}.") from error
+        raise LightFieldError(f"{source} cannot be imported: {error}.") from error
     frames = grabber() if callable(grabber) else None
     if not isinstance(frames, Iterable):
         raise LightFieldError(f"{source} must be a function without arguments that yields frames.")

@@ -1,4 +1,4 @@
-"""Depth for each frame of a camera array while it records: built once, fed from any thread, never in the way."""
+"""`DepthStream`: a disparity map for each frame of a camera array, in real time."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from lfgpu.pipelines import stream_stats
 from lfgpu.pipelines.inbox import POLICIES, Inbox
 from lfgpu.threads import get_threads
 
-_USUAL_NOISE = 0.004  # intensity, of cameras that nothing is known about
-_SEEN_CHANGE = 4.0  # noises that make a sample of the reference view another one
-_AT_ONCE = 2**22  # bytes that one thread copies as fast as several
+_USUAL_NOISE = 0.004  # intensity: the noise of cameras of which nothing is known
+_SEEN_CHANGE = 4.0  # in units of the noise: a larger change of a sample counts as a change of the scene
+_AT_ONCE = 2**22  # bytes: up to this size, one thread copies as fast as several
 _MOST_COPIERS = 8
 _MOST_WAITING = 1000
 _SMOOTHING = 0.1  # weight of the latest frame in the mean time of a level of work
@@ -43,24 +43,24 @@ OnResult = Callable[["StreamResult"], None]
 
 
 class FrameDroppedError(LfgpuError):
-    """A frame was given up: there was no room for it, or the stream was closed."""
+    """A frame was dropped, because frames came too fast or the stream was closed."""
 
 
 class StreamResult:
-    """What becomes of one frame: a promise first, then a map and a confidence on the device, or an error.
+    """The result of one frame. At first it is pending; then it holds a map and a confidence, or an error.
 
     Attributes
     ----------
     index
-        Number of the frame, from 0, in the order in which they were pushed.
+        Number of the frame, from 0, in the order of `push`.
     tag
-        What `push` was given along with the frame, such as its time stamp.
+        The `tag` that was given to `push`, such as a time stamp.
     cold
-        Whether the map does not start from the last one; `cut` if a change of the scene is why.
+        Whether the map was estimated without the previous one. `cut` is True if a change of the scene was the reason.
     steps
-        Steps of the alignment that it took.
+        Number of alignment steps.
     latency
-        Seconds from `push` to the map on the host; NaN until then. `work`, those of them that the device needed.
+        Seconds from `push` to the map on the host; NaN until then. `work` is the device time, seconds.
     """
 
     def __init__(self, index: int, tag: Any, valid: NDArray[np.bool_]) -> None:
@@ -78,38 +78,38 @@ class StreamResult:
 
     @property
     def dropped(self) -> bool:
-        """Whether the frame was given up."""
+        """Whether the frame was dropped."""
         return isinstance(self._error, FrameDroppedError)
 
     @property
     def error(self) -> LfgpuError | None:
-        """Why there is no map; None if there is one, or nothing is known yet."""
+        """Why there is no map; None if there is a map, or if the result is pending."""
         return self._error
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until `done`, at most `timeout` seconds; whether it is."""
+        """Wait until `done`, at most `timeout` seconds (None: no limit). Returns `done`."""
         return self._ready.wait(timeout)
 
     def numpy(self) -> Float32Array:
-        """The disparity, float32 [y, x], pixels per view step; a copy. Waits, and raises `error` if there is one."""
+        """A copy of the disparity, float32 [y, x], pixels per view step. Waits; raises `error` if there is one."""
         return np.asarray(self._maps().numpy(0))
 
     def confidence(self) -> Float32Array:
-        """The confidence, float32 [y, x], 0 to 1; a copy. As `numpy`."""
+        """A copy of the confidence, float32 [y, x], 0 to 1. Waits and raises as `numpy`."""
         return np.asarray(self._maps().numpy(1))
 
     @property
     def device_disparity(self) -> Any:
-        """The disparity where it was computed, with DLPack and `__cuda_array_interface__`; not copied. As `numpy`.
+        """The disparity in device memory, with DLPack and `__cuda_array_interface__`; not copied.
 
-        The memory is this frame's as long as this result, or an array made of it, is there. Then a later frame gets it,
-        so be done with reading, not only with asking for it.
+        Waits and raises as `numpy`. The memory belongs to this frame while this result, or an array made from it,
+        exists. After that a later frame reuses it. So wait until your reads have finished before you drop the result.
         """
         return self._maps().shared(0)
 
     @property
     def device_confidence(self) -> Any:
-        """The confidence, as `device_disparity`."""
+        """The confidence in device memory; as `device_disparity`."""
         return self._maps().shared(1)
 
     def _maps(self) -> Any:
@@ -129,7 +129,7 @@ class StreamResult:
 
 @dataclass
 class _Level:
-    """An amount of work for a frame, ready to be asked for."""
+    """One amount of work for a frame, prepared."""
 
     steps: int
     work: Callable[[], None]
@@ -137,59 +137,61 @@ class _Level:
 
 
 class DepthStream:
-    """Disparity maps of light fields from the same cameras, one after the other, as fast as they come.
+    """Estimates disparity maps for a stream of frames from the same cameras, in real time.
 
         with lfgpu.DepthStream(lf, disparity_range=(-2, 2)) as stream:
             for frame in camera:                # [n, y, x, c], like lf.views
-                result = stream.push(frame)     # at once
+                result = stream.push(frame)     # returns at once
                 ...
                 disparity = result.numpy()      # waits
 
-    All memory is allocated and, on a GPU, all work captured when the stream is made. While the device works on one
-    frame, the next one comes and the map before goes. A frame starts from the last map where the scene is still the
-    same (`TemporalPrior`). A frame without a map before it gets the map of `estimate_depth`.
+    When the stream is created, all memory is allocated and, on a GPU, all work is captured. While the device works on
+    one frame, the next frame is uploaded and the previous map is downloaded. A frame starts from the previous map where
+    the scene has not changed (`TemporalPrior`). A frame without a previous map gets the same map as from
+    `estimate_depth`.
 
-    What is wrong with a frame (shape, type, values, no reference view) is the `error` of its result; the stream goes
-    on.
+    If a frame is wrong (shape, type, values, missing reference view), its result has an `error`, and the stream
+    continues.
 
     Parameters
     ----------
     lf
-        A light field of that kind: its cameras, size, stored type, masks and reference view count. The range of
-        disparities, if it is not given, and the noise are found on its views. See `for_cameras` where there are none
-        yet.
+        Gives the cameras, size, stored type, masks and reference view. The noise, and the disparity range if it is not
+        given, are measured on its views. Without a first frame, use `for_cameras`.
     config
         All parameters, or the name of a preset: "accurate" (default) or "fast".
     disparity_range
-        (low, high) bounds of the disparity in pixels per view step, larger is nearer. Default: found from the views.
+        (low, high) of the disparities in pixels per view step; larger is nearer. Default None: found from the views.
     backend
-        "warp" (default), the only one with streams.
+        "warp" (default), the only backend with streams.
     device
-        "cpu", "cuda", "cuda:1"; default is the best there is.
+        "cpu", "cuda" or "cuda:1". Default None: the first GPU, else the CPU.
     prior
-        How much the last map says; None makes each frame on its own.
+        How strongly a map follows the previous one; None estimates each frame independently. Default
+        `TemporalPrior()`.
     cut
-        Share of the reference view that must look different for a frame to start anew, 0 to 1; default 0.5.
+        Share of the reference view, 0 to 1, that must have changed for a frame to start without the previous map;
+        default 0.5.
     policy
-        What happens to frames that come too fast. "latest" (default): one waits, and a newer one takes its place.
-        "block": `push` waits. "queue": some wait, and when they are too many the oldest is given up.
+        What happens to frames that come too fast. "latest" (default): one frame waits, and a newer one replaces it.
+        "block": `push` waits. "queue": several frames wait; if there are too many, the oldest is dropped.
     waiting
-        How many frames may wait, >= 1; default 2 for "block", 4 for "queue"; always 1 for "latest".
+        How many frames may wait, >= 1. Default None: 1 for "latest" (the only value), 2 for "block", 4 for "queue".
     budget_ms
-        Milliseconds that the device may take for a frame: the stream does as many steps, and as much else, as fits by
-        what frames took so far; the least there is if nothing does. None (default) does all that `config` says.
+        Device time per frame, milliseconds, > 0. The stream reduces the work per frame to fit, judging by the times of
+        earlier frames; if nothing fits, it does the least it can. Default None: all work that `config` asks for.
     on_result
-        Called with each `StreamResult` that has a map, in order, from a thread of the stream; also an attribute that
-        may be set at any time. It should be quick. Its exceptions are counted (`stats`) and otherwise ignored.
-
+        Called with each `StreamResult` that has a map, in order, from a thread of the stream. It should return quickly.
+        Its exceptions are counted (`stats`) and ignored. It is also an attribute that may be set at any time. Default
+        None.
     measured
-        The disparity range and the noise, where they were measured before; `disparity_range` does not count then.
-        Default None: measured on the views of `lf`.
+        The disparity range and the noise, if they were measured before; then `disparity_range` is not used. Default
+        None: measured on the views of `lf`.
 
     Raises
     ------
     LightFieldError, BackendError
-        As `estimate_depth`, and if a parameter is wrong or the method or the backend has no streams.
+        As `estimate_depth`; also if the method or the backend cannot run on streams.
     """
 
     def __init__(
@@ -213,7 +215,7 @@ class DepthStream:
         method, kernels = method_of(config), load(backend)
         streaming = kernels.streaming
         if streaming is None:
-            raise BackendError(f"backend {backend!r} has no streams; take backend {DEFAULT!r}.")
+            raise BackendError(f"backend {backend!r} has no streams; use backend {DEFAULT!r}.")
         self.device = pick_device(kernels, device)
         self.config, self.geometry, self.name = configured(config), lf.geometry, lf.name
         self._expected, self._grid = (lf.views.shape, lf.views.dtype), lf.grid_shape
@@ -242,7 +244,7 @@ class DepthStream:
         self._budget = budget_ms
         self._cold, self._warm = self._prepared(kernels, warm=prior is not None)
         self._cut = cut
-        self._fresh = True  # whether there is no past to start from
+        self._fresh = True  # whether there is no previous map to start from
         self.on_result = on_result
 
         self._counters = stream_stats.Counters()
@@ -274,7 +276,7 @@ class DepthStream:
         config: Config | str = "accurate",
         **options: Any,
     ) -> DepthStream:
-        """A stream before there is any frame.
+        """Create a stream before there is any frame.
 
         Parameters
         ----------
@@ -287,7 +289,7 @@ class DepthStream:
         dtype, channels
             uint8 (default), uint16 or float32 in [0, 1]; 1 or 3 (default).
         noise
-            How much views differ where they agree, intensity; default 0.004.
+            Root mean square difference between views that show the same point, intensity; default 0.004.
         config, options
             As for `DepthStream`.
         """
@@ -302,39 +304,39 @@ class DepthStream:
         """(low, high) of the disparities, pixels per view step."""
         return self.measured.disparity_range
 
-    # --- for those who record ---
+    # --- pushing frames ---
 
     def push(
         self, frame: Any, *, valid: Sequence[bool] | NDArray[np.bool_] | None = None, tag: Any = None
     ) -> StreamResult:
-        """Give the stream a frame; from any thread. The array may be changed as soon as this returns.
+        """Add a frame. May be called from any thread. The array may be changed as soon as this returns.
 
         Parameters
         ----------
         frame
-            Views [n, y, x, c] of the shape and type of the stream, with any strides: NumPy, or whatever has DLPack or
-            `__cuda_array_interface__`, on the CPU or the stream's GPU. Of a full grid [v, u, y, x, c] will do, and of
-            grey views [n, y, x].
+            Views [n, y, x, c] of the shape and type of the stream, with any strides: a NumPy array, or an array with
+            DLPack or `__cuda_array_interface__`, on the CPU or on the stream's GPU. A full grid may be
+            [v, u, y, x, c], and grey views may be [n, y, x].
         valid
-            bool [n], False for cameras that gave nothing this time; what their views hold does not matter. The
-            reference must be there, and another one. Default: all are there.
+            bool [n], False for cameras without a picture; their views are not read. The reference view and at least one
+            other used view must be valid. Default None: all are valid.
         tag
-            Anything; the result has it.
+            Any object; it becomes `StreamResult.tag`. Default None.
 
         Returns
         -------
         StreamResult
-            At once, but with the policy "block", if frames wait already.
+            Returned at once, except that the policy "block" waits for space.
 
         Raises
         ------
         LfgpuError
-            If the stream is closed. Nothing else.
+            If the stream is closed. Errors of the frame are in the result instead.
         """
         there = np.ones(self._expected[0][0], bool) if valid is None else valid
         with self._numbering:
             if self._inbox.closed:
-                raise LfgpuError("the stream is closed; make another one.")
+                raise LfgpuError("the stream is closed; create a new one.")
             result = StreamResult(self._index, tag, np.asarray(there))
             self._index += 1
             self._counters.add("frames_pushed")
@@ -353,7 +355,7 @@ class DepthStream:
             return result
         try:
             self._fill(slot, checked, result.valid, on_gpu=on_gpu)
-        except Exception as error:  # whatever the frame's library raises is this frame's affair
+        except Exception as error:  # the library of the frame may raise anything; only this frame fails
             self._inbox.give_back(slot)
             known = error if isinstance(error, LightFieldError) else _cannot_be_taken(error)
             self._fail(result, known)
@@ -362,17 +364,20 @@ class DepthStream:
         return result
 
     def restart(self) -> None:
-        """Forget the past: the next frame starts cold."""
+        """Forget the previous map: the next frame starts without it."""
         self._fresh = True
 
     def stats(self) -> dict[str, Any]:
-        """What happened so far, as plain numbers; from any thread, at any time.
+        """Statistics as plain numbers. May be called from any thread, at any time.
 
-        Counts `frames_pushed`, `_done`, `_dropped`, `_failed`, `_in_work` (the first is the sum of the others),
-        `_cold`, `_with_missing_views`, `_over_budget`, `scene_cuts`, `callback_errors`; `frames_waiting`;
-        `frames_per_second` over the last two seconds; `latency_p50_ms`, `p95`, `p99` from `push` to the map on the host
-        and `work_p50_ms` and so on of the device, over the latest 1024 results, NaN without any; `result_buffers`, how
-        many results there is memory for: it grows if more are held.
+        Returns
+        -------
+        Counts: `frames_pushed`, which is the sum of `frames_done`, `frames_dropped`, `frames_failed` and
+        `frames_in_work`; `frames_cold`, `frames_with_missing_views`, `frames_over_budget`, `scene_cuts`,
+        `callback_errors`, `frames_waiting`. Rate: `frames_per_second` over the last two seconds. Times over the latest
+        1024 results, NaN if there is none: `latency_p50_ms`, `latency_p95_ms`, `latency_p99_ms` from `push` to the map
+        on the host, and `work_p50_ms` and so on for the device. Memory: `result_buffers`, the number of results that
+        memory is allocated for; it grows if more results are held.
         """
         return {
             **self._counters.stats(),
@@ -381,13 +386,13 @@ class DepthStream:
         }
 
     def prometheus(self) -> str:
-        """`stats` in the text format of Prometheus, to be served or written by whoever has a server."""
+        """`stats` in the text format of Prometheus."""
         return stream_stats.prometheus(self.stats())
 
     def close(self, *, finish: bool = True) -> None:
-        """End the stream: refuse frames, finish those that wait (or drop them, if not `finish`), and end its threads.
+        """End the stream and its threads. Waiting frames are finished if `finish` (default), else dropped.
 
-        May be called at any time, from any thread but those of `on_result`, and more than once.
+        May be called more than once, from any thread except in `on_result`.
         """
         self._inbox.close(finish=finish)
         for thread in self._threads:
@@ -408,17 +413,20 @@ class DepthStream:
         there = np.asarray(valid)
         if there.shape != self._expected[0][:1] or there.dtype != np.bool_:
             raise LightFieldError(
-                f"valid must be bool [{self._expected[0][0]}], one for each view, found {there.dtype} "
+                f"valid must be bool [{self._expected[0][0]}], one value for each view; found {there.dtype} "
                 f"{list(there.shape)}."
             )
         if not there[self._reference]:
-            raise LightFieldError(f"the reference view ({self._reference}) is missing: its disparity is asked for.")
+            raise LightFieldError(
+                f"the reference view (index {self._reference}) is missing, but its disparity is estimated; give its "
+                "picture."
+            )
         if there[self._used].sum() < 2:
-            raise LightFieldError("only the reference view is there of those that are used; depth needs another one.")
+            raise LightFieldError("of the used views only the reference view is valid; depth needs at least one more.")
         return there
 
     def _checked(self, frame: Any) -> tuple[Any, bool]:
-        """The frame as [n, y, x, c], on the host as NumPy; and whether it is on the GPU."""
+        """The frame as [n, y, x, c], a NumPy array if it is on the host; and whether it is on the GPU."""
         place = interop.place_of("views", frame)
         found, shape = interop.kind_of("views", frame)
         expected, dtype = self._expected
@@ -427,16 +435,16 @@ class DepthStream:
             others += [(*self._grid, *form[1:]) for form in (expected, *others)]
         if found != str(dtype) or shape not in (expected, *others):
             raise LightFieldError(
-                f"views must be {dtype} {list(expected)} as those that the stream was made for, found {found} "
+                f"views must be {dtype} {list(expected)}, like those that the stream was made for; found {found} "
                 f"{list(shape)}."
             )
         if place == "cpu":
             return interop.on_host("views", frame).reshape(expected), False
         if self.device == "cpu" or place not in (self.device, interop.SOME_GPU):
-            raise LightFieldError(f"views are on {place} and the stream on {self.device}; copy them there first.")
+            raise LightFieldError(f"views are on {place}, but the stream is on {self.device}; copy them there first.")
         if shape != expected:
             if not hasattr(frame, "reshape"):
-                raise LightFieldError(f"views on a GPU must be {list(expected)}, found {list(shape)}.")
+                raise LightFieldError(f"views on a GPU must have the shape {list(expected)}; found {list(shape)}.")
             frame = frame.reshape(expected)
         return frame, True
 
@@ -451,13 +459,13 @@ class DepthStream:
         def copy(place: int) -> None:
             view = self._used[place]
             if not valid[view]:
-                slot.host[place] = 0  # what is there may be NaN
+                slot.host[place] = 0  # the memory may hold NaN
                 return
             slot.host[place] = frame[view]
             if frame.dtype.kind == "f":
                 low, high = float(slot.host[place].min()), float(slot.host[place].max())
                 if not np.isfinite(low + high):
-                    raise LightFieldError(f"view {view} holds values that are not finite; say that it is not valid.")
+                    raise LightFieldError(f"view {view} holds NaN or infinity; set valid[{view}] to False.")
 
         def copy_some(places: range) -> None:
             for place in places:
@@ -469,14 +477,14 @@ class DepthStream:
         try:
             copy_some(range(*cuts[:2]))
         finally:
-            wait(others)  # the slot must not be given back before
+            wait(others)  # the slot must not be returned before
         for other in others:
             other.result()
 
     # --- the work ---
 
     def _prepared(self, kernels: KernelSet, *, warm: bool) -> tuple[list[_Level], list[_Level]]:
-        """What may be done for a frame, from least to most, captured and timed; without a budget only the most."""
+        """The amounts of work for a frame, from least to most, captured and timed; without a budget, the largest."""
         views = self._views
 
         def bound(levels: Sequence[tuple[int, Callable[[Any], None]]]) -> list[_Level]:
@@ -498,12 +506,12 @@ class DepthStream:
         return cold, levels
 
     def _level(self, levels: list[_Level]) -> _Level:
-        """The most work that fits into the budget."""
+        """The largest amount of work that fits into the budget."""
         fitting = [level for level in levels if self._budget is None or level.seconds * 1000 <= self._budget]
         return fitting[-1] if fitting else levels[0]
 
     def _serve(self) -> None:
-        """The thread that asks the device."""
+        """The loop of the thread that starts work on the device."""
         self._transport.enter()
         while (taken := self._inbox.get()) is not None:
             result, slot = taken
@@ -517,7 +525,7 @@ class DepthStream:
                 level = self._level(self._cold if result.cold else self._warm)
                 result.steps, self._fresh = level.steps, False
                 maps = self._transport.solve(level.work, self._masking(result.valid[self._used]))
-            except Exception as error:  # a device that fails is no reason to leave those hanging who wait
+            except Exception as error:  # if the device fails, the result must not stay pending
                 if not read:
                     self._inbox.give_back(slot, filled=True)
                 self._fresh, self._present = True, np.zeros_like(self._present)
@@ -527,7 +535,7 @@ class DepthStream:
         self._under_way.put(None)
 
     def _masking(self, present: NDArray[np.bool_]) -> Callable[[], None] | None:
-        """What there is to do before the work if other cameras are there than last time."""
+        """The update of the mask, if other cameras are valid than in the last frame; else None."""
         if np.array_equal(present, self._present):
             return None
         self._present = present
@@ -535,13 +543,13 @@ class DepthStream:
 
     def _set_mask(self) -> None:
         if self.device == "cpu" and self._base is None and self._present.all():
-            self._plan.mask(None)  # nothing to look at is quicker; what is captured on a GPU looks anyway
+            self._plan.mask(None)  # no mask is faster; a graph captured on a GPU reads it anyway
             return
         self._transport.mask(self._base, self._mask)
         self._plan.mask(self._mask)
 
     def _deliver(self) -> None:
-        """The thread that waits for the device."""
+        """The loop of the thread that waits for the device."""
         self._transport.enter()
         while (item := self._under_way.get()) is not None:
             result, maps, level = item
@@ -554,18 +562,16 @@ class DepthStream:
             level.seconds += _SMOOTHING * (work - level.seconds)
             problem = None
             if not np.isfinite(moved):
-                problem = "views hold values that are not finite (NaN or infinity); mask or replace them."
+                problem = "views hold NaN or infinity; mask or replace these values."
             elif not trust > 0:
-                problem = (
-                    "no pixel shows anything that other views show as well: there is no texture, or all is masked."
-                )
+                problem = "no pixel matches in other views: the views have no texture, or all pixels are masked."
             if problem is not None:
                 self._fresh = True
                 self._transport.give(maps)
                 self._fail(result, LightFieldError(f"frame {result.index}: {problem}"))
                 continue
             self._complete(result, maps, work)
-            del result, maps, item  # what nobody holds is used again
+            del result, maps, item  # frees the memory if nobody holds the result
 
     def _complete(self, result: StreamResult, maps: Any, work: float) -> None:
         result.latency, result.work = perf_counter() - result._pushed, work
@@ -592,7 +598,9 @@ class DepthStream:
     def _drop(self, result: StreamResult) -> None:
         self._counters.add("frames_dropped")
         result._fail(
-            FrameDroppedError(f"frame {result.index} was given up: frames came faster than maps, or the end came.")
+            FrameDroppedError(
+                f"frame {result.index} was dropped, because frames came faster than maps or the stream was closed."
+            )
         )
 
 
@@ -620,11 +628,11 @@ def _waiting(policy: str, waiting: int | None) -> int:
 
 
 def _cannot_be_taken(error: Exception) -> LightFieldError:
-    return LightFieldError(f"views cannot be taken: {' '.join(str(error).split())}")
+    return LightFieldError(f"views cannot be read: {' '.join(str(error).split())}")
 
 
 def _close_at_exit(stream: DepthStream) -> Callable[[], None]:
-    """Nothing of a device may run while the interpreter ends."""
+    """Close the stream when the interpreter exits, because no device work may run then."""
     known = weakref.ref(stream)
 
     def close() -> None:

@@ -1,4 +1,4 @@
-"""What a stream counts and how long things take, at any time and from any thread."""
+"""The statistics of a stream: counts and times."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from typing import Any
 
 import numpy as np
 
-_KEPT = 1024  # latest frames, of which times are known
-_RECENT = 2.0  # seconds over which the frame rate is taken, if that many frames came
+_KEPT = 1024  # latest frames whose times are kept
+_RECENT = 2.0  # seconds over which the frame rate is averaged
 
 _HELP = {
     "frames_pushed": "Frames given to the stream.",
     "frames_done": "Frames with a result.",
-    "frames_dropped": "Frames given up because there was no room or the stream was closed.",
-    "frames_failed": "Frames that could not be used.",
-    "frames_cold": "Results that did not start from the last map.",
-    "scene_cuts": "Frames so different from the one before that they started cold.",
-    "frames_with_missing_views": "Results from which some views were missing.",
-    "frames_over_budget": "Results that took the device longer than the frame budget.",
-    "callback_errors": "Exceptions of the callback, which were ignored.",
+    "frames_dropped": "Frames dropped because they came too fast or the stream was closed.",
+    "frames_failed": "Frames that failed.",
+    "frames_cold": "Results that did not start from the previous map.",
+    "scene_cuts": "Frames that started cold because the scene changed.",
+    "frames_with_missing_views": "Results with missing views.",
+    "frames_over_budget": "Results that exceeded the time budget.",
+    "callback_errors": "Exceptions of the callback, which are ignored.",
 }
 
 
 class Counters:
-    """Counts and times of a stream."""
+    """Counts and times of a stream; may be used from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -36,13 +36,13 @@ class Counters:
         self._ends: deque[float] = deque(maxlen=_KEPT)
 
     def add(self, *names: str) -> None:
-        """One more of each."""
+        """Increment counters."""
         with self._lock:
             for name in names:
                 self._counts[name] += 1
 
     def done(self, latency: float, work: float, *names: str) -> None:
-        """A frame has a result: seconds since `push`, seconds that the device worked on it, what else to count."""
+        """Record a result: its latency since `push` and its device time, in seconds, and further counters."""
         with self._lock:
             for name in ("frames_done", *names):
                 self._counts[name] += 1
@@ -51,7 +51,7 @@ class Counters:
             self._ends.append(perf_counter())
 
     def stats(self) -> dict[str, Any]:
-        """Everything, as plain numbers."""
+        """All statistics as plain numbers."""
         with self._lock:
             counts, ends = dict(self._counts), list(self._ends)
             latencies, work = np.array(self._latencies), np.array(self._work)
@@ -66,7 +66,7 @@ class Counters:
 
 
 def prometheus(stats: dict[str, Any], prefix: str = "lfgpu_stream") -> str:
-    """Numbers in the text format that Prometheus reads (version 0.0.4)."""
+    """Statistics in the text format of Prometheus (version 0.0.4)."""
     lines = []
     for name, value in stats.items():
         if name.endswith("_ms"):
@@ -86,13 +86,13 @@ def prometheus(stats: dict[str, Any], prefix: str = "lfgpu_stream") -> str:
 
 
 def _percentiles(name: str, seconds: Any) -> dict[str, float]:
-    """Of the latest frames, in milliseconds; NaN before there is one."""
+    """Percentiles over the latest frames, milliseconds; NaN if there is none."""
     values = np.percentile(seconds * 1000, (50, 95, 99)) if len(seconds) else np.full(3, np.nan)
     return {f"{name}_p{quantile}_ms": float(value) for quantile, value in zip((50, 95, 99), values, strict=True)}
 
 
 def _rate(ends: list[float]) -> float:
-    """Results a second over the last seconds; 0 when none came for as long."""
+    """Results per second over the last seconds; 0 if there were none."""
     now = perf_counter()
     recent = [end for end in ends if now - end <= _RECENT]
     if len(recent) < 2:

@@ -1,10 +1,9 @@
-"""Light fields that are larger than the memory: tiles that overlap, estimated one after the other and joined.
+"""Estimates in tiles, for light fields that do not fit into memory: overlapping tiles are estimated and joined.
 
-A tile is the same window of every view. It is wider than what is kept of it by a halo: what its pixels look at in the
-other views, what may hide them there, and the windows of the prior. The noise of the views and the range of the
-disparities are those of the whole light field. What is left of the differences from an estimate in one piece is in the
-semi-global matching, whose paths begin at the edge of a tile instead of the edge of the image, and for the method of
-the paper in its solvers.
+A tile is the same window of every view. Around the part that is kept it has a halo, which covers the pixels that the
+estimate reads in other views, the surfaces that may hide them, and the windows of the prior. Noise and disparity range
+are those of the whole light field. Small differences from an estimate in one piece remain: paths of the semi-global
+matching begin at the edge of the tile, and the solvers of the synthesis end there.
 """
 
 from __future__ import annotations
@@ -33,27 +32,43 @@ from lfgpu.methods.base import Method
 from lfgpu.methods.footprint import Footprint
 from lfgpu.pipelines.pipeline import DepthPipeline, Progress
 
-_RAMP = 16  # pixels over which one tile passes into the next
-_LEAST_STRIDE = 16  # pixels from a tile to the next: below that, all is halo
+_RAMP = 16  # pixels: width of the blend between two tiles
+_LEAST_STRIDE = 16  # pixels: smallest distance from a tile to the next
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Where tiles of one size lie: `starts` are their (top, left), row by row."""
+    """The layout of tiles of one size (height, width): `starts` holds their (top, left), row by row."""
 
     size: tuple[int, int]
     starts: tuple[tuple[int, int], ...]
     halo: tuple[int, int]
-    """Pixels (y, x) at inner edges of a tile of which nothing is kept."""
+    """Width (y, x) of the border inside a tile that is discarded, pixels; not at edges of the image."""
 
 
 def plan_tiles(
     size: tuple[int, int], halo: tuple[int, int], needed: Footprint, limit: int, *, taken: int = 0, devices: int = 1
 ) -> Plan:
-    """The tiles that cover views of `size` (height, width) and are done the soonest.
+    """The layout of tiles that takes the least time within a memory limit.
 
-    One at a time fits into `limit` bytes, of which something else has `taken` some. The soonest is with the fewest
-    pixels on the device that has most of them. LightFieldError if none fit.
+    Parameters
+    ----------
+    size
+        (height, width) of the views.
+    halo
+        (y, x), pixels.
+    needed
+        Memory of the estimate of one tile.
+    limit, taken
+        Memory limit, and what other things take of it, bytes.
+    devices
+        Number of devices that work at the same time. The time is taken to be proportional to the pixels of the device
+        with the most tiles.
+
+    Raises
+    ------
+    LightFieldError
+        If no layout fits into the limit.
     """
     along = [_cuts(length, edge) for length, edge in zip(size, halo, strict=True)]
     plans = [
@@ -64,9 +79,9 @@ def plan_tiles(
     if not plans:
         least = needed.bytes(*(min(length for _, length in cuts) for cuts in along))
         raise LightFieldError(
-            f"max_memory of {_mebibytes(limit)} does not suffice: it takes {_mebibytes(least + taken)}, of which "
+            f"max_memory of {_mebibytes(limit)} is too small: {_mebibytes(least + taken)} are needed, of which "
             f"{_mebibytes(needed.besides)} are for the process itself, {_mebibytes(taken)} for views in memory and the "
-            "map, and the rest for the smallest tile with the pixels around it; give more, fewer views, or a narrower "
+            "map, and the rest for the smallest tile with its halo; give more memory, fewer views, or a narrower "
             "disparity range."
         )
     *_, tile, counts = min(plans)
@@ -89,10 +104,10 @@ def estimate_in_tiles(
     on_progress: Progress | None,
     max_memory: int,
 ) -> DepthResult:
-    """`estimate_depth` within `max_memory` bytes: of the process on a CPU, of each GPU there.
+    """`estimate_depth` within `max_memory` bytes, of the process on a CPU, or of each GPU.
 
-    Without `device`, tiles are spread over all GPUs. Views that are not on disk (`lfgpu.read(..., lazy=True)`) count
-    on a CPU.
+    If `device` is None, tiles are spread over all GPUs. On a CPU, views in memory count against the limit; views on
+    disk (`lfgpu.read(..., lazy=True)`) do not.
     """
     start = perf_counter()
     kernels = load(backend)
@@ -105,7 +120,7 @@ def estimate_in_tiles(
     forget(lf.views)
 
     in_memory = 0 if on_gpu or is_mapped(lf.views) else lf.views.nbytes
-    kept = 4 * 8 * lf.size[0] * lf.size[1]  # maps of all tiles, and joined
+    kept = 4 * 8 * lf.size[0] * lf.size[1]  # maps of all tiles, and the joined maps
     needed = method.footprint(lf, measured, on_gpu=on_gpu)
     taken = 0 if on_gpu else in_memory + kept
     plan = plan_tiles(lf.size, method.halo(lf, measured), needed, max_memory, taken=taken, devices=len(devices))
@@ -130,7 +145,7 @@ def _estimate_all(
     options: dict[str, Any],
     on_progress: Progress | None,
 ) -> list[DepthResult | None]:
-    """The result of each tile, None where a tile shows nothing; each device takes the next tile when it is done."""
+    """The result of each tile; None if a tile has no estimate. Each device takes the next tile when it is free."""
     used = method.used_views(lf)
     results: list[DepthResult | None] = [None] * len(plan.starts)
     left: queue.SimpleQueue[int] = queue.SimpleQueue()
@@ -149,7 +164,7 @@ def _estimate_all(
                 return
             try:
                 results[index] = estimate(_tile(lf, used, plan.starts[index], plan.size))
-            except LightFieldError as error:  # it may be a piece of sky: the others say whether anything is there
+            except LightFieldError as error:  # the tile may lack texture; an error only if all tiles fail
                 failed.append(error)
             with lock:
                 done += 1
@@ -175,7 +190,7 @@ def _estimate_all(
 
 
 class _Estimator:
-    """Estimates tiles of one size on one device, in one pipeline as long as masks allow it."""
+    """Estimates tiles of one size on one device; tiles without masks share a pipeline."""
 
     def __init__(self, device: str, options: dict[str, Any]) -> None:
         self._options = {**options, "device": device}
@@ -183,11 +198,11 @@ class _Estimator:
 
     def __call__(self, tile: LightField) -> DepthResult:
         if self._pipeline is None or tile.valid is not None:
-            self._pipeline = None  # its memory first
+            self._pipeline = None  # frees its memory first
             self._pipeline = DepthPipeline(tile, **self._options)
         else:
             self._pipeline.upload(tile.views)
-        # Stage by stage: a capture of all stages concerns all threads of the process, and others may be at work.
+        # Stage by stage, because a capture concerns all threads of the process, and others may be working.
         return self._pipeline.estimate()
 
 
@@ -211,7 +226,7 @@ def _tile(lf: LightField, used: Sequence[int], start: tuple[int, int], size: tup
 
 
 def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None], same: float) -> DepthResult:
-    """One result from those of all tiles."""
+    """Join the results of all tiles to one."""
     there = [result for result in results if result is not None]
     first = there[0]
     names = list(first.stages)
@@ -234,7 +249,7 @@ def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None], s
     )
     status = f"{what}: {first.status}"
     if len(there) < len(results):
-        status += f" {len(results) - len(there)} tiles show nothing that other views show as well."
+        status += f" {len(results) - len(there)} tiles have no estimate, because their views have no texture."
     return replace(
         first,
         disparity=disparity.values,
@@ -249,13 +264,13 @@ def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None], s
 
 
 class _Weights:
-    """How much a tile counts at its pixels: 0 in the halo, 1 inside, with a ramp between; all at edges of the image."""
+    """The weights of a tile: 0 in the halo, 1 inside, with a ramp between; 1 up to the edges of the image."""
 
     def __init__(self, size: tuple[int, int], plan: Plan) -> None:
         self._size, self._plan = size, plan
 
     def of(self, start: tuple[int, int]) -> NDArray[np.float32]:
-        """[y, x] of the tile that begins there."""
+        """Weights [y, x] of the tile that begins at `start`."""
         rows, columns = (
             _ramps(first, side, length, edge)
             for first, side, length, edge in zip(start, self._plan.size, self._size, self._plan.halo, strict=True)
@@ -264,7 +279,7 @@ class _Weights:
 
 
 class _Join:
-    """Maps of tiles added to one of the whole image: means where they agree, else the one that counts more."""
+    """Joins maps of tiles: the weighted mean where they agree, else the map with the larger weight."""
 
     def __init__(self, size: tuple[int, int], same: float) -> None:
         self.values = np.full(size, np.nan, np.float32)
@@ -277,12 +292,12 @@ class _Join:
         start: tuple[int, int],
         taken: NDArray[np.float32] | None = None,
     ) -> NDArray[np.float32]:
-        """Add a tile; how far, 0 to 1, each of its pixels has become the map. `taken` is that if it is decided."""
+        """Add a tile. Returns the share of the tile in the map at each pixel, 0 to 1; `taken` prescribes this share."""
         window = tuple(slice(first, first + side) for first, side in zip(start, values.shape, strict=True))
         before, sums = self.values[window], self._weight[window]
         if taken is None:
             weight = np.where(np.isfinite(values), weight, np.float32(0))
-            alike = np.abs(values - before) <= self._same  # False where there is nothing yet
+            alike = np.abs(values - before) <= self._same  # False where there is no value yet
             share = np.where(alike, weight / np.maximum(weight + sums, np.float32(1e-12)), weight > sums)
             taken = np.where(sums > 0, share, weight > 0).astype(np.float32)
         mixed = (1 - taken) * np.nan_to_num(before) + taken * np.nan_to_num(values)
@@ -293,7 +308,7 @@ class _Join:
 
 
 def _cuts(length: int, edge: int) -> list[tuple[int, int]]:
-    """(number, length) of the tiles along one axis, all that make sense; one tile is the whole axis."""
+    """All useful (number, length) of tiles along one axis, beginning with one tile."""
     overlap, found = 2 * edge + _RAMP, [(1, length)]
     for count in itertools.count(2):
         side = math.ceil((length + (count - 1) * overlap) / count)
@@ -316,7 +331,7 @@ def _ramps(first: int, side: int, length: int, edge: int) -> NDArray[np.float64]
 
 
 def _mean_trace(traces: Sequence[tuple[float, ...]]) -> tuple[float, ...]:
-    """The mean over tiles, of which one that stopped earlier stays as it was."""
+    """The mean trace of all tiles; a shorter trace is continued with its last value."""
     longest = max(map(len, traces))
     padded = [trace + trace[-1:] * (longest - len(trace)) for trace in traces]
     return tuple(float(np.mean(values)) for values in zip(*padded, strict=True))

@@ -1,6 +1,6 @@
-"""Synthetic light fields with exact ground truth, cast ray by ray: nothing is splatted, warped or interpolated.
+"""Synthetic light fields with exact ground truth, rendered by ray casting.
 
-`scenes.make("boxes", seed=3, grid=(7, 7))` is a `LightField` whose `truth` is exact; `scenes.NAMES` are the scenes.
+`scenes.make("boxes", seed=3, grid=(7, 7))` is a `LightField` with exact `truth`. `scenes.NAMES` lists the scenes.
 """
 
 from lfgpu.scenes.synthesis import NAMES, make, sequence, true_disparity, true_motion

@@ -1,4 +1,4 @@
-"""The scenes by name: which things stand where, painted how."""
+"""The scenes by name: their objects, positions and textures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lfgpu.scenes.objects import Box, Disc, Ellipsoid, Quad, Relief, Shape, Wall
 from lfgpu.scenes.render import Frame, Thing
 from lfgpu.scenes.texture import Painter, Texture
 
-_LOW, _HIGH = 0.03, 0.97  # of the disparity range: what is seen stays between
+_LOW, _HIGH = 0.03, 0.97  # shares of the disparity range: visible surfaces stay between them
 _STEEPEST = 0.45  # of the relief along any ray: occlusions begin at 1
 
 # Pairs of colours, the dark one first. Objects take them in an order that depends on the seed.
@@ -38,7 +38,7 @@ _SUNRISE = np.array(
 
 
 class Stage:
-    """What scenes are built on: the frame, how far all views together see, randomness and paint.
+    """The environment in which a scene is built: the frame, the region that all views see, randomness and textures.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Stage:
     farthest
         The largest |du| and |dv| of a view from the middle view.
     rng
-        Where all randomness comes from.
+        The random generator.
     """
 
     def __init__(self, frame: Frame, farthest: tuple[float, float], rng: np.random.Generator) -> None:
@@ -55,9 +55,9 @@ class Stage:
         self.rng = rng
         self.slope = frame.slope(farthest)
         self.half = np.array([frame.width, frame.height]) / (2 * frame.unit)
-        # Other views see beyond the edges of the middle view, by this much at most.
+        # Other views see beyond the edges of the middle view, at most by this much.
         self.reach = self.half + max(abs(frame.far), abs(frame.near)) * np.array(farthest) / frame.unit
-        # Long enough that no repetition is seen, no longer: it is what building a scene costs.
+        # Just long enough that no repetition is visible, because its size dominates the time to build a scene.
         period = int(np.clip(1 << (frame.unit - 1).bit_length(), 64, 256))
         self.painter = Painter(rng, period)
         self.wall_painter = self.painter if frame.unit <= period else Painter(rng, 512)
@@ -73,7 +73,7 @@ class Stage:
         return np.array([x * self.half[0], y * self.half[1], t])
 
     def paint(self) -> Texture:
-        """The next colours in the next pattern."""
+        """The next texture: new colours and a new pattern."""
         number, self._painted = self._painted, self._painted + 1
         colours = self._palette[number % len(self._palette)]
         match number % 4:
@@ -91,7 +91,7 @@ class Stage:
         return max(least, pixels * self.frame.unit / 512)
 
     def wall(self, far: float, near: float, direction: float) -> Wall:
-        """A plane that goes from T = `far` to `near` over all that is seen, rising towards `direction` (radians)."""
+        """A plane from T = `far` to `near` over the visible region, rising towards `direction` (radians)."""
         rise = np.array([np.cos(direction), np.sin(direction)])
         grade = rise * (near - far) / 2 / (np.abs(rise) @ self.reach)
         return Wall(np.array([0.0, 0.0, (near + far) / 2]), _plane_edges(grade))
@@ -100,12 +100,14 @@ class Stage:
         """A plane that rises from T = `far` at the share `horizon` of the half height to `near` at the lower edge."""
         top = horizon * self.half[1]
         grade = (near - far) / (self.reach[1] - top)
-        grade = min(grade, 0.5 / max(self.slope[1], 1e-9))  # at 1 / slope a view would look along it
+        grade = min(
+            grade, 0.5 / max(self.slope[1], 1e-9)
+        )  # at 1 / slope the plane would be parallel to the rays of a view
         return Wall(np.array([0.0, top, far]), _plane_edges((0.0, grade)))
 
 
 def relief(stage: Stage) -> list[Thing]:
-    """Rolling hills without any occlusion."""
+    """Smooth hills without occlusions."""
     angles = stage.rng.uniform(0, 2 * np.pi) + np.array([0.0, 1.2, 2.2])
     phases = np.array([0.0, stage.jitter(np.pi), stage.jitter(np.pi)])
     x = np.linspace(-stage.reach[0], stage.reach[0], 65)[None]
@@ -127,7 +129,7 @@ def relief(stage: Stage) -> list[Thing]:
 
 
 def planes(stage: Stage) -> list[Thing]:
-    """Slanted quads that overlap before a slanted wall."""
+    """Slanted, overlapping rectangles in front of a slanted wall."""
     things = [Thing(stage.wall(_LOW, 0.34, 0.5 + stage.jitter(0.4)), stage.wall_painter.clouds(_NIGHT, 0.08))]
     spots = [(-0.45, -0.42, 0.42), (0.42, -0.30, 0.52), (-0.30, 0.42, 0.64), (0.48, 0.45, 0.72), (0.04, 0.05, 0.86)]
     for (x, y, t), size in zip(spots, (0.29, 0.26, 0.25, 0.21, 0.15), strict=True):
@@ -139,12 +141,12 @@ def planes(stage: Stage) -> list[Thing]:
 
 
 def boxes(stage: Stage) -> list[Thing]:
-    """Boxes and balls on a floor before a wall, one behind the other."""
+    """Boxes and balls on a floor in front of a wall."""
     return _room(stage) + [Thing(shape, paint) for shape, paint, _ in _toys(stage)]
 
 
 def moving(stage: Stage) -> list[Thing]:
-    """The things of `boxes`, each running round its own ellipse in time 1; the room stands still."""
+    """The objects of `boxes`; each moves along an ellipse once in time 1, and the room is fixed."""
     toys = _toys(stage)
     phases = stage.rng.uniform(0, 2 * np.pi, len(toys))
     spans = stage.rng.uniform(0.5, 1.0, len(toys))
@@ -156,7 +158,7 @@ def moving(stage: Stage) -> list[Thing]:
 
 
 def bars(stage: Stage) -> list[Thing]:
-    """Thin rods, 2 to 8 pixels wide, before a far wall."""
+    """Thin rods, 2 to 8 pixels wide, in front of a distant wall."""
     things = [Thing(stage.wall(_LOW, 0.20, 2.2 + stage.jitter(0.5)), stage.wall_painter.clouds(_PLASTER, 0.08))]
     paints = [stage.painter.stripes(pair, 0.07, stage.size(12, 4.0), (0, 1)) for pair in _CANDY[:5]]
     count = int(np.clip(stage.frame.width / 30, 2, 15))
@@ -174,7 +176,7 @@ def bars(stage: Stage) -> list[Thing]:
 
 
 def textureless(stage: Stage) -> list[Thing]:
-    """Patches, a disc and a box of one constant colour each, on and before a textured slanted wall."""
+    """Patches, a disc and a box, each of one colour, on and in front of a textured slanted wall."""
     wall = stage.wall(_LOW, 0.5, stage.jitter(0.6))
     plain = [stage.painter.plain(pair.mean(0)) for pair in _CANDY[stage.rng.permutation(len(_CANDY))]]
     bricks = stage.wall_painter.bricks(_SLATE, 0.07, stage.size(58, 18.0), stage.size(28, 10.0))
@@ -208,7 +210,7 @@ def _room(stage: Stage) -> list[Thing]:
 
 
 def _toys(stage: Stage) -> list[tuple[Shape, Texture, float]]:
-    """Shape, paint, and how far it may move in T either way."""
+    """The shape and texture of each object, and how far it may move in T in either direction."""
     spots: list[tuple[float, float, float, float, type[Box] | type[Ellipsoid]]] = [
         (-0.62, -0.28, 0.36, 0.15, Box),
         (0.02, -0.30, 0.42, 0.15, Ellipsoid),

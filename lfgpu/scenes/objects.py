@@ -1,11 +1,11 @@
-"""Surfaces in disparity space and where straight rays first meet them.
+"""Surfaces in disparity space, and their intersections with rays.
 
 Parallel cameras with shifted frames map 3D space projectively to *disparity space*: (x, y) of the pixel in the middle
-view and disparity d. Light rays are straight lines there and planes are planes, so that spheres become ellipsoids and
-cuboids convex polyhedra. Everything here is in *scene units*, which know nothing of pixels: (X, Y) have their origin
-in the middle of the picture and its shorter side as the unit; T runs from 0 (the far end of the disparity range) to 1
-(the near end). The ray of a pixel of a view is { (x + T*U, y + T*V, T) }, with one slope (U, V) for all of the view,
-and travels from large T to small T: what it meets first is what has the largest T.
+view and disparity d. Rays stay straight lines and planes stay planes there; spheres become ellipsoids, and cuboids
+become convex polyhedra. All coordinates are in *scene units*. (X, Y) have their origin in the image centre, and the
+shorter side of the image is 1. T is 0 at the far end of the disparity range and 1 at the near end. The ray of a pixel
+is { (x + T*U, y + T*V, T) }; all rays of a view have the same slope (U, V). A ray travels from large T to small T, so
+that the first hit is the one with the largest T.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ Floats = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
 
 _LIGHT = np.array([-0.45, -0.62, 0.65])  # towards the light: left, above, in front
-_AMBIENT, _DIFFUSE = 0.5, 0.62  # more than 1 together: surfaces that face the light get brighter than their paint
+_AMBIENT, _DIFFUSE = 0.5, 0.62  # the sum exceeds 1: surfaces that face the light are brighter than their texture
 
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """A window of rays of one view: `x` [1, w] and `y` [h, 1] where they pass T = 0, and their slope (U, V)."""
+    """A window of rays of one view: their positions `x` [1, w] and `y` [h, 1] at T = 0, and their slope (U, V)."""
 
     x: Floats
     y: Floats
@@ -37,13 +37,13 @@ class Shape(Protocol):
     """A surface; all methods work in scene units."""
 
     def hit(self, rays: Rays) -> Floats:
-        """The largest T [h, w] where each ray meets the surface; NaN where it never does."""
+        """The largest T [h, w] at which each ray hits the surface; NaN for a miss."""
 
     def bounds(self, slope: tuple[float, float]) -> Bounds:
-        """(left, right, top, bottom) at T = 0 of the rays of that slope that may meet the surface."""
+        """The bounds (left, right, top, bottom) at T = 0 of the rays of a slope that may hit the surface."""
 
     def brightness(self, points: Floats) -> Floats | float:
-        """What the paint's colour is multiplied with at points [3, k] of the surface; the same seen from anywhere."""
+        """The shading factor of the texture at points [3, k] of the surface; it does not depend on the view."""
 
     def moved(self, by: ArrayLike) -> Self:
         """The surface moved by (X, Y, T)."""
@@ -51,7 +51,7 @@ class Shape(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class _Framed:
-    """A unit body seen through an affine map: p = centre + edges @ q with q in the unit body.
+    """A unit body under an affine map: p = centre + edges @ q, with q in the unit body.
 
     In q the ray is again a straight line, a + T*b, where b is one vector for all rays of a view.
     """
@@ -86,7 +86,7 @@ class _Framed:
 
 
 class Ellipsoid(_Framed):
-    """The unit ball |q| <= 1: balls, eggs, and rods where one edge is very long."""
+    """The unit ball |q| <= 1: balls, ellipsoids, and rods if one edge is very long."""
 
     _round = True
 
@@ -96,7 +96,7 @@ class Ellipsoid(_Framed):
         bb = b0 * b0 + b1 * b1 + b2 * b2
         ab = a0 * b0 + a1 * b1 + a2 * b2
         discriminant = ab * ab - bb * (a0 * a0 + a1 * a1 + a2 * a2 - 1.0)
-        with np.errstate(invalid="ignore"):  # NaN is what a miss looks like
+        with np.errstate(invalid="ignore"):  # NaN marks a miss
             return np.asarray((np.sqrt(discriminant) - ab) / bb)
 
     def brightness(self, points: Floats) -> Floats | float:

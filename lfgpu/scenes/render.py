@@ -1,4 +1,4 @@
-"""From a scene to the picture and the true disparity of one view."""
+"""Ray casting: the image and the true disparity of one view of a scene."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from numpy.typing import NDArray
 from lfgpu.scenes.objects import Rays, Shape
 from lfgpu.scenes.texture import Texture
 
-SUBPIXELS = 2  # rays along each side of a pixel; what the textures leave to alias is next to nothing
-_STRIP = 1 << 16  # rays cast at a time: their arrays fit into the cache
+SUBPIXELS = 2  # rays along each side of a pixel; enough, because the textures are band-limited
+_STRIP = 1 << 16  # rays that are cast at a time, so that their arrays fit into the cache
 
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """A painted surface; `path` is the ellipse that it runs once in time 1: X, Y, T half axes and phase."""
+    """A textured surface. `path` is the ellipse along which it moves once in time 1: X, Y, T half axes and phase."""
 
     shape: Shape
     texture: Texture
     path: tuple[float, float, float, float] | None = None
 
     def place(self, time: float) -> NDArray[np.float64]:
-        """(X, Y, T) from the middle of its ellipse, where it was built, to where it is at that time."""
+        """The displacement (X, Y, T) from the centre of its ellipse at a time."""
         if self.path is None:
             return np.zeros(3)
         x, y, t, phase = self.path
@@ -32,15 +32,15 @@ class Thing:
         return np.array([x * np.cos(angle), y * np.sin(angle), t * np.sin(angle)])
 
     def at(self, time: float, unit: int) -> Thing:
-        """The thing as it stands at that time, with `unit` pixels per scene unit."""
+        """The object at a time, with `unit` pixels per scene unit."""
         if self.path is None:
             return self
         by = self.place(time)
-        return Thing(self.shape.moved(by), self.texture.moved(by[:2] * unit))  # paint sticks to the surface
+        return Thing(self.shape.moved(by), self.texture.moved(by[:2] * unit))  # the texture moves with the surface
 
 
 class Frame(NamedTuple):
-    """How pixels and disparities of the middle view become scene units (see `objects`)."""
+    """The conversion from pixels and disparities of the middle view to scene units (see `objects`)."""
 
     height: int
     width: int
@@ -58,7 +58,7 @@ class Frame(NamedTuple):
         return offset[0] * scale, offset[1] * scale
 
     def rays(self, offset: tuple[float, float], subpixels: int) -> Rays:
-        """All rays of that view, `subpixels` along each side of a pixel."""
+        """All rays of the view at `offset`, with `subpixels` x `subpixels` rays per pixel."""
         du, dv = offset
         x = (np.arange(self.width * subpixels) + 0.5) / subpixels - 0.5 - (self.width - 1) / 2
         y = (np.arange(self.height * subpixels) + 0.5) / subpixels - 0.5 - (self.height - 1) / 2
@@ -66,7 +66,7 @@ class Frame(NamedTuple):
 
 
 def disparity(things: list[Thing], frame: Frame, offset: tuple[float, float]) -> NDArray[np.float64]:
-    """[y, x], the disparity of what the ray through each pixel's centre meets first."""
+    """The disparity [y, x] at the first hit of the ray through the centre of each pixel."""
     rays = frame.rays(offset, 1)
     nearest = np.concatenate([_cast(things, strip)[0] for strip in _strips(rays, 1)])
     return frame.far + (frame.near - frame.far) * nearest
@@ -87,7 +87,7 @@ def motion(
 
 
 def picture(things: list[Thing], frame: Frame, offset: tuple[float, float]) -> NDArray[np.float32]:
-    """[c, y, x] in [0, 1], the mean colour over each pixel."""
+    """The image [c, y, x] in [0, 1]: the mean colour over each pixel."""
     strips = []
     for rays in _strips(frame.rays(offset, SUBPIXELS), SUBPIXELS):
         colours = _colours(things, rays, frame.unit)
@@ -104,7 +104,7 @@ def _strips(rays: Rays, multiple: int) -> list[Rays]:
 
 
 def _cast(things: list[Thing], rays: Rays) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """T [h, w] of the nearest hit of each ray, and which thing that is."""
+    """T [h, w] of the first hit of each ray, and the index of the object."""
     nearest = np.full((rays.y.size, rays.x.size), -np.inf)
     owner = np.full(nearest.shape, -1)
     for index, thing in enumerate(things):
@@ -121,7 +121,7 @@ def _cast(things: list[Thing], rays: Rays) -> tuple[NDArray[np.float64], NDArray
 
 
 def _colours(things: list[Thing], rays: Rays, unit: int) -> NDArray[np.float32]:
-    """[c, h, w], the colour that each ray meets first."""
+    """The colour [c, h, w] at the first hit of each ray."""
     nearest, owner = _cast(things, rays)
     colours = np.empty((3, nearest.size), np.float32)
     for index in np.flatnonzero(np.bincount(owner.ravel())):

@@ -1,4 +1,4 @@
-"""The public side: light fields of the scenes, checked arguments in, `LightField` out."""
+"""The public functions: they check their arguments and make light fields of the scenes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NAMES: tuple[str, ...] = tuple(SCENES)
 
 _SMALLEST = 8  # pixels along each side
 _FOCAL_LENGTH = 100 / 35  # in picture widths: a 100 mm lens on a 35 mm wide sensor
-_NEAREST_M, _FARTHEST_M = 4.0, 8.0  # where the two ends of the disparity range lie
+_NEAREST_M, _FARTHEST_M = 4.0, 8.0  # depths of the two ends of the disparity range
 _GREY = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601
 _MOVING = ("moving",)
 
@@ -42,31 +42,32 @@ def make(
     channels: int = 3,
     displaced: ArrayLike | None = None,
 ) -> LightField:
-    """A light field of a synthetic scene, with the exact disparity of its reference view.
+    """Make a light field of a synthetic scene, with the exact disparity of its reference view.
 
-    The scene is fixed relative to the middle view, so that the views are the same whichever one is the reference.
-    Each pixel is the mean over 2 x 2 rays; the truth is what the one ray through the pixel's centre meets first.
+    The views do not depend on the choice of the reference view. Each pixel is the mean over 2 x 2 rays. The true
+    disparity is that of the first hit of the ray through the centre of the pixel.
 
     Parameters
     ----------
     name
-        One of `NAMES`: "relief" (rolling hills, no occlusion), "planes" (slanted and overlapping), "boxes" (boxes and
-        balls in a room), "bars" (rods 2 to 8 px wide before a wall), "textureless" (regions of constant colour),
-        "moving" (the things of "boxes" on the move).
+        One of `NAMES`: "relief" (smooth hills without occlusions), "planes" (slanted and overlapping), "boxes" (boxes
+        and balls in a room), "bars" (rods 2 to 8 px wide in front of a wall), "textureless" (regions of constant
+        colour), "moving" (the objects of "boxes" in motion).
     seed
-        Decides places, colours, textures and noise, >= 0.
+        Seed of positions, colours, textures and noise, >= 0; default 0.
     grid
         (rows, columns) of views, each >= 1, at least two views in all.
     size
         (height, width) of each view in pixels, each >= 8.
     disparity_range
-        (far, near) in pixels per view step, far < near: true disparities lie between and use most of it.
+        (far, near) in pixels per view step, far < near. True disparities use most of this range. Default (-1.5, 1.5).
     noise
-        Standard deviation of the Gaussian noise added to intensities in [0, 1], 0 to 1; results are cut to [0, 1].
+        Standard deviation of Gaussian noise that is added to intensities, 0 to 1; results are clipped to [0, 1].
+        Default 0.
     reference
-        (row, column) of the reference view; None is the middle one, as in `LightField.from_grid`.
+        (row, column) of the reference view. Default None: the middle one, as in `LightField.from_grid`.
     time
-        When, 0 to 1, for "moving", whose motion starts again at 1; 0 for all others.
+        Time of the scene "moving", 0 to 1; its motion has the period 1. Must be 0 (default) for all other scenes.
     dtype
         uint8, uint16 or float32 (in [0, 1]).
     channels
@@ -84,7 +85,7 @@ def make(
     Raises
     ------
     LightFieldError
-        If an argument is not what it has to be; the sentence says which.
+        If an argument is wrong; the message says which.
     """
     scene = _scene(name, seed, grid, size, disparity_range)
     recording = _Recording(seed, _noise(noise), _place(reference, scene.grid), _dtype(dtype), _channels(channels))
@@ -104,21 +105,21 @@ def sequence(
     dtype: DTypeLike = np.uint8,
     channels: int = 3,
 ) -> Iterator[LightField]:
-    """Light fields of a scene that moves, one at a time; frame i is `make` at time i / frames, so they loop.
+    """Make the frames of a moving scene, one at a time. Frame i is that of `make` at time i / frames, so they loop.
 
     Parameters
     ----------
     name
         A scene that moves: "moving".
     frames
-        How many, >= 1.
+        Number of frames, >= 1.
     seed, grid, size, disparity_range, noise, reference, dtype, channels
         As in `make`.
 
     Raises
     ------
     LightFieldError
-        At once, not at the first frame, if an argument is not what it has to be.
+        If an argument is wrong. It is raised by the call, not by the first frame.
     """
     _integer("frames", frames, 1)
     scene = _scene(name, seed, grid, size, disparity_range)
@@ -139,19 +140,19 @@ def true_disparity(
     disparity_range: tuple[float, float] = (-1.5, 1.5),
     time: float = 0.0,
 ) -> NDArray[np.float64]:
-    """float64 [y, x], the exact disparity in the view at grid place (`row`, `column`) of what `make` shows.
+    """The exact disparity, float64 [y, x], of the view at grid position (`row`, `column`).
 
     Parameters
     ----------
     name, seed, grid, size, disparity_range, time
         As in `make`.
     row, column
-        Which view, from 0.
+        The view, counted from 0.
 
     Raises
     ------
     LightFieldError
-        If an argument is not what it has to be; the sentence says which.
+        If an argument is wrong; the message says which.
     """
     scene = _scene(name, seed, grid, size, disparity_range)
     place = _place((row, column), scene.grid)
@@ -168,7 +169,7 @@ def true_motion(
     size: tuple[int, int] = (512, 512),
     disparity_range: tuple[float, float] = (-1.5, 1.5),
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """Where what each pixel of a view of "moving" shows goes from one time to another.
+    """The exact motion of each pixel of a view of the scene "moving" between two times.
 
     Parameters
     ----------
@@ -179,13 +180,13 @@ def true_motion(
 
     Returns
     -------
-    float64 [3, y, x]: pixels to the right, pixels down, and the change of the disparity in pixels per view step; and
-    int [y, x], which thing the pixel shows at the first time.
+    float64 [3, y, x]: motion to the right and down in pixels, and change of disparity in pixels per view step; and
+    int [y, x]: the index of the object that the pixel shows at the first time.
 
     Raises
     ------
     LightFieldError
-        If an argument is not what it has to be; the sentence says which.
+        If an argument is wrong; the message says which.
     """
     scene = _scene("moving", seed, grid, size, disparity_range)
     place = _place((row, column), scene.grid)
@@ -194,7 +195,7 @@ def true_motion(
 
 
 class _Recording(NamedTuple):
-    """How the scene is recorded."""
+    """How a scene is recorded."""
 
     seed: int
     noise: float
@@ -215,12 +216,12 @@ class _Scene:
         return float(place[1] - self.grid[1] // 2), float(place[0] - self.grid[0] // 2)
 
     def at(self, time: float) -> list[render.Thing]:
-        """The things as they stand at that time."""
+        """The objects at a time."""
         return [thing.at(time, self.frame.unit) for thing in self.things]
 
     @cached_property
     def things(self) -> list[render.Thing]:
-        """Built when first needed: every argument has been checked by then."""
+        """The objects; built when first needed, after all arguments were checked."""
         rng = np.random.default_rng([self.seed, NAMES.index(self.name)])
         return SCENES[self.name](Stage(self.frame, _farthest(self.grid), rng))
 
@@ -241,7 +242,8 @@ def _scene(
     if slope > 1.0:
         raise LightFieldError(
             f"views of {height} x {width} pixels are too small for a grid of {rows} x {columns} and disparities "
-            f"{far:g} to {near:g}: things would shift by {slope * frame.unit:.0f} pixels against each other."
+            f"{far:g} to {near:g}, because objects would shift by {slope * frame.unit:.0f} pixels against each other; "
+            "give larger views, a smaller grid or a narrower range."
         )
     return _Scene(name, (rows, columns), frame, seed)
 
@@ -254,7 +256,7 @@ def _farthest(grid: tuple[int, int]) -> tuple[float, float]:
 def _record(
     scene: _Scene, recording: _Recording, time: float, displaced: NDArray[np.float64] | None = None
 ) -> LightField:
-    """All views of the scene at that time, and the truth of the reference view."""
+    """Record all views of a scene at a time, and the ground truth of the reference view."""
     rows, columns = scene.grid
     frame, things = scene.frame, scene.at(time)
     views = np.empty((rows, columns, frame.height, frame.width, recording.channels), recording.dtype)
@@ -267,7 +269,7 @@ def _record(
             colours = np.tensordot(_GREY, colours, axes=1)[None]
         intensities = np.moveaxis(colours, 0, 2)
         if recording.noise:
-            # A generator for each view and time: what a view holds does not depend on which others are made.
+            # One generator per view and time, so that the noise of a view does not depend on the other views.
             rng = np.random.default_rng([recording.seed, row, column, round(time * 2**32)])
             noise = rng.standard_normal(intensities.shape, np.float32)
             intensities = intensities + np.float32(recording.noise) * noise
@@ -290,7 +292,7 @@ def _stored(intensities: NDArray[np.float32], dtype: np.dtype[Any]) -> NDArray[A
 
 
 def _geometry(scene: _Scene) -> Geometry:
-    """Cameras that see the far end of the disparity range at 8 m and the near end at 4 m."""
+    """Cameras for which the disparity range reaches from 8 m to 4 m."""
     frame, middle = scene.frame, _farthest(scene.grid)
     focal_length = _FOCAL_LENGTH * frame.width
     if frame.far > frame.near - frame.far:

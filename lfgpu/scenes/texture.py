@@ -8,7 +8,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import ArrayLike, NDArray
 
-TEXELS_PER_PIXEL = 2  # fine enough that the kinks of bilinear sampling stay far below the shortest wavelength
+TEXELS_PER_PIXEL = 2  # fine enough for bilinear sampling of the shortest wavelength
 SHORTEST, LONGEST = 3.0, 60.0  # wavelengths in pixels: shorter ones alias, longer ones are featureless
 
 Tile = NDArray[np.float64]
@@ -16,14 +16,14 @@ Tile = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A periodic colour picture on the plane.
+    """A periodic colour texture on the plane.
 
     Parameters
     ----------
     tile
         float32 [c, n, n] in [0, 1], `TEXELS_PER_PIXEL` texels per pixel, n a power of two; or [c, 1, 1], one colour.
     origin
-        Where the tile's first texel lies, (x, y) in pixels.
+        Position (x, y) of the first texel of the tile, pixels.
     """
 
     tile: NDArray[np.float32]
@@ -52,7 +52,7 @@ class Texture:
 
 
 def _texels(pixels: NDArray[np.float64], side: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """The two texels on either side of each coordinate, and how far it lies from the first towards the second."""
+    """The two texels beside each coordinate, and its fractional position between them."""
     texels = pixels * TEXELS_PER_PIXEL
     first = np.floor(texels)
     fraction = (texels - first).astype(np.float32)
@@ -61,14 +61,14 @@ def _texels(pixels: NDArray[np.float64], side: int) -> tuple[NDArray[np.intp], N
 
 
 class Painter:
-    """Makes textures that share one tile of noise, which is the costly part.
+    """Makes textures from one shared tile of noise, which is slow to compute.
 
     Parameters
     ----------
     rng
-        Where all randomness comes from.
+        The random generator.
     period
-        After how many pixels the textures repeat, a power of two.
+        Period of the textures in pixels, a power of two.
     """
 
     def __init__(self, rng: np.random.Generator, period: int) -> None:
@@ -89,11 +89,11 @@ class Painter:
         self._x, self._y = x, y
 
     def plain(self, colour: ArrayLike) -> Texture:
-        """One colour all over, exactly."""
+        """A constant colour."""
         return Texture(np.asarray(colour, np.float32).reshape(-1, 1, 1))
 
     def clouds(self, colours: ArrayLike, grain: float) -> Texture:
-        """Soft patches that run through the colours [k, 3], k >= 2."""
+        """Soft patches with the colours [k, 3], k >= 2."""
         return self._blend(colours, 0.5 + 0.5 * np.tanh(self._swell), grain)
 
     def bricks(self, colours: ArrayLike, grain: float, width: float, height: float) -> Texture:

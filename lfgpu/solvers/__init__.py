@@ -1,1 +1,1 @@
-"""Minimisers: settings come in as arguments, state stays inside, the result says in a sentence why it stopped."""
+"""Iterative solvers. Their arguments are settings; their state is private; `report` returns a `Solution`."""

@@ -9,19 +9,19 @@ from lfgpu.solvers.solution import Solution
 
 
 class ConjugateGradients:
-    """Solves A x = b for symmetric positive definite A; all of it on the device, so that it can be captured.
+    """Solves A x = b for symmetric positive definite A. It runs entirely on the device, so that it can be captured.
 
     Parameters
     ----------
     shape
         (height, width) of the fields.
     kernels, device
-        Where they live.
+        The backend's kernels, and the name of the device.
     tolerance
-        Stop when the residual r = b - A x is as small: √(rᵀ M r) <= tolerance * √(bᵀ M b), M the preconditioner. In
-        this norm a weakly tied unknown counts as much as a strongly tied one.
+        Stop when √(rᵀ M r) <= tolerance * √(bᵀ M b), with the residual r = b - A x and the preconditioner M. In this
+        norm, unknowns with small and large diagonal entries count the same.
     max_iterations
-        Stop after as many.
+        Largest number of iterations.
     """
 
     def __init__(
@@ -40,10 +40,10 @@ class ConjugateGradients:
         x: Array,
         callback: Callable[[int, float], None] | None = None,
     ) -> None:
-        """Improve `x`, a field [y, x], until A x = b.
+        """Solve for `x`, a field [y, x], which holds the start.
 
-        apply(x, result_out) writes A x; `right_side` is b, `preconditioner` an approximate inverse of A's diagonal, all
-        fields. `callback` is called as callback(iteration, √(rᵀ M r) / √(bᵀ M b)); it waits for the device.
+        apply(x, result_out) writes A x. `right_side` is b. `preconditioner` approximates the inverse of the diagonal of
+        A. All are fields. `callback` is called as callback(iteration, √(rᵀ M r) / √(bᵀ M b)); it makes the host wait.
         """
         k, r, z, p, q = self._kernels, self._r, self._z, self._p, self._q
         k.multiply(preconditioner, right_side, q)
@@ -76,7 +76,7 @@ class ConjugateGradients:
         k.repeat(iterate, self._residuals.go_on, self._most)
 
     def report(self) -> Solution:
-        """How the last solve went; waits for the device."""
+        """The outcome of the last solve; waits for the device."""
         trace = self._residuals.report()
         iterations, converged = len(trace) - 1, trace[-1] <= self._tolerance
         reason = "the residual is small enough" if converged else "the limit of iterations is reached"

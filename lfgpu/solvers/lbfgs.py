@@ -1,4 +1,4 @@
-"""Bounded L-BFGS on a backend's vectors (Nocedal 1980), without a decision of the host."""
+"""Bounded L-BFGS (Nocedal 1980) on the vectors of a backend; all decisions are made on the device."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from collections.abc import Callable, Sequence
 from lfgpu.contract import Array, KernelSet, Scalar
 from lfgpu.solvers.solution import Solution
 
-_MEMORY = 7  # pairs: ten, as in scipy's L-BFGS-B, save no iteration where the curvature is known
-_FIRST_STEP = 0.04  # root mean square of the first step, pixels per view step where the curvature is its mean
-PATIENCE = 5  # iterations over which a decrease is judged: a single short step says little
+_MEMORY = 7  # pairs; ten, as in SciPy's L-BFGS-B, save no iteration if the curvature is known
+_FIRST_STEP = 0.04  # root mean square of the first step, pixels per view step at mean curvature
+PATIENCE = 5  # iterations over which a decrease is judged; a single short step says little
 
 Energy = Callable[[Array, Array, Scalar], None]
 """energy(x, gradient_out, value_out) at a field x [y, x]."""
 
 
 class BoundedLbfgs:
-    """Minimises a function of a map within bounds; all of it on the device, so that it can be captured.
+    """Minimises a function of a map within bounds. It runs entirely on the device, so that it can be captured.
 
-    Each iteration tries a step along the direction of the two-loop recursion, moved into the bounds. A trial that
-    lowers the value enough (Armijo) is accepted, and its step and change of gradient are remembered; after one that
-    does not the step is shortened. Pixels that a bound stops are left out of the direction. The recursion begins from
-    the curvature that each pixel is known to have, if it is.
+    Each iteration tries a step along the direction of the two-loop recursion, clamped to the bounds. If the value falls
+    enough (Armijo), the trial is accepted, and its step and gradient change are stored; otherwise the step is
+    shortened. Pixels at an active bound are left out of the direction. The recursion starts from the given curvature
+    of each pixel, if any.
 
     Parameters
     ----------
@@ -30,11 +30,11 @@ class BoundedLbfgs:
     bounds
         (low, high) of every pixel.
     kernels, device
-        Where the map lives.
+        The backend's kernels, and the name of the device.
     tolerance
-        Stop when iterations lower the value by less than this share of the first value, five of them on average.
+        Stop when the mean decrease over five iterations is below this share of the first value.
     max_iterations
-        Stop after as many.
+        Largest number of iterations.
     """
 
     def __init__(
@@ -70,10 +70,10 @@ class BoundedLbfgs:
         *,
         curvature: Array | None = None,
     ) -> None:
-        """Improve `x`, a field [y, x], which is moved into the bounds first.
+        """Minimise over `x`, a field [y, x] that holds the start; it is clamped to the bounds first.
 
-        `callback` is called as callback(iteration, value); it waits for the device. `curvature` [y, x] > 0 is about the
-        second derivative by each pixel, up to a factor: the nearer, the fewer iterations. None: the same for all.
+        `callback` is called as callback(iteration, value); it makes the host wait. `curvature` [y, x] > 0 approximates
+        the second derivative by each pixel, up to a factor; a good one saves iterations. None: the same for all pixels.
         """
         memory, value, trial_value = self._memory, self._value, self._trial_value
         gradient, trial, trial_gradient = self._gradient, self._trial, self._trial_gradient
@@ -86,7 +86,7 @@ class BoundedLbfgs:
         def tell(listener: Callable[[int, float], None]) -> None:
             nonlocal told
             trace, _, _ = memory.report()
-            if len(trace) - 1 > told:  # a trial that is not accepted is no iteration
+            if len(trace) - 1 > told:  # a rejected trial is not an iteration
                 told = len(trace) - 1
                 listener(told, trace[-1])
 
@@ -101,7 +101,7 @@ class BoundedLbfgs:
         self._kernels.repeat(iterate, memory.go_on, 2 * self._most + 20)
 
     def report(self) -> Solution:
-        """How the last minimisation went; waits for the device."""
+        """The outcome of the last minimisation; waits for the device."""
         trace, evaluations, flat = self._memory.report()
         iterations = len(trace) - 1
         if iterations == 0 and evaluations == 1 and self._most > 0:  # there was no direction to try

@@ -1,4 +1,4 @@
-"""Bounded L-BFGS by scipy (Byrd, Lu, Nocedal and Zhu 1995), the optimiser of the paper; its vectors are on the host."""
+"""L-BFGS-B of SciPy (Byrd, Lu, Nocedal and Zhu 1995), the optimiser of the paper; its vectors are on the host."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from lfgpu.contract import Array, Float64Array, KernelSet
 from lfgpu.solvers.lbfgs import PATIENCE, Energy
 from lfgpu.solvers.solution import Solution
 
-_LIMIT = 1  # scipy's status
+_LIMIT = 1  # status of SciPy: limit of iterations
 
 
 class ScipyLbfgsb:
-    """Minimises a function of a map within bounds: what `BoundedLbfgs` is held against. Parameters are the same."""
+    """Minimises a function of a map within bounds: the reference for `BoundedLbfgs`, with the same parameters."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class ScipyLbfgsb:
         *,
         curvature: Array | None = None,
     ) -> None:
-        """Improve `x`, a field [y, x]; `callback` is called as callback(iteration, value). `curvature` has no use."""
+        """Minimise over `x`, a field [y, x], calling callback(iteration, value). `curvature` is ignored."""
         kernels = self._kernels
 
         def value_and_gradient(values: Float64Array) -> tuple[float, Float64Array]:
@@ -54,7 +54,7 @@ class ScipyLbfgsb:
         kernels.upload(values, x)
 
     def report(self) -> Solution:
-        """How the last minimisation went."""
+        """The outcome of the last minimisation."""
         assert self._solution is not None, "nothing was minimised yet"
         return self._solution
 
@@ -66,10 +66,10 @@ class ScipyLbfgsb:
     ) -> tuple[Float64Array, Solution]:
         first_value, first_gradient = value_and_gradient(start)
         trace = [first_value]
-        if self._most == 0:  # scipy would make one all the same
+        if self._most == 0:  # SciPy would make one iteration anyway
             return start, _solution(trace, 1, flat=False, reason="no iteration was allowed")
-        scale = 1.0 / (abs(first_value) or 1.0)  # some of scipy's thresholds are absolute
-        known = [(scale * first_value, scale * first_gradient)]  # scipy begins where we have been
+        scale = 1.0 / (abs(first_value) or 1.0)  # some thresholds of SciPy are absolute
+        known = [(scale * first_value, scale * first_gradient)]  # SciPy evaluates the start again
 
         def scaled(x: Float64Array) -> tuple[float, Float64Array]:
             if known:
@@ -88,7 +88,7 @@ class ScipyLbfgsb:
             last = trace[-PATIENCE - 1 :]
             return len(last) > PATIENCE and scale * (last[0] - last[-1]) <= PATIENCE * self._tolerance
 
-        # The products are of a few vectors: BLAS threads spend longer waiting for each other, and hold up the kernels.
+        # One BLAS thread: for products of a few vectors, more threads only wait and slow down the kernels.
         with threadpool_limits(1, user_api="blas"):
             result = minimize(
                 scaled,

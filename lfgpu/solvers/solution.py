@@ -1,4 +1,4 @@
-"""What a solver says when it is done."""
+"""The outcome of an iterative solver."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Solution:
-    """How a solver got to its minimum, or how near it came; the minimum itself stays on the device.
+    """The outcome of an iterative solver. The solution itself stays on the device.
 
     Parameters
     ----------
@@ -16,9 +16,9 @@ class Solution:
     status
         Why it stopped, as a sentence.
     iterations, evaluations
-        How many were needed.
+        Numbers of iterations and of function evaluations.
     trace
-        What was left at the start and after each iteration: the energy, or for linear systems the relative residual.
+        The energy, or for linear systems the relative residual, at the start and after each iteration.
     """
 
     converged: bool

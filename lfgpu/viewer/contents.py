@@ -1,10 +1,11 @@
-"""What there is to look at: a light field, maps of it, and what they can be compared with."""
+"""The contents of the viewer: a light field, its maps, and the ground truth."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,42 +24,42 @@ FINAL = "final"
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One disparity map of the reference view, and what is known about it."""
+    """A disparity map of the reference view, with its metadata."""
 
     map: DisparityMap
     result: DepthResult | None = None
-    """The result that it is of; None for a map by itself."""
+    """The result that the map belongs to; None for a single map."""
 
     @classmethod
     def of(cls, values: DepthResult | DisparityMap) -> Entry:
-        """The entry of a result or of a map by itself."""
+        """The entry of a result or of a single map."""
         return cls(values.map, values) if isinstance(values, DepthResult) else cls(values)
 
     @property
     def disparity(self) -> NDArray[np.float32]:
-        """The map itself."""
+        """The disparity map."""
         return self.map.disparity
 
     @property
     def confidence(self) -> NDArray[np.float32] | None:
-        """How far to trust it; None if that is not known."""
+        """The confidence; None if unknown."""
         return self.map.confidence
 
     def stage(self, name: str) -> NDArray[np.float32]:
-        """The map after a stage; `FINAL`, and a stage that there is not, is the map itself."""
+        """The map after a stage; the final map for `FINAL` and for unknown stages."""
         return self.disparity if self.result is None else self.result.stages.get(name, self.disparity)
 
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """A light field and maps by name, in the order in which they came; never changed, only replaced."""
+    """A light field and maps by name, in order of arrival. It is immutable: changes make a new one."""
 
     lf: LightField | None = None
     entries: dict[str, Entry] = field(default_factory=dict)
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """(height, width) of the maps, None if there is nothing."""
+        """(height, width) of the maps; None if empty."""
         if self.lf is not None:
             return self.lf.size
         for entry in self.entries.values():
@@ -67,7 +68,7 @@ class Contents:
 
     @property
     def geometry(self) -> Geometry | None:
-        """What turns disparity into metres: the light field says it, or else the first of the maps that does."""
+        """The camera geometry: that of the light field, else that of the first map that has one."""
         if self.lf is not None and self.lf.geometry is not None:
             return self.lf.geometry
         known = (entry.map.geometry for entry in self.entries.values())
@@ -75,7 +76,7 @@ class Contents:
 
     @property
     def position(self) -> tuple[float, float] | None:
-        """(u, v) of the view that the maps belong to; None if that is not known."""
+        """(u, v) of the view that the maps belong to; None if unknown."""
         if self.lf is not None:
             u, v = self.lf.positions[self.lf.reference_index]
             return float(u), float(v)
@@ -84,19 +85,19 @@ class Contents:
 
     @property
     def truth(self) -> NDArray[np.float32] | None:
-        """The true disparity of the reference view, NaN where it is not scored."""
+        """The true disparity of the reference view; NaN where it is not scored. None if unknown."""
         truth = None if self.lf is None else self.lf.reference_truth()
         if truth is None or truth.mask is None:
             return None if truth is None else truth.disparity
         return np.where(truth.mask, truth.disparity, np.float32(np.nan))
 
     def all_entries(self) -> dict[str, Entry]:
-        """The maps, and the truth as one of them."""
+        """All maps, with the ground truth as one of them."""
         truth = None if self.lf is None else self.lf.reference_truth()
         return self.entries if truth is None else {**self.entries, TRUTH: Entry(DisparityMap(truth.disparity))}
 
     def with_entry(self, name: str, entry: Entry) -> Contents:
-        """One map more, or another one of that name; LightFieldError if it is of another size than the views."""
+        """Add or replace a map; LightFieldError if its size is not that of the views."""
         if self.size not in (None, entry.disparity.shape):
             assert self.size is not None
             raise LightFieldError(
@@ -106,7 +107,7 @@ class Contents:
         return replace(self, entries={**self.entries, name: entry})
 
     def map(self, name: str, kind: str, stage: str = FINAL) -> NDArray[np.float32] | None:
-        """A map of one of the `frames.LOOKS`; None where there is no such thing."""
+        """A map of one of the kinds `frames.LOOKS`; None if there is none."""
         entry = self.all_entries().get(name)
         if entry is None:
             return None
@@ -121,7 +122,7 @@ class Contents:
         return disparity
 
     def limits(self, kind: str) -> tuple[float, float]:
-        """The scale of all maps of a kind: the same for all that may be compared."""
+        """The scale (low, high) of a kind of maps, the same for all maps that may be compared."""
         if kind == "confidence":
             return 0.0, 1.0
         if kind == "error":
@@ -134,7 +135,7 @@ class Contents:
         return min((low for low, _ in spans), default=0.0), max((high for _, high in spans), default=1.0)
 
     def free_name(self, wanted: str) -> str:
-        """`wanted`, or with a number if there is a map of that name."""
+        """`wanted`, with a number if that name is taken."""
         names, number = set(self.all_entries()), 2
         if wanted not in names:
             return wanted
@@ -144,7 +145,7 @@ class Contents:
 
 
 def opened(path: Path, into: Contents) -> Contents:
-    """What a path holds, added to what is there: a light field replaces all, a map of it joins the others.
+    """Open a path: a light field replaces everything in `into`, a map is added to it.
 
     Raises
     ------
@@ -165,16 +166,33 @@ def opened(path: Path, into: Contents) -> Contents:
 
 
 def _shown_view(result: ViewsResult, lf: LightField | None) -> int:
-    """Of maps of all views, that of the light field's reference view; without a light field that of their own."""
+    """Which of the maps of all views is shown: that of the light field's reference view, else that of their own."""
     if lf is None:
         return result.keys[0]
     u, v = lf.positions[lf.reference_index]
     return result.index_of(v, u)
 
 
-def opened_all(paths: Sequence[Path]) -> Contents:
-    """What several paths hold together, in any order: at most one light field, and maps of it."""
+def opened_all(paths: Sequence[Path], **reading: Any) -> Contents:
+    """What several paths hold together: at most one light field, and maps of it.
+
+    Parameters
+    ----------
+    paths
+        In any order, unless there are options for reading.
+    reading
+        Options of `lfgpu.read`. If there are any, the first path is read as the light field.
+
+    Raises
+    ------
+    LightFieldError
+        If a path is missing, or is neither a light field nor a map; if two are light fields; or if a map is of
+        another size than the light field.
+    """
     contents = Contents()
+    if reading:
+        contents = Contents(read(paths[0], **{"allow_missing": True, **reading}))
+        paths = paths[1:]
     for path in sorted(paths, key=holds_map):  # False first: the light field is what maps are fitted to
         before = contents.lf
         contents = opened(path, contents)

@@ -1,4 +1,4 @@
-"""The viewer: a page on this machine that shows a light field and maps of it, also while they change."""
+"""The viewer: a page in the browser that shows a light field and its maps, also while they change."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from lfgpu.viewer.contents import Contents, Entry, opened, opened_all
 from lfgpu.viewer.solving import Progress, Request, Solver
 
 HOST = "127.0.0.1"
-"""Nothing but this machine reaches the page."""
+"""The page is reachable from this machine only."""
 
 LIVE = "live"
-"""What the map of `Viewer.update` is called on the page."""
+"""The name on the page of the map from `Viewer.update`."""
 
 _OWN_PAGES = re.compile(r"http://(127\.0\.0\.1|localhost)(:\d+)?")
 _BRAND = (28, 126, 214)
 
 
 class Viewer:
-    """A page in the browser, on this machine only, that shows a light field and disparity maps of it.
+    """A page in the browser, on this machine only, that shows a light field and its disparity maps.
 
         viewer = lfgpu.Viewer(lf, result)
         viewer.url                              # http://127.0.0.1:8080/…/, with a token that nobody else knows
@@ -128,21 +128,21 @@ class Viewer:
     def show(
         self, lf: LightField, result: DepthResult | DisparityMap | None = None, *, name: str | None = None
     ) -> None:
-        """Show another light field, and a result of it, instead of all that is shown; from any thread."""
+        """Replace everything by another light field and a result of it. May be called from any thread."""
         contents = Contents(lf)
         if result is not None:
             contents = contents.with_entry(name or "result", Entry.of(result))
         self.replace(contents)
 
     def add(self, result: DepthResult | DisparityMap, *, name: str | None = None) -> str:
-        """Show one more result of the light field, to be compared; from any thread. What it is called on the page."""
+        """Add a result for comparison. May be called from any thread. Returns its name on the page."""
         with self._lock:
             free = self._contents.free_name(name or "result")
             self.replace(self._contents.with_entry(free, Entry.of(result)), newest=free)
         return free
 
     def open(self, path: str | os.PathLike[str]) -> None:
-        """Show what a path holds: a light field instead of all, a map beside the others. LightFieldError if neither."""
+        """Open a path: a light field replaces everything, a map is added. LightFieldError if it is neither."""
         contents = opened(Path(path), self._contents)
         added = [name for name in contents.entries if name not in self._contents.entries]
         self.replace(contents, newest=added[-1] if added else None)
@@ -160,7 +160,7 @@ class Viewer:
     def update(
         self, disparity: ArrayLike, confidence: ArrayLike | None = None, *, views: ArrayLike | None = None
     ) -> None:
-        """Show the newest frame of a stream; from any thread, and returns at once.
+        """Show the newest frame of a stream. May be called from any thread; returns at once.
 
         Parameters
         ----------
@@ -203,7 +203,7 @@ class Viewer:
             session.new_contents(LIVE if is_new else None, live=True, views=views is not None)
 
     def replace(self, contents: Contents, *, newest: str | None = None) -> None:
-        """Show these contents; every tab goes to the map called `newest`."""
+        """Show other contents; every tab selects the map `newest`."""
         with self._lock:
             other = contents.lf is not self._contents.lf or contents.size != self._contents.size
             self._contents = contents
@@ -214,7 +214,7 @@ class Viewer:
                 session.new_contents(newest)
 
     def close(self) -> None:
-        """Stop estimating, tell all tabs and free the port."""
+        """Stop the solver, inform all tabs and free the port."""
         if self._closed.is_set():
             return
         self._closed.set()
@@ -225,7 +225,7 @@ class Viewer:
             self._server.stop()
 
     def wait(self) -> None:
-        """Until `close` is called from elsewhere."""
+        """Wait until `close` is called from another thread."""
         while not self._closed.wait(0.5):  # so that Ctrl-C is heard everywhere
             pass
 
@@ -270,12 +270,12 @@ class Viewer:
 
 
 def _refuse_to_share(*_: object, **__: object) -> None:
-    """viser would open a tunnel through a server of its makers, for all who know the address."""
+    """Prevent viser from opening a public tunnel through a server of its makers."""
 
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """viser tells the terminal what nobody asked."""
+    """Suppress the messages of viser on the terminal."""
     import rich
 
     console = rich.get_console()

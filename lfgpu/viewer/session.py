@@ -1,4 +1,4 @@
-"""One tab of the browser: its sliders, and a thread that draws what they ask for."""
+"""The session of one browser tab: its controls, and a thread that draws."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ _ROOM = (0.4, 0.75)  # width over height of what the panels leave of the window,
 
 
 class Board(Protocol):
-    """What the tabs of a viewer have in common."""
+    """What all tabs of a viewer share."""
 
     solver: Solver
-    """What estimates for the page."""
+    """The solver of the page."""
 
     @property
     def contents(self) -> Contents:
@@ -63,7 +63,7 @@ class Board(Protocol):
 
 
 class Session:
-    """What one tab shows. Its handlers only note what has to be drawn anew; a thread draws it, the newest state only.
+    """The session of one tab. Handlers only mark what has to be redrawn; a thread draws the newest state.
 
     Parameters
     ----------
@@ -89,13 +89,13 @@ class Session:
         client.scene.on_click()(self._clicked)
 
     def start(self) -> None:
-        """Begin to draw, once it is told of changes."""
+        """Start the thread that draws."""
         threading.Thread(target=self._draw_forever, name="lfgpu-tab", daemon=True).start()
 
     # --- what others tell it ---
 
     def new_contents(self, newest: str | None = None, *, live: bool = False, views: bool = False) -> None:
-        """There are other maps, or other views of the same size; go to the map called `newest`."""
+        """Update after the maps or the views changed, with the same size; selects the map `newest`."""
         with self._wake:
             self._is_live = live
             if newest is not None:
@@ -104,11 +104,11 @@ class Session:
             self._ask(*stale, *(("views", "focus") if views or not live else ()))
 
     def rebuild(self) -> None:
-        """All is new: sizes and sliders too."""
+        """Rebuild everything, sizes and controls included."""
         self._ask("rebuild")
 
     def show_progress(self, progress: Progress) -> None:
-        """How far an estimate is."""
+        """Show the progress of an estimate."""
         if self._built is not None and not self._closed:
             _assign(self._progress, progress.share)
             self._progress.animated = progress.busy
@@ -116,7 +116,7 @@ class Session:
             self._run.disabled, self._stop.disabled = progress.busy, not progress.busy
 
     def close(self) -> None:
-        """No more drawing."""
+        """Stop drawing."""
         with self._wake:
             self._closed = True
             self._wake.notify()
@@ -270,7 +270,7 @@ class Session:
             self._place_camera()
 
     def _colours(self, contents: Contents) -> frames.Picture:
-        """What the points are painted with; a map where there are no views."""
+        """The colours of the points: the view, or a map if there are no views."""
         kind = self._paint.value
         if kind == _PICTURE and contents.lf is not None:
             return frames.rgb(contents.lf.views[contents.lf.reference_index], contents.lf.scale)
@@ -282,7 +282,7 @@ class Session:
         return frames.colour(values, frames.LOOKS[kind].colours, contents.limits(kind))
 
     def _place_camera(self) -> None:
-        """Where the reference camera stands, a little to the side, so that depth shows."""
+        """The initial eye: the reference camera, moved a little to the side to make depth visible."""
         if self._cloud is None or not len(self._cloud.points):
             return
         camera, centre, eye = self._client.camera, self._cloud.centre, self._cloud.eye
@@ -437,7 +437,7 @@ class Session:
         return self._client.gui.add_image(frames.notice(text), format="jpeg", jpeg_quality=_QUALITY)
 
     def _on(self, handle: Any, *what: str) -> Any:
-        """A control that makes something be drawn anew."""
+        """Register a control whose changes redraw something."""
         handle.on_update(lambda _: self._ask(*what))
         return handle
 
@@ -449,7 +449,7 @@ class Session:
         return tuple(kind for kind in frames.LOOKS if not without.get(kind, False))
 
     def _choose(self, contents: Contents) -> None:
-        """Bring the lists of maps up to date."""
+        """Update the lists of maps."""
         names = tuple(contents.all_entries())
         wanted, self._wanted = self._wanted, None
         before = self._result.value
@@ -511,12 +511,12 @@ class Session:
         return int(self._x.value), int(self._y.value)
 
     def _clicked(self, event: Any) -> None:
-        """A click on a point of the cloud goes to its pixel."""
+        """Select the pixel of a clicked point of the cloud."""
         if self._cloud is not None and (pixel := nearest_to_ray(self._cloud, event.ray_origin, event.ray_direction)):
             self._x.value, self._y.value = pixel
 
     def _view_index(self, lf: LightField) -> int:
-        """The view at the sliders' place, or the nearest one where there is none."""
+        """The view at the position of the sliders, or the nearest one."""
         if lf.grid_shape is None:
             return int(self._place[0].value)
         places = iter(self._place)
@@ -616,5 +616,5 @@ def _set_options(handle: Any, options: tuple[str, ...], value: str) -> None:
 
 
 def _assign(handle: Any, value: object) -> None:
-    """What viser's types take for read-only, though it is not."""
+    """Set an attribute that viser's types wrongly declare read-only."""
     handle.value = value

@@ -1,4 +1,4 @@
-"""Estimating while the page goes on: one at a time, with its progress, and an end when it is no longer wanted."""
+"""The solver of the viewer: one estimate at a time in a thread, with progress and cancellation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfgpu.pipelines.estimate import estimate_depth
 
 @dataclass(frozen=True)
 class Request:
-    """What to estimate, and how."""
+    """A request: the light field and the settings of an estimate."""
 
     lf: LightField
     config: Config
@@ -27,7 +27,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far it is."""
+    """The progress of an estimate."""
 
     text: str = ""
     share: float = 0.0
@@ -36,11 +36,11 @@ class Progress:
 
 
 class _Stopped(Exception):  # noqa: N818 - nothing went wrong
-    """Raised inside the solver when nobody wants its answer any more."""
+    """Raised in the solver when its request was cancelled."""
 
 
 class Solver:
-    """Runs one request at a time in a thread of its own.
+    """Runs one request at a time in its own thread.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Solver:
         self.progress = Progress()
 
     def start(self, request: Request) -> bool:
-        """Begin, unless another one is being worked on; whether it began."""
+        """Start a request, unless another one is running. Returns whether it was started."""
         with self._lock:
             if self.progress.busy:
                 return False
@@ -71,11 +71,11 @@ class Solver:
             return True
 
     def stop(self) -> None:
-        """End as soon as the present step is done."""
+        """Cancel the request at the end of the current step."""
         self._stop.set()
 
     def close(self, timeout: float = 10.0) -> None:
-        """Stop and wait."""
+        """Cancel and wait for the thread."""
         self.stop()
         if self._thread is not None:
             self._thread.join(timeout)

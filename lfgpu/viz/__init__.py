@@ -1,1 +1,1 @@
-"""Looking: figures, panels, refocusing, rendering of new views, notebooks."""
+"""Visualisation: figures, panels, refocusing, rendering of new views, notebooks."""

@@ -1,4 +1,4 @@
-"""Maps as pictures for people: every map with its scale and unit, compared maps on one scale."""
+"""Figures of maps: each has a colour bar with its unit; maps that are compared share one scale."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from lfgpu.io.atomic import atomic_write
 from lfgpu.metrics import Sparsification
 
 _DISPARITY = "disparity (px per view step)\nlarger is nearer"
-_UNDEFINED = "0.62"  # a grey that none of the colour maps has
-_TAIL = 0.002  # a few outliers do not stretch the scale; arrows at its ends show that they are there
-_LEAST_ERROR = 0.07  # error scales reach at least the coarsest threshold of the benchmark, so that good maps look good
-_LONG_SIDE = 6.0  # inches, of the longer side of each map
-_LEAST_PIXELS = 900  # of the longer side of each map in the picture
+_UNDEFINED = "0.62"  # a grey that occurs in none of the colour maps
+_TAIL = 0.002  # share of outliers at each end that lie beyond the scale; pointed ends of the colour bar show them
+_LEAST_ERROR = 0.07  # smallest end of an error scale: the coarsest threshold of the benchmark
+_LONG_SIDE = 6.0  # inches: the longer side of a map
+_LEAST_PIXELS = 900  # pixels at least: the longer side of a map in the picture
 _BAR, _GAP, _TICKS, _MARGIN, _TITLE = 0.2, 0.15, 1.05, 0.15, 0.42  # inches
-_LEAST_HEIGHT, _LEAST_WIDTH = 2.4, 4.2  # inches: room for the text along a colour bar and above a map
-_CELL = 2.2  # inches, the width of a map among many
-_LONGEST_NAME = 34  # characters of a scene that fit above a map
+_LEAST_HEIGHT, _LEAST_WIDTH = 2.4, 4.2  # inches: space for the label of a colour bar and the title
+_CELL = 2.2  # inches: the width of a map in a comparison
+_LONGEST_NAME = 34  # characters of a name that fit above a map
 
 
 def disparity_figure(
     disparity: ArrayLike, *, name: str = "light field", limits: tuple[float, float] | None = None
 ) -> Figure:
-    """A disparity map in viridis, with its scale.
+    """Draw a disparity map in viridis, with a colour bar.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def disparity_figure(
     name
         The scene, for the title.
     limits
-        (low, high) of the scale. Default: what the map spans but for a few outliers.
+        (low, high) of the scale. Default None: the range of the map without a few outliers.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def disparity_figure(
 
 
 def confidence_figure(confidence: ArrayLike, *, name: str = "light field") -> Figure:
-    """A confidence map in cividis on the scale 0 to 1.
+    """Draw a confidence map in cividis, on the scale 0 to 1.
 
     Parameters
     ----------
@@ -88,12 +88,12 @@ def confidence_figure(confidence: ArrayLike, *, name: str = "light field") -> Fi
 
 
 def sparsification_figure(curve: Sparsification, *, name: str = "light field") -> Figure:
-    """The share of bad pixels among the most confident ones, and that of the order that knows the errors.
+    """Draw a sparsification curve: the share of bad pixels among the most confident ones, and that of the oracle.
 
     Parameters
     ----------
     curve
-        What `lfgpu.metrics.sparsification` found.
+        The result of `lfgpu.metrics.sparsification`.
     name
         The scene, for the title.
     """
@@ -121,7 +121,7 @@ def overview_figure(
     mask: ArrayLike | None = None,
     border: int = 0,
 ) -> Figure:
-    """The reference view, the estimate and the truth on one scale, and where and how much they differ.
+    """Draw the reference view, the error map, and the estimate and the ground truth on one scale.
 
     Parameters
     ----------
@@ -130,21 +130,22 @@ def overview_figure(
     disparity, truth
         [y, x], pixels per view step; NaN is grey.
     title
-        The line above all, for the scene and how good the map is.
+        The title of the figure, such as the scene and its scores.
     mask
-        bool [y, x]: errors where it is False are grey. Default: none.
+        bool [y, x]; the error is grey where it is False. Default None: no mask.
     border
-        Pixels at each side that were not scored; a dashed line in the error map shows them. Default 0.
+        Width of the border that was not scored, pixels; a dashed line marks it in the error map. Default 0.
 
     Raises
     ------
     LightFieldError
-        If the maps are not [y, x] of one shape.
+        If the maps are not [y, x], or differ in size.
     """
     estimated, true, picture = _map(disparity), _map(truth), np.asarray(view, np.float32)
     if not estimated.shape == true.shape == picture.shape[:2]:
         raise LightFieldError(
-            f"view, disparity and truth must have one size, found {picture.shape}, {estimated.shape}, {true.shape}."
+            f"view, disparity and truth must have the same size; found {picture.shape}, {estimated.shape}, "
+            f"{true.shape}."
         )
     error = estimated - true
     if mask is not None:
@@ -174,22 +175,22 @@ def overview_figure(
 
 
 def comparison_figure(scenes: Sequence[Scene]) -> Figure:
-    """Error maps as light field papers show them: a row for each scene, a column for each method.
+    """Draw error maps of several methods: a row for each scene, a column for each method.
 
     Parameters
     ----------
     scenes
-        What `lfgpu.comparison` scores; the first two columns are the view and the truth. All errors have one scale;
-        below each stand BadPix(0.07) and the mean squared error times 100.
+        The scenes, with the maps of all methods. The first two columns show the view and the ground truth. All error
+        maps have one scale. Below each are BadPix(0.07) and the mean squared error times 100.
 
     Raises
     ------
     LightFieldError
-        If there is no scene, or a map does not fit its truth.
+        If there is no scene, or a map and its ground truth differ in size.
     """
     methods = list(dict.fromkeys(method for scene in scenes for method in scene.maps))
     if not methods:
-        raise LightFieldError("there is nothing to compare: give at least one scene and one method.")
+        raise LightFieldError("there is nothing to compare; give at least one scene with the map of one method.")
     errors = {(s.name, m): error_map(values, s.truth) for s in scenes for m, values in s.maps.items()}
     reach = max(error_reach(error) for error in errors.values())
     heights = [scene.truth.shape[0] / scene.truth.shape[1] for scene in scenes]
@@ -230,7 +231,7 @@ def comparison_figure(scenes: Sequence[Scene]) -> Figure:
 
 
 def save_png(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Save a figure as PNG; whole or not at all.
+    """Save a figure as PNG, atomically.
 
     Raises
     ------
@@ -238,15 +239,15 @@ def save_png(figure: Figure, path: str | os.PathLike[str]) -> None:
         If the file cannot be written.
     """
     with atomic_write(path) as temporary, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing")  # of a name in a script that the font lacks
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # a name may use a script that the font lacks
         figure.savefig(temporary, format="png")
 
 
 class _Layout:
-    """Panels of one size in rows and columns, a colour bar at the right of each row, all placed to the pixel.
+    """Panels of one size in rows and columns, with a colour bar at the right of each row.
 
-    One pixel of a map becomes a square of k x k pixels of the picture, k whole: nothing is blurred or left out.
-    Text keeps its size relative to the maps, however many pixels these have.
+    A pixel of a map becomes k x k pixels of the picture, with an integer k, so that nothing is blurred. The size of
+    text relative to the maps does not depend on their number of pixels.
     """
 
     def __init__(self, shape: tuple[int, ...], *, rows: int, columns: int, heading: float = 0.0) -> None:
@@ -265,7 +266,7 @@ class _Layout:
         FigureCanvasAgg(self.figure)
 
     def axes(self, row: int, column: int) -> Axes:
-        """The panel of a map, in the middle of its cell, right below its title."""
+        """The axes of a map, in the middle of its cell."""
         left = _MARGIN + column * self._cell_width + (self._cell_width - _GAP - self._width) / 2
         axes = self._add(left, self._bottom(row) + self._slack() / 2, self._width, self._height)
         axes.set_xticks([])
@@ -291,12 +292,12 @@ class _Layout:
 def _map(values: ArrayLike) -> NDArray[np.float32]:
     array = np.asarray(values, np.float32)
     if array.ndim != 2 or 0 in array.shape:
-        raise LightFieldError(f"a map must be [y, x], found shape {array.shape}.")
+        raise LightFieldError(f"a map must be [y, x]; found shape {array.shape}.")
     return np.where(np.isfinite(array), array, np.float32(np.nan))
 
 
 def scale_limits(values: NDArray[np.float32]) -> tuple[float, float]:
-    """The ends of a map's scale: what it spans but for a few outliers; 0 to 1 if it is defined nowhere."""
+    """The ends of the scale of a map: its range without a few outliers; (0, 1) if it is undefined everywhere."""
     defined = values[np.isfinite(values)]
     if defined.size == 0:
         return 0.0, 1.0
@@ -305,7 +306,7 @@ def scale_limits(values: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def error_reach(error: NDArray[np.float32]) -> float:
-    """How far an error's scale goes either way: what 95 % of the pixels stay within, rounded up to one digit."""
+    """The end of a symmetric error scale: the 95 % quantile of the absolute error, rounded up to one digit."""
     defined = np.abs(error[np.isfinite(error)])
     reach = max(float(np.quantile(defined, 0.95)) if defined.size else 0.0, _LEAST_ERROR)
     digit = 10.0 ** math.floor(math.log10(reach))
@@ -321,7 +322,7 @@ def _colours(name: str) -> Colormap:
 
 
 def _scale(figure: Figure, image: AxesImage, bar: Axes, label: str, values: NDArray[Any]) -> None:
-    """The colour bar of an image; a pointed end says that some of `values` lie beyond it."""
+    """Draw the colour bar of an image; a pointed end means that some of `values` lie beyond it."""
     defined = values[np.isfinite(values)]
     low, high = image.get_clim()
     below, above = bool((defined < low).any()), bool((defined > high).any())

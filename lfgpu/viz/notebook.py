@@ -1,4 +1,4 @@
-"""How light fields and results show themselves in notebooks."""
+"""The HTML of light fields and results in notebooks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _WIDE, _TALL = 640, 420  # pixels of a picture
 
 
 def light_field_html(lf: LightField) -> str:
-    """The reference view with the EPIs through its middle, and what there is to know."""
+    """The reference view with the EPIs through its middle, and a table of facts."""
     height, width = lf.size
     picture = frames.view_with_epis(lf, lf.reference_index, width // 2, height // 2, None, wide=_WIDE, tall=_TALL)
     u, v = lf.positions[lf.reference_index]
@@ -30,7 +30,7 @@ def light_field_html(lf: LightField) -> str:
         ("views", f"{len(lf.views)}, {grid}"),
         ("size", f"{width} × {height} px, {'grey' if lf.channels == 1 else 'colour'}, {lf.views.dtype}"),
         ("reference", f"row {v:g}, column {u:g}"),
-        ("depth in metres", "yes" if lf.geometry is not None else "no: the cameras are not known"),
+        ("depth in metres", "yes" if lf.geometry is not None else "no, because the cameras are unknown"),
         ("ground truth", truth),
         *(("note", note) for note in lf.notes),
     ]
@@ -38,7 +38,7 @@ def light_field_html(lf: LightField) -> str:
 
 
 def result_html(result: DepthResult) -> str:
-    """Disparity and confidence with their scales, and how they came about."""
+    """Disparity and confidence with their scales, and a table of facts."""
     pictures = [
         frames.map_picture(frames.Shown(values, kind), kind, limits, wide=_WIDE, tall=_TALL)
         for kind, values, limits in (

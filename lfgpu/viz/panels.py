@@ -1,4 +1,4 @@
-"""What a page shows, as arrays of pixels: views with their EPIs, maps with their scale."""
+"""Panels for pages and notebooks, as arrays of pixels: views with their EPIs, maps with their scale."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from PIL import Image, ImageDraw, ImageFont
 from lfgpu.data.lightfield import LightField
 
 Picture = NDArray[np.uint8]
-"""[y, x, 3]"""
+"""An RGB picture, uint8 [y, x, 3]."""
 
-_WIDE, _TALL = 960, 620  # pixels of a picture: as much as a panel can show on a dense screen
+_WIDE, _TALL = 960, 620  # pixels: the largest panel
 _GAP = 8
-_EPI = 120  # pixels across the views of an EPI, about
+_EPI = 120  # pixels, roughly: the height of an EPI
 _PAPER, _INK, _MUTED = (255, 255, 255), (33, 37, 41), (134, 142, 150)
 _UNDEFINED = (158, 158, 158)
 _CURSOR, SLOPE = (255, 255, 255), (255, 64, 129)
@@ -32,7 +32,7 @@ _TEXT = 18
 
 @dataclass(frozen=True)
 class Look:
-    """How one kind of map is drawn."""
+    """The colour map and the label of one kind of map."""
 
     colours: str
     unit: str
@@ -47,13 +47,13 @@ LOOKS = {
 
 
 def rgb(view: NDArray[Any], scale: float) -> Picture:
-    """A view [y, x, c] as stored, in 8 bits and three channels."""
+    """A view [y, x, c], as stored, as an RGB picture; `scale` turns stored values into intensities."""
     pixels = view if view.dtype == np.uint8 else np.clip(view * (255 * scale) + 0.5, 0, 255).astype(np.uint8)
     return np.broadcast_to(pixels, (*pixels.shape[:2], 3)) if pixels.shape[2] == 1 else pixels
 
 
 def fitted(picture: Picture, *, wide: int = _WIDE, tall: int = _TALL) -> Image.Image:
-    """A picture at the largest size within a box; pixels stay squares where it grows."""
+    """A picture scaled to the largest size within a box; enlarged pixels stay sharp squares."""
     height, width = picture.shape[:2]
     factor = min(wide / width, tall / height)
     size = max(1, round(width * factor)), max(1, round(height * factor))
@@ -66,10 +66,10 @@ def fitted(picture: Picture, *, wide: int = _WIDE, tall: int = _TALL) -> Image.I
 def view_with_epis(
     lf: LightField, index: int, x: int, y: int, slope: float | None, *, wide: int = _WIDE, tall: int = _TALL
 ) -> Picture:
-    """One view, below it the EPI of image row `y`, at its right that of image column `x`, and the slope over both.
+    """Draw a view with two EPIs: that of image row `y` below it, and that of image column `x` at its right.
 
-    `slope` is the disparity at (x, y) of the reference view, None or NaN where there is none: the line through the EPIs
-    is where that pixel is in each view. Each EPI stands in line with the view: a column of pixels is the same in both.
+    `slope` is the disparity at (x, y) of the reference view, or None or NaN if it is unknown. A line of this slope
+    through each EPI marks that point in all views. The EPIs are aligned with the pixels of the view.
     """
     row, column = lf.row(), lf.column()
     across, down = (_epi_height(len(line)) if len(line) > 1 else 0 for line in (row, column))
@@ -93,18 +93,18 @@ def view_with_epis(
 
 
 def epi_of_row(lf: LightField, x: int, y: int, slope: float | None, *, wide: int) -> Picture:
-    """The EPI of image row `y`, one view of the reference's row below the other, with the slope's line through `x`."""
+    """Draw the EPI of image row `y` in the reference view's row of views, with a line of `slope` through `x`."""
     return _epi(lf.epi_horizontal(y), lf.scale, lf.offsets[lf.row(), 0], x, slope, wide)
 
 
 def epi_of_column(lf: LightField, x: int, y: int, slope: float | None, *, wide: int) -> Picture:
-    """The EPI of image column `x`, lying: image rows from left to right, with the slope's line through `y`."""
+    """Draw the EPI of image column `x`, with image rows from left to right and a line of `slope` through `y`."""
     return _epi(lf.epi_vertical(x), lf.scale, lf.offsets[lf.column(), 1], y, slope, wide)
 
 
 @dataclass(frozen=True)
 class Shown:
-    """One map and what to call it."""
+    """A map and its name."""
 
     values: NDArray[np.float32]
     name: str
@@ -121,10 +121,10 @@ def map_picture(
     wide: int = _WIDE,
     tall: int = _TALL,
 ) -> Picture:
-    """A map with its scale and unit; a second one right of the wipe line, on the same scale.
+    """Draw a map with its scale and unit, and optionally a second map right of a wipe line.
 
-    `wipe` is the share of the width, from the left, that the first map keeps. Undefined pixels are grey, and a pointed
-    end of the scale says that values lie beyond it.
+    `wipe` is the share of the width, from the left, that shows the first map. Both maps have the same scale. Undefined
+    pixels are grey. A pointed end of the scale means that values lie beyond it.
     """
     look = LOOKS[kind]
     coloured = colour(first.values, look.colours, limits)
@@ -163,14 +163,14 @@ def map_picture(
 
 
 def notice(text: str, *, wide: int = _WIDE, tall: int = _TALL) -> Picture:
-    """A sentence where a picture will be."""
+    """Draw a sentence in place of a picture."""
     canvas = Image.new("RGB", (wide, tall), (245, 246, 247))
     ImageDraw.Draw(canvas).text((wide / 2, tall / 2), text, fill=_MUTED, font=_font(), anchor="mm")
     return np.asarray(canvas)
 
 
 def colour(values: NDArray[np.float32], colours: str, limits: tuple[float, float]) -> Picture:
-    """A map in the colours of a colour map; undefined pixels grey."""
+    """Apply a colour map to a map; undefined pixels are grey."""
     low, high = limits
     table = (colormaps[colours](np.linspace(0, 1, 256))[:, :3] * 255 + 0.5).astype(np.uint8)
     defined = np.isfinite(values)
@@ -181,14 +181,14 @@ def colour(values: NDArray[np.float32], colours: str, limits: tuple[float, float
 
 
 def encoded(picture: Picture, kind: str = "PNG") -> bytes:
-    """The bytes of an image file."""
+    """A picture as the bytes of an image file."""
     buffer = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(picture)).save(buffer, kind)
     return buffer.getvalue()
 
 
 def centred(picture: Picture, wide: int = _WIDE) -> Picture:
-    """With paper at both sides, so that pictures of all shapes are shown at one size."""
+    """Pad a picture at both sides to a common width."""
     beside = max(0, wide - picture.shape[1])
     return np.pad(picture, ((0, 0), (beside // 2, beside - beside // 2), (0, 0)), constant_values=255)
 
@@ -196,7 +196,7 @@ def centred(picture: Picture, wide: int = _WIDE) -> Picture:
 def _epi(
     lines: NDArray[Any], scale: float, offsets: NDArray[np.float64], at: int, slope: float | None, wide: int
 ) -> Picture:
-    """`lines` [view, pixel, c] at that width, each view a whole number of pixels high."""
+    """Draw an EPI, `lines` [view, pixel, c], `wide` pixels wide; each view is an integer number of pixels high."""
     height, factor = _epi_height(len(lines)), wide / lines.shape[1]
     epi = Image.fromarray(np.ascontiguousarray(rgb(lines, scale))).resize((wide, height), Image.Resampling.NEAREST)
     if slope is not None and math.isfinite(slope):
@@ -210,12 +210,12 @@ def _epi(
 
 
 def _epi_height(views: int) -> int:
-    """A whole number of pixels for each view."""
+    """The height of an EPI: an integer number of pixels for each view."""
     return views * max(3, round(_EPI / views))
 
 
 def _cross(canvas: Image.Image, at: tuple[float, float], size: tuple[int, int], top: int = 0) -> None:
-    """Cross hairs over what lies in `size` below `top`, light so that the picture stays to be seen."""
+    """Draw translucent cross hairs over the area of `size` below `top`."""
     layer = Image.new("RGBA", canvas.size, (0, 0, 0, 0))
     draw = ImageDraw.Draw(layer)
     x, y = at
@@ -240,7 +240,7 @@ def _scale(
     middle, tip = left + _BAR / 2, _BAR * 0.7
     low, high = limits
     for is_beyond, edge, point in ((beyond[0], top + height, top + height - tip), (beyond[1], top, top + tip)):
-        if is_beyond:  # white corners leave a point
+        if is_beyond:  # white corners make the end pointed
             for corner in (left - 1, left + _BAR):
                 draw.polygon([(corner, edge), (middle, edge), (corner, point)], fill=_PAPER)
     for tick in MaxNLocator(6).tick_values(low, high):
@@ -259,5 +259,5 @@ def _beyond(maps: list[NDArray[np.float32]], limits: tuple[float, float]) -> tup
 
 @cache
 def _font() -> ImageFont.FreeTypeFont:
-    """That of matplotlib, which has more signs than Pillow's."""
+    """The font of matplotlib, which has more characters than the one of Pillow."""
     return ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), _TEXT)

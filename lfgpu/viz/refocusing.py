@@ -1,4 +1,4 @@
-"""Pictures of the reference view from all views at once: focused where one likes, or everywhere."""
+"""Refocused and all-in-focus images, made from all views."""
 
 from __future__ import annotations
 
@@ -14,23 +14,22 @@ from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.viz.splines import CUBIC, LINEAR, colours, shifted, spline, valid_at
 
-_HIDDEN = 0.6  # pixels in the farthest view: what is nearer by less hides nothing
-_UNLIKE = 0.05  # intensity: colours that differ this much are as likely of something else as not
+_HIDDEN = 0.6  # pixels in the farthest view: a surface hides only points that are farther by more
+_UNLIKE = 0.05  # intensity: scale of the robust weight of colour differences
 _LARGEST = 1e4  # px per view step
 
 
 def refocus(
     lf: LightField, disparity: float, *, step: int = 1, most_views: int | None = None, order: int = CUBIC
 ) -> Float32Array:
-    """The picture that a lens as wide as all cameras together would take, focused at one disparity (shift and add).
+    """Refocus on one disparity by shift and add: the image of a lens as wide as the camera array.
 
     Parameters
     ----------
     lf
-        The light field; `lf.subset` makes the lens smaller.
+        The light field. `lf.subset` gives a smaller lens.
     disparity
-        What is sharp, pixels per view step; things at other disparities are blurred by as many pixels as they would
-        move between the views.
+        The disparity that is in focus, pixels per view step, within ±10000.
     step
         Only every `step`-th pixel of each row and column is computed, >= 1, for previews. Default 1.
     most_views
@@ -50,7 +49,9 @@ def refocus(
     """
     check_light_field(lf)
     if not (math.isfinite(disparity) and abs(disparity) <= _LARGEST):
-        raise LightFieldError(f"the disparity to focus at must be a number within ±{_LARGEST:g}, not {disparity}.")
+        raise LightFieldError(
+            f"the disparity to focus on must be a number from -{_LARGEST:g} to {_LARGEST:g}, not {disparity}."
+        )
     _check_preview(step, most_views, order)
     height, width = (len(range(0, side, step)) for side in lf.size)
     total, count = np.zeros((height, width, lf.channels), np.float32), np.zeros((height, width), np.float32)
@@ -78,7 +79,7 @@ def all_in_focus(
     backend: BackendName = DEFAULT,
     device: str | None = None,
 ) -> Float32Array:
-    """The reference view as all views show it together: sharp everywhere, with less noise than it has itself.
+    """Render the reference view from all views: sharp everywhere, and with less noise than the recorded view.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ def all_in_focus(
     step, most_views, order
         For previews, as for `refocus`.
     backend, device
-        Where is found what hides what, as for `estimate_depth`.
+        As for `estimate_depth`; they find occlusions.
 
     Returns
     -------
@@ -102,20 +103,21 @@ def all_in_focus(
     LightFieldError
         If the map is not of the reference view, or an option is out of its range.
     BackendError
-        If the backend or the device is not there.
+        If the backend or the device is missing.
     """
     check_light_field(lf)
     _check_preview(step, most_views, order)
     if result.disparity.shape != lf.size:
         raise LightFieldError(
-            f"the map has {result.disparity.shape[0]} x {result.disparity.shape[1]} pixels, the views have "
-            f"{lf.size[0]} x {lf.size[1]}; give the map of {lf.name}."
+            f"the map has {result.disparity.shape[0]} x {result.disparity.shape[1]} pixels, but the views have "
+            f"{lf.size[0]} x {lf.size[1]} (height x width); give a map of {lf.name}."
         )
     u, v = lf.positions[lf.reference_index]
     if result.position is not None and not np.allclose(result.position, (u, v), atol=1e-6):
         raise LightFieldError(
-            f"the map is of the view at row {result.position[1]:g}, column {result.position[0]:g}, the reference view "
-            f"is at row {v:g}, column {u:g}; choose that one with with_reference."
+            f"the map belongs to the view at row {result.position[1]:g}, column {result.position[0]:g}, but the "
+            f"reference view is at row {v:g}, column {u:g}; make the view of the map the reference with "
+            "lf.with_reference."
         )
     kernels = load(backend)
     place = pick_device(kernels, device)

@@ -1,9 +1,9 @@
-"""New views of a recorded scene: each pixel takes its colour from the recorded views that see the same surface.
+"""Rendering of new views: each pixel is the weighted mean of the recorded views that see the same surface.
 
-The maps of the recorded views around the new one are carried into it, where they agree on a disparity for each pixel
-(`all_views.Join`). With it every pixel is looked up in these views, between their pixels by cubic splines. A view
-counts the more the nearer it stands, and as far as its own map shows that disparity there: else, what it sees is
-something that hides the surface. Looking colours up keeps them sharper than splatting them does, and averages noise.
+The maps of the nearest recorded views are warped into the new view and joined to one map (`all_views.Join`). With this
+map every pixel is sampled in these views by cubic splines. The weight of a view is larger if it is near, and if its own
+map agrees with the disparity there; otherwise another surface hides the point. Sampling gives sharper images than
+splatting, and the mean lowers the noise.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lfgpu.threads import in_threads
 from lfgpu.viz.splines import colours, sampled, spline, valid_at
 
 _SOURCES = 8
-_SAME = 0.6  # pixels in the farthest view: disparities that differ by this are as likely of one surface as not
+_SAME = 0.6  # pixels in the farthest view: difference in disparity at which a weight falls to one half
 _AGREE = 0.4  # pixels in the farthest view: maps that differ by less are averaged
 _NEAR = 0.1  # view steps: keeps the weight of a view in the very place finite
 _SOMETHING = 0.02  # least sum of weights: what gets less is seen by nobody
@@ -36,14 +36,14 @@ _FARTHEST = 3.0  # of the grid's extent: nothing is left to show beyond
 
 @dataclass(frozen=True, eq=False)
 class RenderedView:
-    """A view from where no camera stood.
+    """A rendered view.
 
     Parameters
     ----------
     image
-        float32 [y, x, c] in [0, 1], c as in the light field.
+        float32 [y, x, c] in [0, 1], with the channels of the light field.
     disparity
-        float32 [y, x], the map of this view, pixels per view step, larger is nearer.
+        float32 [y, x], the map of this view, pixels per view step; larger is nearer.
     known
         bool [y, x], False where no recorded view shows what is there: filled from beside, from the farther side, or a
         guess from views whose maps disagree.
@@ -58,25 +58,25 @@ class RenderedView:
 
 
 class Renderer:
-    """Renders views of one light field; what views need again and again is kept.
+    """Renders views of one light field; keeps intermediate results, so that many views are rendered quickly.
 
     Parameters
     ----------
     lf
-        The light field; its masks count, its reference view does not.
+        The light field. Its masks are used; its reference view does not matter.
     maps
         The maps of all its views, from `estimate_all_views`.
     sources
-        How many recorded views, the nearest ones, each new view is made of, >= 1; 8 by default.
+        Number of nearest recorded views that a new view is made from, >= 1; default 8.
     backend, device
-        Where maps are carried into new views, as for `estimate_depth`; the rest is done on the host.
+        As for `estimate_depth`; they warp maps into new views. The rest runs on the host.
 
     Raises
     ------
     LightFieldError
-        If the maps are not of the views, or `sources` is less than 1.
+        If the maps do not belong to the views, or `sources` is below 1.
     BackendError
-        If the backend or the device is not there.
+        If the backend or the device is missing.
     """
 
     def __init__(
@@ -91,12 +91,12 @@ class Renderer:
         check_light_field(lf)
         if maps.disparities.shape != lf.views.shape[:3] or not np.allclose(maps.positions, lf.positions, atol=1e-6):
             raise LightFieldError(
-                f"the maps are of {len(maps.disparities)} views of {maps.disparities.shape[1]} x "
-                f"{maps.disparities.shape[2]} pixels, {lf.name} has {len(lf.views)} of {lf.size[0]} x {lf.size[1]} or "
-                "other cameras; give the maps of these views."
+                f"the maps belong to {len(maps.disparities)} views of {maps.disparities.shape[1]} x "
+                f"{maps.disparities.shape[2]} pixels, but {lf.name} has {len(lf.views)} views of {lf.size[0]} x "
+                f"{lf.size[1]} pixels, or other camera positions; give the maps of these views."
             )
         if sources < 1:
-            raise LightFieldError(f"sources must be at least 1, not {sources}.")
+            raise LightFieldError(f"sources must be an integer >= 1, not {sources}.")
         self._lf, self._maps, self._sources = lf, maps, int(sources)
         self._kernels = load(backend)
         self._device = pick_device(self._kernels, device)
@@ -120,7 +120,10 @@ class Renderer:
         )
         disparity, _ = join(place)
         if np.isnan(disparity).all():
-            raise LightFieldError(f"{lf.name}: nothing recorded is seen from row {place[1]:g}, column {place[0]:g}.")
+            raise LightFieldError(
+                f"{lf.name}: nothing of the scene is visible from row {place[1]:g}, column {place[0]:g}; choose a "
+                "nearer position."
+            )
         disparity = fill_unknown(disparity)
         looks = in_threads(lambda n: self._look(n, place, disparity, _SAME / reach), chosen)
         image, known, hidden = _blended(looks, distance[chosen])
@@ -137,16 +140,21 @@ class Renderer:
         low, high = self._lf.positions.min(0), self._lf.positions.max(0)
         if (np.abs(place - (low + high) / 2) > _FARTHEST * max(*(high - low), 1.0)).any():
             raise LightFieldError(
-                f"row {place[1]:g}, column {place[0]:g} is too far away from the cameras, which stand in rows "
-                f"{low[1]:g} to {high[1]:g} and columns {low[0]:g} to {high[0]:g}."
+                f"the position row {place[1]:g}, column {place[0]:g} is too far away from the cameras, which are in "
+                f"rows {low[1]:g} to {high[1]:g} and columns {low[0]:g} to {high[0]:g}; choose a nearer one."
             )
         return place
 
     def _look(
         self, index: int, place: Float64Array, disparity: Float32Array, tolerance: float
     ) -> tuple[Float32Array, Float32Array, Float32Array]:
-        """What view `index` shows of the pixels of a new view: colour [y, x, c], how surely that is the surface itself,
-        and the same if nothing else is known of it, [y, x]."""
+        """Sample view `index` for the pixels of a new view.
+
+        Returns
+        -------
+        Colour [y, x, c]; the weight [y, x] of the view where its map agrees; and a weight [y, x] for pixels at which no
+        view agrees.
+        """
         height, width = disparity.shape
         du, dv = self._lf.positions[index] - place
         y, x = np.mgrid[:height, :width].astype(np.float32)
@@ -156,16 +164,16 @@ class Renderer:
         if self._lf.valid is not None:
             inside &= valid_at(self._lf.valid[index], at)
         seen = [sampled(self._maps.disparities[index], at, order) for order in (0, 1)]
-        # At an edge of depth the mean of both sides is neither: the nearest pixel tells one of them.
+        # At a depth edge bilinear values lie between both surfaces; the nearest pixel belongs to one of them.
         difference = np.min([np.abs(values - disparity) for values in seen], axis=0)
         before = np.maximum(seen[0] - disparity, 0)
         agreeing = inside / (1 + (difference / np.float32(tolerance)) ** 4)
-        # Where nobody agrees, what is farther is better than what is nearer, and anything than nothing.
+        # Where no view agrees, farther surfaces get larger weights than nearer ones, and all weights are positive.
         otherwise = (inside + np.float32(1e-6)) / (1 + before / np.float32(tolerance)) ** 4
         return colours(self._spline(index), at), agreeing.astype(np.float32), otherwise.astype(np.float32)
 
     def _spline(self, index: int) -> Float32Array:
-        """The coefficients [c, y, x] of the spline through a view."""
+        """The spline coefficients [c, y, x] of a view; computed once."""
         if index not in self._splines:
             self._splines[index] = spline(self._lf.image(index))
         return self._splines[index]
@@ -181,7 +189,7 @@ def render_view(
     backend: BackendName = DEFAULT,
     device: str | None = None,
 ) -> RenderedView:
-    """Render one view of a recorded scene from where no camera stood; for many of them, make a `Renderer` once.
+    """Render one new view of a recorded scene. To render many, create one `Renderer`.
 
     Parameters
     ----------

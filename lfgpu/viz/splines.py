@@ -19,7 +19,7 @@ _PAD = 2  # pixels beyond the frame that a cubic spline at its border looks at
 
 
 def spline(image: Float32Array) -> Float32Array:
-    """Coefficients [c, y, x] of the cubic splines through the pixels of an image [y, x, c], mirrored at its border."""
+    """Cubic spline coefficients [c, y, x] of an image [y, x, c], which is mirrored at its border."""
     planes = np.moveaxis(image, 2, 0)
     return np.stack([ndimage.spline_filter(plane, CUBIC, output=np.float32, mode="mirror") for plane in planes])
 
@@ -33,7 +33,7 @@ def colours(coefficients: Float32Array, at: Float32Array, order: int = CUBIC) ->
 
 
 def sampled(values: Float32Array, at: Float32Array, order: int) -> Float32Array:
-    """Values [y, x] at rows and columns [2, y, x]: the nearest ones (order 0), bilinear (1), or of coefficients (3)."""
+    """Values [y, x] at rows and columns [2, y, x]: nearest (order 0), bilinear (1), or from coefficients (3)."""
     found: Float32Array = ndimage.map_coordinates(
         values, at, output=np.float32, order=order, mode="mirror", prefilter=False
     )
@@ -41,7 +41,7 @@ def sampled(values: Float32Array, at: Float32Array, order: int) -> Float32Array:
 
 
 def valid_at(valid: np.ndarray, at: Float32Array) -> np.ndarray:
-    """bool [y, x]: whether all pixels of a mask [y, x] around rows and columns [2, y, x] are True."""
+    """bool [y, x]: whether all pixels of a mask around rows and columns [2, y, x] are True."""
     return np.asarray(sampled(valid.astype(np.float32), at, LINEAR) > 1 - 1e-3)
 
 

@@ -257,11 +257,12 @@ def test_others_open_the_cloud(geometry: Geometry | None, dtype: Any, tmp_path: 
 def test_a_cloud_needs_points_and_an_image_of_its_size(tmp_path: Path) -> None:
     path = tmp_path / "cloud.ply"
     for image, words in (
-        (np.zeros((2, 2, 3), np.uint8), "5 x 7 pixels, found (2, 2, 3)"),
+        (np.zeros((2, 2, 3), np.uint8), "5 x 7 pixels; found (2, 2, 3)"),
         (np.zeros((*SHAPE, 3), np.int64), "found int64"),
     ):
         assert words in refusal(lambda image=image: save(a_map(), path, image=image))
-    assert "there is no cloud" in refusal(lambda: save(a_map(disparity=np.full(SHAPE, np.nan, np.float32)), path))
+    nothing = a_map(disparity=np.full(SHAPE, np.nan, np.float32))
+    assert "so the point cloud is empty" in refusal(lambda: save(nothing, path))
     assert not path.exists()
 
 

@@ -279,7 +279,7 @@ def test_stanford_that_is_refused(tmp_path: Path) -> None:
     places = [(0, 0, 5.0, 1.0), (0, 1, 5.0, 1.0)]
     assert "stand in one place" in refusal(lambda: read(save_stanford(tmp_path / "a", places)))
     places = [(0, 0, 5.0, 1.0), (0, 1, 5.0, 2.0), (0, 2, 5.0, 2.0)]
-    assert "two views stand at" in refusal(lambda: read(save_stanford(tmp_path / "b", places)))
+    assert "two views have the position" in refusal(lambda: read(save_stanford(tmp_path / "b", places)))
     assert "one view only" in refusal(lambda: read(save_stanford(tmp_path / "c", places[:1])))
 
 
@@ -343,7 +343,7 @@ def test_weights_of_the_light_field_toolbox(tmp_path: Path, true: LightField) ->
         ({"LF": np.zeros((2, 2, 4, 5, 3), np.int32)}, "LF holds int32"),
         ({"LF": np.zeros((2, 2, 4, 5, 3))}, "nothing of the middle view is valid"),
         ({"LF": np.full((2, 2, 4, 5, 3), np.nan)}, "NaN or infinite"),
-        ({"LF": np.full((2, 2, 4, 5, 3), 200.0)}, "must be scaled to [0, 1]"),
+        ({"LF": np.full((2, 2, 4, 5, 3), 200.0)}, "scale float views to [0, 1]"),
     ],
 )
 def test_matlab_files_that_are_refused(tmp_path: Path, variables: dict[str, Any], words: str) -> None:
@@ -545,12 +545,12 @@ def test_a_description_of_another_format(tmp_path: Path, true: LightField) -> No
         (TWO.replace("[1.5, -0.25]", "[nan, 0]"), "must be a number, not nan"),
         (TWO.replace("[1.5, -0.25]", "[inf, 0]"), "finite pairs"),
         (TWO.replace("[1.5, -0.25]", "[true, 0]"), "must be a number, not True"),
-        (TWO.replace("[1.5, -0.25]", "[0, 0]"), "two views stand at row 0, column 0"),
+        (TWO.replace("[1.5, -0.25]", "[0, 0]"), "two views have the position row 0, column 0"),
         (TWO.replace("position = [0, 0]\n", ""), "views[0] has no position"),
         (TWO[:42], "lists 1 views"),
         ("reference = 2\n" + TWO, "reference view 2 does not exist"),
         ("reference = 1.5\n" + TWO, "reference must be a whole number"),
-        ("grid = [3, 3]\n" + TWO, "positions must be places in the grid"),
+        ("grid = [3, 3]\n" + TWO, "positions must be integers in the grid"),
         ("name = 3\n" + TWO, "name must be a text"),
         ("[geometry]\nfocal_length_px = 3\n" + TWO, "geometry has no baseline_m"),
         ("[geometry]\nfocal_length_px = 3\nbaseline_m = -1\n" + TWO, "baseline_m must be a positive number"),

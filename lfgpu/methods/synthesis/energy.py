@@ -1,4 +1,4 @@
-"""The energy that the refinement minimises: data term plus weighted prior, with its exact gradient."""
+"""The energy that the refinement minimises: the data term plus the weighted prior, with its exact gradient."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from lfgpu.contract import Array, Scalar
 from lfgpu.methods.prior import NonLocalMeans
 from lfgpu.methods.synthesis.model import ForwardModel
 
-_EVENNESS = 0.75  # how much of the curvature is its mean
+_EVENNESS = 0.75  # share of the mean in the curvature that the solver gets
 
 
 class Energy:
@@ -15,7 +15,7 @@ class Energy:
     Parameters
     ----------
     model, prior
-        The two terms, on one device.
+        The data term and the prior, on the same device.
     smoothness
         λ, >= 0.
     """
@@ -26,15 +26,15 @@ class Energy:
         self._half, self._share = (prior.kernels.scalar(0.0, prior.device) for _ in range(2))
         self._even_share = prior.kernels.scalar((1.0 - _EVENNESS) * model.size[0] * model.size[1], prior.device)
         self.curvature = prior.kernels.zeros(model.size, prior.device)
-        """About the second derivative by each pixel, in units of its mean, a field [y, x] > 0, as `load` leaves it.
+        """The approximate second derivative of the energy by each pixel, divided by its mean: a field [y, x] > 0.
 
-        What is seen best has the largest one, and a solver that knows moves all pixels alike. The mean has the larger
-        part in it: the second derivative by one pixel alone is not that by many together, and where there is little to
-        see a pixel would otherwise run ahead and follow the noise.
+        The solver uses it as a diagonal preconditioner. `load` computes it. Pixels with strong texture have the largest
+        values. Each value is blended with the mean, because the second derivative by one pixel alone ignores its
+        neighbours: without the blend, pixels with little texture take too long steps and follow the noise.
         """
 
     def load(self) -> None:
-        """Take what model and prior have loaded."""
+        """Compute the curvature from what the model and the prior have loaded."""
         kernels, prior, curvature, weight = self._prior.kernels, self._prior, self.curvature, 4.0 * self._smoothness
         self._model.curvature(curvature)
         kernels.axpby(self._model.mean, curvature, weight, prior.degree, curvature)
@@ -44,7 +44,7 @@ class Energy:
         kernels.axpby(self._share, curvature, _EVENNESS, prior.ones, curvature)
 
     def __call__(self, disparity: Array, gradient_out: Array, value_out: Scalar) -> None:
-        """Value and gradient at a disparity map, fields [y, x], pixels per view step."""
+        """The value and the gradient at a disparity map [y, x], pixels per view step."""
         kernels, mean = self._prior.kernels, self._model.mean
         self._model.squared_error(disparity, gradient_out, value_out)
         self._prior.half(disparity, self._laplacian, self._half)

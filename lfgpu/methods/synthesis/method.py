@@ -1,4 +1,4 @@
-"""Synthesis as a method: how much memory it takes and how far a pixel reaches."""
+"""Synthesis as a method: its stages, its memory and its halo."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from lfgpu.methods.measured import Measured
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.methods.synthesis.plan import SynthesisPlan
 
-_NORMALISED = 16  # views that a GPU normalises at a time
-_TENSORS = 3  # places on a line of views that a structure tensor is summed over
-_NEIGHBOURHOODS = 6  # windows beyond which the solvers carry hardly anything
-_EDGE = 34  # pixels at the edge of a tile in which the solvers miss what lies beyond it
+_NORMALISED = 16  # views that are normalised at a time on a GPU
+_TENSORS = 3  # positions along a line of views over which a structure tensor is summed
+_NEIGHBOURHOODS = 6  # half windows after which the influence of a pixel through the solvers is negligible
+_EDGE = 34  # pixels at the edge of a tile where the missing neighbours change the result
 
 
 class Synthesis(Method[SynthesisConfig]):
-    """The map from which the reference view predicts all others best (`lfgpu/methods/synthesis/plan.py`)."""
+    """The disparity map with which the reference view predicts all other views best (Sajjadi et al. 2016)."""
 
     STAGES = (
         Stage("local", "local estimate"),
@@ -45,12 +45,12 @@ class Synthesis(Method[SynthesisConfig]):
         channels, stored, count = lf.channels, lf.views.dtype.itemsize, len(lf.views)
         views = count * channels * stored
         masks = 0 if lf.valid is None else 5 * count
-        host = 0 if on_gpu else views + masks  # the tile as it was cut out
+        host = 0 if on_gpu else views + masks  # the copy of the tile
         weights = 2 * 4 * ((self.config.prior.window**2 - 1) // 2) + 4 * 3 * channels
-        solvers = 4 * 64 if on_gpu else 4 * 40  # pairs of steps that L-BFGS remembers, and what else it keeps
+        solvers = 4 * 64 if on_gpu else 4 * 40  # the history of L-BFGS and its workspace
         line = len(lf.row()) + len(lf.column())
         if on_gpu:
-            details = count * 2 * (channels + (4 if channels == 3 else 2))  # as they are and packed, in half precision
+            details = count * 2 * (channels + (4 if channels == 3 else 2))  # plain and packed, in half precision
             batch = min(count, _NORMALISED) * (2 * 4 * channels + 3 * 4)
             lines = line * channels * stored + 4 * _TENSORS * 4 * channels
         else:

@@ -1,4 +1,4 @@
-"""The generative model: a disparity map predicts every view from the reference view alone (paper §3)."""
+"""The generative model: the reference view and a disparity map predict every view (paper §3)."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from lfgpu.methods.synthesis.config import RefinementConfig
 
 
 class ForwardModel:
-    """Predicts the views of light fields of one kind by a bilinear forward splat, and compares them with recorded ones.
+    """Predicts views by splatting the reference view, and compares them with the recorded views.
 
-    Views are compared without their local mean and in units of their local contrast. The additive model's brightness
-    follows the coverage, which on slanted surfaces is not 1: comparing raw intensities bends them. Detail has no
-    brightness to follow, faint texture counts as much as strong, and differences in exposure between cameras cancel.
+    Views are compared after local contrast normalisation: the local mean is subtracted, and the rest is divided by the
+    local contrast. Raw intensities would bend slanted surfaces, because there the coverage of the additive model is not
+    1 and changes its brightness. After normalisation weak texture counts as much as strong texture, and differences in
+    exposure between cameras cancel.
 
     Parameters
     ----------
     lf
-        A light field of that kind: its cameras, size, masks and reference view count, its views do not. The reference
-        is what is splatted; it predicts itself without error, whatever the disparity.
+        Gives the cameras, size, masks and reference view; its views are not used. The reference view is splatted. It
+        predicts itself without error, whatever the disparity.
     config
-        `softness` of the tent; `detail_scale` and `contrast_floor` of the images that are compared.
+        `data_term`, and `softness` of its triangle kernel; `detail_scale` and `contrast_floor` of the normalisation.
     kernels, device
         Where the views live.
     """
@@ -32,9 +33,9 @@ class ForwardModel:
         self._kernels, self._device, self._softness = kernels, device, config.softness
         self._reference, self.size, self._scale = lf.reference_index, lf.size, lf.scale
         self.mean = 1.0 / (max(len(lf.views) - 1, 1) * lf.channels)
-        """What turns sums over views and channels into means over the views that are predicted."""
+        """The factor that turns a sum over views and channels into a mean over the predicted views."""
         self._shape = shape = (len(lf.views), *lf.size, lf.channels)
-        # Half the bytes on a GPU, whose kernels wait for memory; the noise of a view is far above their rounding.
+        # Half precision on a GPU, where memory bandwidth is the limit; its rounding is far below the noise of a view.
         stored = np.float32 if device == "cpu" else np.float16
         self._offsets = kernels.field(lf.offsets, device)
         self._detail = kernels.zeros_image(shape, device, stored)
@@ -52,10 +53,16 @@ class ForwardModel:
         )
 
     def load(self, views: Array, start: Array | None = None) -> None:
-        """Take recorded views [n, y, x, c], as stored.
+        """Take recorded views.
 
-        `start` is a first disparity map [y, x]: what by it lies outside the reference view, at the rims of the others,
-        or where the reference is not valid has no prediction and is not compared. None compares everything valid.
+        Parameters
+        ----------
+        views
+            The views [n, y, x, c], as stored.
+        start
+            A first disparity map [y, x], pixels per view step. Pixels of the views that come from outside the reference
+            view, or from its masked pixels, according to this map, are not compared: nothing predicts them. None
+            compares all valid pixels.
         """
         kernels = self._kernels
         kernels.intensities(views, self._reference, self._valid, scale=self._scale, fill=0.0, image_out=self._raw)
@@ -66,10 +73,17 @@ class ForwardModel:
         self._data_term.load(self._image, self._detail, self._valid if start is None else self._seen)
 
     def predict(self, disparity: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Predicted views [n, y, x, c] of the loaded reference view, itself included, and their coverage [n, y, x].
+        """Predict all views, the reference view included, with the additive model.
 
-        `disparity` is [y, x] in pixels per view step. The model adds up all that lands on a pixel: where coverage is
-        not 1, several surfaces (more) or none (less) were seen there.
+        Parameters
+        ----------
+        disparity
+            float32 [y, x], pixels per view step.
+
+        Returns
+        -------
+        The predicted views, float32 [n, y, x, c], and their coverage, float32 [n, y, x]. Coverage is the sum of the
+        splat weights on a pixel: above 1 where several surfaces land on it, below 1 where there is a gap.
         """
         k = self._kernels
         views, coverage = k.zeros_image(self._shape, self._device), k.zeros(self._shape[:3], self._device)
@@ -84,9 +98,9 @@ class ForwardModel:
         return k.numpy(views), k.numpy(coverage)
 
     def squared_error(self, disparity: Array, gradient_out: Array, value_out: Scalar) -> None:
-        """Squared error summed over pixels, views and channels, and its gradient; `mean` makes a mean of it."""
+        """The squared error, summed over pixels, views and channels, and its gradient; times `mean` it is a mean."""
         self._data_term(disparity, gradient_out, value_out)
 
     def curvature(self, curvature_out: Array) -> None:
-        """About the second derivative of the squared error by each pixel's disparity, a field [y, x]."""
+        """The approximate second derivative of the squared error by the disparity of each pixel, a field [y, x]."""
         self._data_term.curvature(curvature_out)

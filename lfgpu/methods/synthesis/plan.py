@@ -1,7 +1,8 @@
 """Synthesis: the method of the paper (Sajjadi et al. 2016), in three stages.
 
-`local`: structure tensors on epipolar plane images where the views are coherent. `propagate`: the rest is filled from
-pixels that look alike. `refine`: the map that predicts all recorded views best, under the same prior.
+`local` estimates disparity by structure tensors on epipolar plane images, where these are coherent. `propagate` fills
+the gaps from similar pixels nearby. `refine` changes the map until it predicts all recorded views best, under the same
+prior.
 """
 
 from __future__ import annotations
@@ -28,23 +29,23 @@ _SOLVERS: dict[str, type[BoundedLbfgs] | type[ScipyLbfgsb]] = {"lbfgs": BoundedL
 
 
 class SynthesisPlan:
-    """The method of the preset "paper" for light fields of one kind.
+    """The method of the preset "paper", allocated for light fields of one kind.
 
     Parameters
     ----------
     lf
-        A light field of that kind: its cameras, size, stored type, masks and reference view count, its views do not.
+        Gives the cameras, size, stored type, masks and reference view; its views are not used.
     bounds
         (low, high) of the disparities, pixels per view step.
     config
-        `local`, `prior`, `propagation` and `refinement` count.
+        The parameters of all stages.
     kernels, device
-        Where it is done.
+        The backend's kernels, and the name of the device.
 
     Raises
     ------
     LightFieldError
-        If no second view is in line with the reference.
+        If neither the row nor the column of the reference view has a second view.
     """
 
     decided = "propagate"
@@ -74,7 +75,7 @@ class SynthesisPlan:
         )
 
     def stages(self, views: Array) -> dict[str, Work]:
-        """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
+        """The work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
         return {
             "local": lambda _: self._local.run(views),
             "propagate": lambda callback: self._fill(views, callback),
@@ -82,15 +83,15 @@ class SynthesisPlan:
         }
 
     def check(self, name: str) -> None:
-        """LightFieldError, with the light field's name, if nothing came of the last run; waits for the device."""
+        """Raise LightFieldError, which names `name`, if the last run found no estimate; waits for the device."""
         if self._kernels.number(self._propagation.trusted) == 0:
             raise LightFieldError(
                 f"{name}: no pixel has a coherent estimate within the disparity range: the views have no texture, are "
-                "masked, or the range is wrong; give another one, or lower local.coherence_threshold."
+                "masked, or the range is wrong; give another range, or lower local.coherence_threshold."
             )
 
     def is_finite(self) -> bool:
-        """Whether the last run met finite numbers only; waits for the device."""
+        """Whether all numbers of the last run were finite; waits for the device."""
         return bool(np.isfinite(self._refinement.report().trace[0]))
 
     def maps(self) -> dict[str, Float32Array]:
@@ -104,7 +105,7 @@ class SynthesisPlan:
         return {"local": np.where(coherence > 0, local, np.float32(np.nan)), "propagate": filled, "refine": refined}
 
     def solution(self) -> Solution:
-        """How the last run went: the trace is the energy of the refinement; waits for the device."""
+        """How the solvers did in the last run; the trace is the energy of the refinement. Waits for the device."""
         refined = self._refinement.report()
         status = f"Propagation: {self._propagation.report().status} Refinement: {refined.status}"
         return dataclasses.replace(refined, status=status)

@@ -1,4 +1,4 @@
-"""Filling the gaps of the local estimate from pixels that look alike (paper §4.2)."""
+"""Propagation: the gaps of the local estimate are filled from similar pixels nearby (paper §4.2)."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from lfgpu.solvers.solution import Solution
 
 
 class Propagation:
-    """argmin_m Σ_p Σ_{q∈N(p)} w_pq [(m_p - m_q)² + C_p (m0_p - m_q)²] for estimates m0 of coherence C.
+    """Finds argmin_m Σ_p Σ_{q∈N(p)} w_pq [(m_p - m_q)² + C_p (m0_p - m_q)²], with estimates m0 of coherence C.
 
-    With L the Laplacian and W the neighbour sums of the weights the normal equations are
-    (2 L + diag(W C)) m = W (C m0). The minimum lies within the range of the defined m0.
+    The normal equations are (2 L + diag(W C)) m = W (C m0). L is the Laplacian of the weights, and W sums over a
+    neighbourhood with them. The minimum lies within the range of the defined m0.
 
     Parameters
     ----------
     shape
         (height, width) of the map.
     bounds
-        (low, high) of the estimates.
+        (low, high) of the disparities, pixels per view step.
     prior
         The weights.
     config
-        Solver, tolerance and limit.
+        The solver, its tolerance and its largest number of iterations.
     """
 
     def __init__(
@@ -43,12 +43,12 @@ class Propagation:
         self._trust, self._target, self._workspace, self._inverse = (kernels.zeros(shape, device) for _ in range(4))
         self._mean, self._linear_part = kernels.scalar(0.0, device), kernels.scalar(0.0, device)
         self.trusted = kernels.scalar(0.0, device)
-        """Σ C: 0 if nothing was defined, and then the filled map means nothing."""
+        """Σ C, the sum of all coherences. If it is 0, there was no estimate and the filled map is meaningless."""
         self.filled = kernels.zeros(shape, device)
-        """The map, a field [y, x]."""
+        """The filled map, a field [y, x], pixels per view step."""
 
     def run(self, disparity: Array, coherence: Array, callback: Callable[[int, float], None] | None = None) -> None:
-        """Fill a map [y, x] where its coherence [y, x] is 0, and smooth it elsewhere by as much as it is not 1."""
+        """Fill a map [y, x] where its coherence [y, x] is 0, and smooth it where its coherence is below 1."""
         k, prior, workspace, inverse = self._kernels, self._prior, self._workspace, self._inverse
         k.multiply(coherence, disparity, workspace)
         prior.neighbors(coherence, self._trust)
@@ -67,7 +67,7 @@ class Propagation:
         self._linear.solve(self._apply, self._target, inverse, self.filled, callback)
 
     def report(self) -> Solution:
-        """How the last run went; waits for the device."""
+        """How the solver did in the last run; waits for the device."""
         return (self._by_gradient or self._linear).report()
 
     def _apply(self, m: Array, result_out: Array) -> None:

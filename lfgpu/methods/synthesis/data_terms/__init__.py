@@ -1,4 +1,4 @@
-"""Data terms: how far the views that a disparity map predicts are from the recorded ones.
+"""Data terms: the difference between the views that a disparity map predicts and the recorded views.
 
 A data term is one file of this folder with a function `plan`, and one row of `_HOMES`.
 """
@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from lfgpu.contract import Array, KernelSet, SplatDataTerm
+if TYPE_CHECKING:
+    from lfgpu.contract import Array, KernelSet, SplatDataTerm
 
 _HOMES = {
     "additive": "additive",
@@ -22,18 +24,18 @@ NAMES = tuple(_HOMES)
 def planned(
     name: str, shape: Sequence[int], offsets: Array, *, softness: float, kernels: KernelSet, device: str
 ) -> SplatDataTerm:
-    """A data term for views of `shape` [n, y, x, c] that are compared with scale 1.
+    """Plan a data term for views of one shape.
 
     Parameters
     ----------
     name
         One of `NAMES`.
     shape, offsets
-        [n, y, x, c] of the views, and their offsets [n, 2], a field.
+        The shape [n, y, x, c] of the views, and their offsets [n, 2], a field, in view steps.
     softness
-        Width of the rounded kinks of the tent, pixels.
+        Width of the rounded kinks of the triangle kernel, pixels.
     kernels, device
-        Where it is computed.
+        The backend's kernels, and the name of the device.
     """
     module = importlib.import_module(f"{__name__}.{_HOMES[name]}")
     plan: SplatDataTerm = module.plan(shape, offsets, softness=softness, kernels=kernels, device=device)

@@ -1,4 +1,4 @@
-"""The paper's data term: a view is the sum of all that lands on its pixels."""
+"""The paper's data term: each pixel of a view is the sum of everything that is splatted onto it."""
 
 from __future__ import annotations
 
@@ -8,5 +8,5 @@ from lfgpu.contract import Array, KernelSet, SplatDataTerm
 
 
 def plan(shape: Sequence[int], offsets: Array, *, softness: float, kernels: KernelSet, device: str) -> SplatDataTerm:
-    """The squared error of the plain splat, see `lfgpu.contract.Synthesis.data_term`."""
+    """The squared error of the additive splat, see `lfgpu.contract.Synthesis.data_term`."""
     return kernels.data_term(shape, offsets, scale=1.0, softness=softness)

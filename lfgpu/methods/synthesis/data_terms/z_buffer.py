@@ -1,4 +1,4 @@
-"""A data term with occlusions: a view shows the nearest of what lands on its pixels."""
+"""A data term with occlusions: each pixel of a view shows the nearest surface that is splatted onto it."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from lfgpu.contract import Array, KernelSet, Scalar, SplatDataTerm
 
-_SHARPNESS = 10.0  # view steps per pixel: what is half a pixel nearer counts 150 times as much
-_LEAST_COVERAGE = 0.5  # a gap begins half a pixel after the last pixel before it
+_SHARPNESS = 10.0  # view steps per pixel: a surface that is 0.5 px nearer has exp(5), about 150 times, the weight
+_LEAST_COVERAGE = 0.5  # pixels with less coverage are gaps; a gap begins half a pixel beyond a surface
 
 
 def plan(shape: Sequence[int], offsets: Array, *, softness: float, kernels: KernelSet, device: str) -> SplatDataTerm:
@@ -27,7 +27,7 @@ class _ZBuffered:
             loss="squares",
             loss_scale=1.0,
         )
-        # Where nothing is hidden both terms are the same function, and so is how it curves.
+        # Without occlusions both terms are the same function, so the curvature of the additive one serves for both.
         self._plain = kernels.data_term(shape, offsets, scale=1.0, softness=softness)
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:

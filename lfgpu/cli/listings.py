@@ -1,0 +1,70 @@
+"""Lists of presets, formats and the like for help texts, taken from the registries when help is shown.
+
+A help text names a list in braces, such as `{formats}`. A new row of a registry appears in the help by itself, and
+commands load no registry to say what they do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from typer.core import TyperCommand
+
+
+class Command(TyperCommand):
+    """A command whose help texts may name lists."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Put the lists into the help texts, then show them."""
+        for parameter in self.params:
+            if getattr(parameter, "help", None):
+                parameter.help = filled(parameter.help)  # type: ignore[attr-defined]  # options and arguments have one
+        super().format_help(ctx, formatter)
+
+
+def filled(text: str) -> str:
+    """A help text with the lists in place of their names."""
+    for name, listed in _LISTS.items():
+        if name in text:
+            text = text.replace(name, listed())
+    return text
+
+
+def _presets() -> str:
+    from lfgpu.methods import METHODS
+
+    return "; ".join(f"{name}: {entry.labels[name]}" for entry in METHODS.values() for name in entry.presets)
+
+
+def _live_presets() -> str:
+    from lfgpu.methods import PRESETS, method_of
+
+    return ", ".join(name for name in PRESETS if method_of(name).is_live)
+
+
+def _recordable_presets() -> str:
+    from lfgpu.methods import PRESETS, method_of
+
+    return ", ".join(name for name in PRESETS if method_of(name).is_recordable)
+
+
+def _formats() -> str:
+    from lfgpu.io.formats import FORMATS
+
+    return ", ".join(entry.name for entry in FORMATS)
+
+
+def _backends() -> str:
+    from lfgpu._backends import list_backends
+
+    return ", ".join(list_backends())
+
+
+_LISTS: dict[str, Callable[[], str]] = {
+    "{presets}": _presets,
+    "{live presets}": _live_presets,
+    "{recordable presets}": _recordable_presets,
+    "{formats}": _formats,
+    "{backends}": _backends,
+}
