@@ -120,7 +120,10 @@ def test_feed_tells_of_all_frames_in_order() -> None:
         (["grabber_for_tests:missing"], "cannot be loaded"),
         (["no_such_module:frames"], "cannot be loaded"),
         (["planes", "--policy=queue:x"], "--policy must be latest, block or queue:N"),
-        (["planes", "--preset=paper", "--size=32x32", "--grid=3x3"], "synthesis cannot; take the preset accurate or fast"),
+        (
+            ["planes", "--preset=paper", "--size=32x32", "--grid=3x3"],
+            "synthesis cannot; take the preset accurate or fast",
+        ),
     ],
 )
 def test_mistakes_are_one_sentence(grabbers: None, arguments: list[str], sentence: str) -> None:

@@ -37,15 +37,17 @@ def view(
 ) -> None:
     """Show a light field, its epipolar plane images, maps and point clouds in the browser, and estimate new maps there.
 
-    Only this machine reaches the page, and only who knows its address, which has a token. Maps are compared if there
-    are several. Ctrl-C ends it.
+    The page is reachable from this machine only, by those who know its address, which has a token. Several maps can be
+    compared. With --format, --grid, --every or --flip, the first INPUT_OR_RESULT is read as the light field. Ctrl-C
+    ends it.
     """
     from lfgpu.cli import values
     from lfgpu.viewer import Viewer
 
     values.use_threads("--threads", threads)
-    with Viewer.of(paths, port=port, allow_open=allow_open) as viewer:
-        typer.echo(f"Look at {viewer.url} with a browser of this machine; Ctrl-C ends it.")
+    reading = values.reading(format_name, grid, every, flip)
+    with Viewer.of(paths, port=port, allow_open=allow_open, **reading) as viewer:
+        typer.echo(f"Open {viewer.url} with a browser on this machine; Ctrl-C ends it.")
         with _opened(viewer.url) if show else nullcontext():
             try:
                 viewer.wait()

@@ -97,13 +97,28 @@ class Viewer:
         self._server.on_client_disconnect(self._disconnect)
 
     @classmethod
-    def of(cls, paths: Sequence[str | os.PathLike[str]], *, port: int = 8080, allow_open: bool = False) -> Viewer:
-        """A viewer of what paths hold: at most one light field, and maps of it (files, or folders that depth wrote).
+    def of(
+        cls, paths: Sequence[str | os.PathLike[str]], *, port: int = 8080, allow_open: bool = False, **reading: Any
+    ) -> Viewer:
+        """A viewer of files: at most one light field, and maps of it.
 
-        Pages may open these paths and what lies in them, with `allow_open` any. LightFieldError if one of them is
-        missing or is no such thing, or they do not belong together.
+        Parameters
+        ----------
+        paths
+            The light field, map files, and folders that `lfgpu depth` wrote, in any order.
+        port
+            As for `Viewer`.
+        allow_open
+            Whether the page may open any path; default False: only these paths and what lies in them.
+        reading
+            Options of `lfgpu.read`. If there are any, the first path is read as the light field.
+
+        Raises
+        ------
+        LightFieldError
+            If a path is missing, or is neither a light field nor a map; or if the maps are of another size.
         """
-        contents = opened_all([Path(path) for path in paths])
+        contents = opened_all([Path(path) for path in paths], **reading)
         viewer = cls(port=port, allow_open=allow_open)
         viewer._given = tuple(Path(path).resolve() for path in paths)
         viewer.replace(contents)
