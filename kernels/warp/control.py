@@ -1,36 +1,17 @@
 """Loops that the device decides about, work that it repeats as a whole, and who may ask it for work."""
 
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import warp as wp
 
+from .asking import alone, asking
 from .memory import number
 from .threads import once
 
+__all__ = ["asking", "capture", "is_deterministic", "repeat"]
+
 wp.set_module_options({"enable_backward": False})
-
-_CAPTURING = threading.RLock()
-
-
-@once
-def asking(device: str) -> Any:
-    """One lock for each device: threads take turns to ask it, and devices do not wait for each other."""
-    return threading.RLock()
-
-
-@contextmanager
-def alone() -> Iterator[None]:
-    """Held while work is captured: a capture concerns the whole process, so nobody else may ask any device.
-
-    Whoever captures must not hold `asking` of one device while another thread captures with that of another device.
-    """
-    with _CAPTURING, ExitStack() as held:
-        for device in wp.get_devices():
-            held.enter_context(asking(device.alias))
-        yield
 
 
 @wp.kernel

@@ -11,6 +11,7 @@ from typing import Any
 import warp as wp
 
 from . import gpu_lbfgs
+from .asking import asking
 from .lbfgs_state import LEAST_CURVATURE, State
 from .memory import scalar
 from .threads import in_slices, launch_rows, load
@@ -352,8 +353,10 @@ class _Lbfgs:
         self._turn(x, beginning=False)
 
     def report(self) -> tuple[list[float], int, bool]:
-        trace = self._trace.numpy()[: self._state.length.numpy()[0]]
-        return [float(value) for value in trace], int(self._state.judged.numpy()[0]), bool(self._state.flat.numpy()[0])
+        state = self._state
+        with asking(self._device.alias):
+            trace = [float(value) for value in self._trace.numpy()[: state.length.numpy()[0]]]
+            return trace, int(state.judged.numpy()[0]), bool(state.flat.numpy()[0])
 
     def _turn(self, x: Any, *, beginning: bool) -> None:
         """A new direction from what is in the stack."""

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from .asking import asking
 from .sharing import take
 from .staging import WORTHWHILE, staging
 from .threads import once
@@ -56,14 +57,16 @@ def devices() -> tuple[str, ...]:
 
 def field(values: NDArray[Any], device: str) -> Any:
     start()
-    return _read(wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.float32, device=device, copy=True))
+    with asking(device):
+        return _read(wp.array(np.ascontiguousarray(values, np.float32), dtype=wp.float32, device=device, copy=True))
 
 
 def image(values: NDArray[Any], device: str) -> Any:
     start()
     pixel = pixel_type(values.shape[-1], _SCALARS[values.dtype.type])
     contiguous = np.ascontiguousarray(values)
-    return _read(wp.array(contiguous, dtype=pixel, shape=values.shape[:-1], device=device, copy=True))
+    with asking(device):
+        return _read(wp.array(contiguous, dtype=pixel, shape=values.shape[:-1], device=device, copy=True))
 
 
 def zeros(shape: Sequence[int], device: str) -> Any:
@@ -78,7 +81,8 @@ def zeros_image(shape: Sequence[int], device: str, stored: Any = np.float32) -> 
 
 def scalar(value: float, device: str) -> Any:
     start()
-    return wp.array([value], dtype=wp.float64, device=device)
+    with asking(device):
+        return wp.array([value], dtype=wp.float64, device=device)
 
 
 def upload(values: Any, array_out: Any) -> None:
@@ -88,11 +92,12 @@ def upload(values: Any, array_out: Any) -> None:
     if array_out.dtype is wp.float32:
         values = np.asarray(values, np.float32)
     contiguous = np.ascontiguousarray(values)
-    if array_out.device.is_cuda and contiguous.nbytes >= WORTHWHILE:
-        staging(array_out.device.alias).send(contiguous.reshape(-1).view(np.uint8), _bytes(array_out))
-        return
-    wp.copy(array_out, wp.array(contiguous, dtype=array_out.dtype, shape=array_out.shape, device="cpu", copy=False))
-    _read(array_out)
+    with asking(array_out.device.alias):
+        if array_out.device.is_cuda and contiguous.nbytes >= WORTHWHILE:
+            staging(array_out.device.alias).send(contiguous.reshape(-1).view(np.uint8), _bytes(array_out))
+            return
+        wp.copy(array_out, wp.array(contiguous, dtype=array_out.dtype, shape=array_out.shape, device="cpu", copy=False))
+        _read(array_out)
 
 
 def numpy(array: Any) -> NDArray[Any]:
@@ -100,14 +105,16 @@ def numpy(array: Any) -> NDArray[Any]:
     shape = (*array.shape, array.dtype._length_) if vector else array.shape
     if not array.device.is_cuda:
         return np.array(array.numpy()).reshape(shape)
-    if array.is_contiguous and array.size * wp.types.type_size_in_bytes(array.dtype) >= WORTHWHILE:
-        scalar = array.dtype._wp_scalar_type_ if vector else array.dtype
-        return staging(array.device.alias).receive(_bytes(array)).view(wp.dtype_to_numpy(scalar)).reshape(shape)
-    return array.numpy().reshape(shape)  # from a GPU it is a copy
+    with asking(array.device.alias):
+        if array.is_contiguous and array.size * wp.types.type_size_in_bytes(array.dtype) >= WORTHWHILE:
+            scalar = array.dtype._wp_scalar_type_ if vector else array.dtype
+            return staging(array.device.alias).receive(_bytes(array)).view(wp.dtype_to_numpy(scalar)).reshape(shape)
+        return array.numpy().reshape(shape)  # from a GPU it is a copy
 
 
 def number(scalar: Any) -> float:
-    return float(scalar.numpy()[0])
+    with asking(scalar.device.alias):
+        return float(scalar.numpy()[0])
 
 
 def _bytes(array: Any) -> Any:

@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from .control import alone
+from .asking import alone
 
 
 def version() -> str:

@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from .asking import asking
 from .memory import scalar
 
 wp.set_module_options({"enable_backward": False})
@@ -55,7 +56,8 @@ class _Residuals:
         wp.launch(_add_kernel, 1, inputs, [self._trace, self.go_on], device=self.go_on.device)
 
     def report(self) -> list[float]:
-        return [float(value) for value in self._trace.numpy()[: self._length.numpy()[0]]]
+        with asking(self._trace.device.alias):
+            return [float(value) for value in self._trace.numpy()[: self._length.numpy()[0]]]
 
 
 def residuals(device: str, *, tolerance: float, most: int) -> _Residuals:

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from .control import alone, asking
+from .asking import alone, asking
 from .memory import pixel_type
 from .sharing import Shared, take
 from .threads import load, once
