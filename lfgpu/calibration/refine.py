@@ -165,7 +165,7 @@ class _Search:
         lf = self._lf
         factor = max(1, max(lf.size) // coarseness)
         small = self._now(factor)
-        bounds = None if self._range is None else (self._range[0] / factor, self._range[1] / factor)
+        bounds = self._bounds(factor)
         map_ = estimate_depth(
             small, config="fast", disparity_range=bounds, backend=self._kernels.name, device=self._device
         ).disparity
@@ -294,13 +294,18 @@ class _Search:
         views, valid = resampled(small, places, lambda view, n, _: self.tones.equalised(view, n, across=across))
         return replace(small, views=views, valid=valid, positions=lf.positions + self.shifted, grid_shape=None)
 
+    def _bounds(self, factor: int) -> tuple[float, float] | None:
+        """The range of disparities that was given, for views shrunk by `factor`."""
+        return None if self._range is None else (self._range[0] / factor, self._range[1] / factor)
+
     def _score(self, now: LightField | None) -> float:
         """PSNR with which a light field, or the given one, is predicted from a coarse map of its own."""
         if now is None:
             factor = max(1, max(self._lf.size) // _MIDDLE)
             now = self._lf.downsampled(factor) if factor > 1 else self._lf
         options = {"backend": self._kernels.name, "device": self._device}
-        map_ = estimate_depth(now, config="fast", **options)  # type: ignore[arg-type]
+        bounds = self._bounds(max(1, max(self._lf.size) // _MIDDLE))
+        map_ = estimate_depth(now, config="fast", disparity_range=bounds, **options)  # type: ignore[arg-type]
         return explain(now, map_, **options).mean_psnr
 
 
