@@ -2,7 +2,7 @@
 
 from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.formats import Calibration, read_calibration, write_cameras
-from lfgpu.calibration.judge import Explanation, explain, residual_pictures
+from lfgpu.calibration.judge import Explanation, explain, remarks, residual_pictures
 from lfgpu.calibration.misalign import Disturbed, Misalignment, disturb
 from lfgpu.calibration.rectify import Rectified, load_pictures, rectify, write_rectified
 from lfgpu.calibration.refine import Refinement, equalise, refine
@@ -27,6 +27,7 @@ __all__ = [
     "read_calibration",
     "rectify",
     "refine",
+    "remarks",
     "residual_pictures",
     "write_cameras",
     "write_rectified",

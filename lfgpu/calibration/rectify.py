@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from lfgpu._backends import DEFAULT
+from lfgpu._backends import DEFAULT, BackendName
 from lfgpu.calibration.formats import BESIDE, Calibration, read_calibration
 from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.resample import pixels, through
@@ -79,7 +79,7 @@ def rectify(
     tones: bool = False,
     depths: tuple[float, float] | None = None,
     disparity_range: tuple[float, float] | None = None,
-    backend: str = DEFAULT,
+    backend: BackendName = DEFAULT,
     device: str | None = None,
 ) -> Rectified:
     """Make the cameras of pictures or of a light field parallel and alike.

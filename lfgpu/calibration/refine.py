@@ -11,10 +11,11 @@ What the views cannot tell stays as it was: the reference view, and the plane of
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, backend_named, load, pick_device
 from lfgpu.calibration.bundle import MODELS, Bundle, choose_points, most_points
 from lfgpu.calibration.judge import explain, measure_tones
 from lfgpu.calibration.resample import pixels, resampled, through
@@ -84,7 +85,7 @@ def refine(
     model: str = "similarity",
     positions: bool = False,
     disparity_range: tuple[float, float] | None = None,
-    backend: str = DEFAULT,
+    backend: BackendName = DEFAULT,
     device: str | None = None,
 ) -> Refinement:
     """Line the views of a light field up with each other, and equalise them.
@@ -124,7 +125,7 @@ def equalise(
     lf: LightField,
     *,
     disparity_range: tuple[float, float] | None = None,
-    backend: str = DEFAULT,
+    backend: BackendName = DEFAULT,
     device: str | None = None,
 ) -> Refinement:
     """Give all views the brightness of the reference: gain and offset of each colour, and vignetting.
@@ -167,7 +168,7 @@ class _Search:
         small = self._now(factor)
         bounds = self._bounds(factor)
         map_ = estimate_depth(
-            small, config="fast", disparity_range=bounds, backend=self._kernels.name, device=self._device
+            small, config="fast", disparity_range=bounds, backend=backend_named(self._kernels.name), device=self._device
         ).disparity
         disparity = _enlarged(map_, factor, lf.size)
         columns = self.warps.shape[1] + 4
@@ -303,9 +304,9 @@ class _Search:
         if now is None:
             factor = max(1, max(self._lf.size) // _MIDDLE)
             now = self._lf.downsampled(factor) if factor > 1 else self._lf
-        options = {"backend": self._kernels.name, "device": self._device}
+        options: dict[str, Any] = {"backend": self._kernels.name, "device": self._device}
         bounds = self._bounds(max(1, max(self._lf.size) // _MIDDLE))
-        map_ = estimate_depth(now, config="fast", disparity_range=bounds, **options)  # type: ignore[arg-type]
+        map_ = estimate_depth(now, config="fast", disparity_range=bounds, **options)
         return explain(now, map_, **options).mean_psnr
 
 

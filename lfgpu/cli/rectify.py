@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT
+from lfgpu._backends import DEFAULT, backend_named
 from lfgpu.cli import values
 from lfgpu.cli.options import Backend, Device, DisparityRange, OutFolder, Quiet, Threads
 from lfgpu.errors import LightFieldError
@@ -74,7 +74,7 @@ def rectify(
         raise LightFieldError("--positions is for --refine; give both or neither.")
     bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
     values.use_threads("--threads", threads)
-    estimation = Estimation(values.configured("accurate", ()), bounds, backend, device)
+    estimation = Estimation(values.configured("accurate", ()), bounds, backend_named(backend), device)
     estimation.check_device()
     result = cameras.rectify(
         source,
@@ -84,7 +84,7 @@ def rectify(
         tones=equalise,
         depths=None if depths is None else values.parse_range("--depths", depths),
         disparity_range=bounds,
-        backend=backend,
+        backend=estimation.backend,
         device=device,
     )
     cloud = None
