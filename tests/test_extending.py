@@ -104,7 +104,7 @@ seen = []
 result = lfgpu.estimate_depth(lf, config="plane", disparity_range=bounds, on_progress=lambda *said: seen.append(said))
 assert (result.disparity == 1.0).all() and (result.confidence == 0.5).all()
 assert seen == [("place", 0, 0.0), ("place", 1, 0.0)], seen
-assert list(result.stages) == ["place"] and set(result.timings) == {"place", "total"}
+assert list(result.stages) == ["place"] and {"place", "total"} <= set(result.timings)
 
 # tiles
 method = method_of("plane")
@@ -152,14 +152,17 @@ def test_a_third_method_goes_through_the_house(copy: Path, recorded: Path, tmp_p
 def test_a_third_method_on_the_command_line(copy: Path, recorded: Path, tmp_path: Path) -> None:
     one = recorded / "scene_0"
     said = lfgpu(copy, tmp_path, "depth", one, "-o", "out", "--preset", "plane", BOUNDS, "--report")
-    assert re.search(r"\(place \d", said)  # how long each stage took
+    assert re.search(r"\bplace \d", said)  # how long each stage took
     assert (read_map(tmp_path / "out" / "disparity.pfm") == PLANE).all()
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "plane.share" in page
 
+    assert "plane: in the middle of the range" in lfgpu(copy, tmp_path, "depth", "--help").replace("│ ", "")
+    assert "plane.share\t0.5\t0 to 1" in run(copy, tmp_path, "-m", "lfgpu", "parameters", "--preset", "plane")
+
     settings = ("--set", "plane.share=2")
     said = lfgpu(copy, tmp_path, "depth", one, "-o", "no", "--preset", "plane", *settings, code=1)
-    assert "share must lie in 0 to 1, not 2." in said
+    assert "share must be from 0 to 1, not 2." in said
     said = lfgpu(copy, tmp_path, "depth", one, "-o", "no", "--preset", "fast", "--set", "plane.share=0.2", code=1)
     assert "belongs to the method plane" in said
     said = lfgpu(copy, tmp_path, "depth", one, "-o", "no", "--preset", "planes", code=1)

@@ -1,5 +1,34 @@
 """Cameras as they are: how well they fit together, and how they become parallel ones in a plane."""
 
-from lfgpu.calibration.judge import Explanation, explain, residual_pictures
+from lfgpu.calibration.cameras import Camera
+from lfgpu.calibration.formats import Calibration, read_calibration, write_cameras
+from lfgpu.calibration.judge import Explanation, explain, remarks, residual_pictures
+from lfgpu.calibration.misalign import Disturbed, Misalignment, disturb
+from lfgpu.calibration.rectify import Rectified, load_pictures, rectify, write_rectified
+from lfgpu.calibration.refine import Refinement, equalise, refine
+from lfgpu.calibration.rig import Rig, fit_rig
+from lfgpu.calibration.tones import Tones
 
-__all__ = ["Explanation", "explain", "residual_pictures"]
+__all__ = [
+    "Calibration",
+    "Camera",
+    "Disturbed",
+    "Explanation",
+    "Misalignment",
+    "Rectified",
+    "Refinement",
+    "Rig",
+    "Tones",
+    "disturb",
+    "equalise",
+    "explain",
+    "fit_rig",
+    "load_pictures",
+    "read_calibration",
+    "rectify",
+    "refine",
+    "remarks",
+    "residual_pictures",
+    "write_cameras",
+    "write_rectified",
+]

@@ -69,7 +69,8 @@ class Camera:
         if len(self.distortion) not in MODELS[self.model]:
             counts = ", ".join(map(str, MODELS[self.model]))
             raise LightFieldError(
-                f"{self.name}: a {self.model} lens has {counts} coefficients of distortion, found {len(self.distortion)}."
+                f"{self.name}: a {self.model} lens has {counts} coefficients of distortion, found "
+                f"{len(self.distortion)}."
             )
         if rotation.shape != (3, 3) or translation.shape != (3,):
             raise LightFieldError(
@@ -114,8 +115,8 @@ class Camera:
         step = 1e-6
         for _ in range(_ROUNDS if self.distortion else 0):
             here = self._distorted(found)
-            by_x = (self._distorted(found + (step, 0)) - here) / step
-            by_y = (self._distorted(found + (0, step)) - here) / step
+            by_x = (self._distorted(found + np.array([step, 0.0])) - here) / step
+            by_y = (self._distorted(found + np.array([0.0, step])) - here) / step
             miss = here - goal
             determinant = by_x[..., 0] * by_y[..., 1] - by_y[..., 0] * by_x[..., 1]
             found = found - np.stack(

@@ -32,7 +32,8 @@ def without_gauge(shifts: Float64Array, offsets: Float64Array) -> Float64Array:
 def without_slope(values: Float64Array, offsets: Float64Array) -> Float64Array:
     """Values [n] (or [n, t]) less their mean and what grows in proportion to the offsets.
 
-    The fit is that of `without_gauge`. Rotations and scales of that form are hardly told from a map that is tilted as a whole.
+    The fit is that of `without_gauge`. Rotations and scales of that form are hardly told from a map that is tilted as
+    a whole.
     """
     basis = np.concatenate([np.ones((len(offsets), 1)), offsets], axis=1)
     if values.ndim == 2:

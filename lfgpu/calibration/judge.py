@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, backend_named, load, pick_device
 from lfgpu.calibration import consensus, signs
 from lfgpu.calibration.bundle import Bundle, Points, choose_points, most_points
 from lfgpu.calibration.tones import match_tones
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from lfgpu.data.result import DepthResult, DisparityMap
 
 _STEPS = 5  # Gauss-Newton steps of the cameras
+_QUICK_POINTS, _QUICK_STEPS = 2000, 3
 _FEWEST = 50  # points with texture: from fewer no camera is told
 _SOFTNESS, _SHARPNESS = 0.1, 30.0  # of the splat
 _COVERED = 0.5  # coverage from which a pixel of a view is predicted
@@ -153,7 +154,7 @@ def explain(
     lf: LightField,
     result: DepthResult | DisparityMap | NDArray[np.floating[Any]],
     *,
-    backend: str = DEFAULT,
+    backend: BackendName = DEFAULT,
     device: str | None = None,
 ) -> Explanation:
     """Judge a map, and the cameras, by how well the reference view and its map predict all other views.
@@ -212,11 +213,34 @@ def explain(
     )
 
 
+def remarks(
+    lf: LightField,
+    result: DepthResult | DisparityMap | NDArray[np.floating[Any]],
+    *,
+    backend: BackendName = DEFAULT,
+    device: str | None = None,
+) -> tuple[str, ...]:
+    """The findings of `explain` on signs and cameras, from fewer points and without predicting views: a quick look.
+
+    Arguments and errors are those of `explain`.
+    """
+    disparity = _checked(lf, result)
+    kernels = load(backend)
+    device = pick_device(kernels, device)
+    points = choose_points(lf, disparity, kernels, device, most=_QUICK_POINTS)
+    if len(points.x) < _FEWEST:
+        return ()
+    wrong = _signs(lf, disparity, points, kernels, device)
+    if wrong is not None:
+        return (_SIGNS[wrong],)
+    return tuple(_sentences(lf, _cameras(lf, points, steps=_QUICK_STEPS, colours=False)))
+
+
 def residual_pictures(
     lf: LightField,
     result: DepthResult | DisparityMap | NDArray[np.floating[Any]],
     *,
-    backend: str = DEFAULT,
+    backend: BackendName = DEFAULT,
     device: str | None = None,
 ) -> Iterator[tuple[int, Float32Array]]:
     """(index, recorded less predicted view) of each view but the reference: [y, x, c], NaN where nothing is predicted.
@@ -300,7 +324,7 @@ def _errors(
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Of each view but the reference its root mean square difference over colours from what is predicted, [y, x]; NaN
     where nothing is."""
-    for n, residual in residual_pictures(lf, disparity, backend=kernels.name, device=device):
+    for n, residual in residual_pictures(lf, disparity, backend=backend_named(kernels.name), device=device):
         yield n, np.sqrt((residual**2).mean(axis=2))
 
 
@@ -374,8 +398,8 @@ def _as_good_as_plane(
     return loss <= _WORSE * by_plane
 
 
-def _cameras(lf: LightField, points: Points) -> dict[str, Any]:
-    """What is wrong with each camera, as fields of `Explanation`."""
+def _cameras(lf: LightField, points: Points, *, steps: int = _STEPS, colours: bool = True) -> dict[str, Any]:
+    """What is wrong with each camera, as fields of `Explanation`; without `colours` all have the tones of grey."""
     count, channels = len(lf.views), lf.channels
     if len(points.x) < _FEWEST:
         nothing, per_view = np.full(count, np.nan), np.full((count, 2), np.nan)
@@ -385,14 +409,16 @@ def _cameras(lf: LightField, points: Points) -> dict[str, Any]:
             "scale": nothing, "scale_error": nothing, "gain": tones, "offset": tones, "brightness": nothing,
         }  # fmt: skip
     bundle = Bundle(lf, points)
-    bundle.run(_STEPS)
+    bundle.run(steps)
     radius = bundle.radius
     shift = consensus.without_gauge(bundle.warps[:, :2] * radius, lf.offsets)
     influence = bundle.influence
     moved = consensus.without_gauge(influence[:, :2] * radius, lf.offsets)
     shape = [consensus.without_slope(bundle.warps[:, k], lf.offsets) for k in (2, 3)]
     error = [np.sqrt((consensus.without_slope(influence[:, k], lf.offsets) ** 2).sum(1)) for k in (2, 3)]
-    gain, tone_offset, _ = measure_tones(lf, bundle, vignetting=False)
+    gain, tone_offset = bundle.tones[:, :1], bundle.tones[:, 1:]
+    if colours:
+        gain, tone_offset, _ = measure_tones(lf, bundle, vignetting=False)
     level = float(np.clip(np.median(bundle.brightness), 0.02, 1.0)) if len(points.x) else _LEVEL
     return {
         "shift": shift,

@@ -24,6 +24,7 @@ from lfgpu.cli import (
     info,
     live,
     parameters,
+    rectify,
     render,
     scene,
     view,
@@ -46,6 +47,7 @@ app.command("info", cls=Command)(info.info)
 app.command("check", cls=Command)(check.check)
 app.command("decode", cls=Command)(decode.decode)
 app.command("convert", cls=Command)(convert.convert)
+app.command("rectify", cls=Command)(rectify.rectify)
 app.command("render", cls=Command)(render.render)
 app.command("scene", cls=Command)(scene.scene)
 app.command("eval", cls=Command)(evaluate.evaluate)

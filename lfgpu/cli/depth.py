@@ -161,6 +161,7 @@ def depth(
         result = filled(result)
         if views:
             views = replace(views, disparities=fill_unknown(views.disparities), reference=result)
+    said = () if quiet or max_memory is not None else _remarks(lf, result, estimation)
     with atomic_folder(out) as folder:
         files = write_outputs(folder, result)
         if views:
@@ -174,7 +175,18 @@ def depth(
     summary.show_input(console, lf)
     summary.show_result(console, result, range_given=disparity_range is not None)
     summary.show_scores(console, lf, result)
+    summary.show_remarks(console, said)
     summary.show_outputs(console, out, files)
+
+
+def _remarks(lf: LightField, result: DepthResult, estimation: Estimation) -> tuple[str, ...]:
+    """What stands out about the cameras; nothing where the map says nothing."""
+    from lfgpu.calibration import remarks
+
+    try:
+        return remarks(lf, result, backend=estimation.backend, device=estimation.device)
+    except LightFieldError:
+        return ()
 
 
 def _chosen(lf: LightField, place: tuple[float, float] | None, pattern: str) -> LightField:

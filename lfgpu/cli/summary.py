@@ -97,6 +97,13 @@ def scored_where(count: int, border: int) -> str:
     )
 
 
+def show_remarks(console: Console, sentences: tuple[str, ...]) -> None:
+    """What stands out about the cameras; nothing if nothing does."""
+    if sentences:
+        shown.heading(console, "The cameras do not fit together (lfgpu check says more)")
+        shown.lines(console, [("finding", sentence) for sentence in sentences])
+
+
 def show_outputs(console: Console, folder: object, files: list[tuple[str, str]]) -> None:
     """Print the list of written files."""
     shown.heading(console, f"Written to {folder}")

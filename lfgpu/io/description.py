@@ -94,7 +94,8 @@ def write_description(
     """Write the description of a light field that was read from files, for `read_description` to read back.
 
     Views with files of their own are named one by one. Otherwise the description names the `source`, which is
-    read again, and the positions of its views. Ground truth goes into files beside it: NAME.truth.pfm, NAME.mask.png.
+    read again, and the positions of its views. Ground truth goes into files beside it: NAME.truth.pfm, NAME.mask.png;
+    so does the validity of views with files of their own: NAME.valid_000.png and so on.
 
     Parameters
     ----------
@@ -122,7 +123,7 @@ def write_description(
     table: dict[str, Any] = {"name": light_field.name, "reference": light_field.reference_index}
     if light_field.grid_shape is not None:
         table["grid"] = list(light_field.grid_shape)
-    left_out = []
+    left_out: list[str] = []
     if light_field.geometry is not None:
         table["geometry"] = _geometry_table(light_field.geometry)
     places = [[float(u), float(v)] for u, v in light_field.positions]
@@ -132,7 +133,8 @@ def write_description(
             for name, place in zip(light_field.files, places, strict=True)
         ]
         if light_field.valid is not None:
-            left_out.append("The validity of the views' pixels was left out.")
+            for index, (view, mask) in enumerate(zip(table["views"], light_field.valid, strict=True)):
+                view["valid"] = _write_mask(mask, target.with_name(f"{target.stem}.valid_{index:03d}.png"))
         if light_field.truth is not None:
             table["truth"] = _write_truth(light_field.truth, target)
     else:
@@ -376,11 +378,14 @@ def _write_truth(truth: GroundTruth, target: Path) -> dict[str, Any]:
     write_pfm(disparity, truth.disparity)
     table: dict[str, Any] = {"disparity": disparity.name, "position": [float(place) for place in truth.position]}
     if truth.mask is not None:
-        mask = target.with_name(f"{target.stem}.mask.png")
-        with atomic_write(mask) as temporary:
-            write_png(temporary, truth.mask[..., None].astype(np.uint8) * np.uint8(255))
-        table["mask"] = mask.name
+        table["mask"] = _write_mask(truth.mask, target.with_name(f"{target.stem}.mask.png"))
     return table
+
+
+def _write_mask(mask: NDArray[np.bool_], target: Path) -> str:
+    with atomic_write(target) as temporary:
+        write_png(temporary, mask[..., None].astype(np.uint8) * np.uint8(255))
+    return target.name
 
 
 def _relative(name: str | os.PathLike[str], folder: Path) -> str:

@@ -73,8 +73,7 @@ def test_the_command_writes_both_calibrations(tmp_path) -> None:
     out = tmp_path / "lf"
     run = CliRunner().invoke(
         app,
-        ["scene", "boxes", "-o", str(out), "--grid", "3x3", "--size", "48x64", "--seed", "4"]
-        + ["--misalign", "shift=1,position=0.05,gain=0.1"],
+        f"scene boxes -o {out} --grid 3x3 --size 48x64 --seed 4 --misalign shift=1,position=0.05,gain=0.1".split(),
     )
     assert run.exit_code == 0, run.output
     lf = lfgpu.read(out)
@@ -116,7 +115,7 @@ def test_lenses_are_those_of_opencv(model: str, distortion: tuple[float, ...], r
     pixels = rng.uniform(0, 480, (100, 2))
     np.testing.assert_allclose(camera.project(camera.rays(pixels)), pixels, atol=1e-9)
     cv2 = pytest.importorskip("cv2")
-    points = rng.uniform(-1, 1, (50, 3)) + (0, 0, 4)
+    points = rng.uniform(-1, 1, (50, 3)) + np.array([0, 0, 4])
     lens = np.array(distortion) if distortion else None
     turn, shift = np.array([0.1, -0.2, 0.3]), np.asarray(camera.translation)
     if model == "fisheye":

@@ -1,0 +1,50 @@
+"""transforms.json of nerfstudio and instant-ngp: poses from camera to world, y up and z backwards.
+
+The first pixel has its centre at (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lfgpu.calibration.cameras import Camera
+from lfgpu.errors import LightFieldError
+
+_LENS = {"pinhole": ("k1", "k2", "p1", "p2", "k3"), "fisheye": ("k1", "k2", "k3", "k4")}
+
+
+def read_nerfstudio(path: Path) -> list[Camera]:
+    """The cameras of all frames, in their order."""
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+        return [_camera({**table, **frame}) for frame in table["frames"]]
+    except LightFieldError as error:
+        raise LightFieldError(f"{path}: {error}") from error
+    except KeyError as error:
+        raise LightFieldError(f"{path} has no {error.args[0]}.") from error
+    except (TypeError, ValueError) as error:
+        raise LightFieldError(f"{path} is no transforms.json: {error}.") from error
+
+
+def _camera(entry: dict[str, Any]) -> Camera:
+    width, height = int(entry["w"]), int(entry["h"])
+    fx = float(entry["fl_x"]) if "fl_x" in entry else width / 2 / math.tan(float(entry["camera_angle_x"]) / 2)
+    model = "fisheye" if "FISHEYE" in str(entry.get("camera_model", "")) else "pinhole"
+    lens = tuple(float(entry.get(name, 0.0)) for name in _LENS[model])
+    pose = np.array(entry["transform_matrix"], np.float64)[:3]
+    rotation = (pose[:, :3] * (1, -1, -1)).T
+    return Camera(
+        size=(height, width),
+        focal_length=(fx, float(entry.get("fl_y", fx))),
+        principal_point=(float(entry.get("cx", width / 2)) - 0.5, float(entry.get("cy", height / 2)) - 0.5),
+        distortion=lens if any(lens) else (),
+        model=model,
+        rotation=rotation,
+        translation=-rotation @ pose[:, 3],
+        name=str(entry["file_path"]),
+    )

@@ -1,0 +1,236 @@
+"""From pictures, or a light field, to a light field whose cameras are parallel and alike."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lfgpu._backends import DEFAULT, BackendName
+from lfgpu.calibration.formats import BESIDE, Calibration, read_calibration
+from lfgpu.calibration.refine import Refinement, equalise, refine
+from lfgpu.calibration.resample import pixels, through
+from lfgpu.calibration.rig import Rig, fit_rig, matched
+from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.io import atomic_folder, check_writable, read, write_description
+from lfgpu.io.folders import image_files
+from lfgpu.io.png import write_png
+from lfgpu.io.views import load_views
+
+
+@dataclass(frozen=True, eq=False)
+class Rectified:
+    """What `rectify` made.
+
+    Parameters
+    ----------
+    light_field
+        Parallel cameras in a plane; masks say what no picture shows.
+    rig
+        What the calibration became; None without a calibration.
+    refinement
+        What self-calibration or equalisation found; None if neither was asked for.
+    disparity_range
+        (low, high) of the disparities, as told, or of the depths that are known; None if neither is.
+    """
+
+    light_field: LightField
+    rig: Rig | None
+    refinement: Refinement | None
+    disparity_range: tuple[float, float] | None = None
+
+
+def load_pictures(folder: str | os.PathLike[str]) -> LightField:
+    """The pictures of a folder, or of its folder `images`, as views at positions that mean nothing yet.
+
+    LightFieldError if there are fewer than two, or they are not alike.
+    """
+    path = Path(folder)
+    if not path.is_dir():
+        raise LightFieldError(f"{path} is not a folder with pictures.")
+    files = image_files(path) or (image_files(path / "images") if (path / "images").is_dir() else [])
+    if len(files) < 2:
+        raise LightFieldError(f"{path} holds {len(files)} pictures; at least two are needed.")
+    views, notes = load_views(files)
+    where = np.stack([np.arange(len(files)), np.zeros(len(files))], axis=1).astype(np.float64)
+    return LightField(views, where, name=path.resolve().name, notes=notes, files=tuple(map(str, files)))
+
+
+def calibration_beside(folder: Path) -> Path | None:
+    """The calibration that lies in a folder of pictures, or above it; None if there is none."""
+    for place in (folder, folder.parent):
+        for name in BESIDE:
+            if (place / name).exists():
+                return place / name
+    return None
+
+
+def rectify(
+    source: LightField | str | os.PathLike[str],
+    *,
+    calibration: Calibration | str | os.PathLike[str] | None = None,
+    model: str | None = None,
+    positions: bool = False,
+    tones: bool = False,
+    depths: tuple[float, float] | None = None,
+    disparity_range: tuple[float, float] | None = None,
+    backend: BackendName = DEFAULT,
+    device: str | None = None,
+) -> Rectified:
+    """Make the cameras of pictures or of a light field parallel and alike.
+
+    Parameters
+    ----------
+    source
+        A light field, or the path of one, or of a folder with pictures (these need a calibration).
+    calibration
+        Calibrated cameras, or their file, see `read_calibration`; None takes one that lies beside pictures.
+    model
+        Also line views up by what they show: "shift", "similarity" or "homography", as for `refine`; None does not.
+    positions
+        Whether `refine` looks for the positions of the cameras, too.
+    tones
+        Give all views the brightness of the reference. Lining up does so, too.
+    depths
+        (near, far) of the scene in the unit of the calibration; None takes what the calibration says, if it does.
+    disparity_range, backend, device
+        As for `refine`.
+
+    Raises
+    ------
+    LightFieldError
+        If calibration and pictures do not belong together, or the cameras are no light field; see `fit_rig`, `refine`.
+    """
+    pictures = source if isinstance(source, LightField) else _loaded(Path(source), calibration is not None)
+    if calibration is None and not isinstance(source, LightField):
+        beside = calibration_beside(Path(source))
+        calibration = None if beside is None else read_calibration(beside)
+    elif calibration is not None and not isinstance(calibration, Calibration):
+        calibration = read_calibration(os.fspath(calibration))
+    rig, lf = None, pictures
+    if calibration is not None:
+        names = pictures.files or tuple(f"view_{n:03d}" for n in range(len(pictures.views)))
+        cameras = matched(calibration.cameras, names, pictures.size, calibration.source)
+        told = isinstance(source, LightField) or pictures.truth is not None
+        reference = pictures.reference if told else None
+        depths = depths or calibration.depths
+        rig = fit_rig(cameras, depths=depths, reference=reference)
+        disparity_range = disparity_range or _range(rig, depths)
+        lf = _with_truth(rig.light_field(pictures), pictures, rig)
+    elif not model and not tones:
+        raise LightFieldError(
+            f"{source} has no calibration beside it; name one, or line the views up by what they show."
+        )
+    if model is None and not tones:
+        return Rectified(lf, rig, None, disparity_range)
+    options: dict[str, Any] = {"disparity_range": disparity_range, "backend": backend, "device": device}
+    found = refine(lf, model=model, positions=positions, **options) if model else equalise(lf, **options)
+    if found.kept and rig is not None and len(lf.views) == len(pictures.views):
+        found = replace(found, light_field=_composed(pictures, lf, rig, found))
+    return Rectified(found.light_field, rig, found, disparity_range)
+
+
+def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> tuple[str, ...]:
+    """Write a rectified light field as a folder that `lfgpu.read` reads: views, masks, lightfield.toml.
+
+    The numbers to go back to the original pictures are in rectified.npz: `homographies` [n, 3, 3] from pixels that are
+    written to rectified ones, and with a calibration `rotation` [3, 3] (world to the common frame), `positions`,
+    `ahead`, `corrected_at`, the common camera, and of the original cameras `matrices`, `distortions`, `rotations` and
+    `translations`.
+    """
+    check_writable(folder)
+    lf = result.light_field
+    with atomic_folder(folder) as place:
+        files = []
+        for n in range(len(lf.views)):
+            file = place / f"view_{n:03d}.png"
+            view = lf.views[n]
+            if view.dtype == np.float32:
+                view = np.rint(np.clip(view, 0, 1) * 65535).astype(np.uint16)
+            write_png(file, view)
+            files.append(str(file))
+        left_out = write_description(replace(lf, files=tuple(files)), place / "lightfield.toml", source={})
+        np.savez_compressed(place / "rectified.npz", **_numbers(result))  # type: ignore[arg-type]
+    return left_out
+
+
+# --- steps ---
+
+
+def _loaded(path: Path, calibrated: bool) -> LightField:
+    """The pictures of a calibrated folder, unless it is a light field with a known truth; else a light field."""
+    if not path.is_dir() or not (calibrated or calibration_beside(path) is not None):
+        return read(path, allow_missing=True)
+    try:
+        known = read(path, allow_missing=True)
+    except LightFieldError:
+        return load_pictures(path)
+    return known if known.truth is not None or not known.files else load_pictures(path)
+
+
+def _range(rig: Rig, depths: tuple[float, float] | None) -> tuple[float, float] | None:
+    """The disparities of these depths, and a tenth more on either side."""
+    if depths is None:
+        return None
+    near, far = (float(rig.geometry.disparity(depth)) for depth in depths)
+    return far - 0.1 * (near - far), near + 0.1 * (near - far)
+
+
+def _with_truth(lf: LightField, pictures: LightField, rig: Rig) -> LightField:
+    """With the grid and the truth of a light field whose reference view did not change by a pixel."""
+    truth = pictures.reference_truth()
+    if truth is None or len(lf.views) != len(pictures.views):
+        return lf
+    grid = pixels(*pictures.size)
+    if np.abs(rig.places(rig.reference, grid) - grid).max() > 0.5:
+        return lf
+    u, v = lf.positions[lf.reference_index]
+    return replace(lf, truth=replace(truth, position=(float(u), float(v))))
+
+
+def _composed(pictures: LightField, lf: LightField, rig: Rig, found: Refinement) -> LightField:
+    """The refined light field, resampled from the pictures in one go."""
+    grid = pixels(*pictures.size)
+    height, width = pictures.size
+
+    def tone(view: Float32Array, n: int, at: Float64Array | None) -> Float32Array:
+        place = through(found.homographies[n], grid)
+        x, y = place[..., 0] - (width - 1) / 2, place[..., 1] - (height - 1) / 2
+        radius2 = np.asarray((x**2 + y**2) / (height**2 + width**2) * 4, np.float32)
+        return found.tones.equalised(view, n, across=radius2)
+
+    once = rig.light_field(pictures, homographies=found.homographies, tone=tone)
+    return replace(found.light_field, views=once.views, valid=once.valid)
+
+
+def _numbers(result: Rectified) -> dict[str, Float64Array]:
+    lf, rig, found = result.light_field, result.rig, result.refinement
+    count = len(lf.views)
+    identity = np.tile(np.eye(3), (count, 1, 1))
+    numbers = {"homographies": found.homographies if found is not None and found.kept else identity}
+    if found is not None:
+        numbers |= {"gain": found.tones.gain, "offset": found.tones.offset, "vignetting": found.tones.vignetting}
+    if rig is not None:
+        geometry = rig.geometry
+        lenses = np.zeros((len(rig.cameras), 8))
+        for n, camera in enumerate(rig.cameras):
+            lenses[n, : len(camera.distortion)] = camera.distortion
+        numbers |= {
+            "rotation": rig.rotation,
+            "positions": rig.positions,
+            "ahead": rig.ahead,
+            "corrected_at": np.array(rig.corrected_at),
+            "focal_length_px": np.array(geometry.focal_length_px),
+            "principal_point": np.array(geometry.principal_point),
+            "matrices": np.stack([camera.matrix for camera in rig.cameras]),
+            "distortions": lenses,
+            "rotations": np.stack([np.asarray(camera.rotation) for camera in rig.cameras]),
+            "translations": np.stack([np.asarray(camera.translation) for camera in rig.cameras]),
+            "reference_centre": rig.cameras[rig.reference].centre,
+        }
+    return numbers

@@ -1,0 +1,358 @@
+"""Self-calibration: how each view must be moved, turned, scaled and brightened so that one map explains them all.
+
+A coarse map and the cameras are found in turns, from coarse pictures to fine ones. The map says which points are seen
+where; photometric bundle adjustment (`lfgpu.calibration.bundle`) then moves the cameras and, with them, the disparities
+of its points. In the end every view is resampled once. The judge compares before and after: what does not explain the
+views better is not kept.
+
+What the views cannot tell stays as it was: the reference view, and the plane of disparity 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lfgpu._backends import DEFAULT, BackendName, backend_named, load, pick_device
+from lfgpu.calibration.bundle import MODELS, Bundle, choose_points, most_points
+from lfgpu.calibration.judge import explain, measure_tones
+from lfgpu.calibration.resample import pixels, resampled, through
+from lfgpu.calibration.tones import Tones, squared_radius
+from lfgpu.contract import Float32Array, Float64Array, KernelSet
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.pipelines.estimate import estimate_depth
+
+_COARSE, _MIDDLE = 128, 256  # pixels: longer sides of the pictures that maps are made from
+_ROUNDS = 3
+_STEPS = 6
+_POINTS = 3000  # of the first round; later ones take twice as many
+_NEARLY = 0.05  # pixels: what is smoothed need not be lined up better
+_STILL = 0.01  # pixels: what moves no view farther is done
+_WORTHWHILE = 0.02  # pixels rms: resampling blurs more than less is worth
+_AUDIBLE = 0.005  # share of the brightness rms: the same for tones
+_FEWEST = 200  # points
+_LEAST_CONTRAST = 1e-3
+_NOT_WORSE = 0.05  # dB
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """What self-calibration found. n views, c colours.
+
+    Parameters
+    ----------
+    light_field
+        The light field with its views lined up and equalised, with masks where they show nothing; the given one if
+        nothing was worth changing.
+    homographies
+        float64 [n, 3, 3], from pixels of the new views to those of the given ones, (x, y, 1).
+    shift, shift_error
+        float64 [n, 2], pixels to the right and down by which the middle of a given view stood off, and standard error.
+    rotation, scale
+        float64 [n], degrees clockwise and share by which a given view was turned and larger.
+    position_change
+        float64 [n, 2], view steps that were added to the positions.
+    tones
+        Gain, offset and vignetting of the given views against the reference.
+    psnr_before, psnr_after
+        dB, of the views as predicted from the reference and a coarse map.
+    kept
+        Whether anything was changed.
+    status
+        What was done and why, a sentence.
+    """
+
+    light_field: LightField
+    homographies: Float64Array
+    shift: Float64Array
+    shift_error: Float64Array
+    rotation: Float64Array
+    scale: Float64Array
+    position_change: Float64Array
+    tones: Tones
+    psnr_before: float
+    psnr_after: float
+    kept: bool
+    status: str
+
+
+def refine(
+    lf: LightField,
+    *,
+    model: str = "similarity",
+    positions: bool = False,
+    disparity_range: tuple[float, float] | None = None,
+    backend: BackendName = DEFAULT,
+    device: str | None = None,
+) -> Refinement:
+    """Line the views of a light field up with each other, and equalise them.
+
+    Parameters
+    ----------
+    lf
+        The light field; its cameras look nearly the same way, off by some pixels.
+    model
+        What a view may be off by: "shift", "similarity" (default: shift, rotation, scale) or "homography".
+    positions
+        Whether the positions of the cameras are looked for, too. Default False.
+    disparity_range
+        As for `estimate_depth`.
+    backend, device
+        Where maps are estimated, as for `estimate_depth`; the rest is done on the host.
+
+    Raises
+    ------
+    LightFieldError
+        If there is no such model, or the views have too little texture.
+    BackendError
+        If the backend or the device is not there.
+    """
+    if model not in MODELS:
+        raise LightFieldError(f"model must be one of {', '.join(MODELS)}, not {model!r}.")
+    kernels = load(backend)
+    device = pick_device(kernels, device)
+    search = _Search(lf, model, positions, disparity_range, kernels, device)
+    for coarseness in (_COARSE, *(_MIDDLE,) * (_ROUNDS - 1)):
+        if search.round(coarseness) < _STILL:
+            break
+    return search.result()
+
+
+def equalise(
+    lf: LightField,
+    *,
+    disparity_range: tuple[float, float] | None = None,
+    backend: BackendName = DEFAULT,
+    device: str | None = None,
+) -> Refinement:
+    """Give all views the brightness of the reference: gain and offset of each colour, and vignetting.
+
+    Parameters and errors are those of `refine`; views are not moved.
+    """
+    kernels = load(backend)
+    device = pick_device(kernels, device)
+    search = _Search(lf, "similarity", False, disparity_range, kernels, device)
+    search.round(_MIDDLE, moving=False)
+    return search.result()
+
+
+class _Search:
+    """The unknowns so far, and rounds that improve them."""
+
+    def __init__(
+        self,
+        lf: LightField,
+        model: str,
+        positions: bool,
+        disparity_range: tuple[float, float] | None,
+        kernels: KernelSet,
+        device: str,
+    ) -> None:
+        self._lf, self._model, self._positions = lf, model, positions
+        self._range, self._kernels, self._device = disparity_range, kernels, device
+        count = len(lf.views)
+        self.warps = np.zeros((count, len(MODELS[model])))
+        self.shifted = np.zeros((count, 2))
+        self.tones = _by_moments(lf)
+        self._radius = float(np.hypot(*lf.size)) / 2
+        self._bundle: Bundle | None = None
+        self._moving = False
+
+    def round(self, coarseness: int, *, moving: bool = True) -> float:
+        """A coarse map of the views as they would be now, and the cameras with it; pixels that a view moved at most."""
+        lf = self._lf
+        factor = max(1, max(lf.size) // coarseness)
+        small = self._now(factor)
+        bounds = self._bounds(factor)
+        map_ = estimate_depth(
+            small, config="fast", disparity_range=bounds, backend=backend_named(self._kernels.name), device=self._device
+        ).disparity
+        disparity = _enlarged(map_, factor, lf.size)
+        columns = self.warps.shape[1] + 4
+        moved = replace(lf, positions=lf.positions + self.shifted, grid_shape=None, truth=None)
+        most = min(_POINTS if coarseness == _COARSE else 2 * _POINTS, most_points(len(lf.views), columns))
+        points = choose_points(moved, disparity, self._kernels, self._device, most=most)
+        if len(points.x) < _FEWEST:
+            raise LightFieldError(
+                f"{lf.name}: only {len(points.x)} points of the reference have texture on smooth surfaces; "
+                f"{_FEWEST} are needed to line views up."
+            )
+        bundle = Bundle(moved, points, model=self._model, free_positions=self._positions, smoothing=factor / 4)
+        bundle.warps[:] = self.warps
+        bundle.tones[:, 0], bundle.tones[:, 1] = self.tones.gain.mean(1), self.tones.offset.mean(1)
+        bundle.tones[lf.reference_index] = 1, 0
+        self._bundle, self._moving = bundle, moving
+        if moving:
+            bundle.run(_STEPS, tolerance=_NEARLY)
+            bundle.load(0.0)
+            bundle.run(_STEPS, tolerance=_STILL)
+            before = self.warps
+            self.warps = _with_reference_fixed(bundle.warps, self._model, lf.reference_index, lf.offsets)
+            self.shifted = self.shifted + _without_scale(bundle.shifted, lf)
+            distance = float(np.abs(self.warps - before).max()) * self._radius
+            bundle.warps[:] = self.warps
+        else:
+            distance = 0.0
+        gain, offset, falloff = measure_tones(moved, bundle, vignetting=True)
+        self.tones = Tones(gain, offset, falloff)
+        return distance
+
+    def result(self) -> Refinement:
+        lf, bundle = self._lf, self._bundle
+        assert bundle is not None
+        middle = (np.array(lf.size[::-1]) - 1) / 2
+        generators = np.array(MODELS[self._model], np.float64)
+        normal = np.eye(3) + np.einsum("nk,kij->nij", self.warps, generators)
+        to = np.array([[1, 0, -middle[0]], [0, 1, -middle[1]], [0, 0, self._radius]]) / self._radius
+        homographies = np.linalg.inv(to) @ normal @ to
+        homographies = homographies / homographies[:, 2:, 2:]
+        rms = float(np.sqrt((self.warps**2).sum(1).mean())) * self._radius
+        level = float(np.clip(np.median(bundle.brightness), 0.05, 1))
+        unequal = self.tones.brightness(level) - 1
+        edges = self.tones.vignetting
+        tonal = float(np.sqrt((unequal**2).mean() + (edges**2).mean() / 4))
+        geometric = self._moving and (rms >= _WORTHWHILE or bool(np.abs(self.shifted).max() > 0.01))
+        error = np.zeros((len(lf.views), 2))
+        if bundle.influence.size:
+            error = np.sqrt(((bundle.influence[:, :2] * bundle.radius) ** 2).sum(2))
+        shape = self.warps.shape[1]
+        rotation = np.rad2deg(self.warps[:, 2]) if shape > 2 else np.zeros(len(lf.views))
+        scale = self.warps[:, 3].copy() if shape > 2 else np.zeros(len(lf.views))
+        found = Refinement(
+            lf, homographies, self.warps[:, :2] * self._radius, error, rotation, scale, self.shifted, self.tones,
+            np.nan, np.nan, False, "nothing is worth changing: the views fit together as they are.",
+        )  # fmt: skip
+        if not geometric and tonal < _AUDIBLE:
+            return found
+        before, after = self._score(None), self._score(self._now(max(1, max(lf.size) // _MIDDLE)))
+        if not after >= before - _NOT_WORSE:
+            return replace(
+                found,
+                psnr_before=before,
+                psnr_after=after,
+                status="nothing was changed: it would explain the views worse "
+                f"({after:.1f} dB instead of {before:.1f}).",
+            )
+        moved = f"lined up ({rms:.2f} px rms)" if geometric else "left where they are"
+        lined_up = self._full(homographies if geometric else None)
+        return replace(
+            found,
+            light_field=lined_up,
+            psnr_before=before,
+            psnr_after=after,
+            kept=True,
+            status=f"views {moved} and equalised ({100 * tonal:.1f} % rms): predicted with {after:.1f} dB instead of "
+            f"{before:.1f}.",
+        )
+
+    # --- helpers ---
+
+    def _full(self, homographies: Float64Array | None) -> LightField:
+        """The light field at full size, each view resampled once at most."""
+        lf = self._lf
+        grid, across = pixels(*lf.size), squared_radius(*lf.size)
+
+        def places(n: int) -> Float64Array | None:
+            if homographies is None or np.allclose(homographies[n], np.eye(3), atol=1e-9):
+                return None
+            return through(homographies[n], grid)
+
+        def tone(view: Float32Array, n: int, at: Float64Array | None) -> Float32Array:
+            radius2 = across if at is None else _squared_radius_at(at, lf.size)
+            return self.tones.equalised(view, n, across=radius2)
+
+        views, valid = resampled(lf, places, tone)
+        moved = bool((self.shifted != 0).any())
+        return replace(
+            lf,
+            views=views,
+            valid=valid,
+            positions=lf.positions + self.shifted,
+            grid_shape=None if moved else lf.grid_shape,
+            truth=None if moved and lf.truth is None else lf.truth,
+            files=(),
+        )
+
+    def _now(self, factor: int) -> LightField:
+        """The light field as it would be now, shrunk by `factor`."""
+        lf = self._lf
+        small = lf.downsampled(factor) if factor > 1 else replace(lf, geometry=None, truth=None, files=())
+        generators = np.array(MODELS[self._model], np.float64)
+        height, width = small.size
+        grid, middle, radius = pixels(height, width), (np.array([width, height]) - 1) / 2, self._radius / factor
+        to = np.array([[1, 0, -middle[0]], [0, 1, -middle[1]], [0, 0, radius]]) / radius
+        across = squared_radius(height, width)
+
+        def places(n: int) -> Float64Array | None:
+            if not self.warps[n].any():
+                return None
+            normal = np.eye(3) + np.einsum("k,kij->ij", self.warps[n], generators)
+            return through(np.linalg.inv(to) @ normal @ to, grid)
+
+        views, valid = resampled(small, places, lambda view, n, _: self.tones.equalised(view, n, across=across))
+        return replace(small, views=views, valid=valid, positions=lf.positions + self.shifted, grid_shape=None)
+
+    def _bounds(self, factor: int) -> tuple[float, float] | None:
+        """The range of disparities that was given, for views shrunk by `factor`."""
+        return None if self._range is None else (self._range[0] / factor, self._range[1] / factor)
+
+    def _score(self, now: LightField | None) -> float:
+        """PSNR with which a light field, or the given one, is predicted from a coarse map of its own."""
+        if now is None:
+            factor = max(1, max(self._lf.size) // _MIDDLE)
+            now = self._lf.downsampled(factor) if factor > 1 else self._lf
+        options: dict[str, Any] = {"backend": self._kernels.name, "device": self._device}
+        bounds = self._bounds(max(1, max(self._lf.size) // _MIDDLE))
+        map_ = estimate_depth(now, config="fast", disparity_range=bounds, **options)
+        return explain(now, map_, **options).mean_psnr
+
+
+def _by_moments(lf: LightField) -> Tones:
+    """Gain and offset of each view and colour by which its mean and contrast are those of the reference."""
+    count = len(lf.views)
+    mean, contrast = np.empty((count, lf.channels)), np.empty((count, lf.channels))
+    for n in range(count):
+        view = lf.image(n).reshape(-1, lf.channels)
+        if lf.valid is not None:
+            view = view[lf.valid[n].ravel()]
+        mean[n], contrast[n] = view.mean(0, dtype=np.float64), view.std(0, dtype=np.float64)
+    ref = lf.reference_index
+    gain = np.clip((contrast + _LEAST_CONTRAST) / (contrast[ref] + _LEAST_CONTRAST), 0.25, 4)
+    return Tones(gain, mean - gain * mean[ref], np.zeros_like(gain))
+
+
+def _with_reference_fixed(warps: Float64Array, model: str, reference: int, offsets: Float64Array) -> Float64Array:
+    """Warps after those of the reference, and without a part in proportion to the offsets.
+
+    To first order, which is all that it takes near the identity.
+    """
+    fixed = warps - warps[reference]
+    total = float((offsets**2).sum())
+    slope = float((fixed[:, :2] * offsets).sum()) / total
+    fixed[:, :2] -= slope * offsets
+    return np.asarray(fixed)
+
+
+def _without_scale(shifted: Float64Array, lf: LightField) -> Float64Array:
+    """Changes of positions less that of the reference and a common scale, which disparities take up."""
+    fixed = shifted - shifted[lf.reference_index]
+    offsets = lf.offsets
+    return np.asarray(fixed - (fixed * offsets).sum() / (offsets**2).sum() * offsets)
+
+
+def _enlarged(map_: Float32Array, factor: int, size: tuple[int, int]) -> Float32Array:
+    """A map of shrunken views for views of full size."""
+    if factor == 1:
+        return map_
+    full = np.repeat(np.repeat(map_ * factor, factor, axis=0), factor, axis=1)
+    beyond = [(0, size[axis] - full.shape[axis]) for axis in (0, 1)]
+    return np.pad(full, beyond, mode="edge").astype(np.float32)
+
+
+def _squared_radius_at(at: Float64Array, size: tuple[int, int]) -> Float32Array:
+    height, width = size
+    x, y = at[..., 0] - (width - 1) / 2, at[..., 1] - (height - 1) / 2
+    return np.asarray((x**2 + y**2) / (height**2 + width**2) * 4, np.float32)

@@ -1,0 +1,291 @@
+"""From cameras as they are to parallel cameras in a plane: the plane, the rotation, where each pixel comes from.
+
+The rectified cameras stand at the centres of the real ones, moved into one plane, and look the same way: along the
+plane's normal. They share one focal length, and their frames are shifted such that what all of them look at is at
+disparity 0. A real camera differs from that by a rotation, which is a homography, and by its lens; both are undone in
+one resampling. A camera before or behind the plane is corrected by its scale, exactly at one depth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lfgpu.calibration.cameras import Camera
+from lfgpu.calibration.resample import pixels, resampled, through
+from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+
+_FLAT = 0.3  # of the extent in the plane: rms distance of cameras from it that is still a plane
+_LINE = 0.1  # of the longer extent: cameras with less of the shorter one stand in a line
+_ASKEW = math.cos(math.radians(60))
+_ASPECT = 0.005  # by which the shapes of pictures and of the calibration's pictures may differ
+_SAME = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Parallel cameras in a plane that stand for calibrated ones.
+
+    Parameters
+    ----------
+    cameras
+        The calibrated cameras, n of them, for pictures of one size.
+    rotation
+        [3, 3], world to the frame that all rectified cameras have: x to the right, y down, z along the normal.
+    positions
+        float64 [n, 2], (u, v) in view steps; the reference stands at (0, 0).
+    ahead
+        float64 [n], how far each camera stands before the plane, in the unit of the calibration.
+    geometry
+        Focal length, length of a view step and distance of the plane of disparity 0.
+    reference
+        Index of the reference camera.
+    corrected_at
+        Depth at which cameras off the plane are corrected exactly; infinity corrects nothing.
+    notes
+        What had to be left, one sentence each.
+    """
+
+    cameras: tuple[Camera, ...]
+    rotation: Float64Array
+    positions: Float64Array
+    ahead: Float64Array
+    geometry: Geometry
+    reference: int
+    corrected_at: float
+    notes: tuple[str, ...]
+
+    def places(self, index: int, at: Float64Array) -> Float64Array:
+        """Pixels [..., 2] of picture `index` that its rectified pixels `at` [..., 2] show; NaN if none."""
+        geometry = self.geometry
+        assert geometry.principal_point is not None
+        shift = self.positions[index] * geometry.baseline_m * geometry.focal_length_px / geometry.focus_distance_m
+        plane = (at - geometry.principal_point - shift) / geometry.focal_length_px
+        depth = np.full((*plane.shape[:-1], 1), 1.0 - self.ahead[index] / self.corrected_at)
+        camera = self.cameras[index]
+        return camera.project(np.concatenate([plane, depth], axis=-1) @ self.rotation @ np.asarray(camera.rotation).T)
+
+    def light_field(
+        self,
+        pictures: LightField,
+        *,
+        homographies: Float64Array | None = None,
+        tone: Callable[[Float32Array, int, Float64Array | None], Float32Array] | None = None,
+    ) -> LightField:
+        """The rectified light field of pictures [n, y, x, c] of these cameras; each is resampled once.
+
+        Parameters
+        ----------
+        pictures
+            The pictures as views, in the order of the cameras; their positions do not count.
+        homographies
+            [n, 3, 3], from pixels of what comes out to rectified pixels, as `refine` finds them; None changes nothing.
+        tone
+            As for `resampled`.
+        """
+        grid = pixels(*pictures.size)
+
+        def places(n: int) -> Float64Array:
+            return self.places(n, grid if homographies is None else through(homographies[n], grid))
+
+        views, valid = resampled(pictures, places, tone)
+        if valid is not None and not bool(valid[self.reference].any()):
+            raise LightFieldError(
+                f"nothing of {self.cameras[self.reference].name} is left in the common frame; the calibration is of "
+                "other cameras."
+            )
+        kept = np.ones(len(views), np.bool_) if valid is None else np.asarray(valid.any(axis=(1, 2)))
+        return LightField(
+            views[kept],
+            self.positions[kept],
+            reference=int(kept[: self.reference].sum()),
+            valid=None if valid is None else valid[kept],
+            geometry=self.geometry,
+            name=pictures.name,
+            notes=(*pictures.notes, *self.notes),
+        )
+
+
+def fit_rig(
+    cameras: Sequence[Camera], *, depths: tuple[float, float] | None = None, reference: int | None = None
+) -> Rig:
+    """The rig of parallel cameras in a plane that is nearest to calibrated ones.
+
+    Parameters
+    ----------
+    cameras
+        At least two, for pictures of one size.
+    depths
+        (near, far) of the scene in the unit of the calibration, if known: cameras off the plane are corrected for what
+        lies between. None takes the distance at which the cameras look at one point.
+    reference
+        Index of the reference camera; None takes the one nearest to the middle.
+
+    Raises
+    ------
+    LightFieldError
+        If the cameras do not stand about in a plane, all in one place, or do not look about along its normal.
+    """
+    if len(cameras) < 2:
+        raise LightFieldError("a rig needs at least two calibrated cameras.")
+    sizes = {camera.size for camera in cameras}
+    if len(sizes) > 1:
+        raise LightFieldError(f"the cameras have pictures of {len(sizes)} sizes; rectify those of one size.")
+    centres = np.stack([camera.centre for camera in cameras])
+    forward = np.stack([np.asarray(camera.rotation)[2] for camera in cameras])
+    axes = _axes(centres, forward, np.stack([np.asarray(camera.rotation)[0] for camera in cameras]))
+    for camera, direction in zip(cameras, forward, strict=True):
+        if direction @ axes[2] < _ASKEW:
+            raise LightFieldError(
+                f"{camera.name} looks {math.degrees(math.acos(np.clip(direction @ axes[2], -1, 1))):.0f} degrees away "
+                "from the others' common direction; a light field needs cameras that look the same way."
+            )
+    local = centres @ axes.T
+    middle = (local[:, :2].min(0) + local[:, :2].max(0)) / 2
+    if reference is None:
+        reference = int(np.argmin(np.hypot(*(local[:, :2] - middle).T)))
+    local = local - local[reference]
+    extent = float(np.sqrt((np.var(local[:, :2], axis=0)).sum()))
+    if not extent > _SAME * max(1.0, float(np.abs(centres).max())):
+        raise LightFieldError("all cameras stand in one place; depth needs cameras beside each other.")
+    ahead = local[:, 2] - np.median(local[:, 2])
+    off = float(np.sqrt(np.mean(ahead**2)))
+    if off > _FLAT * extent:
+        raise LightFieldError(
+            f"the cameras do not stand in a plane: they are {off:.3g} off it (rms) and {extent:.3g} apart in it; a "
+            "light field needs cameras side by side."
+        )
+    baseline = _step(local[:, :2])
+    positions = local[:, :2] / baseline
+    focal = float(np.exp(np.mean([np.log(camera.focal_length) for camera in cameras])))
+    principal, focus = _frames(cameras, axes, positions, baseline, focal)
+    near, far = depths or (math.nan, math.nan)
+    at = 2 / (1 / near + 1 / far) if depths else focus
+    geometry = Geometry(focal, baseline, focus, principal_point=principal, unshifted_at=(0.0, 0.0))
+    return Rig(
+        tuple(cameras), axes, positions, ahead, geometry, reference, at, _notes(ahead, at, depths, cameras[0], focal)
+    )
+
+
+def matched(cameras: Sequence[Camera], names: Sequence[str], size: tuple[int, int], source: str) -> list[Camera]:
+    """The camera of each picture: by name where the calibration has names of pictures, else by order.
+
+    Cameras are scaled to the size of the pictures if these have the same shape. LightFieldError if a picture has no
+    camera, or the shapes differ.
+    """
+    by_name: dict[str, Camera] = {}
+    for camera in cameras:
+        by_name.setdefault(_stem(camera.name), camera)
+    found = [by_name.get(_stem(name)) for name in names]
+    if not any(found):
+        if len(cameras) != len(names):
+            raise LightFieldError(
+                f"{source} calibrates {len(cameras)} cameras, there are {len(names)} pictures, and none has the name "
+                f"of a camera ({cameras[0].name}, ...)."
+            )
+        found = list(cameras)
+    missing = [name for name, camera in zip(names, found, strict=True) if camera is None]
+    if missing:
+        raise LightFieldError(
+            f"{source} has no camera for {missing[0]}" + (f" and {len(missing) - 1} more" if missing[1:] else "") +
+            "; calibrate it, or take its picture away."
+        )  # fmt: skip
+    return [_scaled(camera, size, source) for camera in found if camera is not None]
+
+
+def _scaled(camera: Camera, size: tuple[int, int], source: str) -> Camera:
+    if camera.size == size:
+        return camera
+    down, across = size[0] / camera.size[0], size[1] / camera.size[1]
+    if abs(down / across - 1) > _ASPECT:
+        raise LightFieldError(
+            f"{source}: {camera.name} was calibrated for pictures of {camera.size[1]} x {camera.size[0]}, these are "
+            f"{size[1]} x {size[0]}: the calibration is of other pictures."
+        )
+    (fx, fy), (cx, cy) = camera.focal_length, camera.principal_point
+    return replace(
+        camera,
+        size=size,
+        focal_length=(fx * across, fy * down),
+        principal_point=((cx + 0.5) * across - 0.5, (cy + 0.5) * down - 0.5),
+    )
+
+
+# --- steps ---
+
+
+def _axes(centres: Float64Array, forward: Float64Array, right: Float64Array) -> Float64Array:
+    """[3, 3], rows x, y, z of the common frame."""
+    spread = centres - centres.mean(0)
+    _, sizes, directions = np.linalg.svd(spread, full_matrices=True)
+    sizes = np.concatenate([sizes, np.zeros(3)])[:3]
+    mean = forward.mean(0)
+    if sizes[1] > _LINE * sizes[0]:
+        z = directions[2] * np.sign(directions[2] @ mean or 1.0)
+    else:  # in a line: the normal that is nearest to where the cameras look
+        z = mean - (mean @ directions[0]) * directions[0]
+    if np.linalg.norm(z) < _SAME or np.linalg.norm(mean) < _SAME:
+        raise LightFieldError("the cameras look along the line on which they stand; they must stand side by side.")
+    z = z / np.linalg.norm(z)
+    x = right.mean(0)
+    x = x - (x @ z) * z
+    if np.linalg.norm(x) < _SAME:
+        raise LightFieldError("the cameras are turned against each other; their pictures have no common right side.")
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])
+
+
+def _step(places: Float64Array) -> float:
+    """The median distance of each camera from its nearest neighbour."""
+    gaps = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
+    np.fill_diagonal(gaps, np.inf)
+    return float(np.median(gaps.min(1)))
+
+
+def _frames(
+    cameras: Sequence[Camera], axes: Float64Array, positions: Float64Array, baseline: float, focal: float
+) -> tuple[tuple[float, float], float]:
+    """Principal point of the reference and distance of the plane of disparity 0, such that what the middles of the
+    pictures show is about in the middle of the rectified ones."""
+    seen = []
+    for camera in cameras:
+        height, width = camera.size
+        ray = camera.rays(((width - 1) / 2, (height - 1) / 2)) @ np.asarray(camera.rotation) @ axes.T
+        seen.append(ray[:2] / ray[2])
+    middle = (np.array(cameras[0].size[::-1]) - 1) / 2
+    wanted = middle - focal * np.array(seen)
+    places = positions - positions.mean(0)
+    slope = float((places * (wanted - wanted.mean(0))).sum() / (places**2).sum())
+    slope = max(slope, 0.0)
+    x, y = (wanted - slope * positions).mean(0)
+    return (float(x), float(y)), focal * baseline / slope if slope > 1e-6 else math.inf
+
+
+def _notes(
+    ahead: Float64Array, at: float, depths: tuple[float, float] | None, camera: Camera, focal: float
+) -> tuple[str, ...]:
+    most, radius = float(np.abs(ahead).max()), float(np.hypot(*camera.size)) / 2
+    if most == 0:
+        return ()
+    ends = depths or (at, math.inf)
+    left = max(most * abs(1 / end - (0 if math.isinf(at) else 1 / at)) for end in ends) * radius
+    if left < 0.05:
+        return ()
+    what = f"for depths from {ends[0]:.3g} to {ends[1]:.3g}" if depths else "at infinite depth"
+    return (
+        f"Cameras stand up to {most:.3g} off their plane; corrected for the depth {at:.3g}, up to {left:.2g} px are "
+        f"left in the corners {what}.",
+    )
+
+
+def _stem(name: str) -> str:
+    return name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0].lower()
+
+
+__all__ = ["Rig", "fit_rig", "matched"]

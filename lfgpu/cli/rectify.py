@@ -1,0 +1,123 @@
+"""`lfgpu rectify`: cameras as they are become parallel and alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lfgpu._backends import DEFAULT, backend_named
+from lfgpu.cli import values
+from lfgpu.cli.options import Backend, Device, DisparityRange, OutFolder, Quiet, Threads
+from lfgpu.errors import LightFieldError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lfgpu.calibration import Rectified
+
+POINTS_FILE = "points.ply"
+
+
+def rectify(
+    source: Annotated[
+        Path, typer.Argument(metavar="INPUT", help="A folder of pictures with a calibration, or a light field.")
+    ],
+    out: OutFolder,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="cameras.toml, OpenCV or Kalibr (YAML, JSON), COLMAP (its folder), poses_bounds.npy, transforms.json.",
+            show_default="what lies beside the pictures",
+        ),
+    ] = None,
+    refine: Annotated[bool, typer.Option("--refine", help="Also line the views up by what they show.")] = False,
+    model: Annotated[
+        str, typer.Option(metavar="NAME", help="What --refine may find: shift, similarity or homography.")
+    ] = "similarity",
+    positions: Annotated[
+        bool, typer.Option("--positions", help="--refine also finds where the cameras stand.")
+    ] = False,
+    equalise: Annotated[
+        bool, typer.Option("--equalise", help="Give all views the brightness of the reference; --refine does so, too.")
+    ] = False,
+    depths: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NEAR,FAR", help="Of the scene, in the calibration's unit.", show_default="from the calibration"
+        ),
+    ] = None,
+    points: Annotated[
+        bool, typer.Option("--points", help=f"Also estimate a map and write {POINTS_FILE}, its coloured points.")
+    ] = False,
+    disparity_range: DisparityRange = None,
+    backend: Backend = DEFAULT,
+    device: Device = None,
+    threads: Threads = None,
+    quiet: Quiet = False,
+) -> None:
+    """Make cameras parallel and alike: undo lenses and rotations, line views up, equalise them.
+
+    Writes a light field that every command reads (lightfield.toml), with masks, and the numbers to go back to the
+    original pictures (rectified.npz).
+    """
+    from lfgpu import calibration as cameras
+    from lfgpu.cli.console import output
+    from lfgpu.cli.depth import Estimation
+    from lfgpu.io import check_writable, save
+
+    check_writable(out)
+    if positions and not refine:
+        raise LightFieldError("--positions is for --refine; give both or neither.")
+    bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
+    values.use_threads("--threads", threads)
+    estimation = Estimation(values.configured("accurate", ()), bounds, backend_named(backend), device)
+    estimation.check_device()
+    result = cameras.rectify(
+        source,
+        calibration=calibration,
+        model=model if refine else None,
+        positions=positions,
+        tones=equalise,
+        depths=None if depths is None else values.parse_range("--depths", depths),
+        disparity_range=bounds,
+        backend=estimation.backend,
+        device=device,
+    )
+    cloud = None
+    if points:
+        if result.light_field.geometry is None:
+            raise LightFieldError("--points needs a calibration: without one there is no metric depth.")
+        cloud = replace(estimation, disparity_range=result.disparity_range).run(result.light_field, quiet=quiet)
+    cameras.write_rectified(result, out)
+    if cloud is not None:
+        save(cloud, out / POINTS_FILE, image=result.light_field.image(result.light_field.reference_index))
+    if not quiet:
+        _show(output(), result, out, points=points)
+
+
+def _show(console: Console, result: Rectified, out: Path, *, points: bool) -> None:
+    from lfgpu.cli import console as shown
+    from lfgpu.cli import facts, summary
+
+    lf, rig, found = result.light_field, result.rig, result.refinement
+    shown.heading(console, lf.name)
+    rows = [("views", facts.views(lf)), ("size", facts.size(lf)), ("reference", facts.reference(lf))]
+    if rig is not None:
+        rows += [("offsets", facts.offsets(lf)), ("geometry", facts.geometry(lf.geometry))]
+    if lf.valid is not None:
+        rows.append(("valid", f"{100 * float(lf.valid.mean()):.1f} % of the pixels"))
+    if found is not None:
+        rows.append(("refined", found.status))
+    rows += [("note", note) for note in lf.notes]
+    shown.lines(console, rows)
+    files = [
+        ("lightfield.toml", "views, positions, masks, geometry; every command reads the folder"),
+        ("rectified.npz", "the numbers to go back to the original pictures"),
+    ]
+    if points:
+        files.append((POINTS_FILE, "coloured points of the reference view's map"))
+    summary.show_outputs(console, out, files)

@@ -1,0 +1,227 @@
+"""Parallel cameras from calibrated ones, and from what views show: back to what an undisturbed rig records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.calibration import Camera, Misalignment, disturb, equalise, fit_rig, rectify, refine, write_rectified
+from lfgpu.calibration.cameras import turned
+from lfgpu.calibration.formats import Calibration
+from lfgpu.calibration.misalign import ideal_cameras
+from lfgpu.cli import app
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+
+
+@pytest.fixture(scope="module")
+def boxes() -> LightField:
+    return scenes.make("boxes", grid=(3, 3), size=(128, 144), seed=1, noise=0.004)
+
+
+def inner(views: np.ndarray) -> np.ndarray:
+    return views[..., 12:-12, 12:-12, :].astype(float) / 255
+
+
+def rms(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.sqrt(((inner(a) - inner(b)) ** 2).mean()))
+
+
+def known(cameras: tuple[Camera, ...], **fields: object) -> Calibration:
+    return Calibration(cameras, "rig", "lfgpu", **fields)  # type: ignore[arg-type]
+
+
+def test_a_true_calibration_undoes_what_the_cameras_did(boxes: LightField) -> None:
+    wrong = disturb(boxes, Misalignment(shift=2, roll=0.5, scale=0.01, distortion=0.2), seed=3)
+    found = rectify(wrong.light_field, calibration=known(wrong.cameras)).light_field
+    assert rms(wrong.light_field.views, boxes.views) > 0.05
+    # Focal lengths are averaged: compare with the ideal views at the common one.
+    assert found.geometry is not None
+    assert boxes.geometry is not None
+    scale = found.geometry.focal_length_px / boxes.geometry.focal_length_px
+    assert abs(scale - 1) < 0.01
+    explained = lfgpu.explain(found, lfgpu.estimate_depth(found, config="fast"))
+    assert explained.misalignment < 0.03
+    assert explained.findings == ()
+    assert found.valid is not None
+    assert not found.valid.all()
+
+
+def test_the_geometry_is_in_metres(boxes: LightField) -> None:
+    """Of ideal cameras the rig is the light field's own geometry."""
+    cameras = ideal_cameras(boxes)
+    world = turned((0.3, -0.2, 0.5))  # any frame of the world
+    moved = tuple(
+        replace(camera, rotation=np.asarray(camera.rotation) @ world, translation=np.asarray(camera.translation))
+        for camera in cameras
+    )
+    rig = fit_rig(moved)
+    assert boxes.geometry is not None
+    assert rig.geometry.baseline_m == pytest.approx(boxes.geometry.baseline_m, rel=1e-6)
+    assert rig.geometry.focal_length_px == pytest.approx(boxes.geometry.focal_length_px, rel=1e-6)
+    np.testing.assert_allclose(rig.positions, boxes.offsets, atol=1e-6)
+    np.testing.assert_allclose(rig.ahead, 0, atol=1e-9)
+    assert rig.notes == ()
+    point = np.array([[70.0, 60.0]])
+    for depth in (4.5, 7.0):
+        d = rig.geometry.disparity(depth)
+        rays = [rig.places(n, point - d * rig.positions[n]) for n in range(9)]
+        worlds = []
+        for camera, place in zip(moved, rays, strict=True):
+            ray = camera.rays(place)[0] @ np.asarray(camera.rotation)
+            worlds.append(camera.centre + ray * depth / (ray @ rig.rotation[2]))
+        np.testing.assert_allclose(worlds, np.tile(worlds[0], (9, 1)), atol=1e-6)
+
+
+def test_cameras_off_the_plane_are_right_at_one_depth() -> None:
+    """What two cameras record of a point at that depth is where rectified pixels say, although they stand apart."""
+    cameras = [
+        Camera((100, 120), (200, 200), (59.5, 49.5), translation=(-0.1 * u, -0.1 * v, 0.02 * (-1) ** (u + v)))
+        for v in range(3)
+        for u in range(3)
+    ]
+    rig = fit_rig(cameras, depths=(2.0, 4.0), reference=4)
+    assert rig.corrected_at == pytest.approx(8 / 3)
+    assert "off their plane" in rig.notes[0]
+    plane = float(np.median([camera.centre @ rig.rotation[2] for camera in cameras]))
+    across = (rig.rotation @ cameras[4].centre)[:2] + np.array([0.2, -0.1])
+    point = rig.rotation.T @ np.array([*across, plane + rig.corrected_at])
+    geometry = rig.geometry
+    assert geometry.principal_point is not None
+    here = np.array([0.2, -0.1]) / rig.corrected_at * geometry.focal_length_px + geometry.principal_point
+    for n, camera in enumerate(cameras):
+        recorded = camera.project(np.asarray(camera.rotation) @ point + camera.translation)
+        rectified = here - geometry.disparity(rig.corrected_at) * rig.positions[n]
+        np.testing.assert_allclose(rig.places(n, rectified), recorded, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("places", "words"),
+    [
+        ([(0, 0, 0), (0, 0, 0)], "in one place"),
+        ([(0, 0, 0), (0, 0, 1), (0, 0.0, 2)], "along the line"),
+        ([(0, 0, 0), (1, 0, 1), (0, 1, -1), (1, 1, 2), (0.5, 0.5, -2)], "plane|degrees away"),
+    ],
+)
+def test_cameras_that_are_no_light_field_are_refused(places: list[tuple[float, ...]], words: str) -> None:
+    cameras = [Camera((10, 10), (20, 20), (4.5, 4.5), translation=-np.array(p, float)) for p in places]
+    with pytest.raises(LightFieldError, match=words):
+        fit_rig(cameras)
+
+
+def test_calibrations_of_other_pictures_are_refused(boxes: LightField) -> None:
+    cameras = ideal_cameras(boxes)
+    with pytest.raises(LightFieldError, match="calibrated for pictures of 20 x 10"):
+        rectify(boxes, calibration=known(tuple(replace(camera, size=(10, 20)) for camera in cameras)))
+    with pytest.raises(LightFieldError, match="calibrates 4 cameras, there are 9 pictures"):
+        rectify(boxes, calibration=known(tuple(replace(camera, name=f"c{n}") for n, camera in enumerate(cameras[:4]))))
+    with pytest.raises(LightFieldError, match="no camera for view_008"):
+        rectify(boxes, calibration=known(cameras[:8]))
+    away = (*cameras[:8], replace(cameras[8], rotation=turned((0, 2.0, 0))))
+    with pytest.raises(LightFieldError, match=r"view_008\.png looks 1\d+ degrees away"):
+        rectify(boxes, calibration=known(away))
+
+
+def test_a_calibration_of_larger_pictures_is_scaled(boxes: LightField) -> None:
+    larger = tuple(
+        replace(
+            camera,
+            size=(256, 288),
+            focal_length=(2 * camera.focal_length[0], 2 * camera.focal_length[1]),
+            principal_point=(2 * camera.principal_point[0] + 0.5, 2 * camera.principal_point[1] + 0.5),
+        )
+        for camera in ideal_cameras(boxes)
+    )
+    found = rectify(boxes, calibration=known(larger)).light_field
+    assert rms(found.views, boxes.views) < 0.01
+
+
+def test_refinement_lines_views_up(boxes: LightField) -> None:
+    wrong = disturb(boxes, Misalignment(shift=0.7, roll=0.1, scale=1e-3, gain=0.08), seed=5)
+    found = refine(wrong.light_field)
+    assert found.kept
+    assert found.psnr_after > found.psnr_before + 3
+    assert boxes.truth is not None
+    before = lfgpu.explain(wrong.light_field, boxes.truth.disparity)
+    after = lfgpu.explain(found.light_field, boxes.truth.disparity)
+    assert before.misalignment > 0.3
+    assert after.misalignment < 0.04
+    np.testing.assert_allclose(found.tones.gain, wrong.gain, atol=0.02)
+    assert (found.light_field.views[4] == boxes.views[4]).all()  # the reference view is what others are told against
+    assert found.light_field.grid_shape == (3, 3)
+
+
+def test_what_is_right_is_left_alone(boxes: LightField) -> None:
+    found = refine(boxes)
+    assert not found.kept
+    assert found.light_field is boxes
+    assert "nothing" in found.status
+
+
+def test_positions_are_found() -> None:
+    moved = np.random.default_rng(2).normal(0, 0.1, (9, 2))
+    moved[4] = 0
+    lf = scenes.make("planes", grid=(3, 3), size=(128, 128), seed=2, displaced=moved)
+    found = refine(lf, model="shift", positions=True)
+    offsets = lf.offsets
+    wanted = moved - (moved * offsets).sum() / (offsets**2).sum() * offsets
+    assert np.abs(found.position_change - wanted).max() < 0.5 * np.abs(wanted).max()
+    assert np.sqrt(((found.position_change - wanted) ** 2).mean()) < 0.02
+
+
+def test_equalisation_by_itself(boxes: LightField) -> None:
+    wrong = disturb(boxes, Misalignment(gain=0.1, offset=0.02, vignetting=0.2), seed=6)
+    found = equalise(wrong.light_field)
+    assert found.kept
+    assert rms(wrong.light_field.views, boxes.views) > 0.03
+    assert rms(found.light_field.views, boxes.views) < 0.01
+    np.testing.assert_allclose(found.homographies, np.tile(np.eye(3), (9, 1, 1)))
+
+
+def test_wrong_arguments_are_refused(boxes: LightField, tmp_path: Path) -> None:
+    with pytest.raises(LightFieldError, match="model must be one of"):
+        refine(boxes, model="bent")
+    flat = LightField.from_grid(np.full((3, 3, 64, 64), 128, np.uint8))
+    with pytest.raises(LightFieldError, match="texture"):
+        refine(flat, disparity_range=(-1, 1))
+    with pytest.raises(LightFieldError):
+        rectify(tmp_path)
+
+
+def test_pictures_and_a_calibration_become_a_light_field_with_one_command(boxes: LightField, tmp_path: Path) -> None:
+    wrong = disturb(boxes, Misalignment(shift=2, roll=0.3), seed=3)
+    for n, view in enumerate(wrong.light_field.views):
+        Image.fromarray(view).save(tmp_path / f"view_{n:03d}.png")
+    lfgpu.calibration.write_cameras(wrong.cameras, tmp_path / "cameras.toml")
+    run = CliRunner().invoke(app, ["rectify", str(tmp_path), "-o", str(tmp_path / "out"), "--points"])
+    assert run.exit_code == 0, run.output
+    found = lfgpu.read(tmp_path / "out")
+    assert len(found.views) == 9
+    assert found.valid is not None
+    np.testing.assert_allclose(np.abs(found.offsets - boxes.offsets), 0, atol=1e-3)
+    assert found.geometry is not None
+    assert boxes.geometry is not None
+    assert found.geometry.baseline_m == pytest.approx(boxes.geometry.baseline_m, rel=1e-3)
+    assert (tmp_path / "out" / "points.ply").stat().st_size > 1000
+    assert np.load(tmp_path / "out" / "rectified.npz")["rotations"].shape == (9, 3, 3)
+    wrongly = CliRunner().invoke(app, ["rectify", str(tmp_path), "-o", str(tmp_path / "o2"), "--positions"])
+    assert wrongly.exit_code == 1
+    assert "--positions is for --refine" in wrongly.stderr
+
+
+def test_what_is_written_is_read_back(boxes: LightField, tmp_path: Path) -> None:
+    wrong = disturb(boxes, Misalignment(shift=1, gain=0.1), seed=3)
+    found = rectify(wrong.light_field, calibration=known(wrong.cameras), tones=True)
+    assert write_rectified(found, tmp_path / "out") == ()
+    back = lfgpu.read(tmp_path / "out")
+    np.testing.assert_array_equal(back.views, found.light_field.views)
+    np.testing.assert_array_equal(back.valid, found.light_field.valid)
+    np.testing.assert_allclose(back.offsets, found.light_field.offsets)
+    assert back.truth is not None
