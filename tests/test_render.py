@@ -273,7 +273,7 @@ def test_what_hides_a_surface_is_not_seen_there_a_second_time() -> None:
         positions=inner.positions,
         keys=(0,),
     )
-    rendered = lfgpu.render_view(inner, known_maps, (4.0, 2.0))
+    rendered = lfgpu.render_view(inner, known_maps, 2.0, 4.0)
     true, truth = lf.image(lf.index_of(2, 4)), scenes.true_disparity("boxes", 2, 4, grid=(5, 5), size=SIZE)
     x = np.arange(SIZE[1])
     inside = x - truth * -2 <= SIZE[1] - 1  # seen by the last column of cameras, if nothing is in the way
@@ -281,6 +281,15 @@ def test_what_hides_a_surface_is_not_seen_there_a_second_time() -> None:
     assert 0.001 < strips.mean() < 0.05
     assert np.abs(rendered.image - true)[strips].mean() < 0.2
     assert np.median(np.abs(rendered.disparity - truth)[strips]) < 0.3
+
+
+def test_unknown_pixels_of_maps_leave_no_hole_in_the_picture() -> None:
+    known_maps = true_maps()
+    disparities = known_maps.disparities.copy()
+    disparities[:, :12, :15] = np.nan
+    rendered = lfgpu.render_view(kept(), replace(known_maps, disparities=disparities), 1.0, 3.0)
+    assert np.isfinite(rendered.image).all()
+    assert not rendered.known[:8, :10].any()
 
 
 def test_holes_take_the_colour_of_what_is_no_nearer() -> None:

@@ -7,7 +7,8 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from lfgpu.io.limits import check_claim
 
 _MAGIC = b"\x76\x2f\x31\x01"
 _MOST_CHANNELS = 100
-_STDERR = threading.Lock()
+_OUTPUTS = threading.Lock()
 
 
 def read_channels(path: Path) -> dict[str, NDArray[np.float32]]:
@@ -57,25 +58,20 @@ def read_channels(path: Path) -> dict[str, NDArray[np.float32]]:
 
 @contextmanager
 def complaints() -> Iterator[Callable[[], bool]]:
-    """Keep what the library writes on stderr while the block runs to itself; yields whether it wrote something.
+    """Keep what the library prints and writes on stderr while the block runs; yields whether there was something.
 
-    Where pixels are damaged the library says so there and goes on, with whatever it has decoded. stderr belongs to the
+    Where pixels are damaged the library says so there and goes on, with whatever it has decoded. Both belong to the
     whole process: one thread at a time, and what others write meanwhile is lost.
     """
-    with _STDERR, tempfile.TemporaryFile() as file:
-        try:
+    with _OUTPUTS, tempfile.TemporaryFile() as file, redirect_stdout(StringIO()) as printed, ExitStack() as back:
+        if sys.stderr is not None:
+            sys.stderr.flush()
+        with suppress(OSError):  # a process without stderr
             before = os.dup(2)
-        except OSError:  # a process without stderr
-            yield lambda: False
-            return
-        try:
-            if sys.stderr is not None:
-                sys.stderr.flush()
+            back.callback(os.close, before)
+            back.callback(os.dup2, before, 2)
             os.dup2(file.fileno(), 2)
-            yield lambda: os.fstat(file.fileno()).st_size > 0
-        finally:
-            os.dup2(before, 2)
-            os.close(before)
+        yield lambda: bool(printed.getvalue()) or os.fstat(file.fileno()).st_size > 0
 
 
 def _pixels(channel: Any, shape: tuple[int, int]) -> NDArray[np.float32]:
