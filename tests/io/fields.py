@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import lytro_samples
+from tests.io import lytro_samples
 import numpy as np
 from PIL import Image
 

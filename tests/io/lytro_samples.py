@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-from lenslet_samples import section
+from tests.io.lenslet_samples import section
 from numpy.typing import NDArray
 from PIL import Image
 
