@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .asking import asking
 from .sharing import take
 from .staging import WORTHWHILE, staging
-from .threads import once
+from .threads import cache_is_closed, once
 
 _SCALARS: dict[type, Any] = {
     np.uint8: wp.uint8,
@@ -35,6 +35,8 @@ def start() -> None:
         os.dup2(caught.fileno(), 2)
         try:
             wp.init()
+        except OSError as error:
+            raise cache_is_closed(error) from error
         finally:
             os.dup2(stderr, 2)
             os.close(stderr)

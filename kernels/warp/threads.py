@@ -3,11 +3,14 @@
 How the work is cut does not depend on the number of threads, so neither do the results.
 """
 
+import glob
 import os
+import shutil
 import threading
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, lru_cache, wraps
+from pathlib import Path
 from typing import Any, TypeVar
 
 import warp as wp
@@ -93,7 +96,31 @@ def load(device: Any, *kernels: Any) -> None:
     """Compile and load what threads are about to launch; they must not do it at the same time."""
     with _LOCK:
         for module in {kernel.module for kernel in kernels}:
-            wp.load_module(module, device=device)
+            _load(module, device)
+
+
+def _load(module: Any, device: Any) -> None:
+    """Load a module; what a crash left of it in the cache of kernels is compiled again."""
+    try:
+        wp.load_module(module, device=device)
+    except OSError as error:
+        raise cache_is_closed(error) from error
+    except Exception:
+        places = list(Path(wp.config.kernel_cache_dir).glob(f"wp_{glob.escape(module.name)}_*"))
+        if not places:
+            raise
+        for place in places:
+            shutil.rmtree(place, ignore_errors=True)
+        module.unload()
+        wp.load_module(module, device=device)
+
+
+def cache_is_closed(error: OSError) -> BackendError:
+    """What to say where Warp cannot write what it compiles."""
+    return BackendError(
+        f"Warp cannot keep its compiled kernels in {error.filename or wp.config.kernel_cache_dir} "
+        f"({error.strerror or error}); set WARP_CACHE_PATH to a folder that may be written to."
+    )
 
 
 @lru_cache(maxsize=1)

@@ -18,6 +18,8 @@ from lfgpu.data.mapping import forget
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.methods.measured import Measured
+from lfgpu.methods.range_check import range_remark
+from lfgpu.printable import message
 
 if TYPE_CHECKING:
     from lfgpu.data.lightfield import LightField
@@ -94,11 +96,11 @@ def work(job: Job, device: str | None = None) -> dict[str, Any]:
     except MemoryError as error:
         raise OutOfMemory(_MEMORY) from error
     except LfgpuError as error:
-        entry["error"] = " ".join(str(error).split())
+        entry["error"] = str(error)
     except Exception as error:  # the other items must continue, whatever it is
         if "Failed to allocate" in str(error):  # the message of Warp
             raise OutOfMemory(_MEMORY) from error
-        entry["error"] = f"{type(error).__name__}: {' '.join(str(error).split())[:500]}"
+        entry["error"] = message(f"{type(error).__name__}: {error}")
     return {**entry, "began": begin, "seconds": round(time.time() - begin, 4)}
 
 
@@ -125,7 +127,7 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
         "size": list(lf.size),
         "device": result.device,
         "converged": result.converged,
-        "notes": list(lf.notes),
+        "notes": [*lf.notes, *_doubts(lf, job)],
         "times": clock.laps,
     }
 
@@ -209,6 +211,13 @@ class _Resident:
 
 
 _RESIDENT = _Resident()
+
+
+def _doubts(lf: LightField, job: Job) -> list[str]:
+    """Why the map may be wrong although nothing went wrong."""
+    given = job.settings.disparity_range
+    doubt = None if given is None or job.item.sequence else range_remark(lf, given)
+    return [] if doubt is None else [doubt]
 
 
 def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | None:

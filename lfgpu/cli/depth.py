@@ -125,11 +125,12 @@ def depth(
     fails, no file is written.
     """
     from lfgpu.cli import summary
-    from lfgpu.cli.console import output
+    from lfgpu.cli.console import output, remark
     from lfgpu.cli.outputs import check_names, write_outputs, write_page, write_saved, write_view_maps
     from lfgpu.data.filling import fill_unknown, filled
     from lfgpu.io import atomic_folder, check_writable, read
     from lfgpu.methods.footprint import parse_memory
+    from lfgpu.methods.range_check import range_remark
 
     check_writable(out)
     check_names("--save", saved or ())
@@ -174,6 +175,8 @@ def depth(
     console = output()
     summary.show_input(console, lf)
     summary.show_result(console, result, range_given=disparity_range is not None)
+    if estimation.disparity_range is not None and (doubt := range_remark(lf, estimation.disparity_range)):
+        remark(console, doubt)
     summary.show_scores(console, lf, result)
     summary.show_remarks(console, said)
     summary.show_outputs(console, out, files)

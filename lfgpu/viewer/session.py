@@ -418,7 +418,7 @@ class Session:
             self._high = gui.add_number("To", 2.0, step=0.1, disabled=True, hint=_UNIT)
             self._found.on_update(lambda _: self._toggle_range())
         with gui.add_folder("Parameters", visible=lf is not None):
-            names = tuple(name for name, _ in parameters(preset(self._preset.value)))
+            names = tuple(name for name, _ in parameters(self._config()))
             self._parameter = gui.add_dropdown("Parameter", names, initial_value=_FIRST_PARAMETER)
             self._parameter.on_update(lambda _: self._show_parameter())
             self._value = gui.add_text("Value", "")
@@ -537,11 +537,12 @@ class Session:
         return preset(self._preset.value).with_values(self._settings)
 
     def _show_parameter(self) -> None:
-        there = dict(parameters(preset(self._preset.value)))
-        self._settings = {name: value for name, value in self._settings.items() if name in there}
-        name = self._parameter.value if self._parameter.value in there else next(iter(there))
-        _set_options(self._parameter, tuple(there), name)
-        meta = there[name].metadata
+        known = dict(parameters(preset(self._preset.value)))
+        self._settings = {key: value for key, value in self._settings.items() if key in known}
+        first = _FIRST_PARAMETER if _FIRST_PARAMETER in known else next(iter(known))
+        name = self._parameter.value if self._parameter.value in known else first
+        _set_options(self._parameter, tuple(known), name)
+        meta = known[name].metadata
         stage, parameter = name.split(".")
         _assign(self._value, str(getattr(getattr(self._config(), stage), parameter)))
         extent = ", ".join(meta["choices"]) if "choices" in meta else f"{meta['low']:g} to {meta['high']:g}"

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import lytro_samples
 import numpy as np
 from PIL import Image
 
@@ -16,6 +15,7 @@ from lfgpu import scenes
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import write_description, write_hci
 from lfgpu.io.png import write_png
+from tests.io import lytro_samples
 
 SHIFT = 3.0  # of the old HCI format: pixels per view step
 

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
-from lenslet_samples import section
 from numpy.typing import NDArray
 from PIL import Image
+
+from tests.io.lenslet_samples import section
 
 LOST = "sha1-" + 40 * "0"
 """Name of a section that is in another file: processed containers name the raw picture that they were made from."""

@@ -1,0 +1,51 @@
+"""The cache of compiled kernels: a sentence where it cannot be written, and another try where a crash left half of it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("warp")
+
+_CODE = """
+import numpy as np
+from lfgpu.errors import BackendError
+from lfgpu._backends import load
+try:
+    kernels = load("warp")
+    views = kernels.image(np.full((2, 8, 8, 3), 51, np.uint8), "cpu")
+    image = kernels.zeros_image((8, 8, 3), "cpu")
+    kernels.intensities(views, 0, None, scale=1 / 255, fill=0.0, image_out=image)
+    print("done", float(kernels.numpy(image).mean()))
+except BackendError as error:
+    print("refused:", error)
+"""
+
+
+def run(cache: Path | str) -> str:
+    """In a process of its own, with another cache."""
+    environment = {**os.environ, "WARP_CACHE_PATH": str(cache)}
+    done = subprocess.run([sys.executable, "-c", _CODE], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_a_cache_that_a_crash_cut_short_is_made_again(tmp_path: Path) -> None:
+    first = run(tmp_path)
+    cut = [file for file in tmp_path.rglob("*") if file.suffix in (".o", ".so")]
+    assert cut
+    for file in cut:
+        file.write_bytes(file.read_bytes()[:300])
+    assert run(tmp_path) == first
+    assert first.startswith("done 0.2")
+
+
+def test_a_cache_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    text = run(tmp_path / "file" / "cache")
+    assert text.startswith("refused: ")
+    assert "set WARP_CACHE_PATH" in text
