@@ -41,7 +41,7 @@ _RIDGE = 1e-3
 _HEAD = '''"""Weights of what the confidence and the uncertainty of matching are made of.
 
 {written}
-`MatchingPlan._judge` says what the weights belong to: 1, -log odds, log(cost + 0.5), log evidence.
+`MatchingPlan._judge` says what the weights belong to: 1, -log odds, log(max(cost, 1)), log evidence.
 """
 
 SHARE = {share}

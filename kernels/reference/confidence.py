@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SHARPNESS = 2.0  # costs that differ by unit / SHARPNESS differ
-LEAST_COST = 0.5  # of those that logarithms are taken of, in units
+LEAST_COST = 1.0  # units: views that differ by less than their noise say no more than that
 
 
 def evidence(
@@ -34,6 +34,6 @@ def judge(
     confidence_out: Array,
     variance_out: Array,
 ) -> None:
-    features = np.ones_like(odds), -np.log(odds), np.log(np.maximum(cost, 0) + LEAST_COST), np.log(evidence)
+    features = np.ones_like(odds), -np.log(odds), np.log(np.maximum(cost, LEAST_COST)), np.log(evidence)
     confidence_out[:] = 1 / (1 + np.exp(-sum(weight * f for weight, f in zip(share, features, strict=True))))
     variance_out[:] = np.exp(sum(weight * f for weight, f in zip(spread, features, strict=True)))

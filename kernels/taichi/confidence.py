@@ -8,7 +8,7 @@ from .memory import DeviceArray, flat
 from .runtime import run
 
 _SHARPNESS = 2.0
-_LEAST_COST = 0.5
+_LEAST_COST = 1.0
 
 
 @ti.kernel
@@ -43,7 +43,7 @@ def _judge_kernel(
     variance_out: flat(),
 ):
     for p in range(odds.shape[0]):
-        features = ti.Vector([1.0, -ti.log(odds[p]), ti.log(ti.max(cost[p], 0.0) + _LEAST_COST), ti.log(evidence[p])])
+        features = ti.Vector([1.0, -ti.log(odds[p]), ti.log(ti.max(cost[p], _LEAST_COST)), ti.log(evidence[p])])
         confidence_out[p] = 1.0 / (1.0 + ti.exp(-share.dot(features)))
         variance_out[p] = ti.exp(spread.dot(features))
 

@@ -10,7 +10,7 @@ from .threads import launch_rows
 wp.set_module_options({"enable_backward": False})
 
 _SHARPNESS = wp.constant(2.0)
-_LEAST_COST = wp.constant(0.5)
+_LEAST_COST = wp.constant(1.0)
 
 
 @wp.kernel
@@ -57,9 +57,7 @@ def _judge_kernel(
     i = wp.tid()
     y = row + i / lanes
     for x in range(i % lanes, odds.shape[1], lanes):
-        features = wp.vec4(
-            1.0, -wp.log(odds[y, x]), wp.log(wp.max(cost[y, x], 0.0) + _LEAST_COST), wp.log(evidence[y, x])
-        )
+        features = wp.vec4(1.0, -wp.log(odds[y, x]), wp.log(wp.max(cost[y, x], _LEAST_COST)), wp.log(evidence[y, x]))
         confidence_out[y, x] = 1.0 / (1.0 + wp.exp(-wp.dot(share, features)))
         variance_out[y, x] = wp.exp(wp.dot(spread, features))
 

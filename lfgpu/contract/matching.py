@@ -173,7 +173,7 @@ class Matching(Protocol):
     ) -> None:
         """confidence = 1 / (1 + exp(-share . f)) and variance = exp(spread . f) of each pixel.
 
-        f = (1, -log odds, log(max(cost, 0) + 0.5), log evidence); odds and evidence are > 0.
+        f = (1, -log odds, log(max(cost, 1)), log evidence); odds and evidence are > 0.
         """
 
     def refine_boundaries(

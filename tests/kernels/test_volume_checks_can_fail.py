@@ -148,7 +148,7 @@ FAULTS = (
     Fault("odds ignored", "judge", argument(0, np.ones_like), JUDGE),
     Fault("cost ignored", "judge", argument(1, np.zeros_like), JUDGE),
     Fault("evidence ignored", "judge", argument(2, np.ones_like), JUDGE),
-    Fault("no least cost", "judge", with_another(confidence, "LEAST_COST", lambda _: 0.01), JUDGE),
+    Fault("no least cost", "judge", with_another(confidence, "LEAST_COST", lambda _: 0.5), JUDGE),
     Fault("doubt", "judge", after(scaled(-1.0), "confidence_out"), JUDGE),
 )
 
