@@ -17,6 +17,7 @@ from benchmarks import (
     ablation,
     cases,
     compare,
+    confidence,
     error_sheet,
     files,
     flicker,
@@ -167,6 +168,39 @@ def accuracy_(
     _finish(run, out)
     if old is not None:
         show.table(tables.against(run, old))
+
+
+@app.command("confidence")
+def confidence_(
+    folders: Annotated[list[Path], typer.Argument(metavar="FOLDER...", help="Light fields with truth, or folders.")],
+    develop: Annotated[
+        str, typer.Option("--develop", metavar="NAME,...", help="Scenes to fit on, besides the package's own.")
+    ] = "",
+    fit: Annotated[
+        bool, typer.Option("--fit", help="Fit the weights and write them where the method has them.")
+    ] = False,
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = "fast,accurate",
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.png", help="Where the diagram goes.")] = None,
+) -> None:
+    """What the confidence says against what is true, on the scenes that it was not fitted on; `--fit` fits it anew."""
+    if out is not None:
+        check_writable(out, folder=False)
+    held = [name for name in population.light_fields(folders) if name not in _names(develop)]
+
+    def say(what: str) -> None:
+        typer.echo(what, err=True)
+
+    fitted = confidence.samples(folders, _names(develop), _names(presets), say)
+    if fit:
+        fitted += confidence.own_samples(_names(presets), say)
+    weights = confidence.fit(fitted) if fit else confidence.NOW
+    checked = confidence.samples(folders, held, _names(presets), say)
+    for table in confidence.tables(checked or fitted, weights):
+        show.table(table)
+    if out is not None:
+        confidence.draw({"fitted on": fitted, "held out": checked}, weights, out)
+    if fit:
+        typer.echo(f"written: {confidence.write(weights, fitted)}: {weights.share}, {weights.spread}")
 
 
 @app.command("rendering")

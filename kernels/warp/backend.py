@@ -5,6 +5,7 @@ import numpy as np
 from . import recording, streaming
 from .alignment import alignment, z_buffer
 from .boundaries import refine_boundaries
+from .confidence import evidence, judge
 from .control import asking, capture, is_deterministic, repeat
 from .cost_volume import nlm_average, winner_takes_all
 from .lbfgs import lbfgs
@@ -37,11 +38,13 @@ __all__ = [
     "divide",
     "dot",
     "dtype",
+    "evidence",
     "field",
     "fill",
     "image",
     "intensities",
     "is_deterministic",
+    "judge",
     "keep_more_coherent",
     "lbfgs",
     "line_of_views",

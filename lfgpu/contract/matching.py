@@ -142,6 +142,40 @@ class Matching(Protocol):
         the costs at k - 1, k and k + 1, in -1 to 1, 0 where they do not bend upwards by more than 1e-9.
         """
 
+    def evidence(
+        self,
+        volume: Array,
+        disparity: Array,
+        *,
+        first: float,
+        step: float,
+        unit: float,
+        cost_out: Array,
+        evidence_out: Array,
+    ) -> None:
+        """What the costs C [l, y, x] of the disparities first + l * step say about a map [y, x].
+
+        cost = C(disparity) / unit, linear between the two nearest disparities, which are those of the ends beyond them.
+        evidence = 1 / (step * sum_l exp(-2 (C_l - min C) / unit)): one over the width of the disparities that are as
+        good as the best one, 1 / (pixels per view step).
+        """
+
+    def judge(
+        self,
+        odds: Array,
+        cost: Array,
+        evidence: Array,
+        *,
+        share: Sequence[float],
+        spread: Sequence[float],
+        confidence_out: Array,
+        variance_out: Array,
+    ) -> None:
+        """confidence = 1 / (1 + exp(-share . f)) and variance = exp(spread . f) of each pixel.
+
+        f = (1, -log odds, log(max(cost, 1)), log evidence); odds and evidence are > 0.
+        """
+
     def refine_boundaries(
         self, image: Array, disparity: Array, *, step: float, contrast: float, share: float, disparity_out: Array
     ) -> None:

@@ -54,9 +54,11 @@ def filled(result: DepthResult) -> DepthResult:
     unknown = float(np.isnan(result.disparity).mean())
     if not unknown:
         return result
+    uncertainty = result.uncertainty
     return replace(
         result,
         disparity=fill_unknown(result.disparity),
+        uncertainty=None if uncertainty is None else np.where(np.isnan(uncertainty), np.float32(np.inf), uncertainty),
         status=f"{result.status} {100 * unknown:.2g} % of the pixels are not known; they were filled from the farther "
         "side, with confidence 0.",
     )

@@ -58,7 +58,11 @@ def parse_about(path: Path, text: str) -> dict[str, Any]:
 
 
 def map_of(
-    path: Path, about: Mapping[str, Any], disparity: Float32Array, confidence: Float32Array | None
+    path: Path,
+    about: Mapping[str, Any],
+    disparity: Float32Array,
+    confidence: Float32Array | None,
+    uncertainty: Float32Array | None = None,
 ) -> DisparityMap:
     """The map that the values and their metadata make; LightFieldError that names the file if they are damaged."""
     try:
@@ -70,6 +74,7 @@ def map_of(
             geometry=None if geometry is None else geometry_of(geometry),
             name=str(about["name"]),
             versions=dict(about["versions"]),
+            uncertainty=uncertainty,
         )
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise LightFieldError(f"{path} is a damaged map of lfgpu: its metadata are incomplete.") from error

@@ -17,10 +17,15 @@ _MAGIC = b"\x76\x2f\x31\x01"
 
 
 def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
-    """float32 channels `disparity`, `confidence` and `Z`, the depth in metres, as far as they are known."""
+    """float32 channels `disparity`, `confidence`, `uncertainty` and `Z` (depth in metres), as far as they are known."""
     import OpenEXR
 
-    channels = {"disparity": values.disparity, "confidence": values.confidence, "Z": values.depth}
+    channels = {
+        "disparity": values.disparity,
+        "confidence": values.confidence,
+        "uncertainty": values.uncertainty,
+        "Z": values.depth,
+    }
     said = {} if values.depth is None else {"channels": {"Z": "metres along the optical axis"}}
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
@@ -36,7 +41,7 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
 
 
 def read(path: Path) -> DisparityMap:
-    """An OpenEXR file with a channel `disparity`, or with one channel; confidence and metadata if they are there."""
+    """An OpenEXR file with a channel `disparity`, or with one channel; what else of ours is there comes along."""
     import OpenEXR
 
     with path.open("rb") as start:
@@ -57,4 +62,4 @@ def read(path: Path) -> DisparityMap:
     disparity = channels[name].astype(np.float32)
     if text is None:
         return DisparityMap(disparity, name=path.name)
-    return map_of(path, parse_about(path, text), disparity, channels.get("confidence"))
+    return map_of(path, parse_about(path, text), disparity, channels.get("confidence"), channels.get("uncertainty"))

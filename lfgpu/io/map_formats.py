@@ -87,7 +87,7 @@ MAP_FORMATS: tuple[MapFormat, ...] = (
     ),
     MapFormat(
         (".exr",),
-        "OpenEXR: float32 disparity, confidence and depth (Z)",
+        "OpenEXR: float32 disparity, confidence, uncertainty and depth (Z)",
         read=exr_map.read,
         write=exr_map.write,
         library="OpenEXR",
@@ -264,8 +264,9 @@ def _map(path: Path, chosen: MapFormat) -> DisparityMap:
         values = chosen.read(path)
     except OSError as error:
         raise LightFieldError(f"{path} cannot be opened: {error.strerror or error}.") from error
-    if values.confidence is not None and values.confidence.shape != values.disparity.shape:
-        raise LightFieldError(f"{path} is damaged: its confidence has another size than its disparity.")
+    for name, map_ in (("confidence", values.confidence), ("uncertainty", values.uncertainty)):
+        if map_ is not None and map_.shape != values.disparity.shape:
+            raise LightFieldError(f"{path} is damaged: its {name} has another size than its disparity.")
     return values
 
 

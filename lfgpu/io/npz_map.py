@@ -35,19 +35,25 @@ def recognise(path: Path) -> bool:
 
 
 def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
-    """`disparity`, `confidence` and `depth` as far as they are known, and the metadata as a text."""
-    arrays = {"disparity": values.disparity, "confidence": values.confidence, "depth": values.depth}
+    """`disparity`, `confidence`, `uncertainty` and `depth` as far as they are known, and the metadata as a text."""
+    arrays = {
+        "disparity": values.disparity,
+        "confidence": values.confidence,
+        "uncertainty": values.uncertainty,
+        "depth": values.depth,
+    }
     kept: dict[str, NDArray[Any]] = {name: array for name, array in arrays.items() if array is not None}
     _store(path, kept | {NPZ_KEY: np.array(map_about(values, invalid=UNKNOWN_IS_NAN))})
 
 
 def read(path: Path) -> DisparityMap:
     """The array `disparity`, whatever else there is; confidence and metadata if they are of a map by itself."""
-    arrays = load_arrays(path, (_MAP_KEY, NPZ_KEY, "confidence"))
+    arrays = load_arrays(path, (_MAP_KEY, NPZ_KEY, "confidence", "uncertainty"))
     disparity = as_map(path, arrays[_MAP_KEY])
     if NPZ_KEY not in arrays:
         return DisparityMap(disparity, name=path.name)
-    return map_of(path, parse_about(path, str(arrays[NPZ_KEY])), disparity, arrays.get("confidence"))
+    about = parse_about(path, str(arrays[NPZ_KEY]))
+    return map_of(path, about, disparity, arrays.get("confidence"), arrays.get("uncertainty"))
 
 
 def write_whole(result: DepthResult | ViewsResult, path: Path) -> None:

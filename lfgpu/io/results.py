@@ -191,6 +191,8 @@ def arrays_of_result(result: DepthResult) -> dict[str, NDArray[Any]]:
     }
     if result.depth is not None:
         arrays["depth"] = result.depth
+    if result.uncertainty is not None:
+        arrays["uncertainty"] = result.uncertainty
     return arrays
 
 
@@ -266,6 +268,7 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
         versions=dict(about["versions"]),
         geometry=None if about["geometry"] is None else geometry_of(about["geometry"]),
         name=str(about["name"]),
+        uncertainty=arrays.get("uncertainty"),
     )
 
 
@@ -278,6 +281,8 @@ def _config(about: Mapping[str, Any]) -> Config:
 
 def _check_maps(path: Path, result: DepthResult) -> None:
     maps = {"disparity": result.disparity, "confidence": result.confidence, **result.stages}
+    if result.uncertainty is not None:
+        maps["uncertainty"] = result.uncertainty
     for name, values in maps.items():
         if values.dtype != np.float32 or values.ndim != 2 or values.shape != result.disparity.shape:
             raise LightFieldError(

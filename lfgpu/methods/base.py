@@ -83,6 +83,9 @@ class Plan(Protocol):
     def maps(self) -> dict[str, Float32Array]:
         """The map after each stage, float32 [y, x], NaN where it is undefined; waits for the device."""
 
+    def uncertainty(self) -> Float32Array | None:
+        """Standard deviation of the disparity, float32 [y, x], None if the method has none; waits for the device."""
+
     def solution(self) -> Solution:
         """How the solvers did in the last run; waits for the device."""
 

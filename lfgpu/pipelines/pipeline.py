@@ -223,6 +223,7 @@ class DepthPipeline:
         return DepthResult(
             disparity=self._map(self._plan.disparity),
             confidence=self._map(self._plan.confidence),
+            uncertainty=self._plan.uncertainty(),
             stages=maps,
             position=(float(position[0]), float(position[1])),
             disparity_range=self.measured.disparity_range,

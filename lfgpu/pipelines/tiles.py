@@ -232,13 +232,15 @@ def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None], s
     names = list(first.stages)
     weights = _Weights(lf.size, plan)
     join = {name: _Join(lf.size, same) for name in names}
-    disparity, confidence = _Join(lf.size, same), _Join(lf.size, math.inf)
+    disparity, confidence, uncertainty = _Join(lf.size, same), _Join(lf.size, math.inf), _Join(lf.size, math.inf)
     for start, result in zip(plan.starts, results, strict=True):
         if result is None:
             continue
         weight = weights.of(start)
         taken = disparity.add(result.disparity, weight, start)
         confidence.add(result.confidence, weight, start, taken)
+        if result.uncertainty is not None:
+            uncertainty.add(result.uncertainty, weight, start, taken)
         for name in names:
             join[name].add(result.stages[name], weight, start)
     height, width = plan.size
@@ -250,10 +252,12 @@ def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None], s
     status = f"{what}: {first.status}"
     if len(there) < len(results):
         status += f" {len(results) - len(there)} tiles have no estimate, because their views have no texture."
+    known = np.isfinite(disparity.values)
     return replace(
         first,
         disparity=disparity.values,
         confidence=np.nan_to_num(confidence.values, nan=0.0),
+        uncertainty=None if first.uncertainty is None else np.where(known, uncertainty.values, np.float32(np.nan)),
         stages={name: values.values for name, values in join.items()},
         status=status,
         converged=all(result.converged for result in there),

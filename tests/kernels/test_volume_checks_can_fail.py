@@ -9,7 +9,7 @@ import checks
 import numpy as np
 import pytest
 import volume_checks
-from lfgpu.kernels.reference import cost_volume, semi_global
+from lfgpu.kernels.reference import confidence, cost_volume, semi_global
 from test_checks_can_fail import (
     REFERENCE,
     Check,
@@ -103,7 +103,7 @@ def beyond(right: Callable[..., Any]) -> Callable[..., Any]:
     return wrong
 
 
-AVERAGE, SEMI_GLOBAL, LOWEST = map(value_of, volume_checks.OPERATIONS)
+AVERAGE, SEMI_GLOBAL, LOWEST, EVIDENCE, JUDGE = map(value_of, volume_checks.OPERATIONS)
 
 FAULTS = (
     Fault("weights beside their pixels", "nlm_average", argument(0, skewed), AVERAGE),
@@ -136,6 +136,20 @@ FAULTS = (
     Fault("step ignored, seen in a program", "winner_takes_all", option("step", lambda _: 1.0), PROGRAM),
     Fault("one pixel off", "winner_takes_all", after(one_off, "disparity_out"), LOWEST),
     Fault("adds to its output", "winner_takes_all", accumulating("disparity_out"), LOWEST),
+    Fault("first ignored", "evidence", option("first", lambda _: 0.0), EVIDENCE),
+    Fault("step ignored", "evidence", option("step", lambda _: 1.0), EVIDENCE),
+    Fault("unit ignored", "evidence", option("unit", lambda _: 1.0), EVIDENCE),
+    Fault("sharper", "evidence", with_another(confidence, "SHARPNESS", lambda s: 1.1 * s), EVIDENCE),
+    Fault("map ignored", "evidence", argument(1, np.zeros_like), EVIDENCE),
+    Fault("last slice ignored", "evidence", argument(0, lambda volume: volume[:-1]), EVIDENCE),
+    Fault("one pixel off", "evidence", after(one_off, "evidence_out"), EVIDENCE),
+    Fault("weights of the variance", "judge", option("share", lambda share: share[::-1]), JUDGE),
+    Fault("spread ignored", "judge", option("spread", np.zeros_like), JUDGE),
+    Fault("odds ignored", "judge", argument(0, np.ones_like), JUDGE),
+    Fault("cost ignored", "judge", argument(1, np.zeros_like), JUDGE),
+    Fault("evidence ignored", "judge", argument(2, np.ones_like), JUDGE),
+    Fault("no least cost", "judge", with_another(confidence, "LEAST_COST", lambda _: 0.5), JUDGE),
+    Fault("doubt", "judge", after(scaled(-1.0), "confidence_out"), JUDGE),
 )
 
 

@@ -47,6 +47,10 @@ VOLUME_CASES = (
 )
 
 
+POSITIVE = ((1e-3, 10.0), (-0.5, 8.0), (0.01, 10.0))
+"""The odds, costs, of which rounding may make small negative ones, and evidence that are judged."""
+
+
 def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace:
     """A random volume, another one of so few different costs that many are least, and the inputs of the weights."""
     i = cases.nlm_inputs(case, rng)
@@ -55,4 +59,9 @@ def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace
     i.alike = (rng.integers(0, 4, shape) / 4).astype(np.float32)
     i.step_costs = {"small": case.small, "large": case.large, "contrast": case.contrast}
     i.row = {"first": case.first, "step": case.step}
+    last = case.first + case.step * (case.count - 1)
+    i.map = rng.uniform(case.first - 0.5, last + 0.5, case.size).astype(np.float32)  # beyond both ends, too
+    i.unit = 0.5 * (case.costs[1] - case.costs[0])
+    i.odds, i.cost, i.sure = (rng.uniform(low, high, case.size).astype(np.float32) for low, high in POSITIVE)
+    i.weights_of_judge = {"share": (0.5, 0.25, -0.75, 1.5), "spread": (-3.0, -0.5, 0.25, -1.0)}
     return i

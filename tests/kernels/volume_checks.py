@@ -33,6 +33,32 @@ def winner_takes_all(desk: Desk, i: SimpleNamespace) -> Outputs:
     return out
 
 
+def evidence(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = {name: desk.out(i.volume.shape[1:]) for name in ("cost", "evidence")}
+    desk.kernels.evidence(
+        desk.field(i.volume),
+        desk.field(i.map),
+        **i.row,
+        unit=i.unit,
+        cost_out=out["cost"],
+        evidence_out=out["evidence"],
+    )
+    return out
+
+
+def judge(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = {name: desk.out(i.odds.shape) for name in ("confidence", "variance")}
+    desk.kernels.judge(
+        desk.field(i.odds),
+        desk.field(i.cost),
+        desk.field(i.sure),
+        **i.weights_of_judge,
+        confidence_out=out["confidence"],
+        variance_out=out["variance"],
+    )
+    return out
+
+
 def bends(volume: Values) -> tuple[Values, Values]:
     """Of each pixel's parabola, [y, x], and the size of what may be lost of it in float32."""
     exact = volume.astype(np.float64)
@@ -59,8 +85,10 @@ OPERATIONS = (
     Operation(nlm_average, "volume", relative_to_terms(average=lambda i: size(i.volume))),
     Operation(semi_global, "volume", relative_to_terms(sum=lambda i: size(i.volume))),
     Operation(winner_takes_all, "volume", lowest_errors),
+    Operation(evidence, "volume", relative_to_terms(cost=lambda i: size(i.volume) / i.unit)),
+    Operation(judge, "volume"),
 )
-AVERAGE, SEMI_GLOBAL, LOWEST = OPERATIONS
+AVERAGE, SEMI_GLOBAL, LOWEST, EVIDENCE, JUDGE = OPERATIONS
 
 
 # --- a program of them, for devices that can do work as a whole ---

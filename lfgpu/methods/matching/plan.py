@@ -18,6 +18,7 @@ from lfgpu.contract import Array, Float32Array, KernelSet
 from lfgpu.data.lightfield import LightField, farthest
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Callback, Work
+from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.hole_filling import HoleFilling
 from lfgpu.methods.matching.noise import in_units_of
@@ -30,6 +31,7 @@ _LEAST_CURVATURE = 1e-3  # over robust²: no division by 0 where there is no tex
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
 
 _DOUBT = 0.22  # pixels per view step, rms, that make a pixel as likely off by more than 0.07 as not
+_LEAST_ODDS = 1e-3
 _CONVERGED = 0.02  # pixels per view step, rms of the last step
 
 
@@ -95,7 +97,7 @@ class MatchingPlan:
         self._matched = kernels.zeros(lf.size, device) if self._twice else self._swept
         self._hole_filling = HoleFilling(lf.size, self._prior, config.hole_filling)
         self._curvature, self._slope, self._certainty = (kernels.zeros(lf.size, device) for _ in range(3))
-        self._workspace = kernels.zeros(lf.size, device)
+        self._workspace, self._variance = (kernels.zeros(lf.size, device) for _ in range(2))
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
         self._trust, self._size = kernels.scalar(0.0, device), lf.size
         self._steps = len(self._moves)
@@ -245,33 +247,68 @@ class MatchingPlan:
         """For those who know something about the surface beforehand: change the costs [l, y, x] of its disparities."""
 
     def _judge(self) -> None:
-        """confidence = 1 / (1 + odds), odds = (1 - c) / 2 + (s / _DOUBT)² being those of a pixel being off.
+        """Confidence and variance from three maps; `lfgpu/methods/matching/trust.py` has the weights that were fitted.
 
-        c is the mean certainty of the pixel's window, so that odds are 1 to 2 where it has no texture. s² is the mean
-        of (matched_q - disparity_p)² over the window: edges of depth between pixels that look alike, and what later
-        stages had to move, make it large.
+        `odds` = (1 - c) / 2 + (s / _DOUBT)². c is the mean certainty of the pixel's window. s² is the mean of
+        (matched_q - disparity_p)² over the window: edges of depth between pixels that look alike, and what later stages
+        had to move, make it large. `cost` says how far the views differ at the final disparity, in units of the noise:
+        misregistered, glossy and hidden surfaces make it large. `evidence` says how few disparities are as good as the
+        best one, as the mean over the window.
         """
         kernels, prior, ones, workspace = self._kernels, self._prior, self._prior.ones, self._workspace
-        seen, matched, spread = self._certainty, self._slope, self._curvature
+        certain, cost, odds, evidence = self._certainty, self._slope, self._curvature, self._certainty
         kernels.axpby(1.0, self._certainty, -_STILL, ones, workspace)
-        prior.mean(workspace, seen)
+        prior.mean(workspace, certain)
 
-        middle = sum(self._bounds) / 2  # squares of small numbers lose less in their difference
+        middle, matched = sum(self._bounds) / 2, self._slope  # squares of small numbers lose less in their difference
         kernels.axpby(1.0, self._matched, -middle, ones, workspace)
         prior.mean(workspace, matched)
         kernels.multiply(workspace, workspace, workspace)
-        prior.mean(workspace, spread)
+        prior.mean(workspace, odds)
         kernels.axpby(1.0, self.disparity, -middle, ones, workspace)
         kernels.axpby(1.0, workspace, -2.0, matched, matched)
         kernels.multiply(workspace, matched, matched)
-        kernels.axpby(1.0, spread, 1.0, matched, spread)
+        kernels.axpby(1.0, odds, 1.0, matched, odds)
 
-        kernels.axpby(-0.5, seen, 1 / _DOUBT**2, spread, spread)
-        kernels.axpby(1.0, spread, 1.5, ones, spread)
-        kernels.divide(ones, spread, self.confidence)
-        kernels.clamp(self.confidence, 0.0, 1.0, self.confidence)  # where rounding made s² negative
+        kernels.axpby(-0.5, certain, 1 / _DOUBT**2, odds, odds)
+        kernels.axpby(1.0, odds, 0.5, ones, odds)
+        kernels.clamp(odds, _LEAST_ODDS, 1 / _LEAST_ODDS, odds)  # rounding can make s² negative
+
+        kernels.evidence(
+            self._smooth,
+            self.disparity,
+            first=self._first,
+            step=self._step,
+            unit=self._config.sweep.noise,
+            cost_out=cost,
+            evidence_out=workspace,
+        )
+        prior.mean(workspace, evidence)
+        kernels.judge(
+            odds,
+            cost,
+            evidence,
+            share=trust.SHARE[self._config.sweep.occlusions],
+            spread=trust.SPREAD[self._config.sweep.occlusions],
+            confidence_out=self.confidence,
+            variance_out=self._variance,
+        )
+        low, high = self._bounds  # between which nothing is more uncertain than anything
+        kernels.clamp(self._variance, 0.0, (high - low) ** 2 / 12, self._variance)
         if self._known is not None:
             kernels.multiply(self.confidence, self._known, self.confidence)
+
+    def features(self) -> dict[str, Float32Array]:
+        """What the confidence of the last run was made of, float32 [y, x] by name; waits for the device."""
+        made_of = {"odds": self._curvature, "cost": self._slope, "evidence": self._certainty}
+        return {name: self._kernels.numpy(field).astype(np.float32) for name, field in made_of.items()}
+
+    def uncertainty(self) -> Float32Array:
+        """The standard deviation of the disparity, float32 [y, x], NaN where it is undefined; waits for the device."""
+        deviation = np.sqrt(self._kernels.numpy(self._variance)).astype(np.float32)
+        if self._known is not None:
+            deviation[self._kernels.numpy(self._known) <= 0] = np.nan
+        return deviation
 
     def _weigh_texture(self, stiffness: float) -> None:
         """certainty = curvature / (curvature + stiffness) + a little, so that where nothing is certain means exist."""

@@ -104,6 +104,9 @@ class SynthesisPlan:
             filled = np.where(self._kernels.numpy(self._known) > 0, filled, np.float32(np.nan))
         return {"local": np.where(coherence > 0, local, np.float32(np.nan)), "propagate": filled, "refine": refined}
 
+    def uncertainty(self) -> None:
+        """None: the method does not tell."""
+
     def solution(self) -> Solution:
         """How the solvers did in the last run; the trace is the energy of the refinement. Waits for the device."""
         refined = self._refinement.report()

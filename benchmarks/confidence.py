@@ -1,0 +1,271 @@
+"""What the confidence of matching says against what is true: weights are fitted on some scenes and held against others.
+
+The features of each pixel come from the method (`MatchingPlan.features`), the form from the reference's `judge`.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from benchmarks.errors import BenchmarkError
+from benchmarks.population import light_fields
+from benchmarks.tables import Table
+from lfgpu import LightField, read, scenes
+from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu.io.atomic import atomic_write
+from lfgpu.methods import method_of
+from lfgpu.methods.matching import trust
+from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.plan import MatchingPlan
+from lfgpu.metrics import BORDER
+
+RIGHT = 0.07  # pixels per view step: errors up to this are right
+EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0)
+"""Of the confidences that are looked at together."""
+OWN = tuple((name, seed, noise) for name in ("boxes", "planes", "bars", "textureless") for seed, noise in ((1, 0.02),))
+"""Scenes of the package that are always fitted on: name, seed and noise."""
+_SIZE = (256, 256)
+_MOST = 20_000  # pixels of a scene
+_LEAST_ERROR = 0.003  # pixels per view step: smaller errors are the truth's own
+_RIDGE = 1e-3
+_HEAD = '''"""Weights of what the confidence and the uncertainty of matching are made of.
+
+{written}
+`MatchingPlan._judge` says what the weights belong to: 1, -log odds, log(max(cost, 1)), log evidence.
+"""
+
+SHARE = {share}
+"""Of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `sweep.occlusions`."""
+
+SPREAD = {spread}
+"""Of the logarithm of the variance of the disparity, (pixels per view step)², by `sweep.occlusions`."""
+'''
+
+Vector = NDArray[np.float64]
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Some pixels of one map: what their confidence is made of, and their error."""
+
+    name: str
+    """Scene and preset."""
+    kind: str
+    """Which weights it has: `sweep.occlusions` of the preset."""
+    features: Mapping[str, Vector]
+    error: Vector
+    """Pixels per view step."""
+
+    def judged(self, weights: Weights) -> tuple[Vector, Vector]:
+        """Confidence and standard deviation with these weights."""
+        confidence, variance = (np.empty_like(self.error) for _ in range(2))
+        share, spread = weights.share[self.kind], weights.spread[self.kind]
+        load("reference").judge(
+            **self.features, share=share, spread=spread, confidence_out=confidence, variance_out=variance
+        )
+        return confidence, np.sqrt(variance)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What `lfgpu/methods/matching/trust.py` holds."""
+
+    share: Mapping[str, tuple[float, ...]]
+    spread: Mapping[str, tuple[float, ...]]
+
+
+NOW = Weights(trust.SHARE, trust.SPREAD)
+
+
+def samples(folders: Sequence[Path], names: Sequence[str], presets: Sequence[str], say: Say) -> list[Sample]:
+    """Pixels of the light fields in folders, all or those that are named, with each preset."""
+    found = light_fields(folders)
+    if unknown := [name for name in names if name not in found]:
+        raise BenchmarkError(f"there is no light field {unknown[0]!r}; there are {', '.join(found)}.")
+    return [
+        _sample(read(path), f"{name}, {preset}", preset, say)
+        for name, path in found.items()
+        if name in names
+        for preset in presets
+    ]
+
+
+def own_samples(presets: Sequence[str], say: Say) -> list[Sample]:
+    """Pixels of `OWN`."""
+    return [
+        _sample(
+            scenes.make(name, seed=seed, noise=noise, grid=(9, 9), size=_SIZE), f"own {name}, {preset}", preset, say
+        )
+        for name, seed, noise in OWN
+        for preset in presets
+    ]
+
+
+def fit(fitted: Sequence[Sample]) -> Weights:
+    """Weights by maximum likelihood; kinds that are not among the samples keep theirs."""
+    share, spread = dict(NOW.share), dict(NOW.spread)
+    for kind in dict.fromkeys(sample.kind for sample in fitted):
+        share[kind], spread[kind] = _fit([sample for sample in fitted if sample.kind == kind])
+    return Weights(share, spread)
+
+
+def _fit(fitted: Sequence[Sample]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Of right and wrong pixels, and of their errors as Laplace's: a few large ones say little about the others."""
+    x = np.concatenate([_logarithms(sample) for sample in fitted])
+    error = np.concatenate([sample.error for sample in fitted])
+    right = np.where(np.abs(error) <= RIGHT, 1.0, -1.0)
+    size = np.hypot(error, _LEAST_ERROR)
+    middle, scale = x.mean(0), x.std(0)
+    middle[0], scale[0] = 0.0, 1.0
+    z = (x - middle) / scale
+
+    def wrong(w: Vector) -> tuple[float, Vector]:
+        margin = right * (z @ w)
+        slope = -(right / (1 + np.exp(np.clip(margin, -50, 50))))
+        return float(np.logaddexp(0, -margin).mean() + _ridge(w)), (z * slope[:, None]).mean(0) + _ridge_slope(w)
+
+    def spread(w: Vector) -> tuple[float, Vector]:
+        log = z @ w  # of the mean absolute error
+        ratio = size * np.exp(-np.clip(log, -50, 50))
+        return float((log + ratio).mean() + _ridge(w)), (z * (1 - ratio)[:, None]).mean(0) + _ridge_slope(w)
+
+    mean = 2 * minimize(spread, np.zeros(4), jac=True).x
+    mean[0] += np.log(2)  # the variance is twice the square of the mean absolute error
+    return _unscaled(minimize(wrong, np.zeros(4), jac=True).x, middle, scale), _unscaled(mean, middle, scale)
+
+
+def write(weights: Weights, fitted: Sequence[Sample]) -> Path:
+    """Write the weights where the method takes them from."""
+    names = list(dict.fromkeys(sample.name.split(",")[0] for sample in fitted))
+    path, where = Path(trust.__file__), "`python -m benchmarks confidence --fit`, on"
+    lines = textwrap.wrap(f"Written by {where} {', '.join(names)}.", 118)
+    share, spread = (str(dict(w)).replace("'", '"') for w in (weights.share, weights.spread))
+    with atomic_write(path) as temporary:
+        text = _HEAD.format(written="\n".join(lines), share=share, spread=spread)
+        temporary.write_text(text, encoding="utf-8")
+    return path
+
+
+def tables(checked: Sequence[Sample], weights: Weights) -> list[Table]:
+    """How often pixels of each confidence are right, all together and scene by scene, and what the errors are."""
+    judged = [sample.judged(weights) for sample in checked]
+    rows = []
+    for name, confidence, error in [
+        ("all", np.concatenate([c for c, _ in judged]), np.concatenate([s.error for s in checked])),
+        *((s.name, c, s.error) for s, (c, _) in zip(checked, judged, strict=True)),
+    ]:
+        cells = []
+        for said, found, share in _bins(confidence, error):
+            cells.append(f"{100 * said:.0f} → {100 * found:.0f} ({100 * share:.0f})" if share >= 0.005 else "–")
+        rows.append((name, *cells))
+    columns = ("scene", *(f"{low:g} to {high:g}" for low, high in pairwise(EDGES)))
+    spreads = []
+    for sample, (_, deviation) in zip(checked, judged, strict=True):
+        size = np.abs(sample.error)
+        inside = [f"{100 * float((size <= k * deviation).mean()):.0f} %" for k in (1, 2)]
+        said, found = (float(np.sqrt(np.mean(values**2))) for values in (deviation, sample.error))
+        spreads.append((sample.name, f"{said:.3f}", f"{found:.3f}", *inside))
+    return [
+        Table("Percent said to be right → percent right (percent of the pixels)", columns, 1, rows),
+        Table(
+            "Uncertainty, pixels per view step",
+            ("scene", "said, rms", "error, rms", "within 1", "within 2 deviations"),
+            1,
+            spreads,
+        ),
+    ]
+
+
+def draw(groups: Mapping[str, Sequence[Sample]], weights: Weights, out: Path) -> None:
+    """The reliability diagram of groups of scenes as a PNG: share right over share said."""
+    figure = Figure((5.5, 4.2), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot((0, 1), (0, 1), color="0.6", linewidth=1)
+    axes.fill_between((0, 1), (-0.05, 0.95), (0.05, 1.05), color="0.92", label="within 5 points")
+    for name, group in groups.items():
+        if group:
+            confidence = np.concatenate([sample.judged(weights)[0] for sample in group])
+            error = np.concatenate([sample.error for sample in group])
+            said, found, _ = np.array([b for b in _bins(confidence, error) if b[2] >= 0.005]).T
+            axes.plot(said, found, "o-", markersize=4, label=f"{name} ({len(group)} maps)")
+    axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="confidence", ylabel=f"share of pixels within {RIGHT} px of the truth")
+    axes.legend(fontsize=8)
+    with atomic_write(out) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def _sample(lf: LightField, name: str, preset: str, say: Say) -> Sample:
+    say(name)
+    truth = lf.reference_truth()
+    if truth is None:
+        raise BenchmarkError(f"{lf.name} has no truth of its reference view to score by.")
+    kernels = load(DEFAULT)
+    device = pick_device(kernels, None)
+    method = method_of(preset)
+    if not isinstance(method.config, MatchingConfig):
+        raise BenchmarkError(f"the preset {preset!r} has no calibrated confidence; take accurate or fast.")
+    plan = method.plan(lf, method.measure(lf, kernels, device), kernels, device)
+    assert isinstance(plan, MatchingPlan)  # whose configuration it is
+    views = kernels.image(lf.views, device)
+    for work in plan.stages(views).values():
+        work(None)
+    error = np.full(lf.size, np.nan)
+    inside = np.s_[BORDER:-BORDER, BORDER:-BORDER]
+    error[inside] = (kernels.numpy(plan.disparity) - truth.disparity)[inside]
+    if truth.mask is not None:
+        error[~truth.mask] = np.nan
+    scored = np.flatnonzero(np.isfinite(error))
+    if len(scored) > _MOST:
+        scored = np.random.default_rng(0).choice(scored, _MOST, replace=False)
+    features = {feature: map_.ravel()[scored].astype(np.float64) for feature, map_ in plan.features().items()}
+    return Sample(name, method.config.sweep.occlusions, features, error.ravel()[scored])
+
+
+def _logarithms(sample: Sample) -> Vector:
+    """[p, 4]: what the weights belong to, from what the form makes of them one by one."""
+    columns = []
+    for place in range(4):
+        one = np.eye(4)[place]
+        variance = np.empty_like(sample.error)
+        ignored = np.empty_like(variance)
+        load("reference").judge(**sample.features, share=one, spread=one, confidence_out=ignored, variance_out=variance)
+        columns.append(np.log(variance))
+    columns[0][:] = 1.0
+    return np.stack(columns, axis=1)
+
+
+def _bins(confidence: Vector, error: Vector) -> list[tuple[float, float, float]]:
+    """(mean confidence, share of right pixels, share of all pixels) in each bin."""
+    found = []
+    for low, high in pairwise(EDGES):
+        some = (confidence >= low) & ((confidence < high) | (high == 1))
+        count = int(some.sum())
+        right = float((np.abs(error[some]) <= RIGHT).mean()) if count else float("nan")
+        found.append((float(confidence[some].mean()) if count else float("nan"), right, count / len(error)))
+    return found
+
+
+def _ridge(w: Vector) -> float:
+    return float(_RIDGE * (w[1:] ** 2).sum())
+
+
+def _ridge_slope(w: Vector) -> Vector:
+    return 2 * _RIDGE * np.append(0, w[1:])
+
+
+def _unscaled(w: Vector, middle: Vector, scale: Vector) -> tuple[float, ...]:
+    weights = w / scale
+    weights[0] -= float((weights * middle)[1:].sum())
+    return tuple(round(float(weight), 3) for weight in weights)
