@@ -5,7 +5,7 @@ import numpy as np
 from .alignment import alignment, z_buffer
 from .boundaries import refine_boundaries
 from .control import asking, capture, is_deterministic, repeat
-from .cost_volume import nlm_average, winner_takes_all
+from .cost_volume import least_costs, nlm_average, winner_takes_all
 from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_ratio, nlm_weights
@@ -44,6 +44,7 @@ __all__ = [
     "is_deterministic",
     "keep_more_coherent",
     "lbfgs",
+    "least_costs",
     "line_of_views",
     "multiply",
     "name",

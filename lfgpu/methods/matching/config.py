@@ -37,6 +37,9 @@ class SweepConfig(Section):
     view_set_penalty: float = number(
         0.2, 0.0, 10.0, "a partial view set must agree better than all views by this share to be preferred"
     )  # fmt: skip
+    hidden_penalty: float = number(
+        0.05, 0.0, 10.0, "a disparity that the first surface hides must agree better by this share to be preferred"
+    )  # fmt: skip
     tolerance: float = number(
         1.2, 0.0, 100.0, "a surface hides only what lies behind it by more than this, pixels in the farthest view"
     )  # fmt: skip

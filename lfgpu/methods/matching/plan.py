@@ -28,6 +28,7 @@ from lfgpu.solvers.solution import Solution
 
 _LEAST_CURVATURE = 1e-3  # over robust²: no division by 0 where there is no texture
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
+_MOST_NOISY = 4.0  # in units of the noise: how much the least costs around a pixel raise the penalties there
 
 _DOUBT = 0.22  # pixels per view step, rms, that make a pixel as likely off by more than 0.07 as not
 _CONVERGED = 0.02  # pixels per view step, rms of the last step
@@ -78,6 +79,8 @@ class MatchingPlan:
             self._near = NonLocalMeans(image, replace(config.prior, window=config.semi_global.window), kernels, device)
         self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
         self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
+        # The second sweep looks at the costs of the first, which a surface is found in without changing them.
+        self._costs = kernels.zeros((count, *lf.size), device) if self._twice else self._volume
         self._nearest = kernels.zeros(shape[:3], device)
         self._sweep = planned_sweep(lf, (self._first, self._step, count), config.sweep, kernels, device)
         self._hiding = kernels.z_buffer(shape, self._offsets, reach=0) if self._twice else None
@@ -95,7 +98,7 @@ class MatchingPlan:
         self._matched = kernels.zeros(lf.size, device) if self._twice else self._swept
         self._hole_filling = HoleFilling(lf.size, self._prior, config.hole_filling)
         self._curvature, self._slope, self._certainty = (kernels.zeros(lf.size, device) for _ in range(3))
-        self._workspace = kernels.zeros(lf.size, device)
+        self._workspace, self._penalty_scale = (kernels.zeros(lf.size, device) for _ in range(2))
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
         self._trust, self._size = kernels.scalar(0.0, device), lf.size
         self._steps = len(self._moves)
@@ -147,7 +150,7 @@ class MatchingPlan:
 
     def _compare(self, views: Array) -> None:
         self._load(views)
-        self._sweep.by_view_sets(self._volume)
+        self._sweep.by_view_sets(self._costs)
         self._find_surface(self._swept)
 
     def _load(self, views: Array) -> None:
@@ -167,17 +170,20 @@ class MatchingPlan:
     def _compare_visible(self, _: Callback | None) -> None:
         assert self._hiding is not None  # there is no such stage otherwise
         self._hiding(self._swept, self._nearest)
-        self._sweep.by_visibility(self._nearest, self._volume)
+        self._kernels.axpby(1 + self._config.sweep.hidden_penalty, self._costs, 0.0, self._costs, self._costs)
+        self._sweep.by_visibility(self._nearest, self._costs, self._costs)
         self._find_surface(self._matched)
 
     def _find_surface(self, disparity_out: Array) -> None:
-        """From costs to the map of the best surface through them; both volumes change."""
+        """From the costs to the map of the best surface through them; the other volumes change."""
         semi_global = self._config.semi_global
-        self._near.average(self._volume, self._smooth)
+        self._near.average(self._costs, self._smooth)
+        self._weigh_penalties()
         self._expect(self._smooth)
         self._kernels.semi_global(
             self._smooth,
             self._image,
+            self._penalty_scale,
             small=semi_global.small_penalty,
             large=semi_global.large_penalty,
             contrast=semi_global.contrast,
@@ -240,6 +246,22 @@ class MatchingPlan:
         )
         self._kernels.clamp(self.disparity, *self._bounds, self.disparity)
         self._judge()
+
+    def _weigh_penalties(self) -> None:
+        """penalty_scale = the noise around each pixel, in units of the light field's, 1 to _MOST_NOISY.
+
+        Where views differ more than elsewhere even at the disparity at which they agree best (grain, gloss), all
+        differences of costs are larger by chance, and the penalties must be as well. The noise is the harmonic mean of
+        the least costs in the window: a few pixels that no view shows well do not raise it.
+        """
+        kernels, noise, scale, workspace = self._kernels, self._config.sweep.noise, self._penalty_scale, self._workspace
+        kernels.least_costs(self._smooth, least_out=scale)
+        kernels.clamp(scale, noise / _MOST_NOISY, noise * _MOST_NOISY**2, scale)
+        kernels.divide(self._prior.ones, scale, scale)
+        self._prior.mean(scale, workspace)
+        kernels.axpby(noise, workspace, 0.0, workspace, workspace)
+        kernels.divide(self._prior.ones, workspace, scale)
+        kernels.clamp(scale, 1.0, _MOST_NOISY, scale)
 
     def _expect(self, costs: Array) -> None:
         """For those who know something about the surface beforehand: change the costs [l, y, x] of its disparities."""
