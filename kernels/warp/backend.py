@@ -9,7 +9,7 @@ from .control import asking, capture, is_deterministic, repeat
 from .cost_volume import least_costs, nlm_average, winner_takes_all
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, upload, zeros, zeros_image
-from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_ratio, nlm_weights
+from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_plane, nlm_ratio, nlm_weights
 from .occlusion import splat_z_buffered, visible, z_buffered_data_term
 from .plane_sweep import plane_sweep
 from .residuals import residuals
@@ -50,6 +50,7 @@ __all__ = [
     "nlm_laplacian",
     "nlm_neighbors",
     "nlm_on_surface",
+    "nlm_plane",
     "nlm_ratio",
     "nlm_weights",
     "normalization",

@@ -71,6 +71,9 @@ class AlignmentConfig(Section):
     support: float = number(
         0.4, 1e-3, 100.0, "difference in disparity that halves the weight of a neighbour, pixels in the farthest view"
     )  # fmt: skip
+    ridge: float = number(
+        2.0, 1e-3, 1e6, "variance of the places in a window below which its plane becomes level, pixel²"
+    )  # fmt: skip
     stiffness: float = number(
         0.1, 0.0, 100.0, "a pixel whose curvature over robust² is below this follows its neighbours, 1 / pixel²"
     )  # fmt: skip

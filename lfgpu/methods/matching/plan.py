@@ -194,7 +194,7 @@ class MatchingPlan:
             self._kernels.select(self._known, disparity_out, self._far, disparity_out)
 
     def _improve(self, callback: Callback | None) -> None:
-        """Gauss-Newton steps on the sums over each pixel's surface around it, and then its mean."""
+        """Gauss-Newton steps on the sums over each pixel's surface around it, and then the plane through that."""
         kernels, config, map_, workspace = self._kernels, self._config.alignment, self._aligned, self._workspace
         longest = config.longest_step / self._farthest
         kernels.copy(self._matched, map_)
@@ -208,9 +208,9 @@ class MatchingPlan:
             kernels.axpby(1.0, map_, 1.0, workspace, map_)
             kernels.clamp(map_, *self._bounds, map_)
             self._weigh_texture(config.stiffness * config.robust**2)
-            kernels.multiply(map_, self._certainty, workspace)
-            self._on_surface(workspace, self._certainty, 0.0, self._slope)
-            kernels.copy(self._slope, map_)
+            support = config.support / self._farthest
+            self._prior.plane(map_, self._certainty, support=support, ridge=config.ridge, plane_out=workspace)
+            kernels.copy(workspace, map_)
             if callback is not None:
                 callback(iteration, math.sqrt(kernels.number(moved) / (self._size[0] * self._size[1])))
         kernels.axpby(1.0, self._certainty, -_STILL, self._prior.ones, workspace)
