@@ -21,6 +21,10 @@ def nlm_average(weights: Array, volume: Array, *, window: int, average_out: Arra
         average /= total
 
 
+def least_costs(volume: Array, *, least_out: Array) -> None:
+    least_out[:] = volume.min(0)
+
+
 def winner_takes_all(volume: Array, *, first: float, step: float, disparity_out: Array) -> None:
     k = volume.argmin(0).clip(1, len(volume) - 2)
     before, here, after = (np.take_along_axis(volume, (k + near)[None], 0)[0] for near in (-1, 0, 1))

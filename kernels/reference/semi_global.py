@@ -14,15 +14,17 @@ LEAST_SMALL = 0.2  # what an edge in the image leaves of the cost of a change by
 LEAST_LARGE = 1.2  # of the cost of a larger change, relative to `small`
 
 
-def path_costs(volume: Array, image: Array, dx: int, small: float, large: float, contrast: float) -> Array:
+def path_costs(
+    volume: Array, image: Array, scale: Array, dx: int, small: float, large: float, contrast: float
+) -> Array:
     """Of paths that go down a row and `dx` columns to the right with each pixel."""
     costs = volume.copy()
     width = volume.shape[2]
     here, there = slice(max(dx, 0), width + min(dx, 0)), slice(max(-dx, 0), width + min(-dx, 0))
     for y in range(1, volume.shape[1]):
         likeness = np.exp(-np.abs(image[y, here] - image[y - 1, there]).mean(1) / contrast)
-        s = small * np.maximum(likeness, LEAST_SMALL)
-        t = np.maximum(large * likeness, LEAST_LARGE * small)
+        s = scale[y, here] * small * np.maximum(likeness, LEAST_SMALL)
+        t = scale[y, here] * np.maximum(large * likeness, LEAST_LARGE * small)
         before = costs[:, y - 1, there]
         least = before.min(0)
         framed = np.pad(before, ((1, 1), (0, 0)), constant_values=np.inf)
@@ -31,11 +33,21 @@ def path_costs(volume: Array, image: Array, dx: int, small: float, large: float,
     return costs
 
 
-def semi_global(volume: Array, image: Array, *, small: float, large: float, contrast: float, sum_out: Array) -> None:
+def semi_global(
+    volume: Array,
+    image: Array,
+    penalty_scale: Array,
+    *,
+    small: float,
+    large: float,
+    contrast: float,
+    sum_out: Array,
+) -> None:
     options = (small, large, contrast)
     sum_out[:] = 0
     for turn in (1, -1):
         for dx in (-1, 0, 1):
-            sum_out[:, ::turn] += path_costs(volume[:, ::turn], image[::turn], dx, *options)
-        along = path_costs(volume.transpose(0, 2, 1)[:, ::turn], image.transpose(1, 0, 2)[::turn], 0, *options)
+            sum_out[:, ::turn] += path_costs(volume[:, ::turn], image[::turn], penalty_scale[::turn], dx, *options)
+        turned = volume.transpose(0, 2, 1), image.transpose(1, 0, 2), penalty_scale.T
+        along = path_costs(turned[0][:, ::turn], turned[1][::turn], turned[2][::turn], 0, *options)
         sum_out[:, :, ::turn] += along.transpose(0, 2, 1)

@@ -6,10 +6,10 @@ from .alignment import alignment, z_buffer
 from .boundaries import refine_boundaries
 from .confidence import evidence, judge
 from .control import asking, capture, is_deterministic, repeat
-from .cost_volume import nlm_average, winner_takes_all
+from .cost_volume import least_costs, nlm_average, winner_takes_all
 from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
-from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_ratio, nlm_weights
+from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_plane, nlm_ratio, nlm_weights
 from .occlusion import splat_z_buffered, visible, z_buffered_data_term
 from .plane_sweep import plane_sweep
 from .residuals import residuals
@@ -49,6 +49,7 @@ __all__ = [
     "judge",
     "keep_more_coherent",
     "lbfgs",
+    "least_costs",
     "line_of_views",
     "multiply",
     "name",
@@ -56,6 +57,7 @@ __all__ = [
     "nlm_laplacian",
     "nlm_neighbors",
     "nlm_on_surface",
+    "nlm_plane",
     "nlm_ratio",
     "nlm_weights",
     "normalization",

@@ -92,6 +92,16 @@ def _pixels_kernel(
 
 
 @ti.kernel
+def _least_kernel(volume: flat(), least_out: flat()):
+    size = least_out.shape[0]
+    for p in range(size):
+        least = volume[p]
+        for s in range(1, volume.shape[0] // size):
+            least = ti.min(least, volume[s * size + p])
+        least_out[p] = least
+
+
+@ti.kernel
 def _lowest_kernel(volume: flat(), first: float, step: float, disparity_out: flat()):
     size = disparity_out.shape[0]
     for p in range(size):
@@ -129,6 +139,10 @@ def nlm_average(weights: DeviceArray, volume: DeviceArray, *, window: int, avera
         window // 2,
         average_out.values,
     )
+
+
+def least_costs(volume: DeviceArray, *, least_out: DeviceArray) -> None:
+    run(_least_kernel, volume.values, least_out.values)
 
 
 def winner_takes_all(volume: DeviceArray, *, first: float, step: float, disparity_out: DeviceArray) -> None:

@@ -22,6 +22,7 @@ def _kernels(channels: int) -> SimpleNamespace:
     def advance(
         volume: ti.template(),
         image: ti.template(),
+        scale: ti.template(),
         height: int,
         width: int,
         small: float,
@@ -61,8 +62,8 @@ def _kernels(channels: int) -> SimpleNamespace:
                 difference += ti.abs(image[p][c] - image[p - dy * width - dx][c])
             likeness = ti.exp(-difference / (channels * contrast))
             least = leasts[path]
-            one = small * ti.max(likeness, 0.2)
-            most = least + ti.max(large * likeness, 1.2 * small)
+            one = scale[p] * small * ti.max(likeness, 0.2)
+            most = least + scale[p] * ti.max(large * likeness, 1.2 * small)
         least_here = ti.math.inf
         low = ti.math.inf
         start = path // _BLOCK * (count * _BLOCK) + path % _BLOCK
@@ -96,6 +97,7 @@ def _kernels(channels: int) -> SimpleNamespace:
     def blocks_kernel(
         volume: flat(),
         image: flat(channels=channels),
+        scale: flat(),
         height: int,
         width: int,
         small: float,
@@ -119,6 +121,7 @@ def _kernels(channels: int) -> SimpleNamespace:
                         advance(
                             volume,
                             image,
+                            scale,
                             height,
                             width,
                             small,
@@ -138,6 +141,7 @@ def _kernels(channels: int) -> SimpleNamespace:
     def paths_kernel(
         volume: flat(),
         image: flat(channels=channels),
+        scale: flat(),
         height: int,
         width: int,
         small: float,
@@ -157,14 +161,36 @@ def _kernels(channels: int) -> SimpleNamespace:
         for path in range(paths):
             for i in range(steps):
                 advance(
-                    volume, image, height, width, small, large, contrast, dy, dx, adds, path, i, costs, leasts, sums
+                    volume,
+                    image,
+                    scale,
+                    height,
+                    width,
+                    small,
+                    large,
+                    contrast,
+                    dy,
+                    dx,
+                    adds,
+                    path,
+                    i,
+                    costs,
+                    leasts,
+                    sums,
                 )
 
     return SimpleNamespace(blocks=blocks_kernel, paths=paths_kernel)
 
 
 def semi_global(
-    volume: DeviceArray, image: DeviceArray, *, small: float, large: float, contrast: float, sum_out: DeviceArray
+    volume: DeviceArray,
+    image: DeviceArray,
+    penalty_scale: DeviceArray,
+    *,
+    small: float,
+    large: float,
+    contrast: float,
+    sum_out: DeviceArray,
 ) -> None:
     count, height, width = volume.shape
     most = -(-max(height, width) // _BLOCK)
@@ -176,6 +202,7 @@ def semi_global(
             kernel,
             volume.values,
             image.values,
+            penalty_scale.values,
             height,
             width,
             small,

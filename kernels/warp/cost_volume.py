@@ -186,6 +186,41 @@ def nlm_average(weights: Any, volume: Any, *, window: int, average_out: Any) -> 
     in_slices(device, height, some_rows)
 
 
+_LEAST = """
+    const int width = volume.shape[2], count = volume.shape[0];
+    const size_t size = (size_t)volume.shape[1] * width;
+    const int columns = width - x < BLOCK ? width - x : BLOCK;
+    const float* const costs = volume.data + (size_t)y * width + x;
+    float* const out = least.data + (size_t)y * width + x;
+    float found[BLOCK];
+    for (int j = 0; j < columns; ++j) found[j] = costs[j];
+    for (int l = 1; l < count; ++l)
+        for (int j = 0; j < columns; ++j) found[j] = costs[l * size + j] < found[j] ? costs[l * size + j] : found[j];
+    for (int j = 0; j < columns; ++j) out[j] = found[j];
+"""
+
+
+@once
+def _least_kernel(block: int) -> Any:
+    """The least costs of `block` columns at a time."""
+
+    @wp.func_native(code(_LEAST, BLOCK=block))
+    def least_of(volume: wp.array3d(dtype=float), y: int, x: int, least: wp.array2d(dtype=float)): ...
+
+    @wp.kernel(module=f"lfgpu_least_{block}", enable_backward=False)
+    def least_kernel(volume: wp.array3d(dtype=float), row: int, lanes: int, least_out: wp.array2d(dtype=float)):
+        i = wp.tid()
+        y = row + i / lanes
+        for x in range(i % lanes * wp.static(block), volume.shape[2], lanes * wp.static(block)):
+            least_of(volume, y, x, least_out)
+
+    return least_kernel
+
+
+def least_costs(volume: Any, *, least_out: Any) -> None:
+    launch_rows(_least_kernel(_BLOCK if volume.device.is_cpu else 1), [volume], least_out)
+
+
 _LOWEST = """
     const int width = volume.shape[2], count = volume.shape[0];
     const size_t size = (size_t)volume.shape[1] * width;

@@ -142,7 +142,9 @@ _SWEEP_STRIP = """
         for (int m = 1; m < APERTURES; ++m)
             if (counts[m][r] > 0.f)
                 lowest = fminf(lowest, (1.f + preference) * (fade * sums[m][r] / counts[m][r]) + PENALTY);
-        volume.data[l * plane + (size_t)(y + r) * width + x] = lowest;
+        const size_t place = l * plane + (size_t)(y + r) * width + x;
+        if (SEEN && before.data) lowest = (fade * sums[0][r] + before.data[place]) / (counts[0][r] + 1.f);
+        volume.data[place] = lowest;
     }
 """
 
@@ -215,6 +217,7 @@ def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty
         gradient_truncation: float,
         preference: float,
         least: float,
+        before: wp.array3d(dtype=float),
         thread: int,
         volume: wp.array3d(dtype=float),
     ): ...
@@ -236,6 +239,7 @@ def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty
         gradient_truncation: float,
         preference: float,
         least: float,
+        before: wp.array3d(dtype=float),
         volume_out: wp.array3d(dtype=float),
     ):
         sweep_strip(
@@ -252,6 +256,7 @@ def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty
             gradient_truncation,
             preference,
             least,
+            before,
             wp.tid(),
             volume_out,
         )

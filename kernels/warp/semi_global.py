@@ -26,8 +26,8 @@ _FOLLOW_BLOCKS = """
         float difference = 0.f;
         for (int c = 0; c < CHANNELS; ++c) difference += fabsf(image.data[p].c[c] - image.data[q].c[c]);
         const float likeness = expf(-difference / (CHANNELS * contrast));
-        small_out = small * (likeness > 0.2f ? likeness : 0.2f);
-        large_out = large * likeness > 1.2f * small ? large * likeness : 1.2f * small;
+        small_out = scale.data[p] * small * (likeness > 0.2f ? likeness : 0.2f);
+        large_out = scale.data[p] * (large * likeness > 1.2f * small ? large * likeness : 1.2f * small);
     };
 
     const int count = volume.shape[0], height = volume.shape[1], width = volume.shape[2];
@@ -144,7 +144,7 @@ _FOLLOW_PATHS = """
         y += dy;
         if (dy) x = x == width ? 0 : x < 0 ? width - 1 : x;
     };
-    float cost[AHEAD][EACH], sum[AHEAD][EACH], color[AHEAD][CHANNELS];
+    float cost[AHEAD][EACH], sum[AHEAD][EACH], color[AHEAD][CHANNELS], scales[AHEAD];
     auto fetch = [&](int slot) {
         const int p = next_y * width + next_x;
     #pragma unroll
@@ -153,6 +153,7 @@ _FOLLOW_PATHS = """
             if (adds && label + k < count) sum[slot][k] = to[k * size + p];
         }
         for (int c = 0; c < CHANNELS; ++c) color[slot][c] = image.data[p].c[c];
+        scales[slot] = scale.data[p];
         go(next_x, next_y);
     };
     #pragma unroll
@@ -177,7 +178,8 @@ _FOLLOW_PATHS = """
                 before_color[c] = color[slot][c];
             }
             const float likeness = expf(-difference / (CHANNELS * contrast));
-            const float one = small * fmaxf(likeness, 0.2f), most = least + fmaxf(large * likeness, 1.2f * small);
+            const float one = scales[slot] * small * fmaxf(likeness, 0.2f);
+            const float most = least + scales[slot] * fmaxf(large * likeness, 1.2f * small);
             float least_here = INFINITY, low = below;
             const int p = y * width + x;
     #pragma unroll
@@ -217,6 +219,7 @@ def _blocks_kernel(channels: int) -> Any:
     def follow(
         volume: wp.array3d(dtype=float),
         image: wp.array2d(dtype=pixel),
+        scale: wp.array2d(dtype=float),
         small: float,
         large: float,
         contrast: float,
@@ -233,6 +236,7 @@ def _blocks_kernel(channels: int) -> Any:
     def blocks_kernel(
         volume: wp.array3d(dtype=float),
         image: wp.array2d(dtype=pixel),
+        scale: wp.array2d(dtype=float),
         small: float,
         large: float,
         contrast: float,
@@ -244,7 +248,7 @@ def _blocks_kernel(channels: int) -> Any:
         room: wp.array(dtype=float),
         sum_out: wp.array3d(dtype=float),
     ):
-        follow(volume, image, small, large, contrast, dy, dx, adds, first, last, room, sum_out)
+        follow(volume, image, scale, small, large, contrast, dy, dx, adds, first, last, room, sum_out)
 
     return blocks_kernel
 
@@ -258,6 +262,7 @@ def _paths_kernel(channels: int, each: int, paths: int) -> Any:
     def follow(
         volume: wp.array3d(dtype=float),
         image: wp.array2d(dtype=pixel),
+        scale: wp.array2d(dtype=float),
         small: float,
         large: float,
         contrast: float,
@@ -274,6 +279,7 @@ def _paths_kernel(channels: int, each: int, paths: int) -> Any:
     def paths_kernel(
         volume: wp.array3d(dtype=float),
         image: wp.array2d(dtype=pixel),
+        scale: wp.array2d(dtype=float),
         small: float,
         large: float,
         contrast: float,
@@ -285,15 +291,17 @@ def _paths_kernel(channels: int, each: int, paths: int) -> Any:
     ):
         i = wp.tid()
         block = i / threads
-        follow(volume, image, small, large, contrast, dy, dx, adds, block, i - block * threads, threads, sum_out)
+        follow(volume, image, scale, small, large, contrast, dy, dx, adds, block, i - block * threads, threads, sum_out)
 
     return paths_kernel
 
 
-def semi_global(volume: Any, image: Any, *, small: float, large: float, contrast: float, sum_out: Any) -> None:
+def semi_global(
+    volume: Any, image: Any, penalty_scale: Any, *, small: float, large: float, contrast: float, sum_out: Any
+) -> None:
     follow = _on_cpu if volume.device.is_cpu else _on_gpu
     for k, (dy, dx) in enumerate(_DIRECTIONS):
-        inputs = [volume, image, small, large, contrast, dy, dx, k > 0]
+        inputs = [volume, image, penalty_scale, small, large, contrast, dy, dx, k > 0]
         follow(inputs, image.dtype._length_, dy, dx, sum_out)
 
 

@@ -41,11 +41,13 @@ class PlaneSweep(Protocol):
         of the reference). The preference keeps noise from choosing.
         """
 
-    def by_visibility(self, nearest: Array, volume_out: Array) -> None:
-        """volume [l, y, x]: the mean of c_n over the views that take part and see p at d_l, if there are `least`.
+    def by_visibility(self, nearest: Array, before: Array | None, volume_out: Array) -> None:
+        """volume [l, y, x]: the mean of c_n over the views that take part and see p at d_l.
 
         View n sees it if d_l >= nearest [n, y, x] - tolerance at the pixel nearest to p - d_l o_n: see
-        `KernelSet.z_buffer`.
+        `KernelSet.z_buffer`. The costs `before` [l, y, x], of a sweep that knew no surface, count as one view more:
+        what only a wrong surface hides keeps its chance. Without them (None) what fewer than `least` views see costs
+        the most there is. `volume_out` may be `before`.
         """
 
 
@@ -126,14 +128,26 @@ class Matching(Protocol):
         """Plan the alignment of views of `shape` [n, y, x, c]."""
 
     def semi_global(
-        self, volume: Array, image: Array, *, small: float, large: float, contrast: float, sum_out: Array
+        self,
+        volume: Array,
+        image: Array,
+        penalty_scale: Array,
+        *,
+        small: float,
+        large: float,
+        contrast: float,
+        sum_out: Array,
     ) -> None:
         """The sum [l, y, x] over eight directions r of the costs of the best path to each pixel (Hirschmüller 2008).
 
         L_r(p, l) = C(p, l) + min(L_r(p - r, l), L_r(p - r, l -+ 1) + s, min_k L_r(p - r, k) + t) - min_k L_r(p - r, k),
         and C itself where p - r lies outside. With a = exp(-mean_c |I(p) - I(p - r)| / contrast) a step of one costs
-        s = small * max(a, 0.2) and one of more t = max(large * a, 1.2 * small). `image` is float32 [y, x, c].
+        s = small * max(a, 0.2) and one of more t = max(large * a, 1.2 * small), both times `penalty_scale` [y, x] at p.
+        `image` is float32 [y, x, c].
         """
+
+    def least_costs(self, volume: Array, *, least_out: Array) -> None:
+        """The least of the costs of each pixel, [y, x]."""
 
     def winner_takes_all(self, volume: Array, *, first: float, step: float, disparity_out: Array) -> None:
         """The disparity [y, x] of least cost: first + step * (k + t), count >= 3.

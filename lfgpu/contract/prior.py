@@ -62,6 +62,25 @@ class Prior(Protocol):
         denominator + floor > 0 everywhere; `ratio_out` is none of the inputs.
         """
 
+    def nlm_plane(
+        self,
+        weights: Array,
+        values: Array,
+        certainty: Array,
+        *,
+        window: int,
+        support: float,
+        ridge: float,
+        plane_out: Array,
+    ) -> None:
+        """The plane through the values around each pixel, at that pixel; fields [y, x].
+
+        It is a where (a, s) minimise sum_q u_q [(a + s . (q - p) - values_q)^2 + ridge |s|^2] over the window, p
+        included, with u_q = v_pq certainty_q and v_pq as in `nlm_ratio`, the guide being the values. `certainty` is
+        > 0 and `ridge` > 0, pixels squared: a window too small to tell a slope gives the mean. `plane_out` is none of
+        the inputs.
+        """
+
     def nlm_on_surface(self, weights: Array, guide: Array, *, window: int, support: float, weights_out: Array) -> None:
         """v_pq of `nlm_ratio` as weights [k, y, x]; `weights_out` is not `weights`."""
 

@@ -69,6 +69,12 @@ class NonLocalMeans:
         """W v / W 1: the weighted mean over each pixel's window, for each slice of a volume [l, y, x]."""
         self.kernels.nlm_average(self.weights, volume, window=self.window, average_out=average_out)
 
+    def plane(self, values: Array, certainty: Array, *, support: float, ridge: float, plane_out: Array) -> None:
+        """The planes through the values, by their certainty, on the same surface around each pixel, at that pixel."""
+        self.kernels.nlm_plane(
+            self.weights, values, certainty, window=self.window, support=support, ridge=ridge, plane_out=plane_out
+        )
+
     def ratio(
         self, guide: Array, numerator: Array, denominator: Array, *, support: float, floor: float, ratio_out: Array
     ) -> None:

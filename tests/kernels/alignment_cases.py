@@ -73,6 +73,7 @@ class RatioCase(cases.NlmCase):
 
     support: float = 0.25
     least: float = 0.125
+    ridge: float = 1.0
 
 
 RATIO_CASES = (
@@ -80,6 +81,7 @@ RATIO_CASES = (
     RatioCase("window of the method", window=9, size=(17, 19)),
     RatioCase("wide support", support=20.0),
     RatioCase("narrow support", support=2.0**-6, least=1e-3),
+    RatioCase("hardly any ridge", ridge=0.125),
     RatioCase("one pixel wide", size=(13, 1)),
     RatioCase("one pixel high", size=(1, 13)),
     RatioCase("one pixel", size=(1, 1)),
@@ -96,6 +98,7 @@ def ratio_inputs(case: RatioCase, rng: np.random.Generator) -> SimpleNamespace:
     denominator = rng.random(case.size) * (rng.random(case.size) < 0.7)
     i.denominator = denominator.astype(np.float32)
     i.options = {"window": case.window, "support": case.support, "floor": case.least}
+    i.ridge = case.ridge
     return i
 
 

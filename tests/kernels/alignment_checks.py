@@ -55,6 +55,14 @@ def nlm_ratio(desk: Desk, i: SimpleNamespace) -> Outputs:
     return {"ratio": out}
 
 
+def nlm_plane(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = desk.out(i.guide.shape)
+    fields = (desk.field(values) for values in (i.weights, i.guide, i.denominator + i.options["floor"]))
+    options = {name: i.options[name] for name in ("window", "support")}
+    desk.kernels.nlm_plane(*fields, **options, ridge=i.ridge, plane_out=out)
+    return {"plane": out}
+
+
 def nlm_on_surface(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = desk.out(i.weights.shape)
     options = {name: i.options[name] for name in ("window", "support")}
@@ -137,10 +145,11 @@ OPERATIONS = (
     Operation(z_buffer, "alignment", nearest_errors),
     Operation(alignment, "alignment", alignment_errors),
     Operation(nlm_ratio, "ratio", relative_to_terms(ratio=lambda i: size(i.values) / i.options["floor"])),
+    Operation(nlm_plane, "ratio"),
     Operation(nlm_on_surface, "ratio"),
     Operation(refine_boundaries, "outline", unmix_errors),
 )
-NEAREST, ALIGNMENT, RATIO, ON_SURFACE, UNMIX = OPERATIONS
+NEAREST, ALIGNMENT, RATIO, PLANE, ON_SURFACE, UNMIX = OPERATIONS
 
 
 # --- checks that know no truth of the reference ---
@@ -197,7 +206,8 @@ def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
     surface = kernels.z_buffer(views.shape, offsets, reach=1)
     plan = kernels.alignment(views.shape, offsets, scale=1.0, gradient_weight=2.0, robust=0.25, tolerance=0.30078125)
     nearest = kernels.zeros(views.shape[:3], device)
-    curvature, slope, step, unmixed = (kernels.zeros(views.shape[1:3], device) for _ in range(4))
+    curvature, slope, step, plane, unmixed = (kernels.zeros(views.shape[1:3], device) for _ in range(5))
+    certainty = kernels.field(np.full(views.shape[1:3], 0.5), device)
     on_surface = kernels.zeros((12, *views.shape[1:3]), device)
 
     def work() -> None:
@@ -206,10 +216,11 @@ def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
         plan(inputs["disparity"], nearest, curvature, slope)
         fields = weights, inputs["disparity"], slope, curvature
         kernels.nlm_ratio(*fields, window=5, support=0.5, floor=1e-3, ratio_out=step)
+        kernels.nlm_plane(weights, step, certainty, window=5, support=0.5, ridge=1.0, plane_out=plane)
         kernels.refine_boundaries(
             inputs["image"], inputs["disparity"], step=0.25, contrast=0.01, share=0.4, disparity_out=unmixed
         )
         kernels.nlm_on_surface(weights, unmixed, window=5, support=0.5, weights_out=on_surface)
 
-    outputs = {"curvature": curvature, "slope": slope, "step": step, "on_surface": on_surface}
+    outputs = {"curvature": curvature, "slope": slope, "step": step, "plane": plane, "on_surface": on_surface}
     return Program(inputs, work, outputs)

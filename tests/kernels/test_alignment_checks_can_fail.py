@@ -50,6 +50,11 @@ def RATIO(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
     checks.check_value(kernels, "cpu", alignment_checks.RATIO, inputs, 1e-5)
 
 
+def PLANE(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
+    inputs = ratio_inputs(RatioCase("any", size=(17, 19)), rng)
+    checks.check_value(kernels, "cpu", alignment_checks.PLANE, inputs, 1e-5)
+
+
 def ON_SURFACE(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
     inputs = ratio_inputs(RatioCase("any", size=(17, 19)), rng)
     checks.check_value(kernels, "cpu", alignment_checks.ON_SURFACE, inputs, 1e-5)
@@ -265,6 +270,14 @@ FAULTS = (
     Fault("guide is the numerator", "nlm_ratio", argument(1, lambda g: -g + 1e-3 * np.arange(g.shape[1])), RATIO),
     Fault("adds to its output", "nlm_ratio", accumulating("ratio_out"), RATIO),
     Fault("one pixel off", "nlm_ratio", after(one_off, "ratio_out"), RATIO),
+    Fault("level", "nlm_plane", option("ridge", lambda _: 1e6), PLANE),
+    Fault("ridge a little larger", "nlm_plane", option("ridge", lambda r: 1.01 * r), PLANE),
+    Fault("support ignored", "nlm_plane", option("support", lambda _: 1e6), PLANE),
+    Fault("all are as certain", "nlm_plane", argument(2, np.ones_like), PLANE),
+    Fault("weights skewed", "nlm_plane", argument(0, lambda w: np.roll(w, 1, axis=2)), PLANE),
+    Fault("adds to its output", "nlm_plane", accumulating("plane_out"), PLANE),
+    Fault("one pixel off", "nlm_plane", after(one_off, "plane_out"), PLANE),
+    Fault("level, seen in a program", "nlm_plane", option("ridge", lambda _: 1e6), PROGRAM),
     Fault("no smoothing, seen in a program", "nlm_ratio", option("support", lambda _: 1e-6), PROGRAM),
     Fault("support a little larger", "nlm_on_surface", option("support", lambda s: 1.01 * s), ON_SURFACE),
     Fault("weights skewed", "nlm_on_surface", argument(0, lambda w: np.roll(w, 1, axis=2)), ON_SURFACE),

@@ -136,6 +136,29 @@ def test_nlm_ratio_is_the_formula(case: RatioCase, rng: np.random.Generator) -> 
     np.testing.assert_allclose(run(alignment_checks.RATIO, i)["ratio"], want, rtol=0, atol=1e-12 * np.abs(want).max())
 
 
+@pytest.mark.parametrize("case", [case for case in RATIO_CASES if math.prod(case.size) <= 400], ids=str)
+def test_nlm_plane_is_the_least_squares(case: RatioCase, rng: np.random.Generator) -> None:
+    """The ridge is two more equations, slope = 0, with the weight of all pixels together."""
+    i = ratio_inputs(case, rng)
+    (height, width), values = case.size, i.guide.astype(float)
+    certainty = (i.denominator + i.options["floor"]).astype(float)
+    got = run(alignment_checks.PLANE, i)["plane"]
+    steps = [(k, dy, dx) for k, (dy, dx) in enumerate(half_window(case.window))]
+    for y, x in np.ndindex(height, width):
+        rows, right, weight = [(1.0, 0.0, 0.0)], [values[y, x]], [certainty[y, x]]
+        for (k, dy, dx), sign in product(steps, (1, -1)):
+            q = y + sign * dy, x + sign * dx
+            if 0 <= q[0] < height and 0 <= q[1] < width:
+                w = float(i.weights[k][(y, x) if sign > 0 else q])
+                weight.append(certainty[q] * w / (1 + (values[q] - values[y, x]) ** 2 / case.support**2))
+                rows.append((1.0, sign * dx, sign * dy))
+                right.append(values[q])
+        root = np.sqrt([*weight, *2 * [case.ridge * sum(weight)]])
+        equations = root[:, None] * np.array([*rows, (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+        want = np.linalg.lstsq(equations, root * np.array([*right, 0.0, 0.0]), rcond=None)[0][0]
+        np.testing.assert_allclose(got[y, x], want, rtol=0, atol=1e-10)
+
+
 @pytest.mark.parametrize("case", RATIO_CASES[:-1], ids=str)
 def test_weights_on_a_surface_are_those_of_the_ratio(case: RatioCase, rng: np.random.Generator) -> None:
     """The ratio with a numerator of 1 at one pixel and denominators that make all pixels count alike."""

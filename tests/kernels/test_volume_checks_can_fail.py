@@ -56,17 +56,18 @@ def with_another(module: Any, name: str, change: Callable[[Any], Any]) -> Callab
 
 
 def without_diagonals(right: Callable[..., Any]) -> Callable[..., Any]:
-    return lambda volume, image, dx, *options: right(volume, image, dx, *options) * (dx == 0)
+    return lambda volume, image, scale, dx, *options: right(volume, image, scale, dx, *options) * (dx == 0)
 
 
 def wrapping(right: Callable[..., Any]) -> Callable[..., Any]:
     """A diagonal goes on at the other side of the frame, as the same path."""
 
-    def wrong(volume: np.ndarray, image: np.ndarray, dx: int, *options: float) -> np.ndarray:
+    def wrong(volume: np.ndarray, image: np.ndarray, scale: np.ndarray, dx: int, *options: float) -> np.ndarray:
         height = len(image)
         moved = [np.roll(a, -dx * y, -1) for y, a in enumerate(volume.transpose(1, 0, 2))]
         colors = [np.roll(a, -dx * y, 0) for y, a in enumerate(image)]
-        costs = right(np.stack(moved, 1), np.stack(colors), 0, *options)
+        scales = [np.roll(a, -dx * y, 0) for y, a in enumerate(scale)]
+        costs = right(np.stack(moved, 1), np.stack(colors), np.stack(scales), 0, *options)
         return np.stack([np.roll(costs[:, y], dx * y, -1) for y in range(height)], 1)
 
     return wrong
@@ -103,7 +104,7 @@ def beyond(right: Callable[..., Any]) -> Callable[..., Any]:
     return wrong
 
 
-AVERAGE, SEMI_GLOBAL, LOWEST, EVIDENCE, JUDGE = map(value_of, volume_checks.OPERATIONS)
+AVERAGE, SEMI_GLOBAL, LEAST, LOWEST, EVIDENCE, JUDGE = map(value_of, volume_checks.OPERATIONS)
 
 FAULTS = (
     Fault("weights beside their pixels", "nlm_average", argument(0, skewed), AVERAGE),
@@ -118,6 +119,10 @@ FAULTS = (
     Fault("around the frame", "semi_global", with_another(semi_global, "path_costs", wrapping), SEMI_GLOBAL),
     Fault("edges let all pass", "semi_global", with_another(semi_global, "LEAST_SMALL", lambda _: 0.0), SEMI_GLOBAL),
     Fault("large is small", "semi_global", with_another(semi_global, "LEAST_LARGE", lambda _: 1.0), SEMI_GLOBAL),
+    Fault("penalties alike", "semi_global", argument(2, np.ones_like), SEMI_GLOBAL),
+    Fault("of all but the last", "least_costs", argument(0, lambda volume: volume[:-1]), LEAST),
+    Fault("adds to its output", "least_costs", accumulating("least_out"), LEAST),
+    Fault("twice, seen in a program", "least_costs", after(scaled(2.0), "least_out"), PROGRAM),
     Fault("image ignored", "semi_global", argument(1, np.zeros_like), SEMI_GLOBAL),
     Fault("one channel only", "semi_global", argument(1, lambda image: image[..., :1]), SEMI_GLOBAL),
     Fault("sum of channels", "semi_global", option("contrast", lambda c: c / 3), SEMI_GLOBAL),

@@ -47,8 +47,9 @@ def least_of_all_paths(i, steps: dict[str, float], pixels: list[tuple[int, int]]
         for k in range(1, len(pixels)):
             difference = np.abs(i.image[pixels[k]].astype(np.float64) - i.image[pixels[k - 1]]).mean()
             likeness = math.exp(-difference / steps["contrast"])
-            one = steps["small"] * max(likeness, 0.2)
-            more = max(steps["large"] * likeness, 1.2 * steps["small"])
+            scale = float(i.penalty_scale[pixels[k]])
+            one = scale * steps["small"] * max(likeness, 0.2)
+            more = scale * max(steps["large"] * likeness, 1.2 * steps["small"])
             cost += (0.0, one, more)[min(2, abs(way[k] - way[k - 1]))]
         least[way[-1]] = min(least[way[-1]], cost)
     return least

@@ -58,6 +58,7 @@ def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace
     i.volume = rng.uniform(*case.costs, shape).astype(np.float32)
     i.alike = (rng.integers(0, 4, shape) / 4).astype(np.float32)
     i.step_costs = {"small": case.small, "large": case.large, "contrast": case.contrast}
+    i.penalty_scale = rng.uniform(0.5, 4.0, case.size).astype(np.float32)
     i.row = {"first": case.first, "step": case.step}
     last = case.first + case.step * (case.count - 1)
     i.map = rng.uniform(case.first - 0.5, last + 0.5, case.size).astype(np.float32)  # beyond both ends, too

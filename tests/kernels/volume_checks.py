@@ -21,8 +21,15 @@ def nlm_average(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 def semi_global(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = desk.out(i.volume.shape)
-    desk.kernels.semi_global(desk.field(i.volume), desk.image(i.image), **i.step_costs, sum_out=out)
+    scale = desk.field(i.penalty_scale)
+    desk.kernels.semi_global(desk.field(i.volume), desk.image(i.image), scale, **i.step_costs, sum_out=out)
     return {"sum": out}
+
+
+def least_costs(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = desk.out(i.volume.shape[1:])
+    desk.kernels.least_costs(desk.field(i.volume), least_out=out)
+    return {"least": out}
 
 
 def winner_takes_all(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -84,11 +91,12 @@ def lowest_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleName
 OPERATIONS = (
     Operation(nlm_average, "volume", relative_to_terms(average=lambda i: size(i.volume))),
     Operation(semi_global, "volume", relative_to_terms(sum=lambda i: size(i.volume))),
+    Operation(least_costs, "volume"),
     Operation(winner_takes_all, "volume", lowest_errors),
     Operation(evidence, "volume", relative_to_terms(cost=lambda i: size(i.volume) / i.unit)),
     Operation(judge, "volume"),
 )
-AVERAGE, SEMI_GLOBAL, LOWEST, EVIDENCE, JUDGE = OPERATIONS
+AVERAGE, SEMI_GLOBAL, LEAST, LOWEST, EVIDENCE, JUDGE = OPERATIONS
 
 
 # --- a program of them, for devices that can do work as a whole ---
@@ -102,12 +110,13 @@ def finding_the_lowest(kernels: KernelSet, device: str, values: dict[str, Values
     plan = kernels.nlm_weights(values["image"].shape, device, **options)
     weights = kernels.zeros((WINDOW * WINDOW // 2, *shape[1:]), device)
     average, total = (kernels.zeros(shape, device) for _ in range(2))
-    disparity = kernels.zeros(shape[1:], device)
+    disparity, least = (kernels.zeros(shape[1:], device) for _ in range(2))
 
     def work() -> None:
         plan(image, weights)
         kernels.nlm_average(weights, volume, window=WINDOW, average_out=average)
-        kernels.semi_global(average, image, small=0.01, large=0.05, contrast=0.25, sum_out=total)
+        kernels.least_costs(average, least_out=least)
+        kernels.semi_global(average, image, least, small=0.01, large=0.05, contrast=0.25, sum_out=total)
         kernels.winner_takes_all(volume, first=-1.0, step=0.5, disparity_out=disparity)
 
-    return Program({"image": image, "volume": volume}, work, {"sum": total, "disparity": disparity})
+    return Program({"image": image, "volume": volume}, work, {"sum": total, "least": least, "disparity": disparity})

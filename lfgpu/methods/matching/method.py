@@ -73,12 +73,13 @@ class Matching(Method[MatchingConfig]):
         host = 0 if on_gpu else views + masks  # the tile as it was cut out
         packed = used * (4 if channels == 3 else 2) * stored  # a pixel with whether it is valid
         swept = views if not on_gpu else packed
-        volumes = 2 * 4 * labels(measured.disparity_range, lf.offsets, config.sweep)[2]
+        volumes = (3 if config.sweep.occlusions == "twice" else 2) * 4
+        volumes *= labels(measured.disparity_range, lf.offsets, config.sweep)[2]
         weights = 3 * 4 * ((config.prior.window**2 - 1) // 2) + 4 * 3 * channels
         if config.semi_global.window != config.prior.window:
             weights += 2 * 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels
         workspaces = 0 if on_gpu else 2 * 4 * _SLICES
-        fields = 4 * (24 + 2 * channels)
+        fields = 4 * (25 + 2 * channels)
         per_pixel = host + views + swept + packed + 4 * used + volumes + weights + workspaces + fields + masks
         return Footprint(per_pixel, GPU_CONTEXT if on_gpu else PROCESS)
 
@@ -89,7 +90,7 @@ class Matching(Method[MatchingConfig]):
             math.ceil(axis * max(abs(low), abs(high))) + math.ceil(axis * (high - low))
             for axis in np.abs(lf.offsets).max(0)
         ]
-        passes = 1 + (self.config.sweep.occlusions == "twice") + 2 * self.config.alignment.iterations
+        passes = 2 + 2 * (self.config.sweep.occlusions == "twice") + 2 * self.config.alignment.iterations
         windows = (self.config.prior.window // 2) * passes + self.config.prior.patch // 2 + 2
         return reach[1] + windows + _PATHS, reach[0] + windows + _PATHS
 

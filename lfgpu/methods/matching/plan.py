@@ -1,9 +1,9 @@
 """Matching: what every pixel of the reference view looks most like in the other views, with occlusions.
 
 Four stages. `sweep` compares the views with the reference at a row of disparities and finds the best surface through
-these costs. Partial view sets see past occluders. `resweep` compares again, now only with the views that see a pixel
-past the first surface. `align` makes the disparity continuous: Gauss-Newton steps on what the views that see a pixel
-have in common, averaged over similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side
+these costs. Partial view sets see past occluders. `resweep` compares again, with the views that see a pixel past the
+first surface; the costs of the first sweep count as one more view. `align` makes the disparity continuous: Gauss-Newton
+steps on what the views that see a pixel have in common, and then the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side
 whose colour it has, and fills surfaces without texture from those around them.
 """
 
@@ -29,6 +29,7 @@ from lfgpu.solvers.solution import Solution
 
 _LEAST_CURVATURE = 1e-3  # over robust²: no division by 0 where there is no texture
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
+_MOST_NOISY = 4.0  # in units of the noise: how much the least costs around a pixel raise the penalties there
 
 _DOUBT = 0.22  # pixels per view step, rms, that make a pixel as likely off by more than 0.07 as not
 _LEAST_ODDS = 1e-3
@@ -47,7 +48,8 @@ class MatchingPlan:
     config
         All parameters.
     kernels, device
-        Where it is computed. It takes two volumes of one float for each pixel and disparity, and what kernels keep.
+        Where it is computed. It takes two volumes of one float for each pixel and disparity, three if it sweeps twice, and
+        what kernels keep.
     """
 
     decided = "align"
@@ -80,6 +82,8 @@ class MatchingPlan:
             self._near = NonLocalMeans(image, replace(config.prior, window=config.semi_global.window), kernels, device)
         self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
         self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
+        # The second sweep looks at the costs of the first, which a surface is found in without changing them.
+        self._costs = kernels.zeros((count, *lf.size), device) if self._twice else self._volume
         self._nearest = kernels.zeros(shape[:3], device)
         self._sweep = planned_sweep(lf, (self._first, self._step, count), config.sweep, kernels, device)
         self._hiding = kernels.z_buffer(shape, self._offsets, reach=0) if self._twice else None
@@ -97,7 +101,7 @@ class MatchingPlan:
         self._matched = kernels.zeros(lf.size, device) if self._twice else self._swept
         self._hole_filling = HoleFilling(lf.size, self._prior, config.hole_filling)
         self._curvature, self._slope, self._certainty = (kernels.zeros(lf.size, device) for _ in range(3))
-        self._workspace, self._variance = (kernels.zeros(lf.size, device) for _ in range(2))
+        self._workspace, self._variance, self._penalty_scale = (kernels.zeros(lf.size, device) for _ in range(3))
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
         self._trust, self._size = kernels.scalar(0.0, device), lf.size
         self._steps = len(self._moves)
@@ -149,7 +153,7 @@ class MatchingPlan:
 
     def _compare(self, views: Array) -> None:
         self._load(views)
-        self._sweep.by_view_sets(self._volume)
+        self._sweep.by_view_sets(self._costs)
         self._find_surface(self._swept)
 
     def _load(self, views: Array) -> None:
@@ -169,17 +173,20 @@ class MatchingPlan:
     def _compare_visible(self, _: Callback | None) -> None:
         assert self._hiding is not None  # there is no such stage otherwise
         self._hiding(self._swept, self._nearest)
-        self._sweep.by_visibility(self._nearest, self._volume)
+        self._kernels.axpby(1 + self._config.sweep.hidden_penalty, self._costs, 0.0, self._costs, self._costs)
+        self._sweep.by_visibility(self._nearest, self._costs, self._costs)
         self._find_surface(self._matched)
 
     def _find_surface(self, disparity_out: Array) -> None:
-        """From costs to the map of the best surface through them; both volumes change."""
+        """From the costs to the map of the best surface through them; the other volumes change."""
         semi_global = self._config.semi_global
-        self._near.average(self._volume, self._smooth)
+        self._near.average(self._costs, self._smooth)
+        self._weigh_penalties()
         self._expect(self._smooth)
         self._kernels.semi_global(
             self._smooth,
             self._image,
+            self._penalty_scale,
             small=semi_global.small_penalty,
             large=semi_global.large_penalty,
             contrast=semi_global.contrast,
@@ -190,7 +197,7 @@ class MatchingPlan:
             self._kernels.select(self._known, disparity_out, self._far, disparity_out)
 
     def _improve(self, callback: Callback | None) -> None:
-        """Gauss-Newton steps on the sums over each pixel's surface around it, and then its mean."""
+        """Gauss-Newton steps on the sums over each pixel's surface around it, and then the plane through that."""
         kernels, config, map_, workspace = self._kernels, self._config.alignment, self._aligned, self._workspace
         longest = config.longest_step / self._farthest
         kernels.copy(self._matched, map_)
@@ -204,9 +211,9 @@ class MatchingPlan:
             kernels.axpby(1.0, map_, 1.0, workspace, map_)
             kernels.clamp(map_, *self._bounds, map_)
             self._weigh_texture(config.stiffness * config.robust**2)
-            kernels.multiply(map_, self._certainty, workspace)
-            self._on_surface(workspace, self._certainty, 0.0, self._slope)
-            kernels.copy(self._slope, map_)
+            support = config.support / self._farthest
+            self._prior.plane(map_, self._certainty, support=support, ridge=config.ridge, plane_out=workspace)
+            kernels.copy(workspace, map_)
             if callback is not None:
                 callback(iteration, math.sqrt(kernels.number(moved) / (self._size[0] * self._size[1])))
         kernels.axpby(1.0, self._certainty, -_STILL, self._prior.ones, workspace)
@@ -242,6 +249,22 @@ class MatchingPlan:
         )
         self._kernels.clamp(self.disparity, *self._bounds, self.disparity)
         self._judge()
+
+    def _weigh_penalties(self) -> None:
+        """penalty_scale = the noise around each pixel, in units of the light field's, 1 to _MOST_NOISY.
+
+        Where views differ more than elsewhere even at the disparity at which they agree best (grain, gloss), all
+        differences of costs are larger by chance, and the penalties must be as well. The noise is the harmonic mean of
+        the least costs in the window: a few pixels that no view shows well do not raise it.
+        """
+        kernels, noise, scale, workspace = self._kernels, self._config.sweep.noise, self._penalty_scale, self._workspace
+        kernels.least_costs(self._smooth, least_out=scale)
+        kernels.clamp(scale, noise / _MOST_NOISY, noise * _MOST_NOISY**2, scale)
+        kernels.divide(self._prior.ones, scale, scale)
+        self._prior.mean(scale, workspace)
+        kernels.axpby(noise, workspace, 0.0, workspace, workspace)
+        kernels.divide(self._prior.ones, workspace, scale)
+        kernels.clamp(scale, 1.0, _MOST_NOISY, scale)
 
     def _expect(self, costs: Array) -> None:
         """For those who know something about the surface beforehand: change the costs [l, y, x] of its disparities."""
