@@ -14,12 +14,15 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.inputs import BYTE, CONFIG, INPUTS, LARGEST_DISPARITY, MATCHING, line_offsets, sweep_labels
 from lfgpu.contract import Array, Float64Array, KernelSet, PlaneSweep, StructureFilters, half_window
 from lfgpu.data.lightfield import farthest
+from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.sweep import labels, view_sets
 from lfgpu.methods.structure_tensor import structure_filters
 
 _PAIRS = 10  # that the method's L-BFGS remembers
 _TOLERANCE = 1e-4  # relative error of operations in float32, at any size
 _FLOOR = 1e-3  # of what is divided by: there is no division by 0
+_UNIT = 0.004  # intensity: the noise in whose units costs are
+_RIDGE = 0.5  # pixels squared
 _EDGE = 0.3  # pixels per view step: larger differences are depth edges
 _HALF_STEP = 2.0**-11  # half a step of float16, relative
 
@@ -327,7 +330,7 @@ def _sweep_by_view_sets(on: Desk) -> Work:
 
 def _sweep_by_visibility(on: Desk) -> Work:
     sweep, a = _planned_sweep(on), on.arrays
-    return Work(lambda: sweep.by_visibility(a["nearest"], a["volume_out"]))
+    return Work(lambda: sweep.by_visibility(a["nearest"], a["volume"], a["volume_out"]))
 
 
 def _nlm_average(on: Desk) -> Work:
@@ -341,6 +344,7 @@ def _semi_global(on: Desk) -> Work:
         lambda: k.semi_global(
             a["volume"],
             a["image"],
+            a["other_values"],
             small=config.small_penalty,
             large=config.large_penalty,
             contrast=config.contrast,
@@ -349,10 +353,47 @@ def _semi_global(on: Desk) -> Work:
     )
 
 
+def _row(on: Desk) -> dict[str, float]:
+    """First and distance of the disparities of the volume."""
+    return {"first": -LARGEST_DISPARITY, "step": 2 * LARGEST_DISPARITY / (on.shapes["volume"][0] - 1)}
+
+
+def _least_costs(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(lambda: k.least_costs(a["volume"], least_out=a["least"]))
+
+
+def _evidence(on: Desk) -> Work:
+    k, a, row = on.kernels, on.arrays, _row(on)
+    outputs = {"cost_out": a["cost"], "evidence_out": a["evidence"]}
+    return Work(lambda: k.evidence(a["volume"], a["layers"], **row, unit=_UNIT, **outputs))
+
+
+def _judge(on: Desk) -> Work:
+    k, a, values = on.kernels, on.arrays, on.arrays["other_values"]
+    weights = {"share": trust.SHARE["twice"], "spread": trust.SPREAD["twice"]}
+    outputs = {"confidence_out": a["confidence"], "variance_out": a["variance"]}
+    return Work(lambda: k.judge(values, values, values, **weights, **outputs))
+
+
+def _nlm_plane(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(
+        lambda: k.nlm_plane(
+            a["surface_weights"],
+            a["layers"],
+            a["other_values"],
+            window=MATCHING.prior.window,
+            support=MATCHING.alignment.support,
+            ridge=_RIDGE,
+            plane_out=a["plane"],
+        )
+    )
+
+
 def _winner_takes_all(on: Desk) -> Work:
     k, a = on.kernels, on.arrays
-    count = on.shapes["volume"][0]
-    first, step = -LARGEST_DISPARITY, 2 * LARGEST_DISPARITY / (count - 1)
+    first, step = _row(on).values()
     return Work(lambda: k.winner_takes_all(a["volume"], first=first, step=step, disparity_out=a["disparity_out"]))
 
 
@@ -461,10 +502,22 @@ OPERATIONS = (
         trusted=("coherence", CONFIG.local.coherence_threshold),
     ),
     Operation("plane_sweep_by_view_sets", _VIEWS, (Slot("volume_out", "lyx"),), _sweep_by_view_sets),
-    Operation("plane_sweep_by_visibility", (*_VIEWS, _NEAREST), (Slot("volume_out", "lyx"),), _sweep_by_visibility),
+    Operation(
+        "plane_sweep_by_visibility", (*_VIEWS, _NEAREST, _VOLUME), (Slot("volume_out", "lyx"),), _sweep_by_visibility
+    ),
     Operation("nlm_average", (Slot("near_weights", "wyx"), _VOLUME), (Slot("average", "lyx"),), _nlm_average),
-    Operation("semi_global", (_VOLUME, _IMAGE), (Slot("sum", "lyx"),), _semi_global, local=False),
+    Operation(
+        "semi_global", (_VOLUME, _IMAGE, Slot("other_values", "yx")), (Slot("sum", "lyx"),), _semi_global, local=False
+    ),
+    Operation("least_costs", (_VOLUME,), (Slot("least", "yx"),), _least_costs),
     Operation("winner_takes_all", (_VOLUME,), (Slot("disparity_out", "yx"),), _winner_takes_all),
+    Operation("evidence", (_VOLUME, _LAYERS), (Slot("cost", "yx"), Slot("evidence", "yx")), _evidence),
+    Operation(
+        "judge",
+        (Slot("other_values", "yx"),),
+        (Slot("confidence", "yx"), Slot("variance", "yx")),
+        _judge,
+    ),
     Operation("z_buffer", (_LAYERS, _OFFSETS), (Slot("nearest_out", "nyx"),), _z_buffer),
     Operation(
         "alignment",
@@ -477,6 +530,12 @@ OPERATIONS = (
         (_SURFACE_WEIGHTS, _LAYERS, Slot("x_gradient", "yx"), Slot("other_values", "yx")),
         (Slot("ratio", "yx"),),
         _nlm_ratio,
+    ),
+    Operation(
+        "nlm_plane",
+        (_SURFACE_WEIGHTS, _LAYERS, Slot("other_values", "yx")),
+        (Slot("plane", "yx"),),
+        _nlm_plane,
     ),
     Operation("nlm_on_surface", (_SURFACE_WEIGHTS, _LAYERS), (Slot("on_surface", "pyx"),), _nlm_on_surface),
     Operation("refine_boundaries", (_IMAGE, _LAYERS), (Slot("disparity_out", "yx"),), _refine_boundaries),

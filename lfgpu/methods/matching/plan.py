@@ -3,8 +3,9 @@
 Four stages. `sweep` compares the views with the reference at a row of disparities and finds the best surface through
 these costs. Partial view sets see past occluders. `resweep` compares again, with the views that see a pixel past the
 first surface; the costs of the first sweep count as one more view. `align` makes the disparity continuous: Gauss-Newton
-steps on what the views that see a pixel have in common, and then the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side
-whose colour it has, and fills surfaces without texture from those around them.
+steps on what the views that see a pixel have in common, and then the plane through similar pixels on one surface.
+`boundaries` gives each pixel at a depth edge to the side whose colour it has, and fills surfaces without texture from
+those around them.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ class MatchingPlan:
     config
         All parameters.
     kernels, device
-        Where it is computed. It takes two volumes of one float for each pixel and disparity, three if it sweeps twice, and
-        what kernels keep.
+        Where it is computed. It takes two volumes of one float for each pixel and disparity, three if it sweeps twice,
+        and what kernels keep.
     """
 
     decided = "align"
