@@ -1,4 +1,4 @@
-"""The cache of compiled kernels: a sentence where it cannot be written, and another try where a crash left half of it."""
+"""The cache of compiled kernels: a sentence where it cannot be written, and a new one where a crash left half of it."""
 
 from __future__ import annotations
 
