@@ -132,6 +132,7 @@ DAMAGES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "no map": (lambda whole: changed(whole, lambda a, _: a.pop("confidence")), "it has no 'confidence'"),
     "wrong size": (lambda whole: changed(whole, lambda a, _: a.update(stage_local=np.zeros((2, 2)))), "stage|local"),
     "wrong value": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].update(window=8)), "must be odd"),
+    "large value": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].update(window=10**400)), "damaged"),
     "other parameter": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].update(x=1)), "a version of"),
     "less parameters": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].pop("window")), "a version of"),
     "later layout": (lambda whole: changed(whole, lambda _, about: about.update(layout=3)), "a version of"),

@@ -30,7 +30,7 @@ def write_report(summary: Summary, out: Path, title: str) -> Path:
         title=title,
         facts=facts(summary),
         heads=list(COLUMNS),
-        rows=[_row(entry) for entry in sorted(entries, key=lambda entry: entry["status"] == DONE)],
+        rows=[_row(entry) for entry in sorted(entries, key=lambda entry: entry.get("status") == DONE)],
     )
     path = out / REPORT_FILE
     with atomic_write(path) as temporary:
@@ -40,7 +40,7 @@ def write_report(summary: Summary, out: Path, title: str) -> Path:
 
 def facts(summary: Summary) -> list[tuple[str, str]]:
     """Counts, times and mean scores, as pairs of label and text."""
-    done = [entry for entry in summary.entries.values() if entry["status"] == DONE]
+    done = [entry for entry in summary.entries.values() if entry.get("status") == DONE]
     lines = [
         ("items", f"{len(summary.items)}: {len(done)} done, {len(summary.failed)} failed, {summary.left} not reached"),
         ("this run", f"{summary.computed} computed, {summary.kept} kept from before, in {summary.seconds:.1f} s"),
@@ -70,7 +70,7 @@ def mean_scores(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
-    done, metrics = entry["status"] == DONE, entry.get("metrics")
+    done, metrics = entry.get("status") == DONE, entry.get("metrics")
     low, high = entry.get("disparity_range") or (math.nan, math.nan)
     picture = PREVIEW_FILE in entry.get("sizes", ())
     return {

@@ -15,6 +15,9 @@ from lfgpu.data.geometry import Geometry
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 
+DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
+"""What comes of metadata that are not what they have to be."""
+
 KEY = "lfgpu"
 """What the text is called where metadata have names."""
 
@@ -52,7 +55,7 @@ def parse_about(path: Path, text: str) -> dict[str, Any]:
         about = json.loads(text)
         if about["content"] != "disparity":
             raise ValueError(f"it holds {about['content']}")
-    except (KeyError, TypeError, ValueError) as error:
+    except DAMAGE as error:
         raise LightFieldError(f"{path} is a damaged map of lfgpu: its metadata cannot be read.") from error
     return dict(about)
 
@@ -76,7 +79,7 @@ def map_of(
             versions=dict(about["versions"]),
             uncertainty=uncertainty,
         )
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except DAMAGE as error:
         raise LightFieldError(f"{path} is a damaged map of lfgpu: its metadata are incomplete.") from error
 
 

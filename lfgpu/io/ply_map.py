@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lfgpu.data.points import point_cloud
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io.about import KEY, map_about, map_of, parse_about
+from lfgpu.io.about import DAMAGE, KEY, map_about, map_of, parse_about
 
 _MARK = f"{KEY} "  # what the comment begins with that holds the metadata
 _MOST_PIXELS = 1 << 28
@@ -96,7 +96,7 @@ def read(path: Path) -> DisparityMap:
         if "confidence" in vertices.dtype.names:
             confidence = np.zeros((height, width), np.float32)
             confidence[at] = vertices["confidence"]
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+    except DAMAGE as error:
         raise LightFieldError(
             f"{path} is a damaged point cloud of lfgpu: its points are not those of a map."
         ) from error

@@ -13,7 +13,7 @@ from PIL.PngImagePlugin import PngInfo
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow
-from lfgpu.io.about import KEY, map_about, map_of, parse_about
+from lfgpu.io.about import DAMAGE, KEY, map_about, map_of, parse_about
 from lfgpu.io.images import read_image
 
 _UNKNOWN, _LEVELS = 0, 65534  # what pixels that are not known have, and the steps between the least and the most
@@ -56,6 +56,6 @@ def read(path: Path) -> DisparityMap:
     about = parse_about(path, text)
     try:
         disparity = float(about["offset"]) + float(about["scale"]) * stored[..., 0].astype(np.float64)
-    except (KeyError, TypeError, ValueError) as error:
+    except DAMAGE as error:
         raise LightFieldError(f"{path} is a damaged map of lfgpu: its metadata are incomplete.") from error
     return map_of(path, about, np.where(stored[..., 0] == _UNKNOWN, np.nan, disparity).astype(np.float32), None)

@@ -17,7 +17,7 @@ from lfgpu.config import Config, as_dict
 from lfgpu.data.result import DepthResult
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.io.about import CONVENTION, geometry_about, geometry_of
+from lfgpu.io.about import CONVENTION, DAMAGE, geometry_about, geometry_of
 from lfgpu.io.atomic import atomic_write
 from lfgpu.io.folders import not_waited_for
 from lfgpu.io.numpy_arrays import check_archive
@@ -115,7 +115,7 @@ def read_views(path: str | os.PathLike[str]) -> ViewsResult:
             reference,
             dict(json.loads(str(arrays["timings"]))),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except DAMAGE as error:
         raise LightFieldError(f"{path} is a damaged result of lfgpu: {_reason(error)}.") from error
     shape = (len(result.positions), *reference.disparity.shape)
     for name, values in {"disparities": result.disparities, "confidences": result.confidences}.items():
@@ -133,7 +133,7 @@ def _result_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> DepthResult:
     try:
         about = json.loads(str(arrays[ABOUT_KEY]))
         result = _result(arrays, about) if _is_of_this_version(about) else None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except DAMAGE as error:
         raise LightFieldError(f"{path} is a damaged result of lfgpu: {_reason(error)}.") from error
     if result is None:
         raise LightFieldError(
