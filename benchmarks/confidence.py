@@ -32,9 +32,9 @@ from lfgpu.metrics import BORDER
 RIGHT = 0.07  # pixels per view step: errors up to this are right
 EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0)
 """Of the confidences that are looked at together."""
-OWN = tuple((name, seed, noise) for name in ("boxes", "planes", "bars", "textureless") for seed, noise in ((1, 0.02),))
-"""Scenes of the package that are always fitted on: name, seed and noise."""
-_SIZE = (256, 256)
+_KINDS = ((1, 0.02, 9, 256), (2, 0.0, 9, 256), (3, 0.0, 5, 128), (4, 0.005, 5, 128), (5, 0.0, 5, 128), (6, 0.005, 5, 128))
+OWN = tuple((name, *kind) for name in ("boxes", "planes", "bars", "textureless") for kind in _KINDS)
+"""Scenes of the package that are always fitted on: name, seed, noise, rows and columns of views, and side in pixels."""
 _MOST = 20_000  # pixels of a scene
 _LEAST_ERROR = 0.003  # pixels per view step: smaller errors are the truth's own
 _RIDGE = 1e-3
@@ -103,13 +103,11 @@ def samples(folders: Sequence[Path], names: Sequence[str], presets: Sequence[str
 
 def own_samples(presets: Sequence[str], say: Say) -> list[Sample]:
     """Pixels of `OWN`."""
-    return [
-        _sample(
-            scenes.make(name, seed=seed, noise=noise, grid=(9, 9), size=_SIZE), f"own {name}, {preset}", preset, say
-        )
-        for name, seed, noise in OWN
-        for preset in presets
-    ]
+    found = []
+    for name, seed, noise, views, side in OWN:
+        lf = scenes.make(name, seed=seed, noise=noise, grid=(views, views), size=(side, side))
+        found += [_sample(lf, f"own {name}, {preset}", preset, say) for preset in presets]
+    return found
 
 
 def fit(fitted: Sequence[Sample]) -> Weights:

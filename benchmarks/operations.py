@@ -330,7 +330,7 @@ def _sweep_by_view_sets(on: Desk) -> Work:
 
 def _sweep_by_visibility(on: Desk) -> Work:
     sweep, a = _planned_sweep(on), on.arrays
-    return Work(lambda: sweep.by_visibility(a["nearest"], a["volume"], a["volume_out"]))
+    return Work(lambda: sweep.by_visibility(a["nearest"], a["volume_out"]))
 
 
 def _nlm_average(on: Desk) -> Work:
@@ -502,9 +502,7 @@ OPERATIONS = (
         trusted=("coherence", CONFIG.local.coherence_threshold),
     ),
     Operation("plane_sweep_by_view_sets", _VIEWS, (Slot("volume_out", "lyx"),), _sweep_by_view_sets),
-    Operation(
-        "plane_sweep_by_visibility", (*_VIEWS, _NEAREST, _VOLUME), (Slot("volume_out", "lyx"),), _sweep_by_visibility
-    ),
+    Operation("plane_sweep_by_visibility", (*_VIEWS, _NEAREST), (Slot("volume_out", "lyx"),), _sweep_by_visibility),
     Operation("nlm_average", (Slot("near_weights", "wyx"), _VOLUME), (Slot("average", "lyx"),), _nlm_average),
     Operation(
         "semi_global", (_VOLUME, _IMAGE, Slot("other_values", "yx")), (Slot("sum", "lyx"),), _semi_global, local=False

@@ -186,7 +186,7 @@ def test_links_do_not_lead_in_circles(recorded: Path, tmp_path: Path) -> None:
 
 
 def test_what_does_not_exist_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(LightFieldError, match=r"nowhere\* does not exist, and as a pattern it matches nothing"):
+    with pytest.raises(LightFieldError, match=r"nowhere\* does not exist, and matches nothing as a pattern"):
         find_items([str(tmp_path / "nowhere*")], sequence=False)
     with pytest.raises(LightFieldError, match="no light field was found"):
         find_items([str(tmp_path)], sequence=False)

@@ -363,10 +363,12 @@ def test_a_reference_alone_in_its_row_and_column_is_refused() -> None:
         estimate_depth(diagonal)
 
 
-@pytest.mark.parametrize("disparity_range", [None, RANGE], ids=str)
-def test_views_without_any_texture_are_refused(disparity_range: tuple[float, float] | None) -> None:
+@pytest.mark.parametrize(
+    ("disparity_range", "words"), [(None, "disparity range cannot be found"), (RANGE, "coherent")], ids=str
+)
+def test_views_without_any_texture_are_refused(disparity_range: tuple[float, float] | None, words: str) -> None:
     flat = LightField.from_grid(np.full((3, 3, 40, 40, 3), 128, np.uint8))
-    with pytest.raises(LightFieldError, match="coherent"):
+    with pytest.raises(LightFieldError, match=words):
         estimate_depth(flat, disparity_range=disparity_range)
 
 
@@ -386,7 +388,7 @@ def test_disparities_beyond_the_picture_are_refused_at_once(bad: tuple[float, fl
 
 
 def test_a_config_of_another_kind_is_refused() -> None:
-    with pytest.raises(LightFieldError, match="config must be a Config or the name of a preset, not dict"):
+    with pytest.raises(LightFieldError, match=r"config must be the name of a preset .* or a Config, not dict"):
         estimate_depth(small(), config={"prior.window": 5})  # type: ignore[arg-type]
 
 

@@ -546,7 +546,7 @@ def test_what_cannot_go_to_a_gpu_is_said_in_one_sentence(gpu: Any, torch: Any) -
     with pytest.raises(LightFieldError, match=r"^views cannot be read: .*gradient"):
         pipeline.upload(views.clone().requires_grad_())
     on_cpu = made(scene(dtype="float32"), type("Target", (), {"backend": "warp", "device": "cpu"}))
-    with pytest.raises(LightFieldError, match=r"^views are on cuda:0 and the pipeline on cpu"):
+    with pytest.raises(LightFieldError, match=r"^views are on cuda:0, but the pipeline is on cpu"):
         on_cpu.upload(views)
 
 

@@ -132,7 +132,7 @@ def test_any_name_can_be_a_title(name: str, tmp_path: Path, recwarn: pytest.Warn
 def test_what_is_no_map_is_refused() -> None:
     with pytest.raises(LightFieldError, match=r"\[y, x\]"):
         disparity_figure(np.zeros((2, 3, 4)))
-    with pytest.raises(LightFieldError, match="one size"):
+    with pytest.raises(LightFieldError, match="same size"):
         overview_figure(np.zeros((*SHAPE, 3)), ramp(), ramp()[1:], title="")
 
 

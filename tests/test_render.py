@@ -175,7 +175,7 @@ def test_all_in_focus_has_less_noise_and_stays_sharp() -> None:
     result = lfgpu.DisparityMap(noisy.truth.disparity, position=noisy.truth.position)
     found = lfgpu.all_in_focus(noisy, result)
     assert psnr(found, true) > psnr(noisy.image(middle), true) + 5
-    with pytest.raises(LightFieldError, match="the map is of the view at row 2, column 2"):
+    with pytest.raises(LightFieldError, match="the map belongs to the view at row 2, column 2"):
         lfgpu.all_in_focus(noisy.with_reference(0), result)
     with pytest.raises(LightFieldError, match="the views have 80 x 96"):
         lfgpu.all_in_focus(noisy, lfgpu.DisparityMap(np.zeros((3, 3), np.float32)))
@@ -252,9 +252,9 @@ def test_other_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     with pytest.raises(LightFieldError, match="frames per second"):
         write_frames(frames(), tmp_path / "a.gif", fps=0)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(LightFieldError, match=r"lfgpu\[video\]"):
+    with pytest.raises(LightFieldError, match=r"\.\[video\]"):
         write_frames(frames(), tmp_path / "a.mp4")
-    with pytest.raises(LightFieldError, match=r"lfgpu\[tiff\]"):
+    with pytest.raises(LightFieldError, match=r"\.\[tiff\]"):
         write_image(frames(1)[0], tmp_path / "a.tif")
 
 

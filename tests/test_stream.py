@@ -157,9 +157,9 @@ def test_masks_of_the_light_field_stay() -> None:
     there = np.ones(15, bool)
     there[5] = False
     with made(masked, prior=None) as stream:
-        assert np.array_equal(stream.push(lf.views).numpy(), want)
-        assert not np.array_equal(stream.push(lf.views, valid=there).numpy(), want)
-        assert np.array_equal(stream.push(lf.views).numpy(), want)
+        np.testing.assert_array_equal(stream.push(lf.views).numpy(), want)
+        assert not np.array_equal(stream.push(lf.views, valid=there).numpy(), want, equal_nan=True)
+        np.testing.assert_array_equal(stream.push(lf.views).numpy(), want)
 
 
 def test_before_there_is_a_frame() -> None:
@@ -491,7 +491,7 @@ def test_stats_and_their_text() -> None:
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ({"config": "paper"}, "synthesis cannot; take the preset accurate or fast"),
+        ({"config": "paper"}, "synthesis cannot"),
         ({"config": 3}, "config must be"),
         ({"policy": "newest"}, "policy must be one of latest, block, queue"),
         ({"policy": "latest", "waiting": 2}, "waiting must be"),

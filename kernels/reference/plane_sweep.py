@@ -100,7 +100,7 @@ class PlaneSweep:
             means[1:] = means[1:] * (1 + self._preference) + PENALTY
             slice_out[:] = means.min(0)
 
-    def by_visibility(self, nearest: Array, before: Array | None, volume_out: Array) -> None:
+    def by_visibility(self, nearest: Array, volume_out: Array) -> None:
         for label, slice_out in enumerate(volume_out):
             total, count = np.zeros(slice_out.shape), np.zeros(slice_out.shape)
             for compared in self._compared(label):
@@ -108,10 +108,7 @@ class PlaneSweep:
                 sees = compared.inside & (self._disparities[label] >= surface - self._tolerance)
                 total += np.where(sees, compared.cost, 0)
                 count += sees
-            if before is None:
-                slice_out[:] = np.where(count >= self._least, total / np.maximum(count, 1), self._most)
-            else:
-                slice_out[:] = (total + before[label]) / (count + 1)
+            slice_out[:] = np.where(count >= self._least, total / np.maximum(count, 1), self._most)
 
     def _compared(self, label: int) -> Iterator[Compared]:
         """Each view but the reference."""

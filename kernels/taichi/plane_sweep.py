@@ -210,15 +210,11 @@ def _least_kernel(
     gradient_truncation: float,
     preference: float,
     least: float,
-    before: flat(),
-    again: int,
     first: int,
     size: int,
     volume_out: flat(),
 ):
-    """The least mean of the view_sets, to the slice of the volume that begins at `first`; if `again`, the mean of the
-    first one and what was there `before`.
-    """
+    """The least mean of the view_sets, to the slice of the volume that begins at `first`."""
     fade = 1.0 / (1.0 + gradient_weight)
     for p in range(size):
         lowest = fade * (truncation + gradient_weight * gradient_truncation)
@@ -229,8 +225,6 @@ def _least_kernel(
             if count > 0.0:
                 mean = fade * sums[2 * m * size + p] / count
                 lowest = ti.min(lowest, (1.0 + preference) * mean + _PENALTY)
-        if again != 0:
-            lowest = (fade * sums[p] + before[first + p]) / (sums[size + p] + 1.0)
         volume_out[first + p] = lowest
 
 
@@ -288,15 +282,14 @@ class _PlaneSweep:
         self._valid = valid
 
     def by_view_sets(self, volume_out: DeviceArray) -> None:
-        self._sweep(None, None, self._members, self._view_sets, 1.0, volume_out)
+        self._sweep(None, self._members, self._view_sets, 1.0, volume_out)
 
-    def by_visibility(self, nearest: DeviceArray, before: DeviceArray | None, volume_out: DeviceArray) -> None:
-        self._sweep(nearest, before, self._together, 1, self._least, volume_out)
+    def by_visibility(self, nearest: DeviceArray, volume_out: DeviceArray) -> None:
+        self._sweep(nearest, self._together, 1, self._least, volume_out)
 
     def _sweep(
         self,
         nearest: DeviceArray | None,
-        before: DeviceArray | None,
         members: DeviceArray,
         view_sets: int,
         least: float,
@@ -304,7 +297,6 @@ class _PlaneSweep:
     ) -> None:
         _, height, width, channels = self._shape
         (mask, masked), (surface, seen), size = optional(self._valid), optional(nearest), height * width
-        costs_before, again = optional(before)
         differ = _difference_kernel(self._recorded.scalar, self._block)
         add = _cost_kernel(channels, masked, seen, self._block)
         shifts, differences, sums = self._shifts.values, self._differences.values, self._sums.values
@@ -316,9 +308,8 @@ class _PlaneSweep:
                 run(differ, *images, shifts, *these, channels, height, width, self._scale, differences)
                 inputs = differences, mask, surface, shifts, members.values, view_sets, first, begin, end, height, width
                 run(add, *inputs, *self._limits, deepest, self._group.values, sums)
-            numbers = *self._limits, self._preference, least
-            place = label * size, size
-            run(_least_kernel, sums, view_sets, *numbers, costs_before, int(again), *place, volume_out.values)
+            numbers = *self._limits, self._preference, least, label * size, size
+            run(_least_kernel, sums, view_sets, *numbers, volume_out.values)
 
 
 def plane_sweep(

@@ -79,4 +79,4 @@ def judge(
     variance_out: Any,
 ) -> None:
     inputs = [odds, cost, evidence, wp.vec4(*share), wp.vec4(*spread)]
-    launch_rows(_judge_kernel, inputs, confidence_out, variance_out, light=True)
+    launch_rows(_judge_kernel, inputs, confidence_out, variance_out)

@@ -142,9 +142,7 @@ _SWEEP_STRIP = """
         for (int m = 1; m < APERTURES; ++m)
             if (counts[m][r] > 0.f)
                 lowest = fminf(lowest, (1.f + preference) * (fade * sums[m][r] / counts[m][r]) + PENALTY);
-        const size_t place = l * plane + (size_t)(y + r) * width + x;
-        if (SEEN && before.data) lowest = (fade * sums[0][r] + before.data[place]) / (counts[0][r] + 1.f);
-        volume.data[place] = lowest;
+        volume.data[l * plane + (size_t)(y + r) * width + x] = lowest;
     }
 """
 
@@ -217,7 +215,6 @@ def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty
         gradient_truncation: float,
         preference: float,
         least: float,
-        before: wp.array3d(dtype=float),
         thread: int,
         volume: wp.array3d(dtype=float),
     ): ...
@@ -239,7 +236,6 @@ def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty
         gradient_truncation: float,
         preference: float,
         least: float,
-        before: wp.array3d(dtype=float),
         volume_out: wp.array3d(dtype=float),
     ):
         sweep_strip(
@@ -256,7 +252,6 @@ def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty
             gradient_truncation,
             preference,
             least,
-            before,
             wp.tid(),
             volume_out,
         )

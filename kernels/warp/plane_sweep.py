@@ -142,7 +142,6 @@ _SWEEP = """
         }
 
         float* const out = volume.data + l * plane + (size_t)top * width;
-        const float* const costs_before = before.data + l * plane + (size_t)top * width;
         const int pixels = (bottom - top) * width;
         for (int m = 0; m < view_sets; ++m) {
             const float* const total = sums + m * 2 * strip;
@@ -151,8 +150,7 @@ _SWEEP = """
             #pragma clang loop vectorize(assume_safety)
             for (int i = 0; i < pixels; ++i) {
                 const float mean = fade * total[i] / (count[i] > 1.f ? count[i] : 1.f);
-                float value = count[i] >= needed ? factor * mean + penalty : most;
-                if (before.data) value = (fade * total[i] + costs_before[i]) / (count[i] + 1.f);
+                const float value = count[i] >= needed ? factor * mean + penalty : most;
                 out[i] = m == 0 || value < out[i] ? value : out[i];
             }
         }
@@ -204,7 +202,6 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
         gradient_truncation: float,
         preference: float,
         least: float,
-        before: wp.array3d(dtype=float),
         first: int,
         last: int,
         room: wp.array(dtype=float),
@@ -228,7 +225,6 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
         gradient_truncation: float,
         preference: float,
         least: float,
-        before: wp.array3d(dtype=float),
         first: int,
         last: int,
         room: wp.array(dtype=float),
@@ -251,7 +247,6 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
             gradient_truncation,
             preference,
             least,
-            before,
             first,
             last,
             room,
@@ -333,25 +328,25 @@ class _PlaneSweep:
         self._room = wp.empty((len(slices(self._device, height)), size), dtype=float, device="cpu")
 
     def by_view_sets(self, volume_out: Any) -> None:
-        self._sweep(None, None, self._members, self._view_sets, 1.0, volume_out)
+        self._sweep(None, self._members, self._view_sets, 1.0, volume_out)
 
-    def by_visibility(self, nearest: Any, before: Any, volume_out: Any) -> None:
-        self._sweep(nearest, before, self._together, 1, self._least, volume_out)
+    def by_visibility(self, nearest: Any, volume_out: Any) -> None:
+        self._sweep(nearest, self._together, 1, self._least, volume_out)
 
-    def _sweep(self, nearest: Any, before: Any, members: Any, view_sets: int, least: float, volume_out: Any) -> None:
+    def _sweep(self, nearest: Any, members: Any, view_sets: int, least: float, volume_out: Any) -> None:
         _, height, width, _ = self._shape
         planned = [nearest, self._order, members, self._shifts, self._deepest]
         if not self._device.is_cpu:
             seen = nearest is not None
             kernel, dim = self._kernel[seen], threads_of(self._count, height, width, seen=seen)
-            inputs = [self._views, self._image, *planned, *self._numbers, least, before]
+            inputs = [self._views, self._image, *planned, *self._numbers, least]
             wp.launch(kernel, dim, inputs, [volume_out], device=self._device, block_dim=BLOCK)
             return
         views = [self._views, self._image, self._valid]
         load(self._device, self._kernels.sweep)
 
         def some_rows(k: int, first: int, last: int) -> None:
-            inputs = [*views, *planned, view_sets, *self._numbers, least, before, first, last, self._room[k]]
+            inputs = [*views, *planned, view_sets, *self._numbers, least, first, last, self._room[k]]
             wp.launch(self._kernels.sweep, 1, inputs, [volume_out], device="cpu")
 
         in_slices(self._device, height, some_rows)

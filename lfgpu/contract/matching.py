@@ -41,13 +41,11 @@ class PlaneSweep(Protocol):
         of the reference). The preference keeps noise from choosing.
         """
 
-    def by_visibility(self, nearest: Array, before: Array | None, volume_out: Array) -> None:
-        """volume [l, y, x]: the mean of c_n over the views that take part and see p at d_l.
+    def by_visibility(self, nearest: Array, volume_out: Array) -> None:
+        """volume [l, y, x]: the mean of c_n over the views that take part and see p at d_l, if there are `least`.
 
         View n sees it if d_l >= nearest [n, y, x] - tolerance at the pixel nearest to p - d_l o_n: see
-        `KernelSet.z_buffer`. The costs `before` [l, y, x], of a sweep that knew no surface, count as one view more:
-        what only a wrong surface hides keeps its chance. Without them (None) what fewer than `least` views see costs
-        the most there is. `volume_out` may be `before`.
+        `KernelSet.z_buffer`.
         """
 
 

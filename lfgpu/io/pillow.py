@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import io
 import threading
 import warnings
 from collections.abc import Iterator
@@ -30,10 +31,29 @@ def opened(path: Path) -> Iterator[ImageFile.ImageFile]:
     Exception
         Whatever comes to Pillow when a file is damaged; UnidentifiedImageError if it is none of `FORMATS`.
     """
-    _silence_libtiff()
-    with _FILTERS, Image.open(path, formats=FORMATS) as image:
+    with _decoding(path, FORMATS) as image:
         # Four bytes a pixel whatever the mode: a bound on what decoding takes.
         check_claim(path, (image.height, image.width, 4), np.uint8)
+        yield image
+
+
+@contextmanager
+def decoding(data: bytes, kind: str) -> Iterator[ImageFile.ImageFile]:
+    """A picture of one format, such as JPEG, that lies in memory; its pixels are decoded within the block.
+
+    Raises
+    ------
+    Exception
+        Whatever comes to Pillow when the data are damaged.
+    """
+    with _decoding(io.BytesIO(data), (kind,)) as image:
+        yield image
+
+
+@contextmanager
+def _decoding(source: Path | io.BytesIO, formats: tuple[str, ...]) -> Iterator[ImageFile.ImageFile]:
+    _silence_libtiff()
+    with _FILTERS, Image.open(source, formats=formats) as image:
         yield image
 
 

@@ -164,7 +164,8 @@ class Renderer:
         if self._lf.valid is not None:
             inside &= valid_at(self._lf.valid[index], at)
         seen = [sampled(self._maps.disparities[index], at, order) for order in (0, 1)]
-        inside &= np.isfinite(seen[0])  # where its map is not known, a view says nothing
+        if du != 0 or dv != 0:  # a view at the place itself shows every pixel, whatever its map says
+            inside &= np.isfinite(seen[0])  # elsewhere a pixel of unknown disparity may belong anywhere
         seen = [np.where(np.isfinite(values), values, disparity) for values in seen]
         # At a depth edge bilinear values lie between both surfaces; the nearest pixel belongs to one of them.
         difference = np.min([np.abs(values - disparity) for values in seen], axis=0)

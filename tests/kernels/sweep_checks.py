@@ -17,15 +17,14 @@ def plane_sweep(desk: Desk, i: SimpleNamespace) -> Outputs:
     offsets, view_sets = desk.field(i.offsets), desk.field(i.view_sets)
     plan = desk.kernels.plane_sweep(i.recorded.shape, offsets, view_sets, **i.options)
     shape = (i.options["count"], *i.image.shape[:2])
-    out = {name: desk.out(shape) for name in ("view_sets", "seen", "again")}
+    out = {"view_sets": desk.out(shape), "seen": desk.out(shape)}
     other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
     plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
-    plan.by_visibility(desk.field(i.nearest[:, ::-1]), None, out["view_sets"])
+    plan.by_visibility(desk.field(i.nearest[:, ::-1]), out["view_sets"])
     plan.by_view_sets(out["seen"])
     plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
     plan.by_view_sets(out["view_sets"])
-    plan.by_visibility(desk.field(i.nearest), None, out["seen"])
-    plan.by_visibility(desk.field(i.nearest), out["view_sets"], out["again"])
+    plan.by_visibility(desk.field(i.nearest), out["seen"])
     return out
 
 
@@ -114,13 +113,11 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
         least=1,
     )
     shape = (5, *views.shape[1:3])
-    volumes = {name: kernels.zeros(shape, device) for name in ("view_sets", "seen", "again")}
+    volumes = {name: kernels.zeros(shape, device) for name in ("view_sets", "seen")}
 
     def work() -> None:
         plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
         plan.by_view_sets(volumes["view_sets"])
-        plan.by_visibility(inputs["valid"], None, volumes["seen"])  # which serves as surfaces at 0 and 1
-        kernels.copy(volumes["view_sets"], volumes["again"])
-        plan.by_visibility(inputs["valid"], volumes["again"], volumes["again"])
+        plan.by_visibility(inputs["valid"], volumes["seen"])  # which serves as surfaces at 0 and 1
 
     return Program(inputs, work, volumes)

@@ -80,15 +80,6 @@ def adding(right: Callable[..., Any]) -> Callable[..., Any]:
     return wrong
 
 
-def with_costs_before(change: Callable[[np.ndarray], Any]) -> Callable[..., Any]:
-    """The costs of the first sweep are others."""
-
-    def broken(right: Callable[..., Any]) -> Callable[..., Any]:
-        return lambda nearest, before, out: right(nearest, None if before is None else change(before), out)
-
-    return method("by_visibility", broken)
-
-
 def within(name: str, value: Any) -> Callable[..., Any]:
     """Something of the reference's module is another one while the sweep computes."""
 
@@ -173,9 +164,6 @@ FAULTS = (
     Fault("last disparity skipped", NAME, output("by_view_sets", zeroed(-1)), VALUE),
     Fault("last row skipped", NAME, output("by_visibility", zeroed(np.s_[:, -1])), VALUE),
     Fault("adds to its output", NAME, method("by_view_sets", adding), VALUE),
-    Fault("costs before ignored", NAME, with_costs_before(lambda _: None), VALUE),
-    Fault("costs before count twice", NAME, with_costs_before(lambda before: 2 * before), VALUE),
-    Fault("costs before doubled, seen in a program", NAME, with_costs_before(lambda before: 2 * before), PROGRAM),
     Fault("adds to what is seen", NAME, method("by_visibility", adding), VALUE),
 )
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import ffmpeg
+from lfgpu.io import ffmpeg, pillow
 from lfgpu.io.limits import check_claim
 from lfgpu.io.lytro.container import Container
 from lfgpu.io.lytro.contents import DepthTable, Pictures, across
@@ -58,7 +56,7 @@ def _table(container: Container, name: str, size: tuple[int, int]) -> NDArray[np
 
 def _still(container: Container, name: str, pictures: Pictures) -> NDArray[np.uint8]:
     try:
-        with Image.open(io.BytesIO(container.data(name)), formats=[_STILL[pictures.representation]]) as image:
+        with pillow.decoding(container.data(name), _STILL[pictures.representation]) as image:
             found = (image.height, image.width)
             if found == pictures.size:
                 return np.asarray(image.convert("RGB"))

@@ -37,9 +37,6 @@ class SweepConfig(Section):
     view_set_penalty: float = number(
         0.2, 0.0, 10.0, "a partial view set must agree better than all views by this share to be preferred"
     )  # fmt: skip
-    hidden_penalty: float = number(
-        0.05, 0.0, 10.0, "a disparity that the first surface hides must agree better by this share to be preferred"
-    )  # fmt: skip
     tolerance: float = number(
         1.2, 0.0, 100.0, "a surface hides only what lies behind it by more than this, pixels in the farthest view"
     )  # fmt: skip
@@ -72,7 +69,7 @@ class AlignmentConfig(Section):
         0.4, 1e-3, 100.0, "difference in disparity that halves the weight of a neighbour, pixels in the farthest view"
     )  # fmt: skip
     ridge: float = number(
-        2.0, 1e-3, 1e6, "variance of the places in a window below which its plane becomes level, pixel²"
+        4.0, 1e-3, 1e6, "variance of the places in a window below which its plane becomes level, pixel²"
     )  # fmt: skip
     stiffness: float = number(
         0.1, 0.0, 100.0, "a pixel whose curvature over robust² is below this follows its neighbours, 1 / pixel²"

@@ -73,8 +73,7 @@ class Matching(Method[MatchingConfig]):
         host = 0 if on_gpu else views + masks  # the tile as it was cut out
         packed = used * (4 if channels == 3 else 2) * stored  # a pixel with whether it is valid
         swept = views if not on_gpu else packed
-        volumes = (3 if config.sweep.occlusions == "twice" else 2) * 4
-        volumes *= labels(measured.disparity_range, lf.offsets, config.sweep)[2]
+        volumes = 2 * 4 * labels(measured.disparity_range, lf.offsets, config.sweep)[2]
         weights = 3 * 4 * ((config.prior.window**2 - 1) // 2) + 4 * 3 * channels
         if config.semi_global.window != config.prior.window:
             weights += 2 * 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels

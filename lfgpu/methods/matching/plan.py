@@ -1,11 +1,10 @@
 """Matching: what every pixel of the reference view looks most like in the other views, with occlusions.
 
 Four stages. `sweep` compares the views with the reference at a row of disparities and finds the best surface through
-these costs. Partial view sets see past occluders. `resweep` compares again, with the views that see a pixel past the
-first surface; the costs of the first sweep count as one more view. `align` makes the disparity continuous: Gauss-Newton
-steps on what the views that see a pixel have in common, and then the plane through similar pixels on one surface.
-`boundaries` gives each pixel at a depth edge to the side whose colour it has, and fills surfaces without texture from
-those around them.
+these costs. Partial view sets see past occluders. `resweep` compares again, now only with the views that see a pixel
+past the first surface. `align` makes the disparity continuous: Gauss-Newton steps on what the views that see a pixel
+have in common, and then the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge
+to the side whose colour it has, and fills surfaces without texture from those around them.
 """
 
 from __future__ import annotations
@@ -49,8 +48,7 @@ class MatchingPlan:
     config
         All parameters.
     kernels, device
-        Where it is computed. It takes two volumes of one float for each pixel and disparity, three if it sweeps twice,
-        and what kernels keep.
+        Where it is computed. It takes two volumes of one float for each pixel and disparity, and what kernels keep.
     """
 
     decided = "align"
@@ -83,8 +81,6 @@ class MatchingPlan:
             self._near = NonLocalMeans(image, replace(config.prior, window=config.semi_global.window), kernels, device)
         self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
         self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
-        # The second sweep looks at the costs of the first, which a surface is found in without changing them.
-        self._costs = kernels.zeros((count, *lf.size), device) if self._twice else self._volume
         self._nearest = kernels.zeros(shape[:3], device)
         self._sweep = planned_sweep(lf, (self._first, self._step, count), config.sweep, kernels, device)
         self._hiding = kernels.z_buffer(shape, self._offsets, reach=0) if self._twice else None
@@ -154,7 +150,7 @@ class MatchingPlan:
 
     def _compare(self, views: Array) -> None:
         self._load(views)
-        self._sweep.by_view_sets(self._costs)
+        self._sweep.by_view_sets(self._volume)
         self._find_surface(self._swept)
 
     def _load(self, views: Array) -> None:
@@ -174,14 +170,13 @@ class MatchingPlan:
     def _compare_visible(self, _: Callback | None) -> None:
         assert self._hiding is not None  # there is no such stage otherwise
         self._hiding(self._swept, self._nearest)
-        self._kernels.axpby(1 + self._config.sweep.hidden_penalty, self._costs, 0.0, self._costs, self._costs)
-        self._sweep.by_visibility(self._nearest, self._costs, self._costs)
+        self._sweep.by_visibility(self._nearest, self._volume)
         self._find_surface(self._matched)
 
     def _find_surface(self, disparity_out: Array) -> None:
-        """From the costs to the map of the best surface through them; the other volumes change."""
+        """From costs to the map of the best surface through them; both volumes change."""
         semi_global = self._config.semi_global
-        self._near.average(self._costs, self._smooth)
+        self._near.average(self._volume, self._smooth)
         self._weigh_penalties()
         self._expect(self._smooth)
         self._kernels.semi_global(
