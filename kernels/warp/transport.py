@@ -117,10 +117,15 @@ class Lease:
 
 
 def _wait_for(event: Any) -> None:
-    """Warp refuses to wait while anybody captures on the device, which somebody else in the process may do."""
-    while event.device.is_capturing:
+    """Wait for an event. Warp refuses while a thread captures on the device, which may begin at any moment."""
+    while True:
+        try:
+            wp.synchronize_event(event)
+            return
+        except RuntimeError as error:
+            if "capture" not in str(error):
+                raise
         time.sleep(0.0005)
-    wp.synchronize_event(event)
 
 
 class _Token:
@@ -296,8 +301,9 @@ class Transport:
     def synchronize(self) -> None:
         """Wait for all that was asked for."""
         if self._device.is_cuda:
-            for stream in (self._in, self._up, self._compute, self._down):
-                wp.synchronize_stream(stream)
+            with self._asking:
+                for stream in (self._in, self._up, self._compute, self._down):
+                    wp.synchronize_stream(stream)
 
     def _hand_over(self, maps: Maps) -> None:
         for source, target in zip((*self._fields, *self._numbers), (*maps.fields, *maps.numbers), strict=True):
