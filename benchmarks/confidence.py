@@ -34,7 +34,7 @@ EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0)
 """Of the confidences that are looked at together."""
 _KINDS = (
     *((1, 0.02, 9, 256), (2, 0.0, 9, 256), (3, 0.0, 5, 128)),
-    *((4, 0.005, 5, 128), (5, 0.0, 5, 128), (6, 0.005, 5, 128)),
+    *((4, 0.005, 5, 128), (5, 0.0, 5, 128), (6, 0.005, 5, 128), (7, 0.0, 5, 128), (8, 0.0, 9, 256)),
 )
 OWN = tuple((name, *kind) for name in ("boxes", "planes", "bars", "textureless") for kind in _KINDS)
 """Scenes of the package that are always fitted on: name, seed, noise, rows and columns of views, and side in pixels."""
