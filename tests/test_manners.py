@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -134,8 +135,8 @@ def test_a_type_checker_refuses_what_is_no_preset(tmp_path: Path) -> None:
         cwd=settings.parent,
         check=False,
     )
-    lines = [line for line in done.stdout.splitlines() if line.startswith(str(code))]
-    assert [line.split(":")[1] for line in lines] == ["3", "4"], done.stdout
+    # The cache of mypy may know the same code by another folder: only the name of the file counts.
+    assert re.findall(r"/code\.py:(\d+): error", done.stdout) == ["3", "4"], done.stdout
 
 
 # --- wrong types ---
