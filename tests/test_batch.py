@@ -803,6 +803,13 @@ def test_lines_of_a_manifest_that_were_damaged_are_skipped_and_said(recorded: Pa
     assert lfgpu("eval", tmp_path).exit_code == 1
 
 
+def test_a_name_that_is_no_text_is_written_out_in_the_report(recorded: Path, tmp_path: Path) -> None:
+    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+    batch = Batch(items, tmp_path, FAST)
+    batch.summary.entries["scene_0"] = {"item": "scene_0", "status": FAILED, "error": "no \ud800 text"}
+    assert "no \\ud800 text" in write_report(batch.summary, tmp_path, "a").read_text(encoding="utf-8")
+
+
 def test_a_pipe_in_place_of_a_manifest_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / MANIFEST_FILE)
     with pytest.raises(LightFieldError, match="neither a file nor a folder"):

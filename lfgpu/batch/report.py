@@ -34,7 +34,8 @@ def write_report(summary: Summary, out: Path, title: str) -> Path:
     )
     path = out / REPORT_FILE
     with atomic_write(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        # Names that are no text, which manifests may hold, are written out.
+        temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
     return path
 
 

@@ -70,14 +70,14 @@ def _relief(z: NDArray[np.float32], size: tuple[int, ...]) -> float:
 
 def read(path: Path) -> DisparityMap:
     """The map that a cloud of ours was made of, NaN where it has no point."""
-    from plyfile import PlyData, PlyParseError
+    from plyfile import PlyData
 
     with path.open("rb"):  # errors of the system are said by the caller
         pass
     try:
         data = PlyData.read(str(path))
         vertices = data["vertex"].data
-    except (PlyParseError, KeyError, ValueError, UnicodeDecodeError) as error:
+    except Exception as error:  # the library raises whatever comes to it when a file is damaged
         raise LightFieldError(f"{path} cannot be read as PLY: {' '.join(str(error).split())}.") from error
     texts = [comment.removeprefix(_MARK) for comment in data.comments if comment.startswith(_MARK)]
     if len(texts) != 1:

@@ -345,3 +345,9 @@ def test_metadata_that_lie_are_refused(tmp_path: Path) -> None:
     written = maps_of_all_views()
     replace(written, disparities=written.disparities[:, :2]).save(tmp_path / "all.npz")
     assert "disparities is float32 of shape (3, 2, 7)" in refusal(lambda: load(tmp_path / "all.npz"))
+
+
+def test_a_cloud_that_claims_more_points_than_can_be_counted_is_refused(tmp_path: Path) -> None:
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nend_header\n"
+    (tmp_path / "map.ply").write_bytes(header.format(10**30).encode() + bytes(40))
+    assert "cannot be read as PLY" in refusal(lambda: lfgpu.load(tmp_path / "map.ply"))
