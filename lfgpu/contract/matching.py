@@ -34,11 +34,11 @@ class PlaneSweep(Protocol):
         """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None."""
 
     def by_view_sets(self, volume_out: Array) -> None:
-        """volume [l, y, x]: the least over the view_sets of the mean of c_n over the views of the view_set that take
-        part; that of the first view_set as it is, of the others times (1 + preference), plus 1e-4.
+        """volume [l, y, x]: the smallest of the mean costs over the view sets.
 
-        Where something nearer hides p from some views, an view_set without these still sees it (those on one side
-        of the reference). The preference keeps noise from choosing.
+        The mean cost of a set is that of c_n over the views of the set that take part. The first set, all views, counts
+        as it is; each other one counts times (1 + preference), plus 1e-4, so that noise does not choose it. Where a
+        nearer surface hides p from some views, a set without these views still sees it.
         """
 
     def by_visibility(self, nearest: Array, volume_out: Array) -> None:
