@@ -22,6 +22,7 @@ TESTED_WITH = (
     "constraints.txt",
     "README.md",
     "CHANGELOG.md",
+    "CITATION.cff",
     "CONTRIBUTING.md",
     "LICENSE",
     "pyproject.toml",
