@@ -11,7 +11,6 @@ from typing import Any
 
 from typer.core import TyperCommand
 
-
 EXAMPLE = "Example: "
 """How the epilog of a command begins; the rest of it is the example."""
 
