@@ -59,7 +59,8 @@ class Mark:
 def pages(root: Path = ROOT) -> list[Path]:
     """All Markdown pages that may hold marks."""
     places = [root / name for name in PAGES]
-    return [path for place in places for path in ([place] if place.is_file() else sorted(place.rglob("*.md")))]
+    found = [path for place in places for path in ([place] if place.is_file() else sorted(place.rglob("*.md")))]
+    return [path for path in found if "made" not in path.parts]  # docs/made holds copies for the site
 
 
 def marks(page: Path, folder: Path = RESULTS) -> list[Mark]:
@@ -188,9 +189,7 @@ def _ablation(folder: Path) -> str:
 
 def _accuracy(folder: Path) -> str:
     """MSE x 100 and the three BadPix of each scene and preset; the best of a row is bold."""
-    found = [
-        r for r in results.load(folder / "accuracy.json").records if not r.failed and r.details["range"] == "found"
-    ]
+    found = _range_found(folder)
     presets = list(dict.fromkeys(r.details["preset"] for r in found))
     rows = []
     for scene in dict.fromkeys(r.case for r in found):
@@ -199,6 +198,38 @@ def _accuracy(folder: Path) -> str:
         best = [min(float(cell[place]) for cell in cells.values()) for place in range(len(_ERRORS))]
         rows.append((f"`{scene}`", *(_bold(cells[name], best) if name in cells else tables.NONE for name in presets)))
     return show.markdown_table(tables.Table("", ("scene", *(f"`{name}`" for name in presets)), len(presets) + 1, rows))
+
+
+def _compared(folder: Path) -> str:
+    """MSE x 100 and BadPix(0.07) of the presets and of published methods; time where it is known."""
+    ours = [
+        (f"**lfgpu, `{preset}`**", "no", {r.case: r.errors for r in of}, _seconds(of))
+        for preset in dict.fromkeys(r.details["preset"] for r in _range_found(folder))
+        for of in [[r for r in _range_found(folder) if r.details["preset"] == preset]]
+    ]
+    others = [
+        (method["name"], "yes" if method["trained"] else "no", method["errors"], method.get("seconds"))
+        for method in json.loads((folder / PUBLISHED).read_text(encoding="utf-8"))["methods"]
+    ]
+    rows = [
+        (name, trained, *(_scene(errors.get(scene)) for scene in _COMPARED), f"{time:.1f} s" if time else tables.NONE)
+        for name, trained, errors, time in sorted(ours + others, key=lambda row: row[1])
+    ]
+    columns = ("method", "trained", *(f"`{scene}`" for scene in _COMPARED), f"time, `{_COMPARED[0]}`")
+    return show.markdown_table(tables.Table("", columns, 2, rows))
+
+
+def _range_found(folder: Path) -> list[results.Record]:
+    records = results.load(folder / ACCURACY).records
+    return [r for r in records if not r.failed and r.details["range"] == "found"]
+
+
+def _seconds(found: Sequence[results.Record]) -> float | None:
+    return next((r.seconds.median for r in found if r.case == _COMPARED[0] and r.seconds is not None), None)
+
+
+def _scene(errors: Mapping[str, float] | None) -> str:
+    return f"{errors['mse_100']:.2f} / {errors['badpix_07']:.1f} %" if errors else tables.NONE
 
 
 def _bold(cells: Sequence[str], best: Sequence[float]) -> str:
@@ -248,13 +279,21 @@ def _cell(found: Sequence[results.Record], preset: str, case: str, *, parts: boo
 
 
 _ERRORS = {"mse_100": ".3g", "badpix_07": ".1f", "badpix_03": ".1f", "badpix_01": ".1f"}
+_COMPARED = ("cotton", "kitchen", "vinyl")  # scenes of the HCI benchmark that other methods are published on
 _PRESETS = ("fast", "accurate", "paper")
 _NAMES = {"fast": "fast", "accurate": "accurate", "paper": pipelines.RESIDENT}
+ACCURACY = max(
+    (path.name for path in RESULTS.glob("accuracy-*.json")), key=lambda name: [int(n) for n in re.findall(r"\d+", name)]
+)
+"""The accuracy of the newest version that was measured."""
+PUBLISHED = "published.json"
+"""What others publish about their methods, each with its source."""
 H200 = ("h200.json", "h200-17x17.json")
 RUNS = ("cpu-2-cores.json", "h200-machine-cpu.json", "h200-taichi.json", *H200, "ablation.json")
 TABLES: Mapping[str, Table] = {
     "ablation": Table(("ablation.json",), _ablation),
-    "accuracy": Table(("accuracy.json",), _accuracy),
+    "accuracy": Table((ACCURACY,), _accuracy),
+    "compared": Table((ACCURACY, PUBLISHED), _compared),
     "formulas": Table((), _formulas),
     "pipelines": Table(H200, _pipelines),
     "runs": Table(RUNS, _runs),

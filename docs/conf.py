@@ -33,7 +33,7 @@ extensions = [
 exclude_patterns = ["_ext", "gallery/README.rst", "gallery/*.py", "**/.ipynb_checkpoints"]
 nitpicky = False
 suppress_warnings = [
-    "toc.empty_glob",  # places for pages that are still to come
+    "myst.header",  # pages that are put together from parts begin them where they will
     "config.cache",  # the settings of the gallery hold functions
 ]
 
@@ -49,7 +49,8 @@ copybutton_only_copy_prompt_lines = True
 autosummary_generate = True
 autosummary_imported_members = True
 autodoc_default_options = {"members": True, "member-order": "groupwise"}
-autodoc_typehints = "none"  # signatures have them
+autodoc_typehints_format = "short"
+python_maximum_signature_line_length = 80
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
 default_role = "code"  # docstrings put names into single backquotes
@@ -58,7 +59,7 @@ default_role = "code"  # docstrings put names into single backquotes
 
 plot_html_show_formats = False
 plot_html_show_source_link = True
-plot_formats = [("png", 130)]
+plot_formats = [("png", 160)]
 plot_rcparams = {"savefig.bbox": "tight"}
 sphinx_gallery_conf = {
     "examples_dirs": "gallery",
@@ -70,6 +71,7 @@ sphinx_gallery_conf = {
     "min_reported_time": 1e9,
     "write_computation_times": False,
     "abort_on_example_error": True,
+    "within_subsection_order": "FileNameSortKey",
     "remove_config_comments": True,
     "image_scrapers": ("matplotlib",),
     "reset_modules": ("matplotlib",),
@@ -79,8 +81,6 @@ sphinx_gallery_conf = {
 
 html_theme = "pydata_sphinx_theme"
 html_title = "lfgpu"
-html_static_path = ["_static"]
-html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_context = {"default_mode": "auto"}
 html_sidebars = {"start": [], "changes": [], "index": []}

@@ -70,7 +70,7 @@ def _parameter(parameter: Any) -> str:
     """An entry of a definition list."""
     name = parameter.metavar or parameter.name
     if parameter.param_type_name == "option":
-        value = "" if parameter.is_flag else f" {parameter.metavar or parameter.type.name.upper()}"
+        value = "" if parameter.is_flag else f" {parameter.metavar or parameter.name.upper()}"
         name = ", ".join(f"{option}" for option in parameter.opts) + value
     shown = parameter.show_default if isinstance(parameter.show_default, str) else None
     default = shown or (None if parameter.default in (None, False, "", ()) else str(parameter.default))
@@ -84,5 +84,5 @@ def _escaped(text: str) -> str:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Make the pages before any is read."""
-    app.connect("builder-inited", write)
+    app.connect("builder-inited", write, priority=100)  # before summaries and gallery are made
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -26,7 +26,7 @@ PAGES = {
 
 _REPOSITORY = "https://github.com/lfgpu/lfgpu/blob/main/"
 _LINK = re.compile(r"(\]\()([^)#:\s]+)(#[^)\s]*)?(\))")
-_FENCE = re.compile(r"^(```|~~~)", re.MULTILINE)
+_PATTERN = re.compile(r"^((?:\.\./)?[\w-]+\*)\n", re.MULTILINE)
 
 
 def led(text: str, source: Path, page: Path) -> str:
@@ -42,7 +42,9 @@ def led(text: str, source: Path, page: Path) -> str:
         Where the site reads it from; the same file for a page of docs/.
     """
     parts = re.split(r"(^```.*?^```)", text, flags=re.MULTILINE | re.DOTALL)  # code is left alone
-    return "".join(part if part.startswith("```") else _LINK.sub(lambda m: _link(m, source, page), part) for part in parts)
+    return "".join(
+        part if part.startswith("```") else _LINK.sub(lambda m: _link(m, source, page), part) for part in parts
+    )
 
 
 def _link(found: re.Match[str], source: Path, page: Path) -> str:
@@ -61,7 +63,13 @@ def _link(found: re.Match[str], source: Path, page: Path) -> str:
 def _read(app: Sphinx, name: str, source: list[str]) -> None:
     path = Path(app.env.doc2path(name))
     if path.suffix == ".md" and not path.is_relative_to(DOCS / "made"):
-        source[0] = led(source[0], path, path)
+        source[0] = _PATTERN.sub(lambda m: m[0] if _matches(path.parent, m[1]) else "", led(source[0], path, path))
+
+
+def _matches(folder: Path, pattern: str) -> bool:
+    """Whether a line of a table of contents names a page. Places for pages that are not there yet are left out."""
+    folder = folder / Path(pattern).parent
+    return any(folder.glob(f"{Path(pattern).name}.md"))
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -13,7 +13,7 @@ from lfgpu import scenes
 lf = scenes.make("bars", grid=(7, 7), size=(144, 192))
 truth = lf.truth.disparity
 
-figure, axes = plt.subplots(2, 4, figsize=(12, 4.8), layout="constrained")
+figure, axes = plt.subplots(2, 4, figsize=(10, 4), layout="constrained")
 axes[0, 0].imshow(lf.image(lf.reference_index))
 axes[1, 0].imshow(truth, vmin=truth.min(), vmax=truth.max())
 axes[1, 0].set_title("truth")

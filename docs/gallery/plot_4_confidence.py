@@ -2,8 +2,8 @@
 Which pixels to trust
 =====================
 
-The confidence of each pixel, and the sparsification curve: the share of bad pixels that is left when the least confident
-ones are taken away, beside the smallest share that is possible.
+The confidence of each pixel, and the sparsification curve: the share of bad pixels that is left when the least
+confident ones are taken away, beside the smallest share that is possible.
 """
 
 import matplotlib.pyplot as plt

@@ -20,7 +20,7 @@ pictures = {
     "all in focus": lfgpu.all_in_focus(lf, result),
 }
 
-figure, axes = plt.subplots(1, 4, figsize=(12, 2.6), layout="constrained")
+figure, axes = plt.subplots(1, 4, figsize=(10, 2.2), layout="constrained")
 for axis, (title, picture) in zip(axes, pictures.items(), strict=True):
     axis.imshow(picture)
     axis.set_title(title)

@@ -3,11 +3,10 @@ Cameras that are not where they should be
 =========================================
 
 The cameras of a rig are shifted at random. `lfgpu.explain` measures the shift of each from the views alone; here it is
-drawn beside the true one, enlarged.
+drawn as an arrow, enlarged.
 """
 
 import matplotlib.pyplot as plt
-import numpy as np
 
 import lfgpu
 from lfgpu import scenes

@@ -10,7 +10,7 @@ lf = scenes.make("bars", grid=(7, 7), size=(144, 192), noise=0.01)
 result = lfgpu.estimate_depth(lf)
 error = np.abs(result.disparity - lf.truth.disparity)
 
-figure, axes = plt.subplots(1, 4, figsize=(12, 2.4), layout="constrained")
+figure, axes = plt.subplots(1, 4, figsize=(10, 2), layout="constrained")
 panels = (
     (lf.image(lf.reference_index), "one view", {}),
     (result.disparity, "disparity", {"cmap": "viridis"}),

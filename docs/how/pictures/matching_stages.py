@@ -10,14 +10,14 @@ TITLES = {
     "sweep": "1 sweep",
     "resweep": "2 second sweep",
     "align": "3 alignment",
-    "boundaries": "4 boundaries, holes filled",
+    "boundaries": "4 boundaries, holes",
 }
 
 lf = scenes.make("boxes", grid=(7, 7), size=(144, 192))
 result = lfgpu.estimate_depth(lf, disparity_range=(-1.6, 1.6))
 truth = lf.truth.disparity
 
-figure, axes = plt.subplots(2, 4, figsize=(12, 4.6), layout="constrained")
+figure, axes = plt.subplots(2, 4, figsize=(9, 3.6), layout="constrained")
 for column, (name, title) in enumerate(TITLES.items()):
     found = result.stages[name]
     drawn = axes[0, column].imshow(found, cmap="viridis", vmin=truth.min(), vmax=truth.max())

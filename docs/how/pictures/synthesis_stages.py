@@ -16,7 +16,7 @@ panels = {
     "truth": truth,
 }
 
-figure, axes = plt.subplots(1, len(panels), figsize=(12, 2.2), layout="constrained")
+figure, axes = plt.subplots(1, len(panels), figsize=(9.5, 1.8), layout="constrained")
 for axis, (title, values) in zip(axes, panels.items(), strict=True):
     axis.imshow(values, cmap="viridis", vmin=truth.min(), vmax=truth.max())
     axis.set_facecolor("0.7")
