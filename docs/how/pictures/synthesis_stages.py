@@ -5,7 +5,7 @@ import matplotlib.pyplot as plt
 import lfgpu
 from lfgpu import scenes
 
-lf = scenes.make("relief", grid=(7, 7), size=(112, 144))
+lf = scenes.make("planes", grid=(7, 7), size=(112, 144), noise=0.02)
 result = lfgpu.estimate_depth(lf, config="paper", disparity_range=(-1.6, 1.6))
 truth = lf.truth.disparity
 panels = {
