@@ -11,6 +11,7 @@ DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 sys.path[:0] = [str(DOCS / "_ext"), str(ROOT)]
 os.environ.setdefault("LFGPU_THREADS", "2")  # pictures are small
+os.environ["LFGPU_DOCS"] = str(DOCS)  # for pictures that run the code of a page
 
 project = "lfgpu"
 author = "The lfgpu developers"
