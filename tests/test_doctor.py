@@ -46,7 +46,7 @@ def test_a_sound_installation() -> None:
         assert re.search(rf"^{title}$", outcome.stdout, re.MULTILINE), title
     assert "numpy" in outcome.stdout
     assert outcome.stdout.endswith("Everything that is installed works.\n")
-    assert re.search(r"reference on cpu +passed in \d+\.\d s, 0\.01 px from the ground truth", outcome.stdout)
+    assert re.search(r"reference on cpu +passed in \d+\.\d s, 0\.0\d+ px from the ground truth", outcome.stdout)
 
 
 @pytest.mark.usefixtures("only_reference")
