@@ -197,13 +197,16 @@ def _accuracy(folder: Path) -> str:
         cells = {name: [f"{errors[m]:{how}}" for m, how in _ERRORS.items()] for name, errors in of.items()}
         best = [min(float(cell[place]) for cell in cells.values()) for place in range(len(_ERRORS))]
         rows.append((f"`{scene}`", *(_bold(cells[name], best) if name in cells else tables.NONE for name in presets)))
-    return show.markdown_table(tables.Table("", ("scene", *(f"`{name}`" for name in presets)), len(presets) + 1, rows))
+    table = tables.Table("", ("scene", *(f"`{name}`" for name in presets)), len(presets) + 1, rows)
+    run = results.load(folder / ACCURACY)
+    return f"{show.markdown_table(table)}\n\nlfgpu {run.versions['lfgpu']}, {run.date[:10]}, {run.where}.\n"
 
 
 def _compared(folder: Path) -> str:
     """MSE x 100 and BadPix(0.07) of the presets and of published methods; time where it is known."""
+    version = results.load(folder / ACCURACY).versions["lfgpu"]
     ours = [
-        (f"**lfgpu, `{preset}`**", "no", {r.case: r.errors for r in of}, _seconds(of))
+        (f"**lfgpu {version}, `{preset}`**", "no", {r.case: r.errors for r in of}, _seconds(of))
         for preset in dict.fromkeys(r.details["preset"] for r in _range_found(folder))
         for of in [[r for r in _range_found(folder) if r.details["preset"] == preset]]
     ]

@@ -23,7 +23,6 @@ NO_FIGURES = {
     "3.11": "the version of Python",
     "4D": "light fields",
     "64": "float64",
-    "81": "views of the picture",
     "2013": "a year",
     "2016": "a year",
     "0.2.0": "the version, compared below",

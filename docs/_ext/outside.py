@@ -25,7 +25,7 @@ PAGES = {
 """Files outside docs/ that are pages of the site, as docs/made/NAME.md."""
 
 _REPOSITORY = "https://github.com/lfgpu/lfgpu/blob/main/"
-_LINK = re.compile(r"(\]\()([^)#:\s]+)(#[^)\s]*)?(\))")
+_LINK = re.compile(r"(!\[[^\]\n]*)?(\]\()([^)#:\s]+)(#[^)\s]*)?(\))")
 _PATTERN = re.compile(r"^((?:\.\./)?[\w-]+\*)\n", re.MULTILINE)
 
 
@@ -48,14 +48,15 @@ def led(text: str, source: Path, page: Path) -> str:
 
 
 def _link(found: re.Match[str], source: Path, page: Path) -> str:
-    before, target, place, after = found[1], found[2], found[3] or "", found[4]
+    picture, target, place, after = found[1] or "", found[3], found[4] or "", found[5]
+    before = picture + found[2]
     path = Path(os.path.normpath(source.parent / target))
     if not path.is_relative_to(ROOT) or not path.exists():
         return found[0]  # for Sphinx to complain about
     name = path.relative_to(ROOT).as_posix()
     if name in PAGES:
         path = DOCS / "made" / f"{PAGES[name]}.md"
-    elif not path.is_relative_to(DOCS):
+    elif not path.is_relative_to(DOCS) and not picture:
         return f"{before}{_REPOSITORY}{name}{place}{after}"
     return f"{before}{os.path.relpath(path, page.parent)}{place}{after}"
 
