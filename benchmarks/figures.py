@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
@@ -198,15 +198,13 @@ def _accuracy(folder: Path) -> str:
         best = [min(float(cell[place]) for cell in cells.values()) for place in range(len(_ERRORS))]
         rows.append((f"`{scene}`", *(_bold(cells[name], best) if name in cells else tables.NONE for name in presets)))
     table = tables.Table("", ("scene", *(f"`{name}`" for name in presets)), len(presets) + 1, rows)
-    run = results.load(folder / ACCURACY)
-    return f"{show.markdown_table(table)}\n\nlfgpu {run.versions['lfgpu']}, {run.date[:10]}, {run.where}.\n"
+    return f"{show.markdown_table(table)}\n\n{_where(folder)}\n"
 
 
 def _compared(folder: Path) -> str:
     """MSE x 100 and BadPix(0.07) of the presets and of published methods; time where it is known."""
-    version = results.load(folder / ACCURACY).versions["lfgpu"]
     ours = [
-        (f"**lfgpu {version}, `{preset}`**", "no", {r.case: r.errors for r in of}, _seconds(of))
+        (f"**lfgpu {_version(ACCURACY)}, `{preset}`**", "no", {r.case: r.errors for r in of}, _seconds(of))
         for preset in dict.fromkeys(r.details["preset"] for r in _range_found(folder))
         for of in [[r for r in _range_found(folder) if r.details["preset"] == preset]]
     ]
@@ -219,7 +217,23 @@ def _compared(folder: Path) -> str:
         for name, trained, errors, time in sorted(ours + others, key=lambda row: row[1])
     ]
     columns = ("method", "trained", *(f"`{scene}`" for scene in _COMPARED), f"time, `{_COMPARED[0]}`")
-    return show.markdown_table(tables.Table("", columns, 2, rows))
+    return f"{show.markdown_table(tables.Table('', columns, 2, rows))}\n\n{_where(folder)}\n"
+
+
+def _where(folder: Path) -> str:
+    """What the accuracy was measured with, and on what."""
+    run = results.load(folder / ACCURACY)
+    used = "the GPU" if run.records[0].device.startswith("cuda") else "the CPU"
+    return f"lfgpu {_version(ACCURACY)}, measured on {run.date[:10]} with {used} of: {run.where}."
+
+
+def _version(name: str) -> str:
+    return name.removeprefix("accuracy-").removesuffix(".json")
+
+
+def newest(names: Iterable[str]) -> str:
+    """The file of the newest version among `accuracy-VERSION.json`."""
+    return max(names, key=lambda name: [int(number) for number in _version(name).split(".")])
 
 
 def _range_found(folder: Path) -> list[results.Record]:
@@ -285,9 +299,7 @@ _ERRORS = {"mse_100": ".3g", "badpix_07": ".1f", "badpix_03": ".1f", "badpix_01"
 _COMPARED = ("cotton", "kitchen", "vinyl")  # scenes of the HCI benchmark that other methods are published on
 _PRESETS = ("fast", "accurate", "paper")
 _NAMES = {"fast": "fast", "accurate": "accurate", "paper": pipelines.RESIDENT}
-ACCURACY = max(
-    (path.name for path in RESULTS.glob("accuracy-*.json")), key=lambda name: [int(n) for n in re.findall(r"\d+", name)]
-)
+ACCURACY = newest(path.name for path in RESULTS.glob("accuracy-*.json"))
 """The accuracy of the newest version that was measured."""
 PUBLISHED = "published.json"
 """What others publish about their methods, each with its source."""

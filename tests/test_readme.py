@@ -1,6 +1,5 @@
 """The README says what the code does: formats, commands, pictures, links, figures; and it stays short."""
 
-import json
 import re
 from pathlib import Path
 
@@ -90,11 +89,6 @@ def test_a_figure_that_differs_from_its_source_is_found(tmp_path: Path) -> None:
     wrong = table[0].replace(number[0], "9.99", 1)
     page.write_text(README.replace(table[0], wrong), encoding="utf-8")
     assert len([mark for mark in figures.marks(page) if mark.found != mark.wanted]) == 1
-
-
-def test_the_times_are_those_of_the_machine_that_it_names() -> None:
-    content = json.loads((figures.RESULTS / figures.ACCURACY).read_text(encoding="utf-8"))
-    assert ("two cores" in README) == (content["machine"]["cores"] == 2)
 
 
 def test_the_wheel_that_it_names_is_of_this_version() -> None:

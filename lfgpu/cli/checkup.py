@@ -26,6 +26,7 @@ PARTS = {
     "calibration": "calibrations of OpenCV and Kalibr as YAML",
     "exr": "maps as OpenEXR, light fields of Blender",
     "hdf5": "old HCI light fields, MATLAB 7.3 files",
+    "png": "PNG files, faster",
     "taichi": "a second backend",
     "tiff": "TIFF files",
     "video": "videos as input, films as MP4",
