@@ -22,7 +22,8 @@ from lfgpu.cli import app
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [DOCS / "start.md", *sorted((DOCS / "tutorials").glob("*.md"))]
-_FENCE = re.compile(r"^(`{3,})(?:\{code-block\} *)?(\w*)\n(.*?)^\1`*$", re.MULTILINE | re.DOTALL)
+_FENCE = re.compile(r"^(`{3,})([^`\n]*)\n(.*?)^\1`*$", re.MULTILINE | re.DOTALL)
+_OPENED = re.compile(r"^`{3,}(?:\{code-block\} *)?(?:console|python)$", re.MULTILINE)
 _OPTION = re.compile(r"^:(\w+): *(.*)\n", re.MULTILINE)
 
 
@@ -43,7 +44,9 @@ def blocks(page: Path) -> Iterator[Block]:
         while option := _OPTION.match(body):
             options[option[1]] = option[2]
             body = body[option.end() :]
-        yield Block(found[2], body, options, text.count("\n", 0, found.start()) + 2)
+        yield Block(
+            found[2].removeprefix("{code-block}").strip(), body, options, text.count("\n", 0, found.start()) + 2
+        )
 
 
 def run_commands(block: Block, page: Path) -> None:
@@ -78,7 +81,7 @@ def follow(page: Path) -> int:
 def test_what_a_page_says_works(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", *sys.path])  # as where `lfgpu` is started
-    assert follow(page) >= 2
+    assert follow(page) == len(_OPENED.findall(page.read_text(encoding="utf-8"))) >= 2
 
 
 def test_a_page_that_does_not_work_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -92,3 +95,6 @@ def test_a_page_that_does_not_work_fails(tmp_path: Path, monkeypatch: pytest.Mon
         follow(page)
     page.write_text("```sh\nlfgpu info nowhere\n```\n")
     assert follow(page) == 0
+    page.write_text("```{eval-rst}\n.. plot:: x.py\n```\n\n```python\n1 / 0\n```\n")
+    with pytest.raises(ZeroDivisionError):
+        follow(page)
