@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import re
@@ -20,7 +21,7 @@ from typer.testing import CliRunner
 
 from lfgpu import _backends
 from lfgpu._backends import BackendInfo
-from lfgpu.cli import app, checkup
+from lfgpu.cli import app, checkup, machine
 from lfgpu.pipelines import estimate
 
 ROOT = Path(__file__).parents[1]
@@ -151,6 +152,27 @@ def test_a_part_that_is_not_there_is_named_with_the_command(monkeypatch: pytest.
     outcome = doctor()
     assert outcome.exit_code == 0
     assert "not installed: the viewer in the browser; pip install 'lfgpu[viewer]'" in outcome.stdout
+
+
+def test_the_memory_of_a_gpu_is_what_its_driver_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Driver:
+        def cuDeviceTotalMem_v2(self, size: Any, device: Any) -> int:  # noqa: N802  # the name in the driver
+            size._obj.value = 80 * 2**30
+            return int(device.value != 1)
+
+    monkeypatch.setattr(machine, "_cuda", lambda index: (Driver(), ctypes.c_int(index)))
+    assert machine.device_memory("cuda:1") == 80 * 2**30
+    assert machine.device_memory("cuda:0") is None  # an error of the driver
+    assert machine.device_memory("cpu") is None
+
+
+def test_free_memory_is_less_than_all(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    meminfo = tmp_path / "meminfo"
+    meminfo.write_text("MemTotal:       24684092 kB\nMemAvailable:   20000000 kB\n")
+    monkeypatch.setattr(machine, "_MEMINFO", meminfo)
+    assert machine.free_memory() == 20000000 * 1024
+    monkeypatch.setattr(machine, "_MEMINFO", tmp_path / "nowhere")
+    assert machine.free_memory() is None
 
 
 # --- help and completion ---
