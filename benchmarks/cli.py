@@ -2,7 +2,7 @@
 
 `accuracy` scores a population of light fields, `ablation` leaves ingredients out, `rendering` renders views that were
 left out, `live`, `flicker` and `soak` are about streams, `scaling` takes several GPUs, `tiles` limits the memory,
-`gallery` draws the picture of the README.
+`gallery` draws the picture of the README, `figures` writes the figures of all pages from the committed results.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from benchmarks import (
     compare,
     confidence,
     error_sheet,
+    figures,
     files,
     flicker,
     gallery,
@@ -147,13 +148,19 @@ def accuracy_(
     baseline: Annotated[Path, typer.Option(metavar="FILE.json", help="A run to hold this one against.")] = (
         population.BASELINE
     ),
+    scene_names: Annotated[
+        str, typer.Option("--scenes", metavar="NAME-CASE,...", help="Scenes of the package: boxes-7x7x375x375 ...")
+    ] = "",
     sheet: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Where the pictures of errors go.")] = None,
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = None,
 ) -> None:
     """Score presets on a population of light fields, with the range found and the true one, against a baseline."""
     where = [*(first or ()), *(folders or ())]
-    if not where:
-        raise BenchmarkError("no light fields to score: give folders with --population.")
+    made = _names(scene_names)
+    if not where and not made:
+        raise BenchmarkError("no light fields to score: give folders with --population, or --scenes of the package.")
+    for name in made:
+        population.made(name)
     if unknown := [name for name in _names(ranges) if name not in population.RANGES]:
         raise BenchmarkError(f"unknown range {unknown[0]!r}; there are {', '.join(population.RANGES)}.")
     for path in (out, sheet):
@@ -162,7 +169,7 @@ def accuracy_(
     old = results.load(baseline) if baseline != population.BASELINE or baseline.exists() else None
     pictures: list[population.Picture] = []
     run = population.run(
-        where, _names(presets), _names(ranges), lambda what: typer.echo(what, err=True), pictures.append
+        where, _names(presets), _names(ranges), lambda what: typer.echo(what, err=True), pictures.append, made
     )
     if sheet is not None and pictures:
         error_sheet.write(pictures, sheet)
@@ -258,7 +265,8 @@ def flicker_(
     out: Out = None,
 ) -> None:
     """How much maps of a moving scene change where nothing does, with and without the last map, and their errors."""
-    film = moving.Film(*live.parse_case(case_name), frames, period, noise)
+    case = cases.parse(case_name)
+    film = moving.Film(case.grid, case.size, frames, period, noise)
     rows = flicker.run(film, tuple(_names(presets)), device, lambda what: typer.echo(what, err=True))
     live.save(out, {"film": asdict(film), "rows": [asdict(row) for row in rows]})
     flicker.show(rows)
@@ -291,7 +299,8 @@ def soak_(
     out: Out = None,
 ) -> None:
     """Frames with random drop-outs, cuts and errors for a long time; exits with 1 if memory grows or one is lost."""
-    plan = soak.Plan(frames, *live.parse_case(case_name), preset, seed, device)
+    case = cases.parse(case_name)
+    plan = soak.Plan(frames, case.grid, case.size, preset, seed, device)
     found = soak.run(plan, lambda what: typer.echo(what, err=True))
     live.save(out, asdict(found))
     for line in found.lines():
@@ -419,6 +428,24 @@ def gallery_(
     check_writable(out, folder=False)
     for line in gallery.write(out):
         typer.echo(line)
+
+
+@app.command("figures")
+def figures_(
+    check: Annotated[bool, typer.Option("--check", help="Write nothing; exit with 1 if a page differs.")] = False,
+    list_: Annotated[bool, typer.Option("--list", help="Write nothing; print what each figure comes from.")] = False,
+) -> None:
+    """Write the figures of README, docs and benchmarks anew from the files in benchmarks/results."""
+    if not (check or list_):
+        for page in figures.write():
+            typer.echo(f"written: {page.relative_to(figures.ROOT)}")
+        return
+    found = [mark for page in figures.pages() for mark in figures.marks(page)]
+    differing = [mark for mark in found if mark.found != mark.wanted]
+    for line in figures.listing(found if list_ else differing):
+        typer.echo(line)
+    if check and differing:
+        raise BenchmarkError(f"{len(differing)} figures differ from their files: run python -m benchmarks figures.")
 
 
 def _finish(run: results.Run, out: Path | None) -> None:

@@ -31,13 +31,13 @@ class Metrics:
     mse_100: float
     """Mean squared error times 100, in pixels squared per view step squared."""
     badpix_07: float
-    """Percent of pixels with |error| > 0.07 pixels per view step."""
+    """Percent of pixels with an absolute error above 0.07 pixels per view step."""
     badpix_03: float
-    """Percent of pixels with |error| > 0.03 pixels per view step."""
+    """Percent of pixels with an absolute error above 0.03 pixels per view step."""
     badpix_01: float
-    """Percent of pixels with |error| > 0.01 pixels per view step."""
+    """Percent of pixels with an absolute error above 0.01 pixels per view step."""
     q25: float
-    """25 % quantile of |error|, times 100: the accuracy of the best quarter of the pixels."""
+    """25 % quantile of the absolute error, times 100: the accuracy of the best quarter of the pixels."""
     rmse: float
     """Root of the mean squared error, pixels per view step."""
     undefined: float
@@ -119,7 +119,7 @@ class Sparsification:
     monotone: bool
     """Whether `bad` never rises as less confident pixels are left out."""
     threshold: float
-    """Pixels with a larger |error|, pixels per view step, are bad."""
+    """Pixels with a larger absolute error, pixels per view step, are bad."""
     count: int
     """Number of scored pixels."""
 
@@ -153,7 +153,7 @@ def sparsification(
     confidence
         The larger the surer, of the same shape; only its order counts.
     threshold
-        Pixels with |error| > threshold are bad; pixels per view step, >= 0, default 0.07.
+        Pixels with an absolute error above the threshold are bad; pixels per view step, >= 0, default 0.07.
 
     Raises
     ------

@@ -354,7 +354,7 @@ def test_a_batch_is_scored_per_item_and_in_total(undisturbed: Path, recorded: Pa
         manifest.add(work(job, "cpu") for job in jobs(recorded, other)[:2])
     outcome = lfgpu("eval", undisturbed, other, "-o", tmp_path / "tables")
     assert outcome.exit_code == 0, outcome.output
-    assert "1 items failed or have no ground truth" in outcome.stdout
+    assert "1 item failed or without ground truth" in outcome.stdout
     lines = (tmp_path / "tables" / "table.csv").read_text().splitlines()
     assert lines[0] == f"scene,metric,{undisturbed.name},other"
     found = {tuple(line.split(",")[:2]): line.split(",")[2:] for line in lines[1:]}

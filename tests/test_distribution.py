@@ -22,6 +22,7 @@ TESTED_WITH = (
     "constraints.txt",
     "README.md",
     "CHANGELOG.md",
+    "CITATION.cff",
     "CONTRIBUTING.md",
     "LICENSE",
     "pyproject.toml",
@@ -110,7 +111,8 @@ def test_the_archive_of_sources_has_all_that_tests_need(sdist: Path) -> None:
         assert (sdist / name).read_bytes() == (ROOT / name).read_bytes(), name
     for folder in FOLDERS:
         for path in (ROOT / folder).rglob("*"):
-            if path.is_file() and "__pycache__" not in path.parts:
+            made = "__pycache__" in path.parts or "made" in path.parts  # docs/made: pages that `make docs` writes
+            if path.is_file() and not made:
                 name = path.relative_to(ROOT)
                 assert (sdist / name).is_file(), name
 

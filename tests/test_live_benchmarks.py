@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import flicker, live, moving, soak
+from benchmarks import flicker, moving, soak
 from benchmarks.cli import app
 from lfgpu import scenes
 from lfgpu.pipelines.stream import DepthStream
@@ -133,8 +132,3 @@ def test_soak_notices_another_map_at_the_end(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(DepthStream, "restart", lambda self: None)
     monkeypatch.setattr(soak, "_CUT", 0.0)
     assert any("another map" in problem for problem in soak.run(plan(40), quiet).problems)
-
-
-def test_parse_case() -> None:
-    found: Any = live.parse_case("7x9x375x400")
-    assert found == ((7, 9), (375, 400))

@@ -127,7 +127,7 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
         "bad.",
     )
     if unscored:
-        remark(console, f"{unscored} items failed or have no ground truth.")
+        remark(console, f"{unscored} item{'s' * (unscored > 1)} failed or without ground truth.")
     if gone:
         remark(console, f"{gone} items are left out, because their outputs were deleted or renamed.")
     for name in mixed:

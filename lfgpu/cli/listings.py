@@ -11,9 +11,23 @@ from typing import Any
 
 from typer.core import TyperCommand
 
+EXAMPLE = "Example: "
+"""How the epilog of a command begins; the rest of it is the example."""
+
 
 class Command(TyperCommand):
-    """A command whose help texts may name lists."""
+    """A command whose help texts may name lists, and whose example stands in the list of all commands."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        paragraphs = [" ".join(paragraph.split()) for paragraph in (self.help or "").split("\n\n")]
+        self.help, self.summary = "\n\n".join(paragraphs), paragraphs[0]
+        # What stands in the list of all commands; \b keeps the line break.
+        self.short_help = f"\b\n{self.summary}\n$ {(self.epilog or '').removeprefix(EXAMPLE)}"
+
+    def get_short_help_str(self, limit: int = 45) -> str:
+        """The summary, for the shell's completion; Click's own would cut it off after `limit` characters."""
+        return self.summary
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Put the lists into the help texts, then show them."""
