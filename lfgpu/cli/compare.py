@@ -211,9 +211,9 @@ def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
 
 
 def _map(file: Path, lf: LightField) -> NDArray[np.float32]:
-    from lfgpu.cli.facts import place
     from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import load
+    from lfgpu.reports.facts import place
 
     assert lf.truth is not None  # the caller looked
     result = load(file)

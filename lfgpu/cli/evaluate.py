@@ -190,9 +190,9 @@ def _check_exists(path: Path) -> None:
 
 def _truth(path: Path, position: tuple[float, float] | None) -> GroundTruth:
     """The ground truth in a map or in a light field, which must belong to the view at `position` (u, v), if known."""
-    from lfgpu.cli.facts import place
     from lfgpu.data.lightfield import GroundTruth
     from lfgpu.io import read, read_map
+    from lfgpu.reports.facts import place
 
     _check_exists(path)
     if not path.is_dir():
