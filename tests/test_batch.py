@@ -342,8 +342,10 @@ def test_a_report_shows_all_items(recorded: Path, undisturbed: Path) -> None:
     page = write_report(summary, undisturbed, "a & b").read_text(encoding="utf-8")
     assert "4 done, 1 failed, 1 not reached" in page
     assert "a &amp; b" in page
+    assert "66.67 % done" in page
+    assert "preset" not in page, "nobody said which"
     assert page.index("scene_2") < page.index("scene_0"), "failed ones come first"
-    assert page.count('loading="lazy"') == 4
+    assert page.count('loading="lazy"') == 2 * 4, "a view and a map of each"
     for target in re.findall(r'(?:src|href)="([^"]+)"', page):
         assert (undisturbed / target).exists(), target
 

@@ -6,6 +6,8 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     from lfgpu.config import Config
     from lfgpu.data.geometry import Geometry
     from lfgpu.data.lightfield import LightField
@@ -106,3 +108,8 @@ def preset(config: Config) -> str:
 def device(name: str, product: str | None) -> str:
     """A device and its product name, if that is known: "cuda:0 (NVIDIA H200)"."""
     return f"{name} ({product})" if product else name
+
+
+def date(moment: datetime) -> str:
+    """A date in words: "22 November 2026, 09:30 UTC"."""
+    return f"{moment.day} {moment:%B %Y, %H:%M %Z}".rstrip()

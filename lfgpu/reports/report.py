@@ -26,7 +26,7 @@ from lfgpu.methods import method_of, nearest_preset
 from lfgpu.metrics import BORDER, Metrics, evaluate, reliability, sparsification
 from lfgpu.reports import charts, facts
 from lfgpu.reports.epis import Point, epi_cards, find_points
-from lfgpu.viz.cards import Card, cross_hair, limits_of, map_card, scale_of, view_card
+from lfgpu.viz.cards import Card, Tile, cross_hair, limits_of, map_card, scale_of, view_card
 from lfgpu.viz.pages import rendered
 from lfgpu.viz.panels import rgb
 
@@ -58,16 +58,6 @@ class Origin:
     command: str = ""
     written: datetime | None = None
     product: str | None = None
-
-
-@dataclass(frozen=True)
-class Tile:
-    """A number that is read first."""
-
-    label: str
-    value: str
-    unit: str = ""
-    remark: str = ""
 
 
 def write_report(
@@ -143,11 +133,7 @@ def html(
 def _lead(result: DepthResult, origin: Origin) -> str:
     version = result.versions.get("lfgpu", "")
     by = f"Disparity of the view at {facts.place(*result.position)}, by lfgpu {version}".rstrip()
-    return by if origin.written is None else f"{by}, {_date(origin.written)}"
-
-
-def _date(moment: datetime) -> str:
-    return f"{moment.day} {moment:%B %Y, %H:%M %Z}".rstrip()
+    return by if origin.written is None else f"{by}, {facts.date(origin.written)}"
 
 
 def _tiles(result: DepthResult, scored: _Scored | None, explanation: Explanation | None) -> Iterator[Tile]:

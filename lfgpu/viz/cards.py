@@ -1,4 +1,4 @@
-"""Cards: pictures for pages, each with its title and its scale."""
+"""Cards: pictures for pages, each with its title and its scale; and tiles, numbers with their titles."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import base64
 import io
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
@@ -17,7 +18,12 @@ from PIL import Image
 from lfgpu.viz.figures import error_reach, scale_limits
 from lfgpu.viz.panels import LOOKS, UNDEFINED, Picture, fitted
 
-_MOST = 500_000  # pixels of a picture: larger ones are scaled down, so that a page stays at a few MB
+MOST_PIXELS = 500_000
+"""Pixels of a picture in a page: larger ones are scaled down, so that the page stays at a few MB."""
+
+SAVING: dict[str, dict[str, Any]] = {"JPEG": {"quality": 88}, "PNG": {"optimize": True}}
+"""How pictures are written, by the name of their format."""
+
 _SHARP = 480  # pixels: pictures whose longer side is shorter are enlarged in sharp squares
 _LEVELS = 255  # shades of a map; one more is the grey of undefined pixels
 _STOPS = 17
@@ -116,12 +122,20 @@ class Card:
         return self.size[0] * (_THICK if any(mark.letter for mark in self.marks) else _THIN)
 
 
+@dataclass(frozen=True)
+class Tile:
+    """A number that is read first."""
+
+    label: str
+    value: str
+    unit: str = ""
+    remark: str = ""
+
+
 def view_card(title: str, picture: Picture, *, remark: str = "", marks: tuple[Mark, ...] = ()) -> Card:
     """A card of a view [y, x, 3]. Marks are in its pixels."""
     height, width = picture.shape[:2]
-    wide, tall = _size(width, height)
-    image = fitted(picture, wide=wide, tall=tall) if wide < width else Image.fromarray(picture)
-    return Card(title, remark, address(image, "JPEG"), (width, height), marks=marks)
+    return Card(title, remark, address(view_image(picture), "JPEG"), (width, height), marks=marks)
 
 
 def drawn_card(title: str, picture: Picture, *, remark: str = "", marks: tuple[Mark, ...] = ()) -> Card:
@@ -157,10 +171,19 @@ def limits_of(kind: str, values: NDArray[np.float32]) -> tuple[float, float]:
     return scale_limits(values)
 
 
-def map_image(values: NDArray[np.float32], kind: str, limits: tuple[float, float]) -> Image.Image:
-    """A map as a picture with a palette; of a large one every second or third pixel and so on."""
+def view_image(picture: Picture, *, most: int = MOST_PIXELS) -> Image.Image:
+    """A view [y, x, 3] as a picture of at most so many pixels."""
+    height, width = picture.shape[:2]
+    wide, tall = _size(width, height, most)
+    return fitted(picture, wide=wide, tall=tall) if wide < width else Image.fromarray(np.ascontiguousarray(picture))
+
+
+def map_image(
+    values: NDArray[np.float32], kind: str, limits: tuple[float, float], *, most: int = MOST_PIXELS
+) -> Image.Image:
+    """A map as a picture with a palette, of at most so many pixels; of a large map some pixels are left out."""
     height, width = values.shape
-    wide, tall = _size(width, height)
+    wide, tall = _size(width, height, most)
     rows, columns = (((np.arange(n) + 0.5) * of / n).astype(np.intp) for n, of in ((tall, height), (wide, width)))
     shown = values[rows[:, None], columns]
     low, high = limits
@@ -174,8 +197,21 @@ def map_image(values: NDArray[np.float32], kind: str, limits: tuple[float, float
 
 def scale_of(kind: str, values: NDArray[np.float32], limits: tuple[float, float]) -> Scale:
     """The scale of a map; arrows where finite values lie beyond it."""
-    look, (low, high) = LOOKS[kind], limits
-    known = values[np.isfinite(values)]
+    known, (low, high) = values[np.isfinite(values)], limits
+    return scale(
+        kind,
+        limits,
+        below=bool((known < low).any()),
+        above=bool((known > high).any()),
+        undefined=len(known) < values.size,
+    )
+
+
+def scale(
+    kind: str, limits: tuple[float, float], *, below: bool = False, above: bool = False, undefined: bool = False
+) -> Scale:
+    """The scale of a map of which some values lie below or above the limits, or are undefined."""
+    low, high = limits
     span = max(high - low, 1e-12)
     ticks = [
         float(t)
@@ -185,9 +221,9 @@ def scale_of(kind: str, values: NDArray[np.float32], limits: tuple[float, float]
     return Scale(
         tuple(f"rgb({r} {g} {b})" for r, g, b in _table(kind, _STOPS)),
         tuple(Tick(round(100 * (t - low) / span, 2), number(t)) for t in ticks),
-        f"{look.unit}{'' if len(known) == values.size else '; grey: undefined'}",
-        bool((known < low).any()),
-        bool((known > high).any()),
+        f"{LOOKS[kind].unit}{'; grey: undefined' if undefined else ''}",
+        below,
+        above,
     )
 
 
@@ -199,7 +235,7 @@ def number(value: float) -> str:
 def address(image: Image.Image, kind: str) -> str:
     """A picture as a data address; `kind` is PNG or JPEG."""
     buffer = io.BytesIO()
-    image.save(buffer, kind, **({"quality": 88} if kind == "JPEG" else {"optimize": True}))
+    image.save(buffer, kind, **SAVING[kind])
     return f"data:image/{kind.lower()};base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
@@ -216,9 +252,9 @@ def cross_hair(x: float, y: float, size: tuple[int, int], letter: str) -> Mark:
     return Mark(path, letter, at)
 
 
-def _size(width: int, height: int) -> tuple[int, int]:
+def _size(width: int, height: int, most: int) -> tuple[int, int]:
     """The size of a picture, scaled down where it has too many pixels."""
-    factor = math.sqrt(_MOST / (width * height))
+    factor = math.sqrt(most / (width * height))
     return (width, height) if factor >= 1 else (max(1, int(width * factor)), max(1, int(height * factor)))
 
 
