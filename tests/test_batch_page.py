@@ -42,8 +42,9 @@ def lf() -> LightField:
 def folder(lf: LightField, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three light fields, one of which cannot be read."""
     place = tmp_path_factory.mktemp("many")
-    for name in ("item_2", "item_10", "bad"):
-        write_hci(lf, place / name)
+    other = scenes.make("relief", grid=(3, 3), size=(72, 80), seed=1)
+    for name, scene in (("item_2", lf), ("item_10", other), ("bad", lf)):
+        write_hci(scene, place / name)
     for path in (place / "bad").glob("input_Cam*.png"):
         path.write_bytes(path.read_bytes()[:200])
     return place
