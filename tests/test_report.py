@@ -22,6 +22,7 @@ from typer.testing import CliRunner
 
 from lfgpu import explain, scenes
 from lfgpu.cli import app
+from lfgpu.cli.console import comparison, output
 from lfgpu.cli.outputs import write_outputs
 from lfgpu.comparison import Scene, table
 from lfgpu.config import parameters
@@ -302,15 +303,33 @@ def test_methods_are_compared_on_scenes(folder: Path, tmp_path: Path) -> None:
         "eval", folder / "bad", folder / "good", "--scene", folder / "one", "--scene", folder / "two", "-o", out
     )
     assert (code, err) == (0, "")
-    assert {file.name for file in out.iterdir()} == {"table.md", "table.tex", "table.csv", "errors.png"}
+    assert {file.name for file in out.iterdir()} == {"table.md", "table.tex", "table.csv", "errors.png", "report.html"}
     with (out / "table.csv").open() as file:
-        rows = {(row["scene"], row["metric"]): (float(row["bad"]), float(row["good"])) for row in csv.DictReader(file)}
-    assert rows["one", "MSE x100"] == pytest.approx((0.25, 0.0036), rel=1e-3)
-    assert rows["two", "BadPix 0.03"] == pytest.approx((100, 0))
-    assert rows["average of 2", "Q25 x100"] == pytest.approx((5, 0.6), rel=1e-3)
-    assert "| one | MSE x100 | 0.250 | **0.004** |" in (out / "table.md").read_text()
+        rows = {(row["scene"], row["method"]): row for row in csv.DictReader(file)}
+    found = [float(rows["one", method]["MSE x100"]) for method in ("bad", "good")]
+    assert found == pytest.approx((0.25, 0.0036), rel=1e-3)
+    assert [float(rows["two", method]["BadPix 0.03"]) for method in ("bad", "good")] == [100, 0]
+    found = [float(rows["average of 2", method]["Q25 x100"]) for method in ("bad", "good")]
+    assert found == pytest.approx((5, 0.6), rel=1e-3)
+    assert "| one | good | **0.004** | **0.00** | **0.00** | **0.00** | **0.600** |" in (out / "table.md").read_text()
+    assert "| one | bad | 0.250 | **0.00** | 100.00 |" in (out / "table.md").read_text(), "both are best"
     assert r"\textbf{0.004}" in (out / "table.tex").read_text()
-    assert "BadPix 0.07" in said
+    assert re.search(r"one +bad +0\.250", said)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.count("<figure") == 2 * (2 + 2 * 2), "view and truth, then map and error of each method"
+    assert "<td>good</td>" in page
+    assert len(pictures(page)) == 12
+
+
+def test_three_methods_and_five_metrics_stand_side_by_side_in_80_columns() -> None:
+    truth = np.zeros((48, 56), np.float32)
+    maps = {f"a method {n}": truth + np.float32(0.02 * n) for n in range(3)}
+    console = output()
+    console.width = 80
+    with console.capture() as said:
+        comparison(console, table([Scene("a scene", np.zeros((48, 56, 3), np.float32), truth, maps)]))
+    lines = [line for line in said.get().splitlines() if "a method" in line]
+    assert [len(re.findall(r"\d+\.\d+", line)) for line in lines] == [5, 5, 5]
 
 
 def test_a_method_without_a_map_leaves_a_gap(folder: Path, tmp_path: Path) -> None:
@@ -318,7 +337,7 @@ def test_a_method_without_a_map_leaves_a_gap(folder: Path, tmp_path: Path) -> No
     (tmp_path / "half" / "one.pfm").write_bytes((folder / "good" / "one.pfm").read_bytes())
     code, said, _ = run("eval", folder / "bad", tmp_path / "half", "--scene", folder / "one", "--scene", folder / "two")
     assert code == 0
-    assert re.search(r"two +MSE x100 +0\.250 +-", said)
+    assert re.search(r"half +- +- +- +- +-", said)
 
 
 @pytest.mark.parametrize(
@@ -367,11 +386,27 @@ def test_error_maps_share_a_scale() -> None:
     errors = [axes.images[0].get_clim() for axes in figure.axes if axes.get_xlabel().endswith(("0", "1"))]
     assert len(set(errors)) == 1
     assert any(axes.get_xlabel() == "no map" for axes in figure.axes)
-    assert table([scene, other]).rows[0].best == 1
+    assert [row.best[0] for row in table([scene, other]).rows] == [False, True, True, False]
     with pytest.raises(LightFieldError, match="nothing to compare"):
         comparison_figure([])
     with pytest.raises(LightFieldError, match="nothing to compare"):
         table([])
+
+
+@pytest.mark.parametrize("shape", [(512, 512), (40, 50), (90, 40)])
+def test_maps_in_a_comparison_are_not_stretched(shape: tuple[int, int]) -> None:
+    truth = np.zeros(shape, np.float32)
+    other = np.zeros((60, 80), np.float32)
+    scenes_ = [
+        Scene("a", np.zeros((*shape, 3), np.float32), truth, {"x": truth, "y": truth}),
+        Scene("b", np.zeros((60, 80, 3), np.float32), other, {"x": other}),
+    ]
+    figure = comparison_figure(scenes_)
+    for axes in figure.axes[:-1]:
+        box, (height, width) = axes.get_window_extent(), axes.images[0].get_array().shape[:2]
+        assert box.width / box.height == pytest.approx(width / height, rel=1e-3)
+        assert box.x1 <= figure.bbox.width
+        assert box.y1 <= figure.bbox.height
 
 
 # --- notebooks ---
@@ -384,7 +419,7 @@ def test_light_fields_and_results_show_themselves(lf: LightField) -> None:
         links = Links()
         links.feed(page)
         assert "script" not in links.tags
-        assert all(address.startswith("data:image/png;base64,") for address in links.addresses)
+        assert all(address.startswith("data:image/") for address in links.addresses)
         assert "<b>x" not in page.replace("<b>&lt;b&gt;x", "")
     holes = result.disparity.copy()
     holes[:] = np.nan

@@ -132,10 +132,12 @@ class Tile:
     remark: str = ""
 
 
-def view_card(title: str, picture: Picture, *, remark: str = "", marks: tuple[Mark, ...] = ()) -> Card:
-    """A card of a view [y, x, 3]. Marks are in its pixels."""
+def view_card(
+    title: str, picture: Picture, *, remark: str = "", marks: tuple[Mark, ...] = (), most: int = MOST_PIXELS
+) -> Card:
+    """A card of a view [y, x, 3], of at most so many pixels. Marks are in the pixels of the view."""
     height, width = picture.shape[:2]
-    return Card(title, remark, address(view_image(picture), "JPEG"), (width, height), marks=marks)
+    return Card(title, remark, address(view_image(picture, most=most), "JPEG"), (width, height), marks=marks)
 
 
 def drawn_card(title: str, picture: Picture, *, remark: str = "", marks: tuple[Mark, ...] = ()) -> Card:
@@ -150,10 +152,14 @@ def map_card(
     *,
     limits: tuple[float, float] | None = None,
     remark: str = "",
+    most: int = MOST_PIXELS,
 ) -> Card:
-    """A card of a map [y, x] of a kind in `LOOKS`. Undefined pixels are grey; default limits are `limits_of`."""
+    """A card of a map [y, x] of a kind in `LOOKS`, of at most so many pixels.
+
+    Undefined pixels are grey; default limits are `limits_of`.
+    """
     low, high = limits if limits is not None else limits_of(kind, values)
-    image = map_image(values, kind, (low, high))
+    image = map_image(values, kind, (low, high), most=most)
     return Card(title, remark, address(image, "PNG"), values.shape[::-1], scale=scale_of(kind, values, (low, high)))
 
 
