@@ -15,7 +15,7 @@ from PIL import Image
 
 from lfgpu import explain, scenes
 from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.methods import PRESETS
 from lfgpu.reports.report import Origin, write_report
 from lfgpu.viz.cards import Mark, cross_hair, scale_of, view_card
@@ -189,6 +189,22 @@ def test_cross_hairs_are_seen_on_every_picture(browser: Any, colour: Any, rng: n
     arm = changed[y - 6 : y + 7, x + 10 : x + 20]
     assert (arm.max(axis=0) > 3).all(), "all along an arm something differs clearly from what is below"
     assert (changed[y - 3 : y + 4, x - 3 : x + 4] < 1.3).all(), "the point itself can be seen"
+
+
+@pytest.mark.parametrize(("ink", "paper"), [("#ddd", "#111"), ("#222", "#fff")])
+def test_notebooks_show_results_on_dark_pages_too(browser: Any, lf: LightField, ink: str, paper: str) -> None:
+    page = browser.new_context(viewport={"width": 900, "height": 700}).new_page()
+    assert lf.truth is not None
+    shown = DisparityMap(lf.truth.disparity, name="a map")
+    page.set_content(f'<body style="background: {paper}; color: {ink}">{shown._repr_html_()}{lf._repr_html_()}</body>')
+    background = shot(page)[-1, -1]
+    for text in ("b", "figcaption", ".lf-bar span", ".lf-note", "th", "td"):
+        element = page.locator(text).first
+        assert contrast(shot(element), background).max() > 4, text
+    stops = scale_of("disparity", np.zeros((2, 2), np.float32), (0, 1)).stops
+    assert bars(shot(page.locator(".lf-bar").first), stops) >= 8
+    assert page.locator(".lf-picture").count() == 4
+    page.context.close()
 
 
 # --- on paper ---

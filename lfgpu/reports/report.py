@@ -5,10 +5,10 @@ It is one file without scripts, and it needs no network.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from lfgpu.calibration import Explanation
 from lfgpu.config import parameters, value_of
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
-from lfgpu.data.summary import UNIT
+from lfgpu.data.summary import UNIT, pixels
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_write
 from lfgpu.methods import method_of, nearest_preset
@@ -33,6 +33,7 @@ from lfgpu.viz.panels import rgb
 REPORT_FILE = "report.html"
 
 _HEADS = ("MSE ×100", "BadPix 0.07 (%)", "BadPix 0.03 (%)", "BadPix 0.01 (%)", "Q25 ×100", "RMSE", "undefined (%)")
+_SAME_PLACE = 1e-6  # view steps
 _COMPILE = "compile"  # what `DepthResult.timings` calls the time until kernels were ready
 _PARTS = {_COMPILE: "compiling and loading kernels", "measure": "range and noise", "tiles": "tiles"}
 """Labels of times that are no stages of a method."""
@@ -61,32 +62,34 @@ class Origin:
 
 
 def write_report(
-    path: Path,
+    path: str | os.PathLike[str],
     lf: LightField,
     result: DepthResult,
     *,
     origin: Origin | None = None,
     explanation: Explanation | None = None,
 ) -> None:
-    """Write the report atomically.
+    """Write a report of a result: one HTML page for any browser, which needs no network and can be printed.
+
+        lfgpu.write_report("report.html", lf, result, explanation=lfgpu.explain(lf, result))
 
     Parameters
     ----------
     path
-        The file.
+        The file; it is written whole or not at all.
     lf
         The light field.
     result
-        A map of its reference view.
+        A result of its reference view.
     origin
-        Where it comes from. Default None: the report does not say.
+        Where the result comes from. Default None: the report does not say.
     explanation
-        What `lfgpu.explain` says of both. Default None: the report leaves that out.
+        What `lfgpu.explain` says of both. Default None: the report leaves it out.
 
     Raises
     ------
     LightFieldError
-        If the file cannot be written.
+        If the result is of another view or size than the light field, or the file cannot be written.
     """
     page = html(lf, result, origin=origin, explanation=explanation)
     with atomic_write(path) as temporary:
@@ -100,7 +103,8 @@ def html(
     origin: Origin | None = None,
     explanation: Explanation | None = None,
 ) -> str:
-    """The report as text; arguments as for `write_report`."""
+    """The report as text; arguments and errors as for `write_report`."""
+    _check(lf, result)
     origin = origin or Origin()
     points = find_points(lf, result.disparity)
     scored = _Scored.of(lf, result)
@@ -125,6 +129,16 @@ def html(
         preset=facts.preset(result.config),
         parameters=_parameters(result),
     )
+
+
+def _check(lf: LightField, result: DepthResult) -> None:
+    here = lf.positions[lf.reference_index]
+    if result.disparity.shape != lf.size or np.abs(here - result.position).max() > _SAME_PLACE:
+        raise LightFieldError(
+            f"the result is of {pixels(result.disparity.shape)} of the view at {facts.place(*result.position)}, "
+            f"but the reference of {lf.name} has {pixels(lf.size)} and is at {facts.place(*here)}; give the light "
+            "field that it was estimated from, with the same reference view."
+        )
 
 
 # --- what is read first ---
@@ -311,10 +325,11 @@ def _run(result: DepthResult, origin: Origin) -> list[tuple[str, str]]:
 
 def _run_charts(result: DepthResult) -> list[Card]:
     labels = _labels(result)
-    seconds = {labels.get(name, name): value for name, value in result.timings.items() if name != "total"}
+    parts = {name: value for name, value in result.timings.items() if name != "total" and value > 0}
+    seconds = {labels.get(name, name): value for name, value in parts.items()}
     found = []
     if seconds:
-        once = "kernels are compiled once and kept" if _COMPILE in result.timings else ""
+        once = "kernels are compiled once and kept" if _COMPILE in parts else ""
         found.append(_chart("Time of each stage", charts.times(seconds), once))
     stage = method_of(result.config).traced
     values = np.asarray(result.trace, np.float64)

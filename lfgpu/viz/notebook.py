@@ -14,7 +14,8 @@ from lfgpu.viz.panels import epi_of_column, epi_of_row, rgb
 
 if TYPE_CHECKING:
     from lfgpu.data.lightfield import LightField
-    from lfgpu.data.result import DepthResult
+    from lfgpu.data.result import DepthResult, DisparityMap
+    from lfgpu.data.views_result import ViewsResult
 
 _WIDE = 640  # pixels: the width of an EPI
 
@@ -44,24 +45,42 @@ def light_field_html(lf: LightField) -> str:
 
 def result_html(result: DepthResult) -> str:
     """Disparity, confidence and uncertainty with their scales, and a table of facts."""
-    known = np.isfinite(result.disparity)
-    cards = [
-        map_card("Disparity", result.disparity, "disparity"),
-        map_card("Confidence", np.where(known, result.confidence, np.float32(np.nan)), "confidence"),
-    ]
-    if result.uncertainty is not None:
-        cards.append(map_card("Uncertainty", result.uncertainty, "uncertainty"))
-    height, width = result.disparity.shape
-    found = result.disparity[known]
-    extent = f"{found.min():.3f} to {found.max():.3f} px per view step, larger is nearer" if found.size else "undefined"
     rows = [
-        ("size", f"{width} × {height} px"),
-        ("disparity", extent),
+        *_facts(result.map),
         ("computed by", f"{result.config.method}, {result.backend} on {result.device}"),
         ("time", f"{result.timings.get('total', float('nan')):.2f} s"),
         ("status", result.status),
     ]
-    return _page(result.name, cards, rows)
+    return _page(result.name, _cards(result.map), rows)
+
+
+def map_html(map_: DisparityMap) -> str:
+    """The map of a view, with what is known of it."""
+    return _page(map_.name, _cards(map_), _facts(map_))
+
+
+def views_html(result: ViewsResult) -> str:
+    """The map of the reference view, as one of all views."""
+    map_ = result.map(result.keys[0])
+    rows = [("maps", f"of {len(result.disparities)} views; shown is that of the reference"), *_facts(map_)]
+    return _page(map_.name, _cards(map_), rows)
+
+
+def _cards(map_: DisparityMap) -> list[Card]:
+    known = np.isfinite(map_.disparity)
+    cards = [map_card("Disparity", map_.disparity, "disparity")]
+    if map_.confidence is not None:
+        cards.append(map_card("Confidence", np.where(known, map_.confidence, np.float32(np.nan)), "confidence"))
+    if map_.uncertainty is not None:
+        cards.append(map_card("Uncertainty", map_.uncertainty, "uncertainty"))
+    return cards
+
+
+def _facts(map_: DisparityMap) -> list[tuple[str, str]]:
+    height, width = map_.disparity.shape
+    found = map_.disparity[np.isfinite(map_.disparity)]
+    extent = f"{found.min():.3f} to {found.max():.3f} px per view step, larger is nearer" if found.size else "undefined"
+    return [("size", f"{width} × {height} px"), ("disparity", extent)]
 
 
 def _page(title: str, cards: Sequence[Card], rows: Sequence[tuple[str, str]]) -> str:
