@@ -214,6 +214,23 @@ def test_undefined_pixels_are_grey_and_out_of_every_scale(lf: LightField, tmp_pa
         )
 
 
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ((-1.534, 1.391), "−1.53 to 1.39"),
+        ((-11.62, 10.39), "−11.6 to 10.4"),
+        ((0.0, 0.0163), "0.0000 to 0.0163"),
+        ((812.4, 1544.9), "812 to 1545"),
+        ((), "undefined"),
+    ],
+)
+def test_the_range_is_said_with_three_digits(lf: LightField, values: tuple[float, ...], said: str) -> None:
+    disparity = np.full(lf.size, np.nan, np.float32)
+    disparity.flat[: len(values)] = values
+    page = html(replace(lf, truth=None), result_of(lf, disparity, stages={}))
+    assert f"<span>Disparity</span><b>{said} <" in page
+
+
 def test_scales_have_arrows_where_values_lie_beyond_them() -> None:
     values = np.linspace(-1, 1, 100, dtype=np.float32).reshape(10, 10)
     for limits, below, above in (((-1, 1), False, False), ((-0.5, 1), True, False), ((-1, 0.5), False, True)):
@@ -286,6 +303,10 @@ def test_a_report_with_what_the_judge_says(lf: LightField) -> None:
     arrows = [text for text in axes.texts if isinstance(text, Annotation)]
     longest = max(arrows, key=lambda text: np.hypot(*np.subtract(text.xy, text.xyann)))
     np.testing.assert_allclose(longest.xyann, lf.positions[1])
+    row = replace(found, positions=np.stack([np.arange(9.0), np.zeros(9)], axis=1))
+    (axes,) = charts.cameras(row, (20.0, 40.0))[0].axes
+    assert list(axes.get_yticks()) == [0]
+    assert list(axes.get_xticks()) == list(range(9))
     assert "lfgpu check" in html(lf, result_of(lf)), "what says it where the report does not"
 
 

@@ -14,9 +14,11 @@ import pytest
 from PIL import Image
 
 from lfgpu import explain, scenes
+from lfgpu.comparison import Scene, table
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.methods import PRESETS
+from lfgpu.reports.comparison import write_comparison
 from lfgpu.reports.report import Origin, write_report
 from lfgpu.viz.cards import Mark, cross_hair, scale_of, view_card
 from lfgpu.viz.pages import rendered
@@ -115,8 +117,9 @@ def bars(picture: np.ndarray, stops: tuple[str, ...]) -> int:
 # --- on screens ---
 
 
-@pytest.mark.parametrize("colours", ["light", "dark"])
-@pytest.mark.parametrize("screen", SCREENS)
+@pytest.mark.parametrize(
+    ("screen", "colours"), [("wide", "light"), ("laptop", "dark"), ("phone", "light"), ("phone", "dark")]
+)
 def test_everything_is_seen_on_every_screen(browser: Any, report: Path, screen: str, colours: str) -> None:
     page = opened(browser, report, screen, colours)
     width, _ = SCREENS[screen]
@@ -170,25 +173,41 @@ def test_a_click_enlarges_a_picture_with_its_scale(browser: Any, report: Path, t
     page.context.close()
 
 
-@pytest.mark.parametrize("colour", [(0, 0, 0), (255, 255, 255), (128, 128, 128), (255, 45, 120), (90, 20, 60), "noise"])
-def test_cross_hairs_are_seen_on_every_picture(browser: Any, colour: Any, rng: np.random.Generator) -> None:
-    size = (300, 400)
-    noise = rng.integers(0, 256, (*size, 3), dtype=np.uint8)
-    picture = noise if colour == "noise" else np.full((*size, 3), colour, np.uint8)
-    seen = []
-    for marks in ((Mark("M0 0"),), (cross_hair(200, 150, (400, 300), "A"),)):
-        card = view_card("A view", picture, marks=marks)
-        page = browser.new_context(viewport={"width": 480, "height": 420}).new_page()
-        page.set_content(rendered("notebook.html", title="", cards=[card], facts=[], id="a"))
-        element = page.locator(".lf-picture")
-        seen.append(shot(element))
-        page.context.close()
-    without, with_marks = seen[0][: seen[1].shape[0]], seen[1][: seen[0].shape[0]]
-    changed = contrast(with_marks, without)
-    y, x = (round(share * n) for share, n in zip((0.5, 0.5), changed.shape, strict=True))
-    arm = changed[y - 6 : y + 7, x + 10 : x + 20]
-    assert (arm.max(axis=0) > 3).all(), "all along an arm something differs clearly from what is below"
-    assert (changed[y - 3 : y + 4, x - 3 : x + 4] < 1.3).all(), "the point itself can be seen"
+def test_cross_hairs_are_seen_on_every_picture(browser: Any, rng: np.random.Generator) -> None:
+    size, below = (300, 400), [(0, 0, 0), (255, 255, 255), (128, 128, 128), (255, 45, 120), (90, 20, 60)]
+    drawn = [np.full((*size, 3), colour, np.uint8) for colour in below]
+    drawn.append(rng.integers(0, 256, (*size, 3), dtype=np.uint8))
+    hair = cross_hair(200, 150, (400, 300), "A")
+    cards = [view_card("A view", picture, marks=(mark,)) for picture in drawn for mark in (Mark("M0 0"), hair)]
+    page = browser.new_context(viewport={"width": 900, "height": 900}).new_page()
+    page.set_content(rendered("notebook.html", title="", cards=cards, facts=[], id="a"))
+    seen = [shot(element) for element in page.locator(".lf-picture").all()]
+    page.context.close()
+    for without, marked in zip(seen[::2], seen[1::2], strict=True):
+        height, width = np.minimum(without.shape, marked.shape)[:2]
+        changed = contrast(marked[:height, :width], without[:height, :width])
+        y, x, unit = height // 2, width // 2, width / 400
+        arm = changed[y - 6 : y + 7, x + round(12 * unit) : x + round(20 * unit)]
+        assert (arm.max(axis=0) > 3).all(), "all along an arm something differs clearly from what is below"
+        near = round(2 * unit)
+        assert (changed[y - near : y + near, x - near : x + near] < 1.3).all(), "the point itself can be seen"
+
+
+@pytest.mark.parametrize(("screen", "columns"), [("wide", 4), ("phone", 1)])
+def test_methods_stand_side_by_side(browser: Any, lf: LightField, tmp_path: Path, screen: str, columns: int) -> None:
+    assert lf.truth is not None
+    truth = lf.truth.disparity
+    maps = {f"method {n}": truth + np.float32(0.02 * n) for n in range(3)}
+    scene = Scene("a scene", lf.image(lf.reference_index), truth, maps)
+    write_comparison(tmp_path / "report.html", [scene], table([scene]))
+    page = opened(browser, tmp_path / "report.html", screen)
+    width, _ = SCREENS[screen]
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    boxes = [card.bounding_box() for card in page.locator(".lf-card").all()]
+    assert len(boxes) == 2 * 4
+    assert len({round(box["x"]) for box in boxes}) == columns
+    assert all(box["x"] + box["width"] <= width for box in boxes)
+    page.context.close()
 
 
 @pytest.mark.parametrize(("ink", "paper"), [("#ddd", "#111"), ("#222", "#fff")])
@@ -210,12 +229,12 @@ def test_notebooks_show_results_on_dark_pages_too(browser: Any, lf: LightField, 
 # --- on paper ---
 
 
-@pytest.fixture(scope="module", params=["light", "dark"])
-def pdf(request: pytest.FixtureRequest, browser: Any, report: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report, printed as a browser does without further settings: without backgrounds."""
+@pytest.fixture(scope="module")
+def pdf(browser: Any, report: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report, printed for somebody who likes it dark, as a browser does by itself: without backgrounds."""
     if shutil.which("pdftoppm") is None:
         pytest.skip("there is no pdftoppm here to look at a PDF: apt-get install poppler-utils")
-    page = opened(browser, report, colours=request.param)
+    page = opened(browser, report, colours="dark")
     path = tmp_path_factory.mktemp("pdf") / "report.pdf"
     page.pdf(path=path, format="A4", print_background=False)
     page.context.close()
@@ -243,7 +262,7 @@ def test_a_printed_report_is_complete(pdf: Path, lf: LightField) -> None:
     assert len(pages) == len(words) > 1
     for number, page in enumerate(pages, 1):
         assert (page < 200).all(axis=2).mean() > 0.002, f"page {number} is blank"
-        assert (page[:20] == 255).all(), "paper is white, also for those who like it dark"
+        assert (page[:20] == 255).all(), "paper is white"
     for kind in ("disparity", "confidence", "unexplained"):
         stops = scale_of(kind, np.zeros((2, 2), np.float32), (0, 1)).stops
         assert sum(bars(page, stops) for page in pages) >= 6, f"the scale of {kind} is not printed"

@@ -30,6 +30,7 @@ _COLOURS = {_INK: "--ink", _MUTED: "--muted", _LINE: "--line", _ACCENT: "--accen
 
 _SIZE = 4.5, 2.4  # inches
 _BINS = 80
+_LARGE = 24  # points: the distance of cameras from which arrows and letters have their full size
 _LEAST_ARROW = 0.1  # pixels: the shift whose arrow is as long as two cameras are apart, if none is larger
 _SPAN = 20  # of a curve: largest over smallest value from which its axis is logarithmic
 
@@ -143,21 +144,26 @@ def cameras(found: Explanation, limits: tuple[float, float]) -> tuple[Figure, fl
         fill = colours((found.psnr[n] - low) / max(high - low, 1e-12)) if known else _LINE
         corner = (u - 0.46 * apart, v - 0.46 * apart)
         axes.add_patch(Rectangle(corner, 0.92 * apart, 0.92 * apart, facecolor=fill, linewidth=0))
-        if n == found.reference:
-            axes.text(u, v, "R", color=_INK, ha="center", va="center", fontsize=9)
-    for shade, width in (("black", 2.6), ("white", 1.2)):
+    small = min(1.0, 72 * (_SIZE[0] - 1) * apart / (right - left) / _LARGE)  # of many cameras the arrows are finer
+    for shade, width in (("black", 2.6 * small), ("white", 1.2 * small)):
         for (u, v), (across, down) in zip(places, shifts / largest * apart, strict=True):
             if np.hypot(across, down) > 0.06 * apart:
                 axes.annotate(
                     "",
                     (u + across, v + down),
                     (u, v),
-                    arrowprops={"arrowstyle": "->", "color": shade, "linewidth": width, "shrinkA": 0, "shrinkB": 0},
+                    arrowprops={
+                        **{"arrowstyle": "->", "color": shade, "linewidth": width, "mutation_scale": 10 * small},
+                        **{"shrinkA": 0, "shrinkB": 0},
+                    },
                 )
+    u, v = places[found.reference]
+    axes.text(u, v, "R", color=_INK, ha="center", va="center", fontsize=2 + 7 * small)
     axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="column", ylabel="row", aspect="equal")
     axes.grid(visible=False)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(9, integer=True))
+    for axis, along in ((axes.xaxis, places[:, 0]), (axes.yaxis, places[:, 1])):
+        wanted = MaxNLocator(9, integer=True).tick_values(along.min(), along.max())
+        axis.set_ticks([tick for tick in wanted if along.min() <= tick <= along.max()])
     return figure, largest
 
 

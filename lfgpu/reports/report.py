@@ -158,11 +158,11 @@ def _tiles(result: DepthResult, scored: _Scored | None, explanation: Explanation
     known = result.disparity[np.isfinite(result.disparity)]
     undefined = 100 * (1 - known.size / result.disparity.size)
     where = f", {undefined:.2g} % undefined" if undefined else ""
-    yield Tile("Disparity", _span(known, 2), "", f"{UNIT}{where}")
+    yield Tile("Disparity", _span(known), "", f"{UNIT}{where}")
     if result.depth is not None:
         metres = result.depth[np.isfinite(result.depth)]
         beyond = " and beyond the horizon" if np.isinf(result.depth).any() else ""
-        yield Tile("Depth", _span(metres, 2), "m", f"along the optical axis{beyond}")
+        yield Tile("Depth", _span(metres), "m", f"along the optical axis{beyond}")
     total, compiling = result.timings.get("total"), result.timings.get(_COMPILE, 0.0)
     if total is not None:
         apart = f"and {compiling:.2f} s to compile and load kernels" if compiling else "of the estimate"
@@ -174,11 +174,14 @@ def _tiles(result: DepthResult, scored: _Scored | None, explanation: Explanation
         yield Tile("Confidence", f"{sure:.0f}", "%", "of the pixels above 0.5")
 
 
-def _span(values: NDArray[Any], digits: int) -> str:
+def _span(values: NDArray[Any]) -> str:
+    """ "−1.53 to 1.39": the ends of some values, with about three digits."""
     if not values.size:
         return "undefined"
-    low, high = (f"{value:.{digits}f}".replace("-", "\u2212") for value in (values.min(), values.max()))
-    return f"{low} to {high}"
+    low, high = float(values.min()), float(values.max())
+    largest = max(abs(low), abs(high), 1e-6)
+    digits = int(np.clip(2 - np.floor(np.log10(largest)), 0, 4))
+    return f"{low:.{digits}f} to {high:.{digits}f}".replace("-", "\u2212")
 
 
 # --- maps ---
