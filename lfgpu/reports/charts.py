@@ -135,7 +135,9 @@ def cameras(found: Explanation, limits: tuple[float, float]) -> tuple[Figure, fl
     apart = _least_distance(places)
     shifts = np.nan_to_num(found.shift)
     largest = max(_LEAST_ARROW, float(np.hypot(*shifts.T).max(initial=0.0)))
-    (left, top), (right, bottom) = places.min(0) - 0.7 * apart, places.max(0) + 0.7 * apart
+    arrows = shifts / largest * apart
+    ends = np.concatenate([places - 0.6 * apart, places + 0.6 * apart, places + 1.1 * arrows])
+    (left, top), (right, bottom) = ends.min(0), ends.max(0)
     shape = (bottom - top) / (right - left)
     figure, axes = _chart(height=float(np.clip(3.8 * shape, 0.9, 4.0)))
     colours, (low, high) = colormaps[LOOKS["predicted"].colours], limits
@@ -145,18 +147,20 @@ def cameras(found: Explanation, limits: tuple[float, float]) -> tuple[Figure, fl
         corner = (u - 0.46 * apart, v - 0.46 * apart)
         axes.add_patch(Rectangle(corner, 0.92 * apart, 0.92 * apart, facecolor=fill, linewidth=0))
     small = min(1.0, 72 * (_SIZE[0] - 1) * apart / (right - left) / _LARGE)  # of many cameras the arrows are finer
-    for shade, width in (("black", 2.6 * small), ("white", 1.2 * small)):
-        for (u, v), (across, down) in zip(places, shifts / largest * apart, strict=True):
-            if np.hypot(across, down) > 0.06 * apart:
-                axes.annotate(
-                    "",
-                    (u + across, v + down),
-                    (u, v),
-                    arrowprops={
-                        **{"arrowstyle": "->", "color": shade, "linewidth": width, "mutation_scale": 10 * small},
-                        **{"shrinkA": 0, "shrinkB": 0},
-                    },
-                )
+    axes.quiver(
+        *places.T,
+        *arrows.T,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        units="xy",
+        width=0.07 * apart,
+        minlength=0.5,
+        color="white",
+        edgecolor="black",
+        linewidth=0.8 * small,
+        zorder=3,
+    )
     u, v = places[found.reference]
     axes.text(u, v, "R", color=_INK, ha="center", va="center", fontsize=2 + 7 * small)
     axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="column", ylabel="row", aspect="equal")
