@@ -304,6 +304,10 @@ def test_a_report_with_what_the_judge_says(lf: LightField) -> None:
     assert longest == 1
     np.testing.assert_allclose((arrows.X[1], arrows.Y[1]), lf.positions[1])
     assert np.hypot(arrows.U[1], arrows.V[1]) == pytest.approx(1), "as long as two cameras are apart"
+    shown = found._repr_html_()
+    assert all(escape(sentence) in shown for sentence in found.findings)
+    assert len(pictures(shown)) == 1
+    assert "lf-chart" in shown
     row = replace(found, positions=np.stack([np.arange(9.0), np.zeros(9)], axis=1))
     (axes,) = charts.cameras(row, (20.0, 40.0))[0].axes
     assert list(axes.get_yticks()) == [0]

@@ -132,7 +132,7 @@ def test_everything_is_seen_on_every_screen(browser: Any, report: Path, screen: 
     background = shot(page)[2, 2]
     assert (background < 40).all() if colours == "dark" else (background > 230).all()
     seen = "e => [getComputedStyle(e).color, getComputedStyle(document.documentElement).backgroundColor]"
-    for text in (".lead", ".lf-note", "h2", "td", "th", "figcaption", ".lf-bar span", ".tile b", ".chart text"):
+    for text in (".lead", ".lf-note", "h2", "td", "th", "figcaption", ".lf-bar span", ".tile b", ".lf-chart text"):
         found = page.locator(text).first.evaluate(seen)
         ink, paper = (np.array([float(n) for n in colour[4:-1].split(",")]) for colour in found)
         assert contrast(ink, paper) > 4.5, text

@@ -46,7 +46,7 @@ def svg(figure: Figure, label: str) -> Markup:
     text = re.sub(r' id="(?![mpC][0-9a-f]{6,})[^"]*"', "", text)  # others than those of clips and markers
     for colour, name in _COLOURS.items():
         text = text.replace(colour, f"var({name})")
-    head = Markup('<svg class="chart" role="img" aria-label="{}"').format(label)
+    head = Markup('<svg class="lf-chart" role="img" aria-label="{}"').format(label)
     return head + Markup(re.sub(r'^<svg|(?<=[ "])(?:width|height)="[\d.]+pt"', "", text, count=3))
 
 

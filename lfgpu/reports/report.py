@@ -27,6 +27,7 @@ from lfgpu.metrics import BORDER, Metrics, evaluate, reliability, sparsification
 from lfgpu.reports import charts, facts
 from lfgpu.reports.epis import Point, epi_cards, find_points
 from lfgpu.viz.cards import Card, Tile, cross_hair, limits_of, map_card, scale_of, view_card
+from lfgpu.viz.notebook import notebook_page
 from lfgpu.viz.pages import rendered
 from lfgpu.viz.panels import rgb
 
@@ -295,6 +296,14 @@ def _judged(found: Explanation) -> dict[str, Any]:
             map_card("Unexplained", found.unexplained, "unexplained", remark="by the map"),
         ],
     }
+
+
+def explanation_html(found: Explanation) -> str:
+    """What the judge says, for notebooks."""
+    judged = _judged(found)
+    findings = judged["findings"] or ["the views fit together."]
+    rows = [*(("finding", finding) for finding in findings), ("numbers", judged["numbers"])]
+    return notebook_page(f"{found.name}: how well the map predicts the other views", judged["cards"], rows)
 
 
 # --- input, run, parameters ---

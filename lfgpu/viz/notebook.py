@@ -40,7 +40,7 @@ def light_field_html(lf: LightField) -> str:
         ("ground truth", truth),
         *(("note", note) for note in lf.notes),
     ]
-    return _page(lf.name, cards, rows)
+    return notebook_page(lf.name, cards, rows)
 
 
 def result_html(result: DepthResult) -> str:
@@ -51,19 +51,19 @@ def result_html(result: DepthResult) -> str:
         ("time", f"{result.timings.get('total', float('nan')):.2f} s"),
         ("status", result.status),
     ]
-    return _page(result.name, _cards(result.map), rows)
+    return notebook_page(result.name, _cards(result.map), rows)
 
 
 def map_html(map_: DisparityMap) -> str:
     """The map of a view, with what is known of it."""
-    return _page(map_.name, _cards(map_), _facts(map_))
+    return notebook_page(map_.name, _cards(map_), _facts(map_))
 
 
 def views_html(result: ViewsResult) -> str:
     """The map of the reference view, as one of all views."""
     map_ = result.map(result.keys[0])
     rows = [("maps", f"of {len(result.disparities)} views; shown is that of the reference"), *_facts(map_)]
-    return _page(map_.name, _cards(map_), rows)
+    return notebook_page(map_.name, _cards(map_), rows)
 
 
 def _cards(map_: DisparityMap) -> list[Card]:
@@ -83,6 +83,7 @@ def _facts(map_: DisparityMap) -> list[tuple[str, str]]:
     return [("size", f"{width} × {height} px"), ("disparity", extent)]
 
 
-def _page(title: str, cards: Sequence[Card], rows: Sequence[tuple[str, str]]) -> str:
+def notebook_page(title: str, cards: Sequence[Card], rows: Sequence[tuple[str, str]]) -> str:
+    """Cards and a table of facts as HTML for a notebook."""
     # Gradients have names, which all outputs of a notebook share.
     return rendered("notebook.html", title=title, cards=cards, facts=rows, id=f"lfgpu-{secrets.token_hex(4)}-")
