@@ -31,7 +31,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import read_result, write_hci, write_pfm
 from lfgpu.machine import device_name
 from lfgpu.methods import PRESETS, method_of
-from lfgpu.metrics import evaluate
+from lfgpu.metrics import Reliability, evaluate
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.reports import charts
 from lfgpu.reports.epis import Point, epi_cards, find_points
@@ -265,9 +265,20 @@ def test_points_of_epis_are_where_a_map_is_easy_to_judge() -> None:
     holes = np.full_like(disparity, np.nan)
     assert find_points(lf, holes) == []
     assert [point.letter for point in find_points(lf, np.zeros_like(disparity))] == ["A"], "no edge in a plane"
+    relief = scenes.make("relief", grid=(7, 7), size=(120, 160))
+    assert relief.truth is not None
+    assert [point.letter for point in find_points(relief, relief.truth.disparity)] == ["A"], "slopes are no edges"
     row = lf.subset(lf.row())
     for point in find_points(row, disparity):
         assert [card.title for card in epi_cards(row, disparity, point)] == [f"{point.letter}: row {point.y}"]
+
+
+def test_a_confidence_that_hardly_any_pixel_states_has_no_point() -> None:
+    diagram = Reliability(np.array([0.2, 0.9]), np.array([50.0, 90.0]), np.array([0.05, 99.95]), 0.07, 10000)
+    (axes,) = charts.reliability(diagram).axes
+    (line,) = (line for line in axes.lines if line.get_label() == "right")
+    np.testing.assert_array_equal(line.get_xydata(), [[0.9, 90]])
+    assert len(axes.patches) == 2
 
 
 def test_the_line_in_an_epi_follows_the_point() -> None:

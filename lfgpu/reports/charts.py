@@ -28,6 +28,9 @@ _INK, _MUTED, _LINE, _ACCENT, _OTHER = "#010101", "#010102", "#010103", "#010104
 _COLOURS = {_INK: "--ink", _MUTED: "--muted", _LINE: "--line", _ACCENT: "--accent", _OTHER: "--other"}
 """Colours of charts: the page says what they are, so that they differ in light and dark."""
 
+LEAST_SHARE = 0.1
+"""Percent of the pixels: a confidence that fewer of them state has no point in a diagram of reliability."""
+
 _SIZE = 4.5, 2.4  # inches
 _BINS = 80
 _LARGE = 24  # points: the distance of cameras from which arrows and letters have their full size
@@ -83,11 +86,12 @@ def sparsification(curve: Sparsification) -> Figure:
 
 
 def reliability(diagram: Reliability) -> Figure:
-    """The share of right pixels over the stated confidence; bars show how many pixels state it."""
+    """The share of right pixels over the stated confidence; bars show how many pixels state it, if enough do."""
     figure, axes = _chart()
+    enough = diagram.share >= LEAST_SHARE
     axes.plot((0, 1), (0, 100), color=_OTHER, linestyle="--", linewidth=1, label="as stated")
     axes.bar(diagram.said, diagram.share, width=0.05, color=_LINE, label="pixels that state it")
-    axes.plot(diagram.said, diagram.right, color=_ACCENT, marker="o", markersize=4, label="right")
+    axes.plot(diagram.said[enough], diagram.right[enough], color=_ACCENT, marker="o", markersize=4, label="right")
     axes.set_xlim(0, 1.02)
     axes.set_ylim(0, 104)
     axes.set_xlabel("stated confidence")

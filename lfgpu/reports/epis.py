@@ -21,6 +21,7 @@ _SMOOTH = 2.0  # pixels: the scale at which texture is measured
 _NEAR = 9  # pixels: the surface around a textured point is smooth in a window of this size
 _ASIDE = 2  # pixels from the middle of an edge to the point on its nearer side
 _FLAT = 0.5  # pixels in the farthest view: surfaces that differ by less have no edge between them
+_STEEP = 0.4  # pixels in the farthest view, from a pixel to the next: what is less is a slope and no edge
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,8 @@ def find_points(lf: LightField, disparity: Float32Array) -> list[Point]:
         jump[:, step:-step] = filled[:, step:-step] - np.minimum(filled[:, : -2 * step], filled[:, 2 * step :])
     else:
         jump[step:-step] = filled[step:-step] - np.minimum(filled[: -2 * step], filled[2 * step :])
-    edges = inside & whole & (jump * reach > _FLAT)
+    steep = ndimage.maximum_filter(np.abs(np.gradient(filled, axis=1 if across else 0)), 2 * step + 1)
+    edges = inside & whole & (jump * reach > _FLAT) & (steep * reach > _STEEP)
     if edges.any():
         jump = np.minimum(jump, np.quantile(jump[edges], 0.9))  # one outlier is no edge
     found.append(_largest(jump * (texture + 0.1 * texture.max()), edges, "B", "an edge of depth"))

@@ -257,12 +257,13 @@ class _Scored:
         labels = _labels(result)
         rows = [(labels.get(name, name), _cells(m)) for name, m in scores.items()]
         area = f"area between the curves {curve.ause:.3f} (AUSE, 0 is best)" if np.isfinite(curve.ause) else ""
+        rare = f"of the confidence, where at least {charts.LEAST_SHARE:g} % of the pixels state it"
         return cls(
             rows,
             final,
             [
                 _chart("Sparsification", charts.sparsification(curve), area),
-                _chart("Reliability", charts.reliability(diagram), "of the confidence"),
+                _chart("Reliability", charts.reliability(diagram), rare),
             ],
         )
 
