@@ -161,7 +161,7 @@ def _parts() -> Iterator[Part]:
 
 
 def _devices(backends: tuple[BackendInfo, ...]) -> Iterator[Device]:
-    from lfgpu.cli.machine import device_memory, device_name
+    from lfgpu.machine import device_memory, device_name
 
     for info in backends:
         for device in info.devices:
@@ -187,7 +187,7 @@ def _writable(folder: Path) -> bool:
 def _memory() -> dict[str, int | None]:
     import shutil
 
-    from lfgpu.cli.machine import free_memory
+    from lfgpu.machine import free_memory
     from lfgpu.io.limits import physical_memory
 
     return {

@@ -31,7 +31,7 @@ _LONG_SIDE = 6.0  # inches: the longer side of a map
 _LEAST_PIXELS = 900  # pixels at least: the longer side of a map in the picture
 _BAR, _GAP, _TICKS, _MARGIN, _TITLE = 0.2, 0.15, 1.05, 0.15, 0.42  # inches
 _LEAST_HEIGHT, _LEAST_WIDTH = 2.4, 4.2  # inches: space for the label of a colour bar and the title
-_CELL = 2.2  # inches: the width of a map in a comparison
+_CELL, _BETWEEN, _BELOW = 2.2, 0.06, 0.42  # inches: the width of a map in a comparison, and the space around it
 _LONGEST_NAME = 34  # characters of a name that fit above a map
 
 
@@ -193,15 +193,13 @@ def comparison_figure(scenes: Sequence[Scene]) -> Figure:
         raise LightFieldError("there is nothing to compare; give at least one scene with the map of one method.")
     errors = {(s.name, m): error_map(values, s.truth) for s in scenes for m, values in s.maps.items()}
     reach = max(error_reach(error) for error in errors.values())
-    heights = [scene.truth.shape[0] / scene.truth.shape[1] for scene in scenes]
+    heights = [_CELL * scene.truth.shape[0] / scene.truth.shape[1] for scene in scenes]
     columns, rows = 2 + len(methods), len(scenes)
-    size = columns * _CELL + 0.35, sum(heights) * _CELL + rows * 0.42 + 1.0
+    left, top, foot = 0.35, 0.35, 0.95  # inches: names of scenes, of methods, and the scale
+    size = left + columns * (_CELL + _BETWEEN), top + sum(heights) + rows * _BELOW + foot
     figure = Figure(size, dpi=150, facecolor="white")
     FigureCanvasAgg(figure)
-    places = figure.add_gridspec(
-        rows, columns, height_ratios=heights, left=0.35 / size[0], right=0.995, top=1 - 0.35 / size[1],
-        bottom=0.9 / size[1], wspace=0.03, hspace=0.42 / (size[1] - 1.0) * rows,
-    )  # fmt: skip
+    tops = size[1] - top - np.cumsum([0.0, *(height + _BELOW for height in heights)])
     for row, scene in enumerate(scenes):
         scores = scene.scores()
         picture = scene.view[..., 0] if scene.view.shape[2] == 1 else scene.view
@@ -209,7 +207,8 @@ def comparison_figure(scenes: Sequence[Scene]) -> Figure:
         missing = np.full(scene.truth.shape, np.nan, np.float32)
         panels += [(errors.get((scene.name, method), missing), "RdBu_r", (-reach, reach)) for method in methods]
         for column, (values, colours, limits) in enumerate(panels):
-            axes = figure.add_subplot(places[row, column])
+            place = left + column * (_CELL + _BETWEEN), tops[row] - heights[row], _CELL, heights[row]
+            axes = figure.add_axes(_shares(place, size))
             axes.set_xticks([])
             axes.set_yticks([])
             shown = axes.imshow(
@@ -224,7 +223,7 @@ def comparison_figure(scenes: Sequence[Scene]) -> Figure:
                 axes.set_title(["view", "truth", *methods][column], fontsize=11, parse_math=False)
             if column == 0:
                 axes.set_ylabel(_short(scene.name), fontsize=11, parse_math=False)
-    bar = figure.add_axes((0.25, 0.5 / size[1], 0.5, 0.12 / size[1]))
+    bar = figure.add_axes(_shares((0.25 * size[0], 0.5, 0.5 * size[0], 0.12), size))
     figure.colorbar(shown, cax=bar, orientation="horizontal", extend="both", extendfrac=0.02)
     bar.set_xlabel("error, px per view step; red is too near; grey: undefined or not scored", fontsize=9)
     return figure
@@ -285,8 +284,13 @@ class _Layout:
         return self._cell_height - _TITLE - self._height
 
     def _add(self, left: float, bottom: float, width: float, height: float) -> Axes:
-        across, up = self._size
-        return self.figure.add_axes((left / across, bottom / up, width / across, height / up))
+        return self.figure.add_axes(_shares((left, bottom, width, height), self._size))
+
+
+def _shares(place: tuple[float, ...], size: tuple[float, float]) -> tuple[float, float, float, float]:
+    """A rectangle (left, bottom, width, height) in inches as shares of a figure of that size."""
+    left, bottom, width, height = place
+    return left / size[0], bottom / size[1], width / size[0], height / size[1]
 
 
 def _map(values: ArrayLike) -> NDArray[np.float32]:
