@@ -35,6 +35,43 @@ _CELL = 2.2  # inches: the width of a map in a comparison
 _LONGEST_NAME = 34  # characters of a name that fit above a map
 
 
+def map_figure(
+    values: ArrayLike,
+    *,
+    title: str,
+    label: str,
+    colours: str = "viridis",
+    limits: tuple[float, float] | None = None,
+) -> Figure:
+    """Draw a map with a colour bar.
+
+    Parameters
+    ----------
+    values
+        [y, x]; NaN and infinite pixels are grey.
+    title
+        The title.
+    label
+        What the colour bar shows, with its unit.
+    colours
+        The name of a colour map of matplotlib. Default "viridis".
+    limits
+        (low, high) of the scale. Default None: the range of the map without a few outliers.
+
+    Raises
+    ------
+    LightFieldError
+        If the map is not [y, x].
+    """
+    drawn = _map(values)
+    layout = _Layout(drawn.shape, rows=1, columns=1)
+    axes, bar = layout.axes(0, 0), layout.bar(0)
+    image = _show(axes, drawn, colours, limits or scale_limits(drawn))
+    _scale(layout.figure, image, bar, label, drawn)
+    axes.set_title(title, parse_math=False)  # a name may hold dollar signs
+    return layout.figure
+
+
 def disparity_figure(
     disparity: ArrayLike, *, name: str = "light field", limits: tuple[float, float] | None = None
 ) -> Figure:
@@ -54,13 +91,7 @@ def disparity_figure(
     LightFieldError
         If the map is not [y, x].
     """
-    values = _map(disparity)
-    layout = _Layout(values.shape, rows=1, columns=1)
-    axes, bar = layout.axes(0, 0), layout.bar(0)
-    image = _show(axes, values, "viridis", limits or scale_limits(values))
-    _scale(layout.figure, image, bar, _DISPARITY, values)
-    axes.set_title(f"{_short(name)}: disparity", parse_math=False)  # a name may hold dollar signs
-    return layout.figure
+    return map_figure(disparity, title=f"{_short(name)}: disparity", label=_DISPARITY, limits=limits)
 
 
 def confidence_figure(confidence: ArrayLike, *, name: str = "light field") -> Figure:
@@ -78,13 +109,13 @@ def confidence_figure(confidence: ArrayLike, *, name: str = "light field") -> Fi
     LightFieldError
         If the map is not [y, x].
     """
-    values = _map(confidence)
-    layout = _Layout(values.shape, rows=1, columns=1)
-    axes, bar = layout.axes(0, 0), layout.bar(0)
-    image = _show(axes, values, "cividis", (0.0, 1.0))
-    _scale(layout.figure, image, bar, "confidence\nlarger is surer", values)
-    axes.set_title(f"{_short(name)}: confidence", parse_math=False)
-    return layout.figure
+    return map_figure(
+        confidence,
+        title=f"{_short(name)}: confidence",
+        label="confidence\nlarger is surer",
+        colours="cividis",
+        limits=(0.0, 1.0),
+    )
 
 
 def sparsification_figure(curve: Sparsification, *, name: str = "light field") -> Figure:
