@@ -443,8 +443,9 @@ def test_results_are_saved_as_the_package_saves_them(suffix: str, tmp_path: Path
     path = tmp_path / f"saved{suffix}"
     path.write_bytes(saving.saved(contents, "mine", "final", suffix))
     np.testing.assert_allclose(read_map(path), 0.5, atol=1e-4)
-    with pytest.raises(LightFieldError, match="cannot be written"):
-        saving.saved(contents, "mine", "final", ".jpg")
+    for wrong in (".jpg", f"/../../escaped{suffix}", ""):
+        with pytest.raises(LightFieldError, match="cannot be written"):
+            saving.saved(contents, "mine", "final", wrong)
     with pytest.raises(LightFieldError, match="no result"):
         saving.saved(contents, "other", "final", suffix)
 

@@ -15,7 +15,7 @@ import typer
 
 from lfgpu.cli.options import Every, Flip, FormatName, Grid, Threads
 
-_SOON = 0.8  # seconds: who reads for longer says first where to look
+_SOON = 0.4  # seconds: who reads for longer says first where to look
 
 
 def view(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lfgpu.data.points import point_cloud
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.viz.figures import scale_limits
+from lfgpu.viz.scales import scale_limits
 
 MOST_POINTS = 300_000
 """More are not sent to a browser: every second, third ... pixel of each row and column is."""

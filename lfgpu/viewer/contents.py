@@ -7,18 +7,19 @@ from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import holds_map, load, read
 from lfgpu.metrics import Metrics, evaluate
-from lfgpu.viz.figures import error_reach, scale_limits
+from lfgpu.viz.scales import error_reach, scale_limits
 
 TRUTH = "ground truth"
 """The name of the ground truth among the maps."""
@@ -63,6 +64,7 @@ class Entry:
     """Number of the frame of a stream that it belongs to, as `Contents.frame`; None if unknown."""
     serial: int = field(default_factory=count().__next__, kw_only=True)
     """A number that no other entry of this process has."""
+    _ends: dict[str, tuple[float, float]] = field(default_factory=dict, kw_only=True, repr=False)
 
     @classmethod
     def of(cls, values: DepthResult | DisparityMap, frame: int | None = 0) -> Entry:
@@ -82,6 +84,25 @@ class Entry:
     def stage(self, name: str) -> NDArray[np.float32]:
         """The map after a stage; the final map for `FINAL` and for unknown stages."""
         return self.disparity if self.result is None else self.result.stages.get(name, self.disparity)
+
+    def ends(self, stage: str) -> tuple[float, float]:
+        """The smallest and the largest disparity after a stage; (0, 0) if it is undefined everywhere."""
+        if stage not in self._ends:
+            values = self.stage(stage)
+            known = values[np.isfinite(values)]
+            self._ends[stage] = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+        return self._ends[stage]
+
+
+def _scored(entry: Entry, truth: GroundTruth) -> Metrics | None:
+    try:
+        return evaluate(entry.disparity, truth)
+    except LightFieldError:  # smaller than the border that is not scored
+        return None
+
+
+_scores = WeakKeyDictionary[Entry, tuple[GroundTruth, Metrics | None]]()  # and the truth that they are against
+_truths = WeakKeyDictionary[GroundTruth, Entry]()  # one entry each, with one serial number
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +151,11 @@ class Contents:
     def all_entries(self) -> dict[str, Entry]:
         """All maps, with the ground truth as one of them."""
         truth = None if self.lf is None else self.lf.reference_truth()
-        return self.entries if truth is None else {**self.entries, TRUTH: Entry(DisparityMap(truth.disparity))}
+        if truth is None:
+            return self.entries
+        if truth not in _truths:
+            _truths[truth] = Entry(DisparityMap(truth.disparity))
+        return {**self.entries, TRUTH: _truths[truth]}
 
     def with_entry(self, name: str, entry: Entry) -> Contents:
         """Add or replace a map; LightFieldError if its size is not that of the views."""
@@ -175,12 +200,13 @@ class Contents:
 
     def scores(self, name: str) -> Metrics | None:
         """The scores of a map; None without a truth of its frame, or where nothing can be scored."""
-        if not self.is_scored(name) or self.truth is None:
+        truth = None if self.lf is None else self.lf.reference_truth()
+        if truth is None or not self.is_scored(name):
             return None
-        try:
-            return evaluate(self.entries[name].disparity, self.truth)
-        except LightFieldError:  # smaller than the border that is not scored
-            return None
+        entry = self.entries[name]
+        if entry not in _scores or _scores[entry][0] is not truth:
+            _scores[entry] = truth, _scored(entry, truth)
+        return _scores[entry][1]
 
     def limits(self, kind: str) -> tuple[float, float]:
         """The scale (low, high) of a quantity, the same for all maps that may be compared."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import threading
 from functools import cache
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 
 from lfgpu.config import parameters
 from lfgpu.data.lightfield import LightField
@@ -30,7 +30,7 @@ class Facts:
     """The facts of a board, computed when they are asked for and something has changed."""
 
     def __init__(self, board: Board) -> None:
-        self._board = board
+        self._board, self._lock = board, threading.Lock()
         self._of: Contents | None = None
         self._contents: dict[str, Any] = {}
         self._scales: dict[str, Any] = {}
@@ -38,7 +38,11 @@ class Facts:
         self._views, self._revision = 0, 0
 
     def now(self) -> dict[str, Any]:
-        """The state as plain values."""
+        """The state as plain values. May be called from any thread."""
+        with self._lock:
+            return self._now()
+
+    def _now(self) -> dict[str, Any]:
         board, contents = self._board, self._board.contents
         if contents is not self._of:
             self._revision += 1
@@ -64,6 +68,8 @@ class Facts:
 @cache
 def fixed() -> dict[str, Any]:
     """What never changes: presets with their parameters, colour maps, quantities, file formats."""
+    from matplotlib import colormaps
+
     return {
         "presets": [
             {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,16 +17,20 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer.contents import QUANTITIES, Contents
-from lfgpu.viz.refocusing import all_in_focus, refocus
+from lfgpu.viz.refocusing import all_in_focus, refocus, spread, within
+from lfgpu.viz.splines import LINEAR
 
 TILE = 512
 """Pixels along each side of a tile; those at the right and the lower end are smaller."""
 
 _FOCUS_VIEWS = 49  # of a refocused picture, so that it follows its slider
 _SHARP_VIEWS = 25  # of a picture that is in focus everywhere
-_BILINEAR = 1
+_MET = 0.75  # pixels: a point that is not farther from a place is seen there
 _THUMBNAILS = 640  # pixels: the sides of all thumbnails together, about
 _LARGEST_THUMBNAIL = 96
+
+
+_small = WeakKeyDictionary[LightField, dict[tuple[int, int], tuple[NDArray[Any], NDArray[np.bool_]]]]()
 
 
 def wire_type(lf: LightField) -> type[np.uint8] | type[np.uint16]:
@@ -84,21 +89,29 @@ def thumbnails(lf: LightField) -> NDArray[np.uint8]:
 
 
 def refocused(lf: LightField, disparity: float, aperture: float | None, level: int) -> NDArray[Any]:
-    """The view [y, x, c] of a lens focused on a disparity; every 2**level-th pixel. See `lfgpu.refocus`."""
-    picture = refocus(
-        lf, disparity, aperture=aperture, step=2**level, most_views=_FOCUS_VIEWS, order=_BILINEAR
-    )  # fmt: skip
-    return _encoded(picture, lf)
+    """The view [y, x, c] of a lens focused on a disparity, 2**level times smaller. See `lfgpu.refocus`."""
+    chosen = spread(lf, _FOCUS_VIEWS, within(lf, aperture))
+    if len(chosen) == 1:
+        return _small_view(lf, level, lf.reference_index)[0]
+    few = _smaller(lf, level, chosen)
+    return _encoded(refocus(few, disparity / 2**level, order=LINEAR), lf)
 
 
 def sharp(contents: Contents, name: str, stage: str, level: int) -> NDArray[Any]:
-    """The reference view [y, x, c] from all views, in focus everywhere; LightFieldError without a map."""
+    """The reference view [y, x, c] from all views, in focus everywhere, 2**level times smaller.
+
+    Raises
+    ------
+    LightFieldError
+        If there is no map.
+    """
     lf, entry = contents.lf, contents.all_entries().get(name)
     if lf is None or entry is None:
         raise LightFieldError("a picture that is in focus everywhere needs a map; press Estimate.")
-    values = DisparityMap(entry.stage(stage))
-    picture = all_in_focus(lf, values, step=2**level, most_views=_SHARP_VIEWS, order=_BILINEAR)
-    return _encoded(picture, lf)
+    few = _smaller(lf, level, spread(lf, _SHARP_VIEWS))
+    step = 2**level
+    values = DisparityMap(np.ascontiguousarray(entry.stage(stage)[::step, ::step]) / np.float32(step))
+    return _encoded(all_in_focus(few, values, order=LINEAR), lf)
 
 
 def values_at(contents: Contents, name: str, stage: str, x: int, y: int) -> dict[str, float | None]:
@@ -151,16 +164,48 @@ def in_reference(contents: Contents, name: str, stage: str, index: int, x: float
         return None
     du, dv = lf.offsets[index]
     disparity = entry.stage(stage)
-    rows, columns = np.mgrid[0:height, 0:width]
-    away = np.maximum(np.abs(columns - disparity * du - x), np.abs(rows - disparity * dv - y))
-    met = away <= 0.75  # NaN is not
+    low, high = entry.ends(stage)
+    rows, columns = _between(y, dv, low, high, height), _between(x, du, low, high, width)
+    if not (len(rows) and len(columns)):
+        return None
+    near = disparity[rows.start : rows.stop, columns.start : columns.stop]
+    away = np.maximum(np.abs(np.array(columns) - near * du - x), np.abs(np.array(rows)[:, None] - near * dv - y))
+    met = away <= _MET  # NaN is not
     if not met.any():
         return None
-    places = np.flatnonzero(met)
-    nearest = disparity.ravel()[places]
-    front = places[nearest >= nearest.max() - 0.5 / max(abs(du), abs(dv), 1e-9)]
-    found = int(front[np.argmin(away.ravel()[front])])
-    return found % width, found // width
+    front = met & (near >= near[met].max() - 0.5 / max(abs(du), abs(dv)))
+    down, right = np.unravel_index(np.argmin(np.where(front, away, np.inf)), away.shape)
+    return columns[int(right)], rows[int(down)]
+
+
+def _between(at: float, step: float, low: float, high: float, side: int) -> range:
+    """Where the points that a view shows at `at` can be in the reference view, along one axis."""
+    ends = sorted((at + low * step, at + high * step))
+    return range(max(0, math.floor(ends[0] - 1)), min(side, math.ceil(ends[1] + 2)))
+
+
+def _smaller(lf: LightField, level: int, chosen: NDArray[np.intp]) -> LightField:
+    """Some views of a light field, 2**level times smaller; what was made is kept as long as the light field is."""
+    known = _small.setdefault(lf, {}) if level else {}
+    for n in map(int, chosen):
+        if (level, n) not in known:
+            known[level, n] = _small_view(lf, level, n)
+    found = [known[level, int(n)] for n in chosen]
+    return LightField(
+        np.stack([views for views, _ in found]),
+        lf.positions[chosen],
+        reference=int(np.flatnonzero(chosen == lf.reference_index)[0]),
+        valid=None if lf.valid is None else np.stack([valid for _, valid in found]),
+    )
+
+
+def _small_view(lf: LightField, level: int, index: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """A view [y, x, c], 2**level times smaller, and which of its pixels are valid."""
+    if lf.valid is None:
+        valid = np.ones((1, 1), np.bool_)  # is not asked for
+    else:
+        valid = _reduced(lf.valid[index][..., None].astype(np.float32), 2**level)[..., 0] > 1 - 1e-3
+    return intensities(_reduced(lf.views[index], 2**level), lf), valid
 
 
 def _window(size: tuple[int, int], level: int, column: int, row: int) -> tuple[slice, slice]:

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io import save
+from lfgpu.io import MAP_FORMATS, save
 from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents
-from lfgpu.viz.figures import map_figure, save_png
 
 
 def saved(contents: Contents, name: str, stage: str, suffix: str) -> bytes:
@@ -28,6 +27,8 @@ def saved(contents: Contents, name: str, stage: str, suffix: str) -> bytes:
     entry = contents.all_entries().get(name)
     if entry is None:
         raise LightFieldError(f"there is no result {name!r} to save.")
+    if not any(suffix in known.suffixes for known in MAP_FORMATS):
+        raise LightFieldError(f"a file {suffix!r} cannot be written: there is no such format of maps.")
     values: DepthResult | DisparityMap
     if entry.result is not None and stage == FINAL:
         values = entry.result
@@ -46,6 +47,8 @@ def saved(contents: Contents, name: str, stage: str, suffix: str) -> bytes:
 
 def figure(contents: Contents, name: str, kind: str, stage: str, *, colours: str, limits: tuple[float, float]) -> bytes:
     """A map with its scale as a PNG, each pixel a square of whole pixels; LightFieldError if there is no such map."""
+    from lfgpu.viz.figures import map_figure, save_png
+
     values = contents.map(name, kind, stage)
     if values is None:
         raise LightFieldError(f"{name!r} has no {kind} to save.")

@@ -6,6 +6,7 @@ import importlib.util
 import os
 import threading
 from collections.abc import Sequence
+from html import escape
 from typing import Any
 
 from lfgpu.data.lightfield import LightField
@@ -100,6 +101,13 @@ class Viewer(Board):
         shown = "nothing" if contents.lf is None else repr(contents.lf.name)
         maps = f", maps {', '.join(contents.entries)}" if contents.entries else ""
         return f"<Viewer {'closed' if self._closed.is_set() else f'at {self.url}'}: {shown}{maps}>"
+
+    def _repr_html_(self) -> str:
+        """The page itself, for notebooks of this machine."""
+        if self._closed.is_set():
+            return escape(repr(self))
+        link = f'<a href="{self.url}" target="_blank">{self.url}</a>'
+        return f'<iframe src="{self.url}" width="100%" height="640" style="border: 1px solid #8888"></iframe>{link}'
 
     @property
     def url(self) -> str:

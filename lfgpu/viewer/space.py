@@ -8,7 +8,7 @@ import secrets
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from http import HTTPStatus
 from time import monotonic
 from typing import Any
@@ -19,55 +19,18 @@ from numpy.typing import NDArray
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud, surface
-from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents
+from lfgpu.viewer.contents import QUANTITIES, Contents
+from lfgpu.viewer.scene import HOST, Scene
 from lfgpu.viz.panels import SLOPE, colour, encoded, rgb
-
-HOST = "127.0.0.1"
 
 _LIVE_CLOUD = 0.5  # seconds between two point clouds of a stream
 _MESH_POINTS = 120_000  # of a surface
 _PAGES = {"light": (255, 255, 255), "dark": (20, 23, 28), "white": (255, 255, 255), "black": (0, 0, 0)}
 _CAMERAS = {False: (130, 138, 148), True: SLOPE}  # the reference camera stands out
 _BESIDE = (0.22, -0.14, 0.02)  # where the first eye stands, in distances of the cloud from the reference camera
-_BEHIND = (0.75, -0.4, -0.7)  # the same where the cameras are to be seen, too
+_BEHIND = (0.18, -0.13, -0.3)  # the same where the cameras are to be seen, too
 
 _starting = threading.Lock()  # one server at a time is guarded while it starts
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What a page wants to see in space."""
-
-    result: str = ""
-    stage: str = FINAL
-    metric: bool = True
-    """Whether points are in metres; else their depth is the disparity."""
-    paint: str = "picture"
-    """What colours the points: "picture", or one of the `QUANTITIES`."""
-    colours: str = "viridis"
-    low: float = 0.0
-    high: float = 1.0
-    least: float = 0.0
-    """Points of a smaller confidence are left out."""
-    size: float = 1.3
-    """Size of the points, distances of neighbours."""
-    mesh: bool = False
-    cameras: bool = False
-    background: str = "light"
-    dark: bool = False
-    aspect: float = 1.0
-    """Width over height of the frame."""
-    x: int = 0
-    y: int = 0
-    """The pixel that is marked."""
-
-    @classmethod
-    def of(cls, values: dict[str, Any]) -> Scene:
-        """From plain values; LightFieldError if one is missing its type."""
-        try:
-            return cls(**{name: type(getattr(cls, name))(value) for name, value in values.items()})
-        except (AttributeError, TypeError, ValueError) as error:
-            raise LightFieldError(f"this cannot be shown in space: {error}.") from None
 
 
 class Space:
@@ -323,7 +286,8 @@ def _painted(scene: Scene, contents: Contents) -> NDArray[np.uint8]:
     """The colours of the points: the view, or a map."""
     lf = contents.lf
     if scene.paint == "picture" and lf is not None:
-        return rgb(lf.views[lf.reference_index], lf.scale)
+        picture = np.minimum(lf.image(lf.reference_index) * np.float32(2.0**scene.exposure), 1)
+        return rgb(picture ** np.float32(1 / max(scene.gamma, 0.01)), 1.0)
     kind = scene.paint if scene.paint in QUANTITIES else "disparity"
     values = contents.map(scene.result, kind, scene.stage)
     if values is None:

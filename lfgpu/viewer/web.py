@@ -12,7 +12,7 @@ import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 from urllib.parse import quote, urlsplit
 
 import numpy as np
@@ -29,8 +29,11 @@ from lfgpu.viewer import pictures, saving
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents
 from lfgpu.viewer.facts import COLOURS, Facts, fixed
+from lfgpu.viewer.scene import HOST, Scene
 from lfgpu.viewer.solving import Request
-from lfgpu.viewer.space import HOST, Scene, Space
+
+if TYPE_CHECKING:
+    from lfgpu.viewer.space import Space
 
 _PAGE = Path(__file__).parent / "page"
 _PORTS = 1000  # that are tried if the first one is taken
@@ -39,7 +42,8 @@ _LARGEST = 2**28  # bytes of a message of the scene in space
 _HOSTS = ("127.0.0.1", "localhost", "::1")
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; font-src 'self'; "
-    "connect-src 'self' ws:; frame-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
+    "connect-src 'self' ws:; frame-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors http://127.0.0.1:* http://localhost:*"  # notebooks
 )
 _T = TypeVar("_T")
 
@@ -503,7 +507,7 @@ class Tab(_Guarded, WebSocketHandler):
     async def _start(self) -> None:
         """Start the scene in space; viser takes a moment."""
         try:
-            space = await self.site.apart(Space, self.site.board, self._picked)
+            space = await self.site.apart(self._new_space)
         except Exception as error:
             logging.getLogger("lfgpu.viewer").exception("the scene in space could not be started")
             await self.write_message({"message": f"The points in space cannot be shown: {error}."})
@@ -515,6 +519,11 @@ class Tab(_Guarded, WebSocketHandler):
         assert self._scene is not None
         space.show(self._scene)
         await self.write_message({"space": True})
+
+    def _new_space(self) -> Space:
+        from lfgpu.viewer.space import Space
+
+        return Space(self.site.board, self._picked)
 
     def _picked(self, x: int, y: int) -> None:
         self.site.call_soon(self._send, {"picked": [x, y]})

@@ -22,11 +22,11 @@ from lfgpu.comparison import Scene, error_map
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_write
 from lfgpu.metrics import Sparsification
+from lfgpu.viz.scales import error_reach as error_reach  # those of figures are for others, too
+from lfgpu.viz.scales import scale_limits as scale_limits
 
 _DISPARITY = "disparity (px per view step)\nlarger is nearer"
 _UNDEFINED = "0.62"  # a grey that occurs in none of the colour maps
-_TAIL = 0.002  # share of outliers at each end that lie beyond the scale; pointed ends of the colour bar show them
-_LEAST_ERROR = 0.07  # smallest end of an error scale: the coarsest threshold of the benchmark
 _LONG_SIDE = 6.0  # inches: the longer side of a map
 _LEAST_PIXELS = 900  # pixels at least: the longer side of a map in the picture
 _BAR, _GAP, _TICKS, _MARGIN, _TITLE = 0.2, 0.15, 1.05, 0.15, 0.42  # inches
@@ -325,23 +325,6 @@ def _map(values: ArrayLike) -> NDArray[np.float32]:
     if array.ndim != 2 or 0 in array.shape:
         raise LightFieldError(f"a map must be [y, x]; found shape {array.shape}.")
     return np.where(np.isfinite(array), array, np.float32(np.nan))
-
-
-def scale_limits(values: NDArray[np.float32]) -> tuple[float, float]:
-    """The ends of the scale of a map: its range without a few outliers; (0, 1) if it is undefined everywhere."""
-    defined = values[np.isfinite(values)]
-    if defined.size == 0:
-        return 0.0, 1.0
-    low, high = (float(value) for value in np.quantile(defined, (_TAIL, 1 - _TAIL)))
-    return (low, high) if high > low else (low - 0.5, high + 0.5)
-
-
-def error_reach(error: NDArray[np.float32]) -> float:
-    """The end of a symmetric error scale: the 95 % quantile of the absolute error, rounded up to one digit."""
-    defined = np.abs(error[np.isfinite(error)])
-    reach = max(float(np.quantile(defined, 0.95)) if defined.size else 0.0, _LEAST_ERROR)
-    digit = 10.0 ** math.floor(math.log10(reach))
-    return round(math.ceil(reach / digit - 1e-9) * digit, 12)
 
 
 def _show(axes: Axes, values: NDArray[np.float32], colours: str, limits: tuple[float, float]) -> AxesImage:

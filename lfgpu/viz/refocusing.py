@@ -65,7 +65,7 @@ def refocus(
     _check_preview(step, most_views, order)
     height, width = (len(range(0, side, step)) for side in lf.size)
     total, count = np.zeros((height, width, lf.channels), np.float32), np.zeros((height, width), np.float32)
-    for n in _spread(lf, most_views, _within(lf, aperture)):
+    for n in spread(lf, most_views, within(lf, aperture)):
         move = tuple(-disparity * lf.offsets[n, axis] for axis in (1, 0))
         picture = lf.views[n] if order == LINEAR else np.moveaxis(spline(lf.image(n)), 0, 2)
         where, colour = shifted(picture, move, step, order)
@@ -132,7 +132,7 @@ def all_in_focus(
     kernels = load(backend)
     place = pick_device(kernels, device)
     disparity = np.where(np.isfinite(result.disparity), result.disparity, 0).astype(np.float32)
-    chosen = _spread(lf, most_views)
+    chosen = spread(lf, most_views)
     with kernels.asking(place):
         visible = kernels.zeros((len(chosen), *lf.size), place)
         kernels.visible(
@@ -164,8 +164,8 @@ def all_in_focus(
     return np.clip(total / np.maximum(weights, 1e-12)[..., None], 0, 1).astype(np.float32)
 
 
-def _within(lf: LightField, aperture: float | None) -> NDArray[np.intp]:
-    """Indices of the views of a lens; the reference is one."""
+def within(lf: LightField, aperture: float | None) -> NDArray[np.intp]:
+    """Indices of the views of a lens of a radius in view steps, None for all; the reference is one."""
     if aperture is None:
         return np.arange(len(lf.views))
     if not aperture >= 0:
@@ -173,7 +173,7 @@ def _within(lf: LightField, aperture: float | None) -> NDArray[np.intp]:
     return np.flatnonzero(np.hypot(*lf.offsets.T) <= aperture + _SAME_CAMERA)
 
 
-def _spread(lf: LightField, most: int | None, among: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
+def spread(lf: LightField, most: int | None, among: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
     """Indices of at most so many views, spread evenly over the order in which they are stored; the reference is one."""
     among = np.arange(len(lf.views)) if among is None else among
     if most is None or len(among) <= most:

@@ -64,11 +64,15 @@ export class Epi {
     const { data, shape } = this.#found, views = this.#views(), place = this.view.viewport.place(this.view);
     if (shape[0] !== views.length) return;
     const { thick, start } = this.#layout(views.length), begin = isRow ? place.left : place.top;
-    const epi = Object.assign(document.createElement("canvas"), { width: shape[1], height: shape[0] });
-    epi.getContext("2d").putImageData(paintView(data, shape, look), 0, 0);
+    const looks = `${look.exposure} ${look.gamma}`;
+    if (this.#found.looks !== looks) {
+      const epi = Object.assign(document.createElement("canvas"), { width: shape[1], height: shape[0] });
+      epi.getContext("2d").putImageData(paintView(data, shape, look), 0, 0);
+      Object.assign(this.#found, { epi, looks });
+    }
     if (!isRow) context.setTransform(0, 1, 1, 0, 0, 0); // columns run down
     context.imageSmoothingEnabled = false;
-    context.drawImage(epi, begin, start, shape[1] * place.scale, thick * views.length);
+    context.drawImage(this.#found.epi, begin, start, shape[1] * place.scale, thick * views.length);
     const ratio = window.devicePixelRatio, axis = isRow ? 0 : 1;
     if (Number.isFinite(disparity)) {
       const points = views.map((index, k) => [

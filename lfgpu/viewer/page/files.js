@@ -36,6 +36,7 @@ function openSaving({ state, ui }) {
   for (const button of [...$("formats").querySelectorAll("button"), $("save-map"), $("save-figure")]) button.disabled = !chosen;
   $("save-view").disabled = !state.lightField;
   $("save-space").disabled = ui.right !== "space";
+  $("save-space").title = ui.right === "space" ? "As the frame shows it, without marks" : "Open the tab 3D first";
   const plain = [state.lightField?.name, chosen ? ui.result : ""].filter(Boolean).join("-");
   $("save-name").value = plain.replace(/[^\p{L}\p{N}.+-]+/gu, "_") || "lfgpu";
   $("saving").showModal();

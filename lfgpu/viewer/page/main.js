@@ -51,7 +51,7 @@ function mapSource(name, kind = ui.quantity, stage = FINAL) {
   };
 }
 
-function viewSource() {
+function viewSource(index = ui.view) {
   if (!lf()) return null;
   const { exposure, gamma } = look();
   const common = { size: state.size, look: `${exposure} ${gamma}`, paint: (data, shape) => paintView(data, shape, { exposure, gamma }) };
@@ -65,7 +65,7 @@ function viewSource() {
     const query = { result: ui.result, stage: ui.stage };
     return { ...common, key: `sharp ${state.views} ${one.identity} ${ui.stage}`, what: "sharp", query, whole: true };
   }
-  return { ...common, key: `view ${state.views} ${ui.view}`, what: "view", query: { index: ui.view } };
+  return { ...common, key: `view ${state.views} ${index}`, what: "view", query: { index } };
 }
 
 /** Where the pixel is in a view; null where that is not known. */
@@ -92,6 +92,7 @@ const view = new Picture($("view"), viewport, {
     const at = isOfReference() ? ui.pixel : pixelIn(ui.view);
     if (at) drawCross(context, place, ...at);
   },
+  next: () => Object.values(ARROWS).map((arrow) => neighbour(lf(), ui.view, ...arrow)).filter((index) => index !== ui.view).map(viewSource),
 });
 const onMap = {
   point: (x, y) => point("right", x, y),
@@ -163,7 +164,10 @@ function layoutViews() {
   const row = thickness(light.row.length), column = thickness(light.column.length);
   const scale = Math.max(0.01, Math.min((across - column) / width, (down - row) / height));
   const [wide, high] = [Math.floor(width * scale), Math.floor(height * scale)];
-  const rest = (room, count) => Math.floor(Math.min(count * 26, room - GAP));
+  const rest = (room, count) => {
+    const side = Math.min(count * 24, 264, room - GAP);
+    return side > count ? count * Math.floor(side / count) : Math.floor(side);
+  };
   $("epi-row").hidden = !row;
   $("epi-column").hidden = !column;
   $("cross").style.gridTemplate = [high, ...(row ? [rest(down - high, light.row.length)] : [])].map((side) => `${side}px`).join(" ")
@@ -202,10 +206,11 @@ function showLeft() {
   else title.replaceChildren(...viewName());
 }
 
+/** Where the camera of the view stands, and how far that is to the right of and below the reference camera. */
 function viewName() {
   const { positions, offsets, reference } = lf(), [u, v] = positions[ui.view], [du, dv] = offsets[ui.view];
-  const place = element("b", { textContent: `row ${short(v)}, column ${short(u)}` });
-  return ["View at ", place, ui.view === reference ? ", the reference" : ` (${signed(du)}, ${signed(dv)})`];
+  const place = element("b", { textContent: `Row ${short(v)}, column ${short(u)}` });
+  return [place, ui.view === reference ? ", reference" : ` (${signed(du)}, ${signed(dv)})`];
 }
 
 const short = (value) => String(Number(value.toFixed(2))).replace("-", "−");
@@ -241,10 +246,11 @@ function showMaps() {
   label("map-label", one && (mode === "wipe" ? `◀ ${firstName}` : firstName));
   label("wipe-label", mode === "wipe" ? `${named(ui.other)} ▶` : other && !second && `${named(ui.other)}: no ${quantity.label.toLowerCase()}`);
   label("other-label", isSide && named(ui.other));
+  label("map-note", !one && "No map yet: press Estimate.");
   const unit = quantity.unit && ` (${quantity.unit})`, hint = [quantity.hint, "grey: undefined"].filter(Boolean).join("; ");
   if (ui.right === "space" && one) {
     $("right-title").replaceChildren(element("b", { textContent: ui.mesh ? "Surface" : "Points" }), ` of ${named(ui.result, ui.stage)}`);
-  } else if (!one) $("right-title").textContent = lf() ? "No map yet: press Estimate" : "";
+  } else if (!one) $("right-title").textContent = "";
   else {
     const what = first ? element("b", { textContent: quantity.label }) : element("b", { textContent: `No ${quantity.label.toLowerCase()}` });
     $("right-title").replaceChildren(what, ` of ${named(ui.result, ui.stage)}${unit}`);
@@ -269,6 +275,7 @@ function label(id, text) {
 function showChoices() {
   if (!state) return;
   const quantities = Object.entries(fixed.quantities).filter(([name]) => state.results.some((one) => one.kinds.includes(name)));
+  $("quantity").disabled = $("result").disabled = $("other").disabled = !state.results.length;
   fill($("quantity"), quantities.map(([name, { label }]) => [name, label]), ui.quantity);
   const names = state.results.map(({ name, isTruth, earlier }) => [name, isTruth ? "ground truth" : earlier ? `${name} (earlier frame)` : name]);
   fill($("result"), names.length ? names : [[NOTHING, "none yet"]], ui.result);
@@ -384,7 +391,12 @@ function take(next) {
   const span = state.scales.disparity?.limits ?? [-3, 3], margin = 0.2 * (span[1] - span[0]);
   [$("focus").min, $("focus").max] = [span[0] - margin, span[1] + margin];
   $("left").hidden = !lf();
+  document.querySelector("main").hidden = $("readout").hidden = !state.size;
+  $("nothing").hidden = Boolean(state.size || state.loading);
+  $("views-section").hidden = !lf();
   document.querySelector("main").classList.toggle("maps-only", !lf());
+  document.querySelector("nav [data-value=view]").disabled = !lf();
+  if (!lf() && document.body.dataset.show === "view") showPart("map");
   if (!before || other || state.revision !== before.revision) {
     document.title = [lf()?.name, "lfgpu"].filter(Boolean).join(" – ");
     $("name").textContent = lf()?.name ?? "";
@@ -406,7 +418,8 @@ function take(next) {
 function facts() {
   const light = lf();
   if (!light) return state.size ? `${state.size[1]} × ${state.size[0]} pixels` : "";
-  const views = light.grid ? `${light.grid[0]} × ${light.grid[1]} views` : `${light.views} views`;
+  const [rows, columns] = light.grid ?? [1, light.views], isWhole = rows * columns === light.views;
+  const views = light.grid ? `${isWhole ? "" : `${light.views} of `}${rows} × ${columns} views` : `${light.views} views`;
   return `${views}, ${state.size[1]} × ${state.size[0]} pixels, ${light.stored}${light.channels === 1 ? ", grey" : ""}`;
 }
 
@@ -487,7 +500,7 @@ for (const id of ["low", "high"]) {
   };
 }
 const press = (id, act) => ($(id).onclick = (event) => event.target.dataset.value && act(event.target.dataset.value));
-press("left-tabs", (value) => ui.set({ left: value }));
+press("left-tabs", (value) => ui.set({ left: value, hover: null }));
 press("right-tabs", (value) => ui.set({ right: value }));
 press("compare", (value) => ui.set({ compare: value, flipped: value === "flip" && !ui.flipped }));
 document.querySelector("nav").onclick = (event) => event.target.dataset.value && showPart(event.target.dataset.value);
@@ -553,7 +566,9 @@ function placeThumbnails() {
 }
 phone.addEventListener("change", placeThumbnails);
 placeThumbnails();
-new ResizeObserver(() => state && showMaps()).observe($("right"));
+const roomForMaps = new ResizeObserver(() => state && showMaps());
+roomForMaps.observe($("right"));
+roomForMaps.observe($("results"));
 new ResizeObserver(layoutViews).observe($("left"));
 dark.addEventListener("change", () => {
   showMaps();
@@ -575,7 +590,7 @@ function scene() {
   const page = dark.matches ? "dark" : "light";
   return {
     result: ui.result, stage: ui.stage, metric: ui.metric && state.metric, paint: ui.paint, colours, low, high,
-    least: ui.least, size: ui.size, mesh: ui.mesh, cameras: ui.cameras, background: ui.background === "page" ? page : ui.background,
+    exposure: ui.exposure, gamma: ui.gamma, least: ui.least, size: ui.size, mesh: ui.mesh, cameras: ui.cameras, background: ui.background === "page" ? page : ui.background,
     dark: dark.matches, aspect: box.height ? box.width / box.height : 1, x: ui.pixel?.[0] ?? 0, y: ui.pixel?.[1] ?? 0,
   };
 }
@@ -591,6 +606,6 @@ const send = connect((words) => {
   document.body.classList.toggle("gone", !isThere);
 });
 const space = new Space(send, scene);
-ui.on("right result stage metric paint least size mesh cameras background pixel colourMaps ranges", () => space.refresh());
+ui.on("right result stage metric paint exposure gamma least size mesh cameras background pixel colourMaps ranges", () => space.refresh());
 showParts();
 showSliders();

@@ -4,7 +4,7 @@ import { SIDE, tile, want } from "./tiles.js";
 
 const CLICK = 5; // pixels: who moves less has clicked
 const GRIP = 14; // pixels beside the line of a wipe where it can be taken
-const QUICK = 640; // pixels of the longer side of what is computed first
+const QUICK = 360; // pixels of the longer side of what is computed first
 
 export class Picture {
   #sources = []; // one, or two that a wipe divides
@@ -15,7 +15,8 @@ export class Picture {
   /**
    * @param canvas
    * @param viewport  shared by all pictures that move together
-   * @param on  { point(x, y or null), choose(x, y), wipe(share), overlay(context, place) }
+   * @param on  { point(x, y or null), choose(x, y), wipe(share), overlay(context, place), next() }; `next` gives the
+   *   sources that are probably looked at next
    */
   constructor(canvas, viewport, on) {
     Object.assign(this, { canvas, viewport, on, wipe: 0.5, isSharp: false });
@@ -62,11 +63,16 @@ export class Picture {
     const edge = second ? Math.round(place.left + this.wipe * first.size[1] * place.scale) : canvas.width;
     let complete = this.#drawPart(context, place, first, 0, edge, wishes);
     if (second) complete = this.#drawPart(context, place, second, edge, canvas.width, wishes) && complete;
+    if (complete && !first.whole) {
+      const next = this.on.next?.() ?? [];
+      wishes.push(...next.flatMap((source) => wishes.slice().map(([, ...place]) => [source, ...place])));
+    }
     want(this, wishes);
     if (complete) this.#before = first;
     canvas.dataset.drawn = complete ? this.#sources.map(({ key, look }) => `${key} ${look}`).join(" / ") : "";
     Object.assign(canvas.dataset, { left: place.left, top: place.top, scale: place.scale });
     this.on.overlay?.(context, place);
+    if (!complete && first.whole) drawNote(context, "Computing …");
     if (second) this.#drawWipe(context, edge);
   }
 
@@ -286,6 +292,17 @@ export function drawCross(context, place, x, y) {
     context.stroke();
   }
   context.restore();
+}
+
+function drawNote(context, text) {
+  const ratio = window.devicePixelRatio;
+  context.font = `${13 * ratio}px system-ui, sans-serif`;
+  const wide = context.measureText(text).width;
+  context.fillStyle = "rgb(0 0 0 / 62%)";
+  context.fillRect(8 * ratio, 8 * ratio, wide + 16 * ratio, 24 * ratio);
+  context.fillStyle = "#fff";
+  context.textBaseline = "middle";
+  context.fillText(text, 16 * ratio, 20 * ratio);
 }
 
 export const mark = () => getComputedStyle(document.documentElement).getPropertyValue("--mark").trim();

@@ -2,9 +2,8 @@
 
 import { $, element } from "./elements.js";
 
-// Viser's own panel: what it would offer is offered by the page.
-const BARE = `[data-dock-side], [data-floating-window], [data-dock-leaf], .mantine-Notifications-root { display: none !important; }
-  html, body { background: transparent; }`;
+// Nothing of viser but what it draws: what its panels would offer is offered by the page.
+const BARE = "body :not(canvas):not(:has(canvas)) { display: none !important; }";
 
 export class Space {
   #send;

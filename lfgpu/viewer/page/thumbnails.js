@@ -10,6 +10,8 @@ export class Thumbnails {
   #sprites = [];
   #key = null;
   #boxes = [];
+  #grid = null; // all of them, as they were painted last
+  #painted = "";
 
   /** @param now  () => { lf, current, look };  @param choose  called with the index of a view */
   constructor(canvas, now, choose) {
@@ -36,24 +38,26 @@ export class Thumbnails {
     const { canvas } = this, { lf, current, look } = this.now();
     if (!lf || this.#sprites.length !== lf.views) return;
     const ratio = window.devicePixelRatio, room = canvas.parentElement.clientWidth || 260;
-    const [height, width] = this.#sprites[0].shape, tall = matchMedia("(max-width: 760px)").matches ? 150 : 264;
+    const [height, width] = this.#sprites[0].shape, tall = matchMedia("(max-width: 760px)").matches ? 150 : matchMedia("(max-height: 760px)").matches ? 176 : 264;
     const { cells, wide, high, columns, rows } = layout(lf, Math.min(room, 264), tall, height / width);
     Object.assign(canvas.style, { width: `${columns * wide}px`, height: `${rows * high}px` });
     canvas.width = Math.round(columns * wide * ratio);
     canvas.height = Math.round(rows * high * ratio);
-    const context = canvas.getContext("2d");
-    context.scale(ratio, ratio);
-    const painted = `${this.#key} ${look.exposure} ${look.gamma}`;
     this.#boxes = cells.map(([column, row]) => [column * wide, row * high, wide, high]);
-    this.#boxes.forEach(([left, top], n) => {
-      const sprite = this.#sprites[n];
-      if (sprite.painted !== painted) {
-        sprite.canvas ??= Object.assign(document.createElement("canvas"), { width, height });
-        sprite.canvas.getContext("2d").putImageData(paintView(sprite.data, sprite.shape, look), 0, 0);
-        sprite.painted = painted;
-      }
-      context.drawImage(sprite.canvas, left + 0.5, top + 0.5, wide - 1, high - 1);
-    });
+    const painted = `${this.#key} ${look.exposure} ${look.gamma} ${canvas.width} ${canvas.height}`;
+    if (painted !== this.#painted) {
+      this.#grid = Object.assign(document.createElement("canvas"), { width: canvas.width, height: canvas.height });
+      const grid = this.#grid.getContext("2d"), one = Object.assign(document.createElement("canvas"), { width, height });
+      grid.scale(ratio, ratio);
+      this.#boxes.forEach(([left, top], n) => {
+        one.getContext("2d").putImageData(paintView(this.#sprites[n].data, this.#sprites[n].shape, look), 0, 0);
+        grid.drawImage(one, left + 0.5, top + 0.5, wide - 1, high - 1);
+      });
+      this.#painted = painted;
+    }
+    const context = canvas.getContext("2d");
+    context.drawImage(this.#grid, 0, 0);
+    context.scale(ratio, ratio);
     const [left, top] = this.#boxes[lf.reference];
     context.fillStyle = "#fff";
     context.strokeStyle = "rgb(0 0 0 / 70%)";

@@ -1,5 +1,6 @@
 // Pieces of pictures: asked for when they are looked at, kept while there is room.
 
+import { tell } from "./elements.js";
 import { array } from "./server.js";
 
 export const SIDE = 512; // pixels of a tile
@@ -66,7 +67,7 @@ function work() {
     busy++;
     under.add(key);
     array(source.what, { ...source.query, level, column, row })
-      .then((found) => keep(key, found), () => known.set(key, {})) // one that fails is not asked for again
+      .then((found) => keep(key, found), (error) => fail(key, source, error))
       .finally(() => {
         busy--;
         under.delete(key);
@@ -74,6 +75,12 @@ function work() {
         for (const listener of listeners) listener();
       });
   }
+}
+
+/** One that fails is not asked for again; a tile of what has been replaced meanwhile is no news. */
+function fail(key, source, error) {
+  known.set(key, {});
+  if (source.whole) tell(error.message);
 }
 
 function keep(key, { data, shape }) {
