@@ -6,6 +6,7 @@ import base64
 import io
 import json
 import socket
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -514,6 +515,24 @@ def test_a_phone_shows_one_part_at_a_time(browser: Any, viewer: Viewer) -> None:
         box = phone.tab.locator(shown).bounding_box()
         assert box["x"] >= 0
         assert box["x"] + box["width"] <= 390
+    phone.tab.tap("nav [data-value=map]")
+    phone.shown("map", "disparity")
+    before = phone.place("map")
+    x, y = (round(part) for part in phone.spot("map", 24, 20))
+    touch = phone.tab.context.new_cdp_session(phone.tab)
+
+    def fingers(kind: str, *places: tuple[int, int]) -> None:
+        points = [{"x": px, "y": py, "id": k} for k, (px, py) in enumerate(places)]
+        touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+
+    fingers("Start", (x - 20, y), (x + 20, y))
+    for reach in (30, 45, 60, 80):
+        fingers("Move", (x - reach, y), (x + reach, y))
+    fingers("End")
+    phone.tab.wait_for_timeout(150)
+    after = phone.place("map")
+    assert after[2] > 2.5 * before[2]
+    assert [round(part) for part in phone.spot("map", 24, 20)] == pytest.approx([x, y], abs=after[2])
     phone.close()
 
 
@@ -561,6 +580,21 @@ def test_a_stream_is_followed_without_scores_of_another_frame(
         assert page.at("view", 4, 30) == tuple(lf.views[::-1][lf.reference_index, 30, 4])
         viewer.update(np.zeros(lf.size))
         page.shown("map", "disparity", before=live)
+        stop = threading.Event()
+
+        def push() -> None:
+            while not stop.wait(0.01):
+                viewer.update(lf.truth.disparity, views=lf.views)  # type: ignore[union-attr]
+
+        pusher = threading.Thread(target=push)
+        pusher.start()
+        try:  # frames that come faster than pictures are left out, but pictures come
+            for _ in range(3):
+                live = page.key("map")
+                page.shown("map", "disparity", before=live)
+        finally:
+            stop.set()
+            pusher.join()
         page.tab.click("#pause")
         until(lambda: switched == [True], "the stream is paused", page.tab)
         page.says("paused", "#stream")

@@ -92,7 +92,8 @@ const view = new Picture($("view"), viewport, {
     const at = isOfReference() ? ui.pixel : pixelIn(ui.view);
     if (at) drawCross(context, place, ...at);
   },
-  next: () => Object.values(ARROWS).map((arrow) => neighbour(lf(), ui.view, ...arrow)).filter((index) => index !== ui.view).map(viewSource),
+  complete: () => takeLater(),
+  next: () => state.frame ? [] : Object.values(ARROWS).map((arrow) => neighbour(lf(), ui.view, ...arrow)).filter((index) => index !== ui.view).map(viewSource),
 });
 const onMap = {
   point: (x, y) => point("right", x, y),
@@ -102,6 +103,7 @@ const onMap = {
     map.draw();
   },
   overlay: (context, place) => ui.pixel && drawCross(context, place, ...ui.pixel),
+  complete: () => takeLater(),
 };
 const map = new Picture($("map"), viewport, onMap), otherMap = new Picture($("other-map"), viewport, onMap);
 onArrival(() => [view, map, otherMap].forEach((one) => one.draw()));
@@ -223,10 +225,14 @@ function showEpis() {
   if (light.column.length > 1) epis[1].fetch(ui.pixel[0], state.views);
 }
 
+let thumbnailsAt = -Infinity; // those of a stream are asked for once a second
+
 function showThumbnails() {
   $("thumbnails-box").hidden = !lf();
   if (!lf()) return;
-  thumbnails.fetch(state.views);
+  const isDue = !state.frame || performance.now() - thumbnailsAt > 1000;
+  if (isDue) thumbnailsAt = performance.now();
+  thumbnails.fetch(isDue ? state.views : thumbnails.key);
   $("view-name").replaceChildren(...viewName());
 }
 
@@ -372,7 +378,28 @@ ui.on("hover found other quantity", showReadout);
 
 const estimate = new Estimate(fixed.presets);
 
+const PATIENCE = 500; // milliseconds that pictures have to come before the next state is taken
+
+let later = null, takenAt = 0;
+
+/** Take the state of the server, a stream's when what is shown of the last one is there: else nothing would ever be. */
 function take(next) {
+  const isStream = state && next.revision !== state.revision && next.results.some(({ name }) => name === fixed.live);
+  if (isStream && performance.now() - takenAt < PATIENCE && ![view, map, otherMap].every((one) => one.isComplete)) {
+    if (!later) setTimeout(takeLater, PATIENCE);
+    later = next;
+    return;
+  }
+  later = null;
+  takenAt = performance.now();
+  takeNow(next);
+}
+
+function takeLater() {
+  if (later) take(later);
+}
+
+function takeNow(next) {
   const before = state;
   state = next;
   const other = !before || before.lightField?.name !== state.lightField?.name || String(before.size) !== String(state.size)

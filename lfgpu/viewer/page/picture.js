@@ -11,12 +11,13 @@ export class Picture {
   #before = null; // what was drawn last, until the next one has come
   #pointers = new Map();
   #sharpen = 0;
+  #complete = true;
 
   /**
    * @param canvas
    * @param viewport  shared by all pictures that move together
-   * @param on  { point(x, y or null), choose(x, y), wipe(share), overlay(context, place), next() }; `next` gives the
-   *   sources that are probably looked at next
+   * @param on  { point(x, y or null), choose(x, y), wipe(share), overlay(context, place), complete(), next() }; `next`
+   *   gives the sources that are probably looked at next
    */
   constructor(canvas, viewport, on) {
     Object.assign(this, { canvas, viewport, on, wipe: 0.5, isSharp: false });
@@ -32,7 +33,13 @@ export class Picture {
       clearTimeout(this.#sharpen);
     }
     this.#sources = sources.filter(Boolean);
+    this.#complete = !this.#sources.length;
     this.draw();
+  }
+
+  /** Whether all that is wanted is drawn, as far as it can be seen. */
+  get isComplete() {
+    return this.#complete || !this.canvas.offsetParent;
   }
 
   draw() {
@@ -69,11 +76,13 @@ export class Picture {
     }
     want(this, wishes);
     if (complete) this.#before = first;
+    this.#complete = complete;
     canvas.dataset.drawn = complete ? this.#sources.map(({ key, look }) => `${key} ${look}`).join(" / ") : "";
     Object.assign(canvas.dataset, { left: place.left, top: place.top, scale: place.scale });
     this.on.overlay?.(context, place);
     if (!complete && first.whole) drawNote(context, "Computing …");
     if (second) this.#drawWipe(context, edge);
+    if (complete) this.on.complete?.();
   }
 
   /** Draw a source between two columns of the canvas; returns whether all of it has come. */

@@ -8,7 +8,7 @@ const LEAST = 12; // pixels of a cell: smaller ones are put in lines one below t
 
 export class Thumbnails {
   #sprites = [];
-  #key = null;
+  key = null;
   #boxes = [];
   #grid = null; // all of them, as they were painted last
   #painted = "";
@@ -24,10 +24,10 @@ export class Thumbnails {
   }
 
   async fetch(key) {
-    if (key === this.#key) return this.draw();
-    this.#key = key;
+    if (key === this.key) return this.draw();
+    this.key = key;
     const { data, shape: [count, height, width] } = await array("thumbnails");
-    if (key !== this.#key) return undefined;
+    if (key !== this.key) return undefined;
     this.#sprites = Array.from({ length: count }, (_, n) => ({
       data: data.subarray(n * height * width * 3, (n + 1) * height * width * 3), shape: [height, width, 3],
     }));
@@ -44,7 +44,7 @@ export class Thumbnails {
     canvas.width = Math.round(columns * wide * ratio);
     canvas.height = Math.round(rows * high * ratio);
     this.#boxes = cells.map(([column, row]) => [column * wide, row * high, wide, high]);
-    const painted = `${this.#key} ${look.exposure} ${look.gamma} ${canvas.width} ${canvas.height}`;
+    const painted = `${this.key} ${look.exposure} ${look.gamma} ${canvas.width} ${canvas.height}`;
     if (painted !== this.#painted) {
       this.#grid = Object.assign(document.createElement("canvas"), { width: canvas.width, height: canvas.height });
       const grid = this.#grid.getContext("2d"), one = Object.assign(document.createElement("canvas"), { width, height });
@@ -71,7 +71,7 @@ export class Thumbnails {
       context.lineWidth = thick;
       context.strokeRect(box[0] + 1.5, box[1] + 1.5, box[2] - 3, box[3] - 3);
     }
-    canvas.dataset.drawn = `${this.#key} ${current}`;
+    canvas.dataset.drawn = `${this.key} ${current}`;
   }
 }
 
