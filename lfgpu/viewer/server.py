@@ -56,7 +56,7 @@ class Viewer(Board):
         missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
         if missing:
             raise LightFieldError(f"the viewer needs {' and '.join(missing)}; {how_to_install('viewer')}.")
-        from lfgpu.viewer.web import Site
+        from lfgpu.viewer.web import Server
 
         super().__init__(allow_open=allow_open)
         self._closed = threading.Event()
@@ -64,7 +64,7 @@ class Viewer(Board):
             self.show(lf, result)
         elif result is not None:
             self.add(result)
-        self._site = Site(self, port)
+        self._server = Server(self, port)
 
     @classmethod
     def of(
@@ -112,7 +112,7 @@ class Viewer(Board):
     @property
     def url(self) -> str:
         """Where the page is; whoever knows it can use the page."""
-        return f"http://127.0.0.1:{self._site.port}/{self._site.token}/"
+        return f"http://127.0.0.1:{self._server.port}/{self._server.token}/"
 
     def close(self) -> None:
         """Stop the solver, tell all tabs and free the port."""
@@ -120,7 +120,7 @@ class Viewer(Board):
             return
         self._closed.set()
         self.solver.close()
-        self._site.close()
+        self._server.close()
 
     def wait(self) -> None:
         """Wait until `close` is called from another thread."""

@@ -94,7 +94,7 @@ class Space:
         try:
             height, width = client.camera.image_height or 900, client.camera.image_width or 1200
             found = client.get_render(height=height, width=width, transport_format="png", timeout=30.0)
-        except TimeoutError:
+        except (TimeoutError, RuntimeError):
             raise LightFieldError("the browser did not draw the points in space; open the tab 3D.") from None
         finally:
             self._mark(visible=True)
