@@ -28,7 +28,7 @@ _MESH_POINTS = 120_000  # of a surface
 _PAGES = {"light": (255, 255, 255), "dark": (20, 23, 28), "white": (255, 255, 255), "black": (0, 0, 0)}
 _CAMERAS = {False: (130, 138, 148), True: SLOPE}  # the reference camera stands out
 _BESIDE = (0.22, -0.14, 0.02)  # where the first eye stands, in distances of the cloud from the reference camera
-_BEHIND = (0.18, -0.13, -0.3)  # the same where the cameras are to be seen, too
+_BEHIND = (0.12, -0.09, -0.3)  # the same where the cameras are to be seen, too
 
 _starting = threading.Lock()  # one server at a time is guarded while it starts
 

@@ -197,8 +197,8 @@ function showLeft() {
   $("focus-bar").hidden = ui.left !== "refocused";
   $("focus").value = ui.focus;
   $("aperture").value = ui.aperture;
-  $("focus").nextElementSibling.textContent = `${number(ui.focus)} px`;
-  $("aperture").nextElementSibling.textContent = `${number(ui.aperture, 3)} steps`;
+  $("focus").nextElementSibling.textContent = `${short(ui.focus)} px`;
+  $("aperture").nextElementSibling.textContent = `${short(ui.aperture)} steps`;
   select("left-tabs", ui.left);
   layoutViews();
   const title = $("left-title");
