@@ -54,6 +54,11 @@ class MapFormat:
     extra: str | None = None
     """The extra of the package that brings it: pip install 'lfgpu[EXTRA]'."""
 
+    @property
+    def is_available(self) -> bool:
+        """Whether the library that it needs is installed."""
+        return self.library is None or importlib.util.find_spec(self.library) is not None
+
 
 MAP_FORMATS: tuple[MapFormat, ...] = (
     MapFormat(
@@ -252,7 +257,7 @@ def _named_as(path: Path) -> MapFormat | None:
 
 
 def _usable(path: Path, chosen: MapFormat) -> MapFormat:
-    if chosen.library is not None and importlib.util.find_spec(chosen.library) is None:
+    if not chosen.is_available:
         raise LightFieldError(
             f"{path} is a file of maps that needs {chosen.library}; {how_to_install(str(chosen.extra))}."
         )
