@@ -52,10 +52,11 @@ class Transport(Protocol):
     def take(self, values: Any, slot: Slot, views: list[int] | None) -> None:
         """Copy an array of another library on the same device into a slot, in the order of that library's stream."""
 
-    def bring(self, slot: Slot) -> float:
-        """Take a frame to the device. Returns which share of the samples of the reference view changed, 0 to 1.
+    def bring(self, slot: Slot) -> tuple[float, float]:
+        """Take a frame to the device.
 
-        The device may still work on the frame before. The slot may be used again afterwards.
+        Returns which share of the samples of the reference view changed, and which share is far outside [0, 1], both 0
+        to 1. The device may still work on the frame before. The slot may be used again afterwards.
         """
 
     def mask(self, base: Array | None, mask_out: Array) -> None:
