@@ -49,15 +49,15 @@ def _change_kernel(channels: int, stored: Any) -> Any:
         now = views[reference, y, x]
         before = last[j, i]
         change = float(0.0)
-        outside = int(0)
+        outside = float(0.0)
         for c in range(wp.static(channels)):
             change = change + wp.abs(float(now[c]) - float(before[c]))
             intensity = float(now[c]) * scale
             if intensity < wp.static(_LOWEST) or intensity > wp.static(_HIGHEST):
-                outside = 1
+                outside = 1.0
         if not (change * scale <= tolerance * float(wp.static(channels))):
             wp.atomic_add(counts, 0, 1)
-        if outside == 1:
+        if outside > 0.0:
             wp.atomic_add(counts, 1, 1)
         last[j, i] = now
 
