@@ -15,10 +15,12 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.cli import app
+from lfgpu.data.lightfield import LightField
 from lfgpu.io import read_map, write_hci
-from lfgpu.pipelines.sources import feed, open_source
+from lfgpu.pipelines.sources import Options, feed, open_source
 
-OPTIONS: dict[str, Any] = {"grid": (3, 3), "size": (32, 36), "disparity_range": (-1, 1)}
+SCENE: dict[str, Any] = {"size": (32, 36), "disparity_range": (-1, 1)}
+OPTIONS: dict[str, Any] = {"grid": (3, 3), **SCENE}
 RANGE = "--disparity-range=-1,1"
 
 
@@ -59,8 +61,9 @@ def grabbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_folder_in_the_order_of_its_numbers(sequence: Path) -> None:
-    first, frames = open_source(str(sequence))
-    found = [lf.views for lf in frames]
+    opened = open_source(str(sequence))
+    first = opened.first
+    found = [frame.views if isinstance(frame, LightField) else frame[0] for frame in opened.frames]
     want = [lf.views for lf in scenes.sequence("moving", frames=12, **OPTIONS)]
     np.testing.assert_array_equal(found, want)
     np.testing.assert_array_equal(first.views, want[0])
@@ -94,26 +97,27 @@ def test_grabber_with_a_bad_frame_and_a_missing_camera(grabbers: None, tmp_path:
 
 
 def test_scene_goes_round() -> None:
-    _, frames = open_source("moving", scene_options=OPTIONS)
+    frames = open_source("moving", Options(grid=(3, 3), scene=SCENE)).frames
     views = [lf.views for lf, _ in zip(frames, range(26), strict=False)]
     np.testing.assert_array_equal(views[0], views[24])
     assert not np.array_equal(views[0], views[12])
 
 
 def test_feed_tells_of_all_frames_in_order() -> None:
-    lf, frames = open_source("planes", scene_options=OPTIONS)
+    opened = open_source("planes", Options(grid=(3, 3), scene=SCENE))
+    lf, frames = opened.first, opened.frames
     seen: list[int] = []
     with lfgpu.DepthStream(lf, config="fast", disparity_range=(-1, 1), device="cpu") as stream:
-        feed(stream, frames, fps=1000.0, most=7, on_done=lambda result: seen.append(result.index))
+        feed(stream, frames, max_fps=1000.0, most=7, on_done=lambda result: seen.append(result.index))
     assert seen == list(range(7))
 
 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["nowhere"], "does not exist; give a folder of light fields, a grabber"),
+        (["nowhere"], "does not exist; give one of growing:FOLDER"),
         (["."], "holds no folders"),
-        (["grabber_for_tests.py"], "is a file; give a folder"),
+        (["grabber_for_tests.py"], "is a file, but no video; give one of"),
         (["grabber_for_tests:nothing"], "yielded no frame"),
         (["grabber_for_tests:arrays"], "must yield a LightField first"),
         (["grabber_for_tests:number"], "must be a function without arguments that yields frames"),
