@@ -9,7 +9,7 @@ import shutil
 import threading
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, lru_cache, wraps
+from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,19 +21,23 @@ from lfgpu.threads import get_threads
 _SLICES = 16
 _MANY = 2**18  # pixels: to cut light work on fewer of them takes longer than the work
 _MOST_THREADS = 2**31 - 1  # of a launch that counts them in 32 bits
-_LOCK = threading.RLock()
+LOADING = threading.RLock()
+"""Held while something is made that is made once, such as a compiled kernel."""
 
 Result = TypeVar("Result")
 
 
 def once(function: Callable[..., Result]) -> Callable[..., Result]:
     """Call a function once for each set of arguments and keep what it returned; other threads wait meanwhile."""
-    kept = cache(function)
+    kept: dict[tuple[Hashable, ...], Result] = {}
 
     @wraps(function)
     def call(*arguments: Hashable) -> Result:
-        with _LOCK:
-            return kept(*arguments)
+        if arguments not in kept:  # what is there is taken without waiting for others that make something else
+            with LOADING:
+                if arguments not in kept:
+                    kept[arguments] = function(*arguments)
+        return kept[arguments]
 
     return call
 
@@ -94,7 +98,7 @@ def lanes(array: Any) -> int:
 
 def load(device: Any, *kernels: Any) -> None:
     """Compile and load what threads are about to launch; they must not do it at the same time."""
-    with _LOCK:
+    with LOADING:
         for module in {kernel.module for kernel in kernels}:
             _load(module, device)
 

@@ -225,12 +225,13 @@ class Transport:
         """
         source = slot.resident if slot.is_resident else slot.staged
         if not self._device.is_cuda:
-            wp.copy(self._incoming, source)
-            wp.copy(self._there, slot.presence)
-            self._counts.zero_()
-            wp.launch(
-                self._kernel, self._grid, [self._incoming, *self._looking, self._last, self._counts], device="cpu"
-            )
+            with self._asking:
+                wp.copy(self._incoming, source)
+                wp.copy(self._there, slot.presence)
+                self._counts.zero_()
+                wp.launch(
+                    self._kernel, self._grid, [self._incoming, *self._looking, self._last, self._counts], device="cpu"
+                )
             return self._shares()
         with self._asking:
             up = self._up

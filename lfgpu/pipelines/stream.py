@@ -273,7 +273,7 @@ class DepthStream:
         ]
         for thread in self._threads:
             thread.start()
-        self._at_exit = _close_at_exit(self)
+        _open.add(self)
 
     @classmethod
     def for_cameras(
@@ -419,13 +419,15 @@ class DepthStream:
         The memory of the device is returned; results that are still held keep theirs. May be called more than once,
         from any thread except in `on_result`.
         """
+        if os.getpid() != self._process:  # a child that was forked has neither its threads nor its locks
+            return
         self._inbox.close(finish=finish)
         if threading.current_thread() in self._threads:
             return
         for thread in self._threads:
             thread.join()
         self._copiers.shutdown()
-        atexit.unregister(self._at_exit)
+        _open.discard(self)
         with self._numbering:
             if not self._returned:
                 self._returned, self._buffers = True, self._transport.made
@@ -693,14 +695,14 @@ def _cannot_be_taken(error: Exception) -> LightFieldError:
     return LightFieldError(f"views cannot be read: {' '.join(str(error).split())}")
 
 
-def _close_at_exit(stream: DepthStream) -> Callable[[], None]:
-    """Close the stream when the interpreter exits, because no device work may run then."""
-    known = weakref.ref(stream)
+_open: weakref.WeakSet[DepthStream] = weakref.WeakSet()
 
-    def close() -> None:
-        left = known()
-        if left is not None:
-            left.close(finish=False)
 
-    atexit.register(close)
-    return close
+def _close_all() -> None:
+    """Close all streams when the interpreter exits, because no device work may run then."""
+    for stream in list(_open):
+        stream.close(finish=False)
+
+
+# Pools of threads end when the main thread does, before `atexit`; what is registered here ends before them.
+getattr(threading, "_register_atexit", atexit.register)(_close_all)
