@@ -163,6 +163,26 @@ def test_masks_of_the_light_field_stay() -> None:
         np.testing.assert_array_equal(stream.push(lf.views).numpy(), want)
 
 
+def test_what_the_reference_did_not_record_is_unknown_in_warm_maps_too() -> None:
+    """Although the past holds numbers there, for the sums of neighbours."""
+    lf = frames()[0]
+    valid = np.ones(lf.views.shape[:3], bool)
+    valid[7, 10:22, 12:30] = False
+    masked = LightField(lf.views, lf.positions, reference=lf.reference, valid=valid)
+    with made(masked) as stream:
+        results = [stream.push(frame.views) for frame in frames()]
+        maps = [result.numpy() for result in results]
+        trust = [result.confidence() for result in results]
+    assert [result.cold for result in results] == [True] + [False] * (FRAMES - 1)
+    for disparity, confidence in zip(maps, trust, strict=True):
+        np.testing.assert_array_equal(np.isnan(disparity), ~valid[7])
+        assert (confidence[~valid[7]] == 0).all()
+    beside = np.zeros_like(valid[7])
+    beside[9:23, 11:31] = True
+    beside &= valid[7]
+    assert (maps[-1][beside] > RANGE[0] + 0.01).all()
+
+
 def test_before_there_is_a_frame() -> None:
     lf = frames()[0]
     config = lfgpu.PRESETS["fast"].with_values({"sweep.noise": 0.01})
