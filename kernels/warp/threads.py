@@ -7,8 +7,9 @@ import glob
 import os
 import shutil
 import threading
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any, TypeVar
@@ -43,14 +44,48 @@ def once(function: Callable[..., Result]) -> Callable[..., Result]:
 
 
 def in_slices(device: Any, count: int, work: Callable[[int, int, int], None]) -> None:
-    """Call work(slice, first, last) for slices of range(count): one for all on a GPU, several at a time on a CPU."""
+    """Call work(slice, first, last) for slices of range(count): one for all on a GPU, several at a time on a CPU.
+
+    On a CPU `work` asks for nothing but launches: what is recorded of it runs them side by side.
+    """
     cuts, threads = slices(device, count), get_threads()
     if len(cuts) == 1 or threads == 1:
+        marks = len(cuts) > 1 and getattr(_marking, "on", False)
         for k, (first, last) in enumerate(cuts):
+            if marks:
+                wp.launch(slice_begins_kernel, 1, device=device)
             work(k, first, last)
+        if marks:
+            wp.launch(slices_end_kernel, 1, device=device)
         return
     for done in [_pool(threads).submit(work, k, first, last) for k, (first, last) in enumerate(cuts)]:
         done.result()
+
+
+@wp.kernel(module="lfgpu_slices", enable_backward=False)
+def slice_begins_kernel():
+    pass
+
+
+@wp.kernel(module="lfgpu_slices", enable_backward=False)
+def slices_end_kernel():
+    pass
+
+
+MARKS = slice_begins_kernel, slices_end_kernel
+"""Launched before each slice of one call, and after the last, in work that is recorded: slices may run side by side."""
+
+_marking = threading.local()
+
+
+@contextmanager
+def marked_slices() -> Iterator[None]:
+    """While the block runs, what this thread has done in slices of a CPU is marked."""
+    _marking.on = True
+    try:
+        yield
+    finally:
+        _marking.on = False
 
 
 def slices(device: Any, count: int) -> list[tuple[int, int]]:

@@ -88,7 +88,7 @@ class Motion(Protocol):
         """Find w for each pixel, from two images [y, x, c].
 
         same_out = 1 / (1 + (m / t)^8) [y, x]. m is the mean change of intensity along w over 3 x 3 pixels and the
-        channels. t is `tolerance` where w = 0; elsewhere it grows with the gradients of the image, because w is not exact.
+        channels. t is `tolerance` where w = 0. Elsewhere it grows with the gradients of the image: w is not exact.
         """
 
     def carry(

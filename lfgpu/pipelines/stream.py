@@ -35,7 +35,12 @@ from lfgpu.pipelines.range_watch import RangeWatch
 from lfgpu.threads import get_threads
 
 _USUAL_NOISE = 0.004  # intensity: the noise of cameras of which nothing is known
-_SEEN_CHANGE = 4.0  # in units of the noise: a larger change of a sample counts as a change of the scene
+SEEN_CHANGE = 4.0
+"""In units of the noise: a larger change of a sample counts as a change of the scene."""
+
+CUT = 0.5
+"""Share of the samples that must have changed for a frame to start without the previous map."""
+
 _AT_ONCE = 2**22  # bytes: up to this size, one thread copies as fast as several
 _MOST_COPIERS = 8
 _MOST_WAITING = 1000
@@ -211,7 +216,7 @@ class DepthStream:
         backend: str = DEFAULT,
         device: str | None = None,
         prior: TemporalPrior | None = TemporalPrior(),  # noqa: B008 - it is frozen
-        cut: float = 0.5,
+        cut: float = CUT,
         policy: str = "latest",
         waiting: int | None = None,
         budget_ms: float | None = None,
@@ -243,7 +248,7 @@ class DepthStream:
                 (self._plan.disparity, self._plan.confidence, *self._plan.numbers),
                 reference=lf.reference_index,
                 scale=lf.scale,
-                tolerance=_SEEN_CHANGE * self._plan.noise,
+                tolerance=SEEN_CHANGE * self._plan.noise,
                 results=most + 4,
             )
             self._base = None if lf.valid is None else kernels.field(lf.valid, self.device)

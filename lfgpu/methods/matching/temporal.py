@@ -78,6 +78,17 @@ class TemporalMatching(MatchingPlan):
         """How much texture there was, 0 if none; and the size of the first step, NaN if something was not finite."""
         return self._trust, self._moves[0]
 
+    @property
+    def state(self) -> dict[str, Array]:
+        """What a frame leaves for the next one, by name."""
+        return {
+            "past": self._past,
+            "frames": self._frames,
+            "rate": self._rate,
+            "confidence": self.confidence,
+            "last_image": self._last_image,
+        }
+
     def mask(self, valid: Array | None) -> None:
         """Which pixels of the used views count from now on, a field [n, y, x]; None if all do."""
         self._valid = valid
