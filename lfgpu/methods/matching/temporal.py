@@ -140,7 +140,7 @@ class TemporalMatching(MatchingPlan):
         kernels.clamp(self._expected, *self._bounds, self._expected)
         kernels.multiply(self._same, self._believed, self._believed)
         self._past_hiding(self._expected, self._nearest)
-        self._sweep.by_visibility(self._nearest, self._volume)
+        self._sweep.by_visibility(self._nearest, self._nearest, self._volume)
         self._find_surface(self._swept)
         if self._twice:
             kernels.copy(self._swept, self._matched)
