@@ -228,6 +228,10 @@ def test_interruption_leaves_nothing(
             RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'"),
             "lfgpu: out of memory on the device; use fewer views",
         ),
+        (
+            RuntimeError("CUDA error 700: an illegal address"),
+            "lfgpu: the GPU failed (CUDA error 700: an illegal address)",
+        ),
         (PermissionError(errno.EACCES, "Permission denied", "/views/a.png"), "/views/a.png: Permission denied"),
         (LightFieldError("a sentence\nover two lines."), "a sentence over two lines."),
     ],

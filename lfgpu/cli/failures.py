@@ -62,7 +62,11 @@ def _sentence(error: Exception) -> str | None:
     if isinstance(error, OSError):
         # A reader such as `head` that closes the pipe is no error: typer ends quietly.
         return None if error.errno == errno.EPIPE else _of_system(error)
-    return _DEVICE_MEMORY if "Failed to allocate" in str(error) else None  # the message of Warp
+    if "Failed to allocate" in str(error):  # the message of Warp
+        return _DEVICE_MEMORY
+    if "CUDA error" in str(error):
+        return f"the GPU failed ({str(error).rstrip('.')}); run the command again, or with --device cpu."
+    return None
 
 
 def _of_system(error: OSError) -> str:

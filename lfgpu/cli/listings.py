@@ -63,6 +63,12 @@ def _recordable_presets() -> str:
     return ", ".join(name for name in PRESETS if method_of(name).is_recordable)
 
 
+def _sources() -> str:
+    from lfgpu.pipelines.sources import SOURCES
+
+    return "; ".join(f"{source.form}: {source.description}" for source in SOURCES)
+
+
 def _formats() -> str:
     from lfgpu.io.formats import FORMATS
 
@@ -80,5 +86,6 @@ _LISTS: dict[str, Callable[[], str]] = {
     "{live presets}": _live_presets,
     "{recordable presets}": _recordable_presets,
     "{formats}": _formats,
+    "{sources}": _sources,
     "{backends}": _backends,
 }
