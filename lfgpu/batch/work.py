@@ -18,7 +18,7 @@ from lfgpu.data.mapping import forget
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.range_check import range_remark
+from lfgpu.methods.range_check import doubt_about, doubted
 from lfgpu.printable import message
 
 if TYPE_CHECKING:
@@ -111,6 +111,8 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
     lf = _read(job.item.source, job.settings)
     clock.lap("read")
     result = _estimate(lf, job, pick_device(load(job.settings.backend), device))
+    if not job.item.sequence:  # it would be said of each frame
+        result = doubted(result, doubt_about(lf, job.settings.disparity_range))
     clock.lap("estimate")
     scores = _scores(lf, result)
     out = Path(job.out, job.item.name)
@@ -127,7 +129,7 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
         "size": list(lf.size),
         "device": result.device,
         "converged": result.converged,
-        "notes": [*lf.notes, *_doubts(lf, job)],
+        "notes": [*lf.notes, *result.notes],
         "times": clock.laps,
     }
 
@@ -211,13 +213,6 @@ class _Resident:
 
 
 _RESIDENT = _Resident()
-
-
-def _doubts(lf: LightField, job: Job) -> list[str]:
-    """Why the map may be wrong although nothing went wrong."""
-    given = job.settings.disparity_range
-    doubt = None if given is None or job.item.sequence else range_remark(lf, given)
-    return [] if doubt is None else [doubt]
 
 
 def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | None:

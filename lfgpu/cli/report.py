@@ -76,6 +76,7 @@ def _run(result: DepthResult) -> list[tuple[str, str]]:
     return [
         ("preset", _preset(result)),
         ("disparity range", f"{low:.3f} to {high:.3f} px per view step"),
+        *(("note", note) for note in result.notes),
         ("computed by", f"{result.backend} on {result.device}"),
         ("versions", ", ".join(f"{name} {version}" for name, version in result.versions.items())),
         ("time", f"{result.timings['total']:.2f} s"),
