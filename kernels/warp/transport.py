@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .asking import alone, asking
 from .memory import pixel_type
 from .sharing import Shared, take
-from .threads import load, once
+from .threads import launch, load, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -198,7 +198,7 @@ class Transport:
 
     def mask(self, base: Any, mask_out: Any) -> None:
         """mask [n, y, x] = whether view n of the frame brought last is there, times `base` unless that is None."""
-        wp.launch(_mask_kernel, mask_out.shape, [base, self._there], [mask_out], device=self._device)
+        launch(_mask_kernel, mask_out.shape, [base, self._there], [mask_out], device=self._device)
 
     def take(self, values: Any, slot: Slot, views: list[int] | None) -> None:
         """Copy an array of another library on the same GPU into a slot, in the order of that library's stream."""
@@ -221,9 +221,7 @@ class Transport:
             wp.copy(self._incoming, source)
             wp.copy(self._there, slot.presence)
             self._changed.zero_()
-            wp.launch(
-                self._kernel, self._grid, [self._incoming, *self._looking, self._last, self._changed], device="cpu"
-            )
+            launch(self._kernel, self._grid, [self._incoming, *self._looking, self._last, self._changed], device="cpu")
             return float(self._changed.numpy()[0]) / samples
         with self._asking:
             up = self._up
@@ -234,7 +232,7 @@ class Transport:
             wp.copy(self._there, slot.presence, stream=up)
             wp.copy(self._changed, self._zero, stream=up)
             arguments = [self._incoming, *self._looking, self._last, self._changed]
-            wp.launch(self._kernel, self._grid, arguments, device=self._device, stream=up)
+            launch(self._kernel, self._grid, arguments, device=self._device, stream=up)
             wp.copy(self._changed_host, self._changed, stream=up)
             up.record_event(self._arrived)
         _wait_for(self._arrived)
