@@ -89,7 +89,7 @@ def work(job: Job, device: str | None = None) -> dict[str, Any]:
 
     Errors of the item are in the entry. Only OutOfMemory is raised, because a retry may succeed.
     """
-    begin = time.time()
+    began, start = time.time(), time.perf_counter()
     entry: dict[str, Any] = {"item": job.item.name, "input": job.item.source, "status": FAILED, **job.keys}
     try:
         entry |= {**_done(job, device), "status": DONE}
@@ -101,7 +101,7 @@ def work(job: Job, device: str | None = None) -> dict[str, Any]:
         if "Failed to allocate" in str(error):  # the message of Warp
             raise OutOfMemory(_MEMORY) from error
         entry["error"] = message(f"{type(error).__name__}: {error}")
-    return {**entry, "began": begin, "seconds": round(time.time() - begin, 4)}
+    return {**entry, "began": began, "seconds": round(time.perf_counter() - start, 4)}
 
 
 def _done(job: Job, device: str | None) -> dict[str, Any]:
