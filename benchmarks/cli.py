@@ -301,7 +301,8 @@ def live_(
 def _live_stages(case_names: tuple[str, ...], presets: tuple[str, ...], device: str | None, out: Path | None) -> None:
     rows = []
     for name in case_names:
-        film = moving.Film(*live.parse_case(name), 1)
+        size = cases.parse(name)
+        film = moving.Film(size.grid, size.size, 1)
         rates, some = live_stages.run(name, film, presets, device, lambda what: typer.echo(what, err=True))
         rows += some
     found = [{**asdict(row), "limit": row.limit} for row in rows]
@@ -317,7 +318,8 @@ def ring_(
     out: Out = None,
 ) -> None:
     """Frames of a producer in another process through shared memory; exits with 1 if one is torn."""
-    found = ring.run(*live.parse_case(case_name), rate, seconds)
+    size = cases.parse(case_name)
+    found = ring.run(size.grid, size.size, rate, seconds)
     live.save(out, asdict(found))
     typer.echo(
         f"{found.read} frames of {found.frame_bytes / 1e6:.1f} MB read at {rate:g} a second, "

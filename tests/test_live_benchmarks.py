@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import clock, flicker, live, live_stages, moving, ring, soak
+from benchmarks import clock, flicker, live_stages, moving, ring, soak
 from benchmarks.cli import app
 from lfgpu import scenes
 from lfgpu.io.ring import RingReader, RingWriter

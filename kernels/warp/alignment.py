@@ -19,7 +19,7 @@ from lfgpu.contract import Alignment, ZBuffer
 
 from .memory import pixel_type
 from .splat import as_offsets
-from .threads import in_slices, lanes, launch_rows, load, once, slices
+from .threads import in_slices, lanes, launch, launch_rows, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -161,12 +161,12 @@ def z_buffer(shape: Sequence[int], offsets: Any, *, reach: int) -> ZBuffer:
                 end = min(last, start + batch)
                 dim = (end - start) * height * threads
                 if device.is_cpu:
-                    wp.launch(_clear_kernel, 1, [], [room[k]], device=device)
+                    launch(_clear_kernel, 1, [], [room[k]], device=device)
                 else:
                     room[k].fill_(_NOWHERE)
-                wp.launch(_land_kernel, dim, [disparity, pairs, start, border, threads], [room[k]], device=device)
+                launch(_land_kernel, dim, [disparity, pairs, start, border, threads], [room[k]], device=device)
                 inputs, out = [room[k], reach, threads], nearest_out[start:end]
-                wp.launch(_look_around_kernel, dim, inputs, [out], device=device)
+                launch(_look_around_kernel, dim, inputs, [out], device=device)
 
         in_slices(device, count, some_views)
 

@@ -7,7 +7,7 @@ import warp as wp
 
 from .asking import alone, asking
 from .memory import number, start
-from .threads import once
+from .threads import launch, once
 
 __all__ = ["asking", "capture", "is_deterministic", "kernel_cache", "repeat"]
 
@@ -41,7 +41,7 @@ def repeat(body: Callable[[], None], go_on: Any, most: int) -> None:
         return
 
     def look() -> None:
-        wp.launch(_continue_kernel, 1, [go_on, most], [count, more], device=device)
+        launch(_continue_kernel, 1, [go_on, most], [count, more], device=device)
 
     def turn() -> None:
         body()

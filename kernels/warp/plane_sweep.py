@@ -18,7 +18,7 @@ from lfgpu.contract import PlaneSweep, sweep_shifts
 
 from .gpu_plane_sweep import BLOCK, kept_type, pack_kernel, sweep_kernel, threads_of
 from .memory import pixel_type
-from .threads import in_slices, load, once, slices
+from .threads import in_slices, launch, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -316,17 +316,17 @@ class _PlaneSweep:
             self._prepare(stored)
         if not self._device.is_cpu:
             self._image = image
-            wp.launch(self._pack, recorded.size, [recorded, valid], [self._views], device=self._device)
+            launch(self._pack, recorded.size, [recorded, valid], [self._views], device=self._device)
             return
         self._valid = valid
         load(self._device, self._kernels.views)
 
         def some_views(_: int, first: int, last: int) -> None:
             some, kept = recorded[first:last], self._views[first:last]
-            wp.launch(self._kernels.views, last - first, [some], [kept], device="cpu")
+            launch(self._kernels.views, last - first, [some], [kept], device="cpu")
 
         in_slices(self._device, len(recorded), some_views)
-        wp.launch(self._kernels.image, image.shape, [image], [self._image], device="cpu")
+        launch(self._kernels.image, image.shape, [image], [self._image], device="cpu")
 
     def _prepare(self, stored: Any) -> None:
         """Allocate for views of scalar type `stored`, the first time and when that changes."""
@@ -360,14 +360,14 @@ class _PlaneSweep:
             seen = nearest is not None
             kernel, dim = self._kernel[seen], threads_of(self._count, height, width, seen=seen)
             inputs = [self._views, self._image, *planned, *self._numbers, least, penalty]
-            wp.launch(kernel, dim, inputs, [volume_out], device=self._device, block_dim=BLOCK)
+            launch(kernel, dim, inputs, [volume_out], device=self._device, block_dim=BLOCK)
             return
         views = [self._views, self._image, self._valid]
         load(self._device, self._kernels.sweep)
 
         def some_rows(k: int, first: int, last: int) -> None:
             inputs = [*views, *planned, sums, *self._numbers, least, penalty, first, last, self._room[k]]
-            wp.launch(self._kernels.sweep, 1, inputs, [volume_out], device="cpu")
+            launch(self._kernels.sweep, 1, inputs, [volume_out], device="cpu")
 
         in_slices(self._device, height, some_rows)
 

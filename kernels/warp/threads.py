@@ -7,7 +7,7 @@ import glob
 import os
 import shutil
 import threading
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache, wraps
@@ -106,12 +106,46 @@ def launch_rows(kernel: Any, inputs: list[Any], *outputs: Any, light: bool = Fal
     load(device, kernel)
 
     def some_rows(_: int, first: int, last: int) -> None:
-        wp.launch(kernel, (last - first) * threads, [*inputs, first, threads], list(outputs), device=device)
+        launch(kernel, (last - first) * threads, [*inputs, first, threads], list(outputs), device=device)
 
     if light and outputs[0].shape[-2] * outputs[0].shape[-1] < _MANY:
         some_rows(0, 0, height)
     else:
         in_slices(device, height, some_rows)
+
+
+def launch(
+    kernel: Any,
+    dim: Any,
+    inputs: Sequence[Any],
+    outputs: Sequence[Any] = (),
+    *,
+    device: Any,
+    stream: Any = None,
+    block_dim: int | None = None,
+) -> None:
+    """Launch a kernel; what a crash left of it in the cache of kernels is compiled again."""
+    options = {"device": device, "stream": stream, "block_dim": block_dim}
+    _launched(lambda: wp.launch(kernel, dim, inputs, outputs, **options), kernel, device)
+
+
+def launch_tiles(
+    kernel: Any, dim: list[int], inputs: list[Any], outputs: list[Any], *, device: Any, block_dim: int
+) -> None:
+    """Launch a kernel whose threads work together on tiles, as `launch` does."""
+    _launched(lambda: wp.launch_tiled(kernel, dim, inputs, outputs, device=device, block_dim=block_dim), kernel, device)
+
+
+def _launched(start: Callable[[], None], kernel: Any, device: Any) -> None:
+    try:
+        start()
+    except OSError as error:
+        raise cache_is_closed(error) from error
+    except Exception:
+        if not _forgotten(kernel.module):
+            raise
+        load(device, kernel)
+        start()
 
 
 def check_size(*threads: int) -> None:
@@ -145,13 +179,19 @@ def _load(module: Any, device: Any) -> None:
     except OSError as error:
         raise cache_is_closed(error) from error
     except Exception:
-        places = list(Path(wp.config.kernel_cache_dir).glob(f"wp_{glob.escape(module.name)}_*"))
-        if not places:
+        if not _forgotten(module):
             raise
-        for place in places:
-            shutil.rmtree(place, ignore_errors=True)
-        module.unload()
         wp.load_module(module, device=device)
+
+
+def _forgotten(module: Any) -> bool:
+    """Remove what the cache of kernels has of a module; whether there was something."""
+    places = list(Path(wp.config.kernel_cache_dir).glob(f"wp_{glob.escape(module.name)}_*"))
+    for place in places:
+        shutil.rmtree(place, ignore_errors=True)
+    if places:
+        module.unload()
+    return bool(places)
 
 
 def cache_is_closed(error: OSError) -> BackendError:

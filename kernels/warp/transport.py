@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from .asking import alone, asking
 from .memory import pixel_type
 from .sharing import Shared, take
-from .threads import load, once
+from .threads import launch, load, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -205,7 +205,7 @@ class Transport:
 
     def mask(self, base: Any, mask_out: Any) -> None:
         """mask [n, y, x] = whether view n of the frame brought last is there, times `base` unless that is None."""
-        wp.launch(_mask_kernel, mask_out.shape, [base, self._there], [mask_out], device=self._device)
+        launch(_mask_kernel, mask_out.shape, [base, self._there], [mask_out], device=self._device)
 
     def take(self, values: Any, slot: Slot, views: list[int] | None) -> None:
         """Copy an array of another library on the same GPU into a slot, in the order of that library's stream."""
@@ -229,7 +229,7 @@ class Transport:
                 wp.copy(self._incoming, source)
                 wp.copy(self._there, slot.presence)
                 self._counts.zero_()
-                wp.launch(
+                launch(
                     self._kernel, self._grid, [self._incoming, *self._looking, self._last, self._counts], device="cpu"
                 )
             return self._shares()
@@ -242,7 +242,7 @@ class Transport:
             wp.copy(self._there, slot.presence, stream=up)
             wp.copy(self._counts, self._zero, stream=up)
             arguments = [self._incoming, *self._looking, self._last, self._counts]
-            wp.launch(self._kernel, self._grid, arguments, device=self._device, stream=up)
+            launch(self._kernel, self._grid, arguments, device=self._device, stream=up)
             wp.copy(self._counts_host, self._counts, stream=up)
             up.record_event(self._arrived)
         _wait_for(self._arrived)

@@ -29,7 +29,10 @@ def key_of(config: Config, options: Mapping[str, Any]) -> str:
 
 
 def read_manifest(folder: Path) -> dict[str, dict[str, Any]]:
-    """What holds of each item, by name; `damaged` lines are skipped. LightFieldError if the file cannot be read."""
+    """What holds of each item, by name, in the order of the lines; damaged lines are skipped.
+
+    LightFieldError if the file cannot be read.
+    """
     return _read(folder)[0]
 
 
@@ -50,7 +53,8 @@ def _read(folder: Path) -> tuple[dict[str, dict[str, Any]], int]:
                 if entry is None:
                     damaged += 1
                 elif "item" in entry:
-                    found[entry["item"]] = entry
+                    found.pop(entry["item"], None)
+                    found[entry["item"]] = entry  # the newest is the last one: clocks may jump
     except FileNotFoundError:
         return {}, 0
     except OSError as error:
@@ -107,7 +111,7 @@ def standing(entries: Mapping[str, dict[str, Any]], out: Path) -> dict[str, dict
 
     Left out are entries whose outputs are missing, and those whose input was done again under another name.
     """
-    newest = {entry.get("input"): name for name, entry in sorted(entries.items(), key=lambda e: e[1].get("began", 0.0))}
+    newest = {entry.get("input"): name for name, entry in entries.items()}
     return {
         name: entry
         for name, entry in entries.items()

@@ -22,7 +22,7 @@ from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.machine import device_name
 from lfgpu.methods import method_of
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.range_check import range_remark
+from lfgpu.methods.range_check import doubt_about, doubted
 from lfgpu.printable import message, printable
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def work(job: Job, device: str | None = None) -> dict[str, Any]:
 
     Errors of the item are in the entry. Only OutOfMemory is raised, because a retry may succeed.
     """
-    begin = time.time()
+    began, start = time.time(), time.perf_counter()
     entry: dict[str, Any] = {"item": job.item.name, "input": job.item.source, "status": FAILED, **job.keys}
     try:
         entry |= {**_done(job, device), "status": DONE}
@@ -109,7 +109,7 @@ def work(job: Job, device: str | None = None) -> dict[str, Any]:
         if "Failed to allocate" in str(error):  # the message of Warp
             raise OutOfMemory(_MEMORY) from error
         entry["error"] = message(f"{type(error).__name__}: {error}")
-    return {**entry, "began": begin, "seconds": round(time.time() - begin, 4)}
+    return {**entry, "began": began, "seconds": round(time.perf_counter() - start, 4)}
 
 
 def _done(job: Job, device: str | None) -> dict[str, Any]:
@@ -119,6 +119,8 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
     lf = _read(job.item.source, job.settings)
     clock.lap("read")
     result = _estimate(lf, job, pick_device(load(job.settings.backend), device))
+    if not job.item.sequence:  # it would be said of each frame
+        result = doubted(result, doubt_about(lf, job.settings.disparity_range))
     clock.lap("estimate")
     scores = _scores(lf, result)
     out = Path(job.out, job.item.name)
@@ -141,7 +143,7 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
         "size": list(lf.size),
         "device": result.device,
         "converged": result.converged,
-        "notes": [*lf.notes, *_doubts(lf, job)],
+        "notes": [*lf.notes, *result.notes],
         "times": clock.laps,
     }
 
@@ -225,13 +227,6 @@ class _Resident:
 
 
 _RESIDENT = _Resident()
-
-
-def _doubts(lf: LightField, job: Job) -> list[str]:
-    """Why the map may be wrong although nothing went wrong."""
-    given = job.settings.disparity_range
-    doubt = None if given is None or job.item.sequence else range_remark(lf, given)
-    return [] if doubt is None else [doubt]
 
 
 def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | None:

@@ -26,6 +26,7 @@ PARTS = {
     "calibration": "calibrations of OpenCV and Kalibr as YAML",
     "exr": "maps as OpenEXR, light fields of Blender",
     "hdf5": "old HCI light fields, MATLAB 7.3 files",
+    "opencv": "cameras of OpenCV as live sources",
     "png": "PNG files, faster",
     "taichi": "a second backend",
     "tiff": "TIFF files",
@@ -187,8 +188,8 @@ def _writable(folder: Path) -> bool:
 def _memory() -> dict[str, int | None]:
     import shutil
 
-    from lfgpu.machine import free_memory
     from lfgpu.io.limits import physical_memory
+    from lfgpu.machine import free_memory
 
     return {
         "machine": physical_memory() or None,

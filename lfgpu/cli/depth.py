@@ -140,7 +140,6 @@ def depth(
     from lfgpu.data.filling import fill_unknown, filled
     from lfgpu.io import atomic_folder, check_writable, read
     from lfgpu.methods.footprint import parse_memory
-    from lfgpu.methods.range_check import range_remark
 
     check_writable(out)
     check_names("--save", saved or ())
@@ -185,8 +184,8 @@ def depth(
     console = output()
     summary.show_input(console, lf)
     summary.show_result(console, result, range_given=disparity_range is not None)
-    if estimation.disparity_range is not None and (doubt := range_remark(lf, estimation.disparity_range)):
-        remark(console, doubt)
+    for note in result.notes:
+        remark(console, note)
     summary.show_scores(console, lf, result)
     summary.show_remarks(console, said)
     summary.show_outputs(console, out, files)

@@ -50,6 +50,7 @@ def result_html(result: DepthResult) -> str:
         ("computed by", f"{result.config.method}, {result.backend} on {result.device}"),
         ("time", f"{result.timings.get('total', float('nan')):.2f} s"),
         ("status", result.status),
+        *(("note", note) for note in result.notes),
     ]
     return notebook_page(result.name, _cards(result.map), rows)
 
