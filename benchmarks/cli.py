@@ -23,10 +23,12 @@ from benchmarks import (
     files,
     flicker,
     gallery,
+    gpu_parity,
     live,
     merge,
     moving,
     operations,
+    paper,
     pipelines,
     plot,
     population,
@@ -397,6 +399,49 @@ def gallery_(
     check_writable(out, folder=False)
     for line in gallery.write(out):
         typer.echo(line)
+
+
+@app.command("gpu-parity")
+def gpu_parity_(
+    backend: Annotated[str, typer.Option(metavar="NAME")] = "warp",
+    device: Annotated[str, typer.Option(metavar="DEVICE")] = "cuda:0",
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = (
+        gpu_parity.RESULT
+    ),
+) -> None:
+    """Test every operation on a GPU against the reference; the file names the commit. Exits with 1 on failures."""
+    check_writable(out, folder=False)
+    found = gpu_parity.run(_known_backend(backend), device)
+    if not found["passed"]:
+        raise BenchmarkError(f"nothing could be tested on {backend} {device}: is the device there?")
+    gpu_parity.save(found, out)
+    typer.echo(f"{found['passed']} passed, {found['skipped']} skipped, {len(found['failed'])} failed: {out}")
+    if found["failed"]:
+        raise typer.Exit(1)
+
+
+@app.command("paper")
+def paper_(
+    names: Annotated[
+        str, typer.Option("--experiments", metavar="NAME,...", help=f"{', '.join(e.name for e in paper.EXPERIMENTS)}.")
+    ] = "",
+    data: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="The real light fields; default: $LFGPU_DATA, or ../shared/data.")
+    ] = ablation.DATA,
+    pictures: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where pictures go: docs/paper.")] = None,
+    out: Out = None,
+) -> None:
+    """Repeat the paper's experiments, and hold the kernels against its printed equations."""
+    known = {experiment.name for experiment in paper.EXPERIMENTS}
+    if unknown := [name for name in _names(names) if name not in known]:
+        raise BenchmarkError(f"unknown experiment {unknown[0]!r}; there are {', '.join(sorted(known))}.")
+    if out is not None:
+        check_writable(out, folder=False)
+    found = paper.run(data, _names(names), pictures, lambda what: typer.echo(what, err=True))
+    if out is not None:
+        results.save(found, out)
+    for rows in (paper.forms(found), paper.experiments(found)):
+        show.table(tables.Table("", rows[0], 1, rows[1:]))
 
 
 @app.command("figures")

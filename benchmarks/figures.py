@@ -25,7 +25,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from benchmarks import merge, operations, pipelines, results, show, tables
+from benchmarks import merge, operations, paper, pipelines, results, show, tables
 from benchmarks.errors import BenchmarkError
 from lfgpu.io.atomic import atomic_write
 
@@ -231,6 +231,18 @@ def _times(folder: Path) -> str:
     return show.markdown_table(tables.Table("", ("", *(f"`{name}`" for name in _PRESETS)), len(_PRESETS) + 1, rows))
 
 
+def _forms(folder: Path) -> str:
+    return _as_table(paper.forms(results.load(folder / "paper.json")), 1)
+
+
+def _experiments(folder: Path) -> str:
+    return _as_table(paper.experiments(results.load(folder / "paper.json")), 2)
+
+
+def _as_table(rows: Sequence[tuple[str, ...]], labels: int) -> str:
+    return show.markdown_table(tables.Table("", rows[0], labels, rows[1:]))
+
+
 def _resident(folder: Path) -> list[results.Record]:
     names = {_NAMES[preset] for preset in _PRESETS}
     runs = [results.load(folder / name) for name in H200]
@@ -255,7 +267,9 @@ RUNS = ("cpu-2-cores.json", "h200-machine-cpu.json", "h200-taichi.json", *H200, 
 TABLES: Mapping[str, Table] = {
     "ablation": Table(("ablation.json",), _ablation),
     "accuracy": Table(("accuracy.json",), _accuracy),
+    "experiments": Table(("paper.json",), _experiments),
     "formulas": Table((), _formulas),
+    "forms": Table(("paper.json",), _forms),
     "pipelines": Table(H200, _pipelines),
     "runs": Table(RUNS, _runs),
     "times": Table(H200, _times),

@@ -152,7 +152,7 @@ def _scores(lf: LightField, result: DepthResult) -> dict[str, Any] | None:
         return None
     rows = []
     try:
-        for name, values in result.stages.items():
+        for name, values in result.disparity_stages.items():
             m = evaluate(values, truth.disparity, mask=truth.mask)
             shares = (m.badpix_07, m.badpix_03, m.badpix_01)
             cells = [f"{m.mse_100:.3f}", *(f"{s:.2f}" for s in shares), f"{m.q25:.3f}", f"{m.rmse:.4f}"]

@@ -466,7 +466,7 @@ class Session:
             other = self._other.value if self._other.value in names else _NOTHING
             _set_options(self._other, (_NOTHING, *names), other)
         entry = contents.all_entries().get(self._result.value)
-        stages = () if entry is None or entry.result is None else tuple(entry.result.stages)[:-1]
+        stages = () if entry is None or entry.result is None else tuple(entry.result.disparity_stages)[:-1]
         stage = self._stage.value if self._stage.value in stages else FINAL
         _set_options(self._stage, (FINAL, *stages), stage)
 
