@@ -39,6 +39,7 @@ from benchmarks import (
     soak,
     suite,
     tables,
+    tile_differences,
     tiles,
 )
 from benchmarks.errors import BenchmarkError
@@ -354,6 +355,20 @@ def tiles_(
             typer.echo(f"{name:<12} {value}")
 
 
+@app.command("tile-differences")
+def tile_differences_(
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = "fast,accurate",
+    out: Out = None,
+) -> None:
+    """How far maps in 2 x 2 tiles are from those in one piece, after each stage."""
+    if out is not None:
+        check_writable(out, folder=False)
+    rows = tile_differences.run(_names(presets))
+    live.save(out, {**tile_differences.about(), "rows": rows})
+    for row in rows:
+        typer.echo(", ".join(f"{name} {value}" for name, value in row.items()))
+
+
 @app.command()
 def table(files: Files) -> None:
     """Print results as Markdown, a section for each machine."""
@@ -425,6 +440,7 @@ def paper_(
     names: Annotated[
         str, typer.Option("--experiments", metavar="NAME,...", help=f"{', '.join(e.name for e in paper.EXPERIMENTS)}.")
     ] = "",
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = ",".join(paper.PRESETS),
     data: Annotated[
         Path, typer.Option(metavar="FOLDER", help="The real light fields; default: $LFGPU_DATA, or ../shared/data.")
     ] = ablation.DATA,
@@ -437,7 +453,7 @@ def paper_(
         raise BenchmarkError(f"unknown experiment {unknown[0]!r}; there are {', '.join(sorted(known))}.")
     if out is not None:
         check_writable(out, folder=False)
-    found = paper.run(data, _names(names), pictures, lambda what: typer.echo(what, err=True))
+    found = paper.run(data, _names(names), pictures, lambda what: typer.echo(what, err=True), _names(presets))
     if out is not None:
         results.save(found, out)
     for rows in (paper.forms(found), paper.experiments(found)):

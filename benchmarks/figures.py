@@ -239,6 +239,14 @@ def _experiments(folder: Path) -> str:
     return _as_table(paper.experiments(results.load(folder / "paper.json")), 2)
 
 
+def _tiles(folder: Path) -> str:
+    rows = [("scene", "preset", "stage", "largest, px", "share above 0.001 px", "share above 0.01 px")]
+    for r in value(folder, "tiles.json", "rows"):
+        shares = (f"{r[name]:.2f} %" for name in ("above 0.001", "above 0.01"))
+        rows.append((f"`{r['scene']}`", f"`{r['preset']}`", r["stage"], f"{r['largest']:.2g}", *shares))
+    return _as_table(rows, 3)
+
+
 def _as_table(rows: Sequence[tuple[str, ...]], labels: int) -> str:
     return show.markdown_table(tables.Table("", rows[0], labels, rows[1:]))
 
@@ -272,6 +280,7 @@ TABLES: Mapping[str, Table] = {
     "forms": Table(("paper.json",), _forms),
     "pipelines": Table(H200, _pipelines),
     "runs": Table(RUNS, _runs),
+    "tiles": Table(("tiles.json",), _tiles),
     "times": Table(H200, _times),
 }
 

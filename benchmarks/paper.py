@@ -9,11 +9,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.ndimage import median_filter
 
 from benchmarks import clock, machine, printed
@@ -27,6 +29,7 @@ from lfgpu.threads import get_threads
 KIND, FORMS = "paper", "forms"
 PRESETS = ("paper-exact", "paper", "accurate")
 _SPECKLE = 0.1  # pixels per view step from the median of 5 x 5: a speck
+_COLOURS = 128  # of a picture
 _WIDTH = 170  # pixels of a picture of a map
 
 Say = Callable[[str], None]
@@ -59,7 +62,7 @@ EXPERIMENTS = (
 )
 
 
-def run(data: Path, names: Sequence[str], pictures: Path | None, say: Say) -> Run:
+def run(data: Path, names: Sequence[str], pictures: Path | None, say: Say, presets: Sequence[str] = PRESETS) -> Run:
     """Run the experiments whose light fields lie in `data`; what is not there is skipped with a word.
 
     `pictures` is the folder that gets a picture for each, or None.
@@ -82,15 +85,17 @@ def run(data: Path, names: Sequence[str], pictures: Path | None, say: Say) -> Ru
         except LfgpuError as error:
             records.append(Record(KIND, "", "", experiment.name, "all presets", failed=str(error)))
             continue
-        records += _measured(experiment, lf, pictures, say)
+        records += _measured(experiment, lf, presets, pictures, say)
     return Run(
         date, machine.describe(), machine.versions(), machine.commit(), get_threads(), load_average, records, skipped
     )
 
 
-def _measured(experiment: Experiment, lf: LightField, pictures: Path | None, say: Say) -> list[Record]:
+def _measured(
+    experiment: Experiment, lf: LightField, presets: Sequence[str], pictures: Path | None, say: Say
+) -> list[Record]:
     truth, records, maps = lf.reference_truth(), [], {}
-    for preset in PRESETS:
+    for preset in presets:
         say(f"{experiment.name}: {preset}")
         begin = time.perf_counter()
         try:
@@ -147,8 +152,10 @@ def _draw(lf: LightField, maps: dict[str, NDArray[np.float32]], path: Path) -> N
         place.set_axis_off()
     figure.subplots_adjust(0, 0, 1, 0.88, 0.02, 0)
     path.parent.mkdir(parents=True, exist_ok=True)
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png")
     with atomic_write(path) as temporary:
-        figure.savefig(temporary, format="png", pil_kwargs={"optimize": True})
+        Image.open(drawn).convert("RGB").quantize(_COLOURS).save(temporary, format="PNG", optimize=True)
 
 
 def forms(run: Run) -> list[tuple[str, ...]]:

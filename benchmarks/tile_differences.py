@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 
 import numpy as np
 
+from benchmarks import machine
 from benchmarks.errors import BenchmarkError
 from lfgpu import LightField, estimate_depth, scenes
 from lfgpu.data.result import DepthResult
@@ -30,8 +32,12 @@ def run(presets: Sequence[str]) -> list[dict[str, object]]:
             for stage, values in whole.disparity_stages.items():
                 apart = np.abs(values - cut.stages[stage])
                 apart = apart[np.isfinite(apart)]
-                shares = {f"above {limit:g}": float(100 * (apart > limit).mean()) for limit in (1e-6, 1e-3, 1e-2)}
-                rows.append({"scene": name, "preset": preset, "stage": stage, "largest": float(apart.max()), **shares})
+                shares = {
+                    f"above {limit:g}": round(float(100 * (apart > limit).mean()), 6) for limit in (1e-6, 1e-3, 1e-2)
+                }
+                rows.append(
+                    {"scene": name, "preset": preset, "stage": stage, "largest": round(float(apart.max()), 6), **shares}
+                )
     return rows
 
 
@@ -47,3 +53,13 @@ def _in_four(lf: LightField, preset: str) -> DepthResult:
     if "4 tiles" not in result.status:
         raise BenchmarkError(f"{lf.name} with {preset} was not cut into 4 tiles: {result.status}")
     return result
+
+
+def about() -> dict[str, object]:
+    """When, where and with what."""
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "commit": machine.commit(),
+        "machine": machine.describe(),
+        "versions": machine.versions(),
+    }

@@ -22,8 +22,8 @@ CONVERGED = SynthesisConfig().with_values(
 )
 """Minima are compared, not the iterations at which minimisations happened to stop."""
 NEAR = 1e-3  # pixels per view step: the median of the differences between two maps
-MOSTLY_NEAR = 1e-2  # their 95 % quantile
-SAME_CONFIDENCE = 1e-4  # the largest difference
+MOSTLY_NEAR = 1e-3  # their 95 % quantile
+SAME_CONFIDENCE = 0.03  # the largest difference: what hides what is decided by whole pixels
 DEFINED = 0.005  # the share of pixels whose coherence may lie on the other side of the threshold
 
 
