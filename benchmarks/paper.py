@@ -24,6 +24,7 @@ from lfgpu import LightField, estimate_depth, evaluate, read, scenes
 from lfgpu._backends import list_backends, load
 from lfgpu.errors import LfgpuError
 from lfgpu.io.atomic import atomic_write
+from lfgpu.methods import preset as named
 from lfgpu.threads import get_threads
 
 KIND, FORMS = "paper", "forms"
@@ -99,7 +100,7 @@ def _measured(
         say(f"{experiment.name}: {preset}")
         begin = time.perf_counter()
         try:
-            result = estimate_depth(lf, config=preset)
+            result = estimate_depth(lf, config=named(preset))
         except LfgpuError as error:
             records.append(Record(KIND, "", "", experiment.name, preset, failed=str(error)))
             continue

