@@ -26,6 +26,7 @@ from benchmarks import (
     gallery,
     gpu_parity,
     live,
+    live_stages,
     merge,
     moving,
     operations,
@@ -35,6 +36,7 @@ from benchmarks import (
     population,
     rendering,
     results,
+    ring,
     scaling,
     show,
     soak,
@@ -282,14 +284,53 @@ def live_(
     frames: Annotated[int, typer.Option(min=2, help="How many are cast; they are played to and fro.")] = 8,
     seconds: Annotated[float, typer.Option(min=0.1, help="How long each way is measured.")] = 10.0,
     budget: Annotated[float | None, typer.Option(metavar="MS", help="Of the device for a frame.")] = None,
+    stages: Annotated[
+        bool,
+        typer.Option("--stages", help="Instead: time of each operation beside its limit by memory and arithmetic."),
+    ] = False,
     device: Device = None,
     out: Out = None,
 ) -> None:
     """Frames a second and latency from a frame on the host to its map on the host, and errors of warm maps."""
+    if stages:
+        _live_stages(tuple(_names(case_names)), tuple(_names(presets)), device, out)
+        return
     plan = live.Plan(tuple(_names(case_names)), tuple(_names(presets)), frames, seconds, budget, device)
     rows = live.run(plan, lambda what: typer.echo(what, err=True))
     live.save(out, {"rows": [asdict(row) for row in rows]})
     live.show(rows)
+
+
+def _live_stages(case_names: tuple[str, ...], presets: tuple[str, ...], device: str | None, out: Path | None) -> None:
+    rows = []
+    for name in case_names:
+        case = cases.parse(name)
+        film = moving.Film(case.grid, case.size, 1)
+        rates, some = live_stages.run(name, film, presets, device, lambda what: typer.echo(what, err=True))
+        rows += some
+    found = [{**asdict(row), "limit": row.limit} for row in rows]
+    live.save(out, {"rates": asdict(rates), "operations": found})
+    live_stages.show(rates, rows)
+
+
+@app.command("ring")
+def ring_(
+    case_name: Annotated[str, typer.Option("--case", metavar="ROWSxCOLUMNSxHEIGHTxWIDTH")] = "9x9x512x512",
+    rate: Annotated[float, typer.Option(min=0.1, help="Frames a second.")] = 60.0,
+    seconds: Annotated[float, typer.Option(min=0.1)] = 20.0,
+    out: Out = None,
+) -> None:
+    """Frames of a producer in another process through shared memory; exits with 1 if one is torn."""
+    case = cases.parse(case_name)
+    found = ring.run(case.grid, case.size, rate, seconds)
+    live.save(out, asdict(found))
+    typer.echo(
+        f"{found.read} frames of {found.frame_bytes / 1e6:.1f} MB read at {rate:g} a second, "
+        f"{found.passed} passed over, {found.torn} torn, {found.repeated} copied again; "
+        f"{found.late_p50:.2f} ms after they were published in the median, {found.late_p99:.2f} ms for 99 %."
+    )
+    if found.torn:
+        raise typer.Exit(1)
 
 
 @app.command("soak")

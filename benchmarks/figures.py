@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
@@ -59,7 +59,8 @@ class Mark:
 def pages(root: Path = ROOT) -> list[Path]:
     """All Markdown pages that may hold marks."""
     places = [root / name for name in PAGES]
-    return [path for place in places for path in ([place] if place.is_file() else sorted(place.rglob("*.md")))]
+    found = [path for place in places for path in ([place] if place.is_file() else sorted(place.rglob("*.md")))]
+    return [path for path in found if "made" not in path.parts]  # docs/made holds copies for the site
 
 
 def marks(page: Path, folder: Path = RESULTS) -> list[Mark]:
@@ -188,9 +189,16 @@ def _ablation(folder: Path) -> str:
 
 def _accuracy(folder: Path) -> str:
     """MSE x 100 and the three BadPix of each scene and preset; the best of a row is bold."""
-    found = [
-        r for r in results.load(folder / "accuracy.json").records if not r.failed and r.details["range"] == "found"
-    ]
+    return f"{_errors_by_preset(_range_found(folder))}\n\n{_where(folder)}\n"
+
+
+def _paper(folder: Path) -> str:
+    """The same of the preset `paper` beside the others."""
+    records = results.load(folder / "paper-accuracy.json").records
+    return _errors_by_preset([r for r in records if not r.failed])
+
+
+def _errors_by_preset(found: Sequence[results.Record]) -> str:
     presets = list(dict.fromkeys(r.details["preset"] for r in found))
     rows = []
     for scene in dict.fromkeys(r.case for r in found):
@@ -198,7 +206,56 @@ def _accuracy(folder: Path) -> str:
         cells = {name: [f"{errors[m]:{how}}" for m, how in _ERRORS.items()] for name, errors in of.items()}
         best = [min(float(cell[place]) for cell in cells.values()) for place in range(len(_ERRORS))]
         rows.append((f"`{scene}`", *(_bold(cells[name], best) if name in cells else tables.NONE for name in presets)))
-    return show.markdown_table(tables.Table("", ("scene", *(f"`{name}`" for name in presets)), len(presets) + 1, rows))
+    columns = ("scene", *(f"`{name}`" for name in presets))
+    return show.markdown_table(tables.Table("", columns, len(presets) + 1, rows))
+
+
+def _compared(folder: Path) -> str:
+    """MSE x 100 and BadPix(0.07) of the presets and of published methods; time where it is known."""
+    ours = [
+        (f"**lfgpu {_version(ACCURACY)}, `{preset}`**", "no", {r.case: r.errors for r in of}, _seconds(of))
+        for preset in dict.fromkeys(r.details["preset"] for r in _range_found(folder))
+        for of in [[r for r in _range_found(folder) if r.details["preset"] == preset]]
+    ]
+    others = [
+        (method["name"], "yes" if method["trained"] else "no", method["errors"], method.get("seconds"))
+        for method in json.loads((folder / PUBLISHED).read_text(encoding="utf-8"))["methods"]
+    ]
+    rows = [
+        (name, trained, *(_scene(errors.get(scene)) for scene in _COMPARED), f"{time:.1f} s" if time else tables.NONE)
+        for name, trained, errors, time in sorted(ours + others, key=lambda row: row[1])
+    ]
+    columns = ("method", "trained", *(f"`{scene}`" for scene in _COMPARED), f"time, `{_COMPARED[0]}`")
+    return f"{show.markdown_table(tables.Table('', columns, 2, rows))}\n\n{_where(folder)}\n"
+
+
+def _where(folder: Path) -> str:
+    """What the accuracy was measured with, and on what."""
+    run = results.load(folder / ACCURACY)
+    used = "the GPU" if run.records[0].device.startswith("cuda") else "the CPU"
+    return f"lfgpu {_version(ACCURACY)}, measured on {run.date[:10]} with {used} of: {run.where}."
+
+
+def _version(name: str) -> str:
+    return name.removeprefix("accuracy-").removesuffix(".json")
+
+
+def newest(names: Iterable[str]) -> str:
+    """The file of the newest version among `accuracy-VERSION.json`."""
+    return max(names, key=lambda name: [int(number) for number in _version(name).split(".")])
+
+
+def _range_found(folder: Path) -> list[results.Record]:
+    records = results.load(folder / ACCURACY).records
+    return [r for r in records if not r.failed and r.details["range"] == "found"]
+
+
+def _seconds(found: Sequence[results.Record]) -> float | None:
+    return next((r.seconds.median for r in found if r.case == _COMPARED[0] and r.seconds is not None), None)
+
+
+def _scene(errors: Mapping[str, float] | None) -> str:
+    return f"{errors['mse_100']:.2f} / {errors['badpix_07']:.1f} %" if errors else tables.NONE
 
 
 def _bold(cells: Sequence[str], best: Sequence[float]) -> str:
@@ -268,14 +325,21 @@ def _cell(found: Sequence[results.Record], preset: str, case: str, *, parts: boo
 
 
 _ERRORS = {"mse_100": ".3g", "badpix_07": ".1f", "badpix_03": ".1f", "badpix_01": ".1f"}
+_COMPARED = ("cotton", "kitchen", "vinyl")  # scenes of the HCI benchmark that other methods are published on
 _PRESETS = ("fast", "accurate", "paper")
 _NAMES = {"fast": "fast", "accurate": "accurate", "paper": pipelines.RESIDENT}
+ACCURACY = newest(path.name for path in RESULTS.glob("accuracy-*.json"))
+"""The accuracy of the newest version that was measured."""
+PUBLISHED = "published.json"
+"""What others publish about their methods, each with its source."""
 H200 = ("h200.json", "h200-17x17.json")
 RUNS = ("cpu-2-cores.json", "h200-machine-cpu.json", "h200-taichi.json", *H200, "ablation.json")
 TABLES: Mapping[str, Table] = {
     "ablation": Table(("ablation.json",), _ablation),
-    "accuracy": Table(("accuracy.json",), _accuracy),
+    "accuracy": Table((ACCURACY,), _accuracy),
+    "compared": Table((ACCURACY, PUBLISHED), _compared),
     "experiments": Table(("paper.json",), _experiments),
+    "paper": Table(("paper-accuracy.json",), _paper),
     "formulas": Table((), _formulas),
     "forms": Table(("paper.json",), _forms),
     "pipelines": Table(H200, _pipelines),

@@ -342,8 +342,10 @@ def test_a_report_shows_all_items(recorded: Path, undisturbed: Path) -> None:
     page = write_report(summary, undisturbed, "a & b").read_text(encoding="utf-8")
     assert "4 done, 1 failed, 1 not reached" in page
     assert "a &amp; b" in page
+    assert "66.67 % done" in page
+    assert "preset" not in page, "nobody said which"
     assert page.index("scene_2") < page.index("scene_0"), "failed ones come first"
-    assert page.count('loading="lazy"') == 4
+    assert page.count('loading="lazy"') == 2 * 4, "a view and a map of each"
     for target in re.findall(r'(?:src|href)="([^"]+)"', page):
         assert (undisturbed / target).exists(), target
 
@@ -354,14 +356,14 @@ def test_a_batch_is_scored_per_item_and_in_total(undisturbed: Path, recorded: Pa
         manifest.add(work(job, "cpu") for job in jobs(recorded, other)[:2])
     outcome = lfgpu("eval", undisturbed, other, "-o", tmp_path / "tables")
     assert outcome.exit_code == 0, outcome.output
-    assert "1 items failed or have no ground truth" in outcome.stdout
+    assert "1 item failed or without ground truth" in outcome.stdout
     lines = (tmp_path / "tables" / "table.csv").read_text().splitlines()
-    assert lines[0] == f"scene,metric,{undisturbed.name},other"
-    found = {tuple(line.split(",")[:2]): line.split(",")[2:] for line in lines[1:]}
+    assert lines[0] == "scene,method,MSE x100,BadPix 0.07,BadPix 0.03,BadPix 0.01,Q25 x100"
+    found = {tuple(line.split(",")[:2]): line.split(",")[2] for line in lines[1:]}
     scores = [read_manifest(undisturbed)[f"scene_{index}"]["metrics"]["mse_100"] for index in (0, 1)]
-    assert [float(found[f"scene_{index}", "MSE x100"][0]) for index in (0, 1)] == scores
-    assert float(found["average of 2", "MSE x100"][0]) == pytest.approx(np.mean(scores))
-    assert found["scene_3", "MSE x100"][1] == ""
+    assert [float(found[f"scene_{index}", undisturbed.name]) for index in (0, 1)] == scores
+    assert float(found["average of 2", undisturbed.name]) == pytest.approx(np.mean(scores))
+    assert found["scene_3", "other"] == ""
     assert "\\toprule" in (tmp_path / "tables" / "table.tex").read_text()
     assert "different parameters" not in outcome.stdout
     with Manifest(other) as manifest:

@@ -52,6 +52,22 @@ def test_every_result_file_is_on_some_page() -> None:
     assert [path.name for path in figures.RESULTS.glob("*.json") if path.name not in text + sources] == []
 
 
+def test_the_accuracy_is_that_of_the_newest_version() -> None:
+    names = ["accuracy-0.2.json", "accuracy-0.10.json", "accuracy-0.1.json"]
+    assert figures.newest(names) == "accuracy-0.10.json"
+    assert figures.newest(path.name for path in figures.RESULTS.glob("accuracy-*.json")) == figures.ACCURACY
+
+
+def test_methods_stand_beside_each_other_and_the_machine_below() -> None:
+    table = figures.TABLES["compared"].make(figures.RESULTS)
+    run = json.loads((figures.RESULTS / figures.ACCURACY).read_text(encoding="utf-8"))
+    ours = {r["details"]["preset"] for r in run["records"]}
+    others = json.loads((figures.RESULTS / figures.PUBLISHED).read_text(encoding="utf-8"))["methods"]
+    assert len(re.findall(r"^\| ", table, re.MULTILINE)) == 2 + len(ours) + len(others)
+    assert all(method["source"] and f"| {method['name']} |" in table for method in others)
+    assert f"{run['machine']['cores']} cores" in table.splitlines()[-1]
+
+
 # --- a mark ---
 
 

@@ -6,10 +6,10 @@ from typing import Any
 import warp as wp
 
 from .asking import alone, asking
-from .memory import number
+from .memory import number, start
 from .threads import once
 
-__all__ = ["asking", "capture", "is_deterministic", "repeat"]
+__all__ = ["asking", "capture", "is_deterministic", "kernel_cache", "repeat"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -63,3 +63,8 @@ def capture(work: Callable[[], None], device: str) -> Callable[[], None] | None:
 
 def is_deterministic(device: str) -> bool:
     return True  # `splat` and `splat_jvp` add atomically on a GPU, but no estimate needs them
+
+
+def kernel_cache() -> str | None:
+    start()
+    return str(wp.config.kernel_cache_dir)

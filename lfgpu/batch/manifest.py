@@ -84,8 +84,10 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     **dict.fromkeys(("began", "seconds", "attempts"), _is_number),
     "sizes": _are(_is_number),
     "times": _are(_is_number),
+    "scale": _are(_is_number),
     "metrics": lambda value: value is None or _are(lambda score: score is None or _is_number(score))(value),
     "disparity_range": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)),
+    "size": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)),
     "notes": lambda value: isinstance(value, list) and all(isinstance(note, str) for note in value),
 }
 """What the entries of a line have to be that are used."""

@@ -26,9 +26,10 @@ def info(
     ] = None,
 ) -> None:
     """Show how a light field is read: format, grid, views, cameras, ground truth. Missing views are no error here."""
-    from lfgpu.cli import facts, values
+    from lfgpu.cli import values
     from lfgpu.cli.console import heading, lines, output, waiting
     from lfgpu.io import inside, read, recognise, write_description
+    from lfgpu.reports import facts
 
     shape = values.parse_grid(grid)
     name, reason = format_name, "as told"

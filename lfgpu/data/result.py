@@ -161,6 +161,10 @@ class DisparityMap:
     def __repr__(self) -> str:
         return f"<DisparityMap {_map_lines(self)}>"
 
+    def _repr_html_(self) -> str:
+        """The HTML for notebooks."""
+        return str(hooks.call("map_html", self))
+
     @property
     def depth(self) -> NDArray[np.float32] | None:
         """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""

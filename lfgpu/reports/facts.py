@@ -1,4 +1,4 @@
-"""Facts about a light field, one line of text each."""
+"""Facts about light fields and results, one line of text each."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
+    from lfgpu.config import Config
     from lfgpu.data.geometry import Geometry
     from lfgpu.data.lightfield import LightField
 
@@ -92,3 +95,21 @@ def truth(lf: LightField) -> str:
         f"of the view at {place(*lf.truth.position)}, {low:.3f} to {high:.3f} px per view step, "
         f"{100 * scored.mean():.1f} % of it scored ({mask})"
     )
+
+
+def preset(config: Config) -> str:
+    """The preset that parameters are nearest to, and how many differ: "fast with 2 parameters changed"."""
+    from lfgpu.methods import nearest_preset
+
+    name, different = nearest_preset(config)
+    return name if not different else f"{name} with {len(different)} parameter{'s' * (len(different) > 1)} changed"
+
+
+def device(name: str, product: str | None) -> str:
+    """A device and its product name, if that is known: "cuda:0 (NVIDIA H200)"."""
+    return f"{name} ({product})" if product else name
+
+
+def date(moment: datetime) -> str:
+    """A date in words: "22 November 2026, 09:30 UTC"."""
+    return f"{moment.day} {moment:%B %Y, %H:%M %Z}".rstrip()
