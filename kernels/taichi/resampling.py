@@ -14,9 +14,7 @@ _LEAST_GAIN = 0.05
 def keys(t: ti.f32):
     """Weights of the four pixels around a place that is `t` of a pixel beyond the second of them."""
     s = 1.0 - t
-    return ti.Vector(
-        [-0.5 * t * s * s, 1.0 + t * t * (1.5 * t - 2.5), 1.0 + s * s * (1.5 * s - 2.5), -0.5 * s * t * t]
-    )
+    return ti.Vector([-0.5 * t * s * s, 1.0 + t * t * (1.5 * t - 2.5), 1.0 + s * s * (1.5 * s - 2.5), -0.5 * s * t * t])
 
 
 @once

@@ -4,6 +4,7 @@ from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.formats import Calibration, read_calibration, write_cameras
 from lfgpu.calibration.judge import Explanation, explain, remarks, residual_pictures
 from lfgpu.calibration.misalign import Disturbed, Misalignment, disturb
+from lfgpu.calibration.rectifiers import read_rectifier
 from lfgpu.calibration.rectify import Rectified, load_pictures, rectify, write_rectified
 from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.rig import Rig, fit_rig
@@ -25,6 +26,7 @@ __all__ = [
     "fit_rig",
     "load_pictures",
     "read_calibration",
+    "read_rectifier",
     "rectify",
     "refine",
     "remarks",

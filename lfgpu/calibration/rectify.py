@@ -11,9 +11,11 @@ import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName
 from lfgpu.calibration.formats import BESIDE, Calibration, read_calibration
+from lfgpu.calibration.rectifiers import NUMBERS, numbers, rectifier_of
 from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.resample import pixels, through
 from lfgpu.calibration.rig import Rig, fit_rig, matched
+from lfgpu.calibration.tones import squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -21,6 +23,7 @@ from lfgpu.io import atomic_folder, check_writable, read, write_description
 from lfgpu.io.folders import image_files
 from lfgpu.io.png import write_png
 from lfgpu.io.views import load_views
+from lfgpu.pipelines.rectifier import Rectifier
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,13 @@ class Rectified:
     rig: Rig | None
     refinement: Refinement | None
     disparity_range: tuple[float, float] | None = None
+
+    def rectifier(self) -> Rectifier:
+        """The same for other pictures of these cameras: `lfgpu.DepthPipeline` and `lfgpu.DepthStream` take it.
+
+        LightFieldError if the common frame shows nothing of a camera.
+        """
+        return rectifier_of(self.light_field, self.rig, self.refinement)
 
 
 def load_pictures(folder: str | os.PathLike[str]) -> LightField:
@@ -155,7 +165,7 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> tuple[
             write_png(file, view)
             files.append(str(file))
         left_out = write_description(replace(lf, files=tuple(files)), place / "lightfield.toml", source={})
-        np.savez_compressed(place / "rectified.npz", **_numbers(result))  # type: ignore[arg-type]
+        np.savez_compressed(place / NUMBERS, **numbers(lf, result.rig, result.refinement))  # type: ignore[arg-type]
     return left_out
 
 
@@ -196,41 +206,10 @@ def _with_truth(lf: LightField, pictures: LightField, rig: Rig) -> LightField:
 def _composed(pictures: LightField, lf: LightField, rig: Rig, found: Refinement) -> LightField:
     """The refined light field, resampled from the pictures in one go."""
     grid = pixels(*pictures.size)
-    height, width = pictures.size
 
     def tone(view: Float32Array, n: int, at: Float64Array | None) -> Float32Array:
-        place = through(found.homographies[n], grid)
-        x, y = place[..., 0] - (width - 1) / 2, place[..., 1] - (height - 1) / 2
-        radius2 = np.asarray((x**2 + y**2) / (height**2 + width**2) * 4, np.float32)
+        radius2 = squared_radius_at(through(found.homographies[n], grid), pictures.size)
         return found.tones.equalised(view, n, across=radius2)
 
     once = rig.light_field(pictures, homographies=found.homographies, tone=tone)
     return replace(found.light_field, views=once.views, valid=once.valid)
-
-
-def _numbers(result: Rectified) -> dict[str, Float64Array]:
-    lf, rig, found = result.light_field, result.rig, result.refinement
-    count = len(lf.views)
-    identity = np.tile(np.eye(3), (count, 1, 1))
-    numbers = {"homographies": found.homographies if found is not None and found.kept else identity}
-    if found is not None:
-        numbers |= {"gain": found.tones.gain, "offset": found.tones.offset, "vignetting": found.tones.vignetting}
-    if rig is not None:
-        geometry = rig.geometry
-        lenses = np.zeros((len(rig.cameras), 8))
-        for n, camera in enumerate(rig.cameras):
-            lenses[n, : len(camera.distortion)] = camera.distortion
-        numbers |= {
-            "rotation": rig.rotation,
-            "positions": rig.positions,
-            "ahead": rig.ahead,
-            "corrected_at": np.array(rig.corrected_at),
-            "focal_length_px": np.array(geometry.focal_length_px),
-            "principal_point": np.array(geometry.principal_point),
-            "matrices": np.stack([camera.matrix for camera in rig.cameras]),
-            "distortions": lenses,
-            "rotations": np.stack([np.asarray(camera.rotation) for camera in rig.cameras]),
-            "translations": np.stack([np.asarray(camera.translation) for camera in rig.cameras]),
-            "reference_centre": rig.cameras[rig.reference].centre,
-        }
-    return numbers

@@ -19,7 +19,7 @@ from lfgpu._backends import DEFAULT, BackendName, backend_named, load, pick_devi
 from lfgpu.calibration.bundle import MODELS, Bundle, choose_points, most_points
 from lfgpu.calibration.judge import explain, measure_tones
 from lfgpu.calibration.resample import pixels, resampled, through
-from lfgpu.calibration.tones import Tones, squared_radius
+from lfgpu.calibration.tones import Tones, squared_radius, squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array, KernelSet
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -241,6 +241,7 @@ class _Search:
         return replace(
             found,
             light_field=lined_up,
+            homographies=homographies if geometric else np.tile(np.eye(3), (len(lf.views), 1, 1)),
             psnr_before=before,
             psnr_after=after,
             kept=True,
@@ -261,7 +262,7 @@ class _Search:
             return through(homographies[n], grid)
 
         def tone(view: Float32Array, n: int, at: Float64Array | None) -> Float32Array:
-            radius2 = across if at is None else _squared_radius_at(at, lf.size)
+            radius2 = across if at is None else squared_radius_at(at, lf.size)
             return self.tones.equalised(view, n, across=radius2)
 
         views, valid = resampled(lf, places, tone)
@@ -350,9 +351,3 @@ def _enlarged(map_: Float32Array, factor: int, size: tuple[int, int]) -> Float32
     full = np.repeat(np.repeat(map_ * factor, factor, axis=0), factor, axis=1)
     beyond = [(0, size[axis] - full.shape[axis]) for axis in (0, 1)]
     return np.pad(full, beyond, mode="edge").astype(np.float32)
-
-
-def _squared_radius_at(at: Float64Array, size: tuple[int, int]) -> Float32Array:
-    height, width = size
-    x, y = at[..., 0] - (width - 1) / 2, at[..., 1] - (height - 1) / 2
-    return np.asarray((x**2 + y**2) / (height**2 + width**2) * 4, np.float32)

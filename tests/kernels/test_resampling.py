@@ -56,10 +56,10 @@ def test_whole_pixels_stay_as_they_are(rng: np.random.Generator) -> None:
 
 FAULTS = (
     Fault("places exchanged", "resample", argument(1, lambda p: p[..., [1, 0, 2]]), value_of(CASE)),
-    Fault("half a pixel beside", "resample", argument(1, lambda p: p + [0.5, 0.0, 0.0]), value_of(CASE)),
-    Fault("falloff ignored", "resample", argument(1, lambda p: p * [1.0, 1.0, 0.0]), value_of(CASE)),
+    Fault("half a pixel beside", "resample", argument(1, lambda p: p + np.array([0.5, 0.0, 0.0])), value_of(CASE)),
+    Fault("falloff ignored", "resample", argument(1, lambda p: p * np.array([1.0, 1.0, 0.0])), value_of(CASE)),
     Fault("tones of another view", "resample", argument(2, lambda t: t[::-1]), value_of(CASE)),
-    Fault("tones ignored", "resample", argument(2, lambda t: 0 * t + [[1.0], [0.0], [0.0]]), value_of(CASE)),
+    Fault("tones ignored", "resample", argument(2, lambda t: 0 * t + np.array([[1.0], [0.0], [0.0]])), value_of(CASE)),
     Fault("white of a byte", "resample", option("white", lambda _: 255.0), value_of(replace(CASE, tones=3.0))),
     Fault(
         "rounded down",

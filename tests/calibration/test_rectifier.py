@@ -1,0 +1,145 @@
+"""Raw frames are rectified on the device: as `rectify` does it, before an estimate, and in streams."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu._backends import load
+from lfgpu.calibration import Disturbed, Misalignment, Rectified, disturb, read_rectifier, rectify, write_rectified
+from lfgpu.calibration.formats import Calibration
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.pipelines.rectifier import Rectifier
+
+RANGE = (-2.0, 2.0)
+WRONG = Misalignment(shift=2, roll=0.5, scale=0.01, distortion=0.2, gain=0.1, vignetting=0.1)
+
+
+@cache
+def disturbed() -> Disturbed:
+    """What a rig of wrong cameras records; calibrated exactly, so that only the tones are not known."""
+    return disturb(scenes.make("boxes", grid=(3, 3), size=(96, 112), seed=1, noise=0.004), WRONG, seed=3)
+
+
+@cache
+def rectified() -> Rectified:
+    calibration = Calibration(disturbed().cameras, "rig", "lfgpu")
+    return rectify(disturbed().light_field, calibration=calibration, tones=True, disparity_range=RANGE)
+
+
+@cache
+def rectifier() -> Rectifier:
+    return rectified().rectifier()
+
+
+def raw() -> LightField:
+    return rectifier().pictures(disturbed().light_field.views)
+
+
+def other_frame() -> np.ndarray:
+    """The same cameras before another scene: everything mirrored, which the rectifier need not know."""
+    return np.ascontiguousarray(raw().views[:, ::-1])
+
+
+def test_frames_are_rectified_as_rectify_does_it() -> None:
+    want = rectified()
+    assert want.refinement is not None
+    assert want.refinement.kept
+    found = rectifier().rectified(raw(), load("warp"), "cpu")
+    seen = np.ones(found.views.shape[:3], bool) if found.valid is None else found.valid
+    inner = seen & (
+        np.pad(seen, ((0, 0), (3, 3), (3, 3)))[:, 6:, 6:] & np.pad(seen, ((0, 0), (3, 3), (3, 3)))[:, :-6, :-6]
+    )
+    off = (found.views.astype(float) - want.light_field.views)[inner] / 255
+    before = (raw().views.astype(float) - want.light_field.views)[inner] / 255
+    assert np.sqrt((before**2).mean()) > 0.05
+    assert np.sqrt((off**2).mean()) < 0.012  # cubic convolution is not quite the spline
+    assert found.geometry == want.light_field.geometry
+    np.testing.assert_array_equal(found.positions, want.light_field.positions)
+
+
+@pytest.mark.parametrize("calibrated", [True, False], ids=["calibration", "refined"])
+def test_what_rectify_wrote_is_a_rectifier(calibrated: bool, tmp_path: Path) -> None:
+    made = rectified()
+    if not calibrated:
+        assert made.refinement is not None
+        turned = np.tile(np.eye(3), (9, 1, 1))
+        turned[:, 0, 2] = np.arange(9)
+        made = replace(made, rig=None, refinement=replace(made.refinement, homographies=turned))
+    write_rectified(made, tmp_path / "out")
+    found, want = read_rectifier(tmp_path / "out"), made.rectifier()
+    np.testing.assert_allclose(found.places, want.places, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(found.tones, want.tones, rtol=1e-9)
+    np.testing.assert_allclose(found.squared_radius, want.squared_radius, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.positions, want.positions, rtol=0, atol=1e-9)
+    assert found.valid is not None
+    np.testing.assert_array_equal(found.valid, want.valid)
+    assert found.reference == want.reference
+
+
+@pytest.mark.parametrize("backend", ["warp", "taichi", "reference"])
+def test_a_pipeline_takes_raw_pictures(backend: str) -> None:
+    kernels = load(backend)
+    small = replace(
+        rectifier(),
+        places=rectifier().places[:, :40, :44],
+        squared_radius=rectifier().squared_radius[:, :40, :44],
+        valid=None if rectifier().valid is None else rectifier().valid[:, :40, :44],
+    )
+    first, second = raw().views[:, :40, :44], other_frame()[:, :40, :44]
+    options = {"config": "fast", "disparity_range": RANGE, "backend": backend, "device": "cpu"}
+    pipeline = lfgpu.DepthPipeline(small.pictures(first), rectifier=small, **options)
+    for frame in (first, second):
+        pipeline.upload(frame)
+        pipeline.run()
+        lf = small.rectified(small.pictures(frame), kernels, "cpu")
+        alone = lfgpu.DepthPipeline(lf, measured=pipeline.measured, **{**options, "disparity_range": None})
+        alone.run()
+        # The reference keeps what lies between whole numbers.
+        close = {"rtol": 0, "atol": 0.05 if backend == "reference" else 1e-6}
+        off = np.abs(pipeline.disparity() - alone.disparity())
+        assert np.nanmedian(off) <= close["atol"]
+        if backend != "reference":
+            np.testing.assert_allclose(pipeline.disparity(), alone.disparity(), **close)
+    assert pipeline.estimate().timings["rectify"] > 0
+
+
+def test_a_stream_takes_raw_pictures_and_other_tones() -> None:
+    options = {"config": "fast", "disparity_range": RANGE, "device": "cpu"}
+    with lfgpu.DepthStream(raw(), rectifier=rectifier(), policy="block", prior=None, **options) as stream:
+        found = [stream.push(frame).numpy() for frame in (raw().views, other_frame())]
+        stream.set_tones(rectifier().tones * np.array([2.0, 1.0, 2.0])[:, None])
+        pending = stream.push(raw().views)
+        shown = stream.snapshot(timeout=0.0) or stream.snapshot(timeout=0.0)
+        darker = pending.numpy()
+        assert stream.rectifier is not None
+        assert stream.rectifier.tones[0, 0, 0] == 2 * rectifier().tones[0, 0, 0]
+        measured = stream.measured
+    assert shown is None or shown[1] is pending
+    pipeline = lfgpu.DepthPipeline(raw(), rectifier=rectifier(), measured=measured, config="fast", device="cpu")
+    for frame, disparity in zip((raw().views, other_frame()), found, strict=True):
+        pipeline.upload(frame)
+        pipeline.run()
+        np.testing.assert_allclose(disparity, pipeline.disparity(), rtol=0, atol=1e-5)
+    assert np.nanmax(np.abs(darker - found[0])) > 0
+
+
+def test_wrong_pictures_and_rectifiers_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LightFieldError, match=r"pictures must be \[9, 96, 112, 3\]"):
+        rectifier().pictures(raw().views[:4])
+    with pytest.raises(LightFieldError, match="nothing that camera 2 shows"):
+        replace(rectifier(), places=np.where(np.arange(9)[:, None, None, None] == 2, np.nan, rectifier().places))
+    with pytest.raises(LightFieldError, match=r"holds no rectified\.npz"):
+        read_rectifier(tmp_path)
+    with pytest.raises(LightFieldError, match="tones of the rectifier"):
+        replace(rectifier(), tones=rectifier().tones[:4])
+    with lfgpu.DepthStream(rectified().light_field, config="fast", disparity_range=RANGE, device="cpu") as stream:
+        with pytest.raises(LightFieldError, match="no rectifier"):
+            stream.set_tones(rectifier().tones)
