@@ -9,6 +9,7 @@ from lfgpu.calibration.rectify import Rectified, load_pictures, rectify, write_r
 from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.rig import Rig, fit_rig
 from lfgpu.calibration.tones import Tones
+from lfgpu.calibration.watch import RigWatch
 
 __all__ = [
     "Calibration",
@@ -19,6 +20,7 @@ __all__ = [
     "Rectified",
     "Refinement",
     "Rig",
+    "RigWatch",
     "Tones",
     "disturb",
     "equalise",

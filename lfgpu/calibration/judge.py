@@ -236,6 +236,33 @@ def remarks(
     return tuple(_sentences(lf, _cameras(lf, points, steps=_QUICK_STEPS, colours=False)))
 
 
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a quick look at the cameras of a rig shows.
+
+    Parameters
+    ----------
+    moved
+        What stands out about where cameras stand and look, one sentence each.
+    gain, offset
+        float64 [n, c]: a view shows gain * t + offset where the reference shows t.
+    """
+
+    moved: tuple[str, ...]
+    gain: Float64Array
+    offset: Float64Array
+
+
+def look(lf: LightField, disparity: NDArray[np.floating[Any]], kernels: KernelSet, device: str) -> Look | None:
+    """A quick look at the cameras with the map of the reference view [y, x]; None where texture is too little."""
+    with kernels.asking(device):
+        points = choose_points(lf, disparity, kernels, device, most=_QUICK_POINTS)
+    if len(points.x) < _FEWEST:
+        return None
+    cameras = _cameras(lf, points, steps=_QUICK_STEPS)
+    return Look(tuple(_placement(lf, cameras)), cameras["gain"], cameras["offset"])
+
+
 def residual_pictures(
     lf: LightField,
     result: DepthResult | DisparityMap | NDArray[np.floating[Any]],
@@ -449,6 +476,11 @@ def measure_tones(
 
 def _sentences(lf: LightField, cameras: dict[str, Any]) -> list[str]:
     """What stands out, one sentence each."""
+    return [*_placement(lf, cameras), *_brightness(lf, cameras)]
+
+
+def _placement(lf: LightField, cameras: dict[str, Any]) -> list[str]:
+    """What stands out about where cameras stand and look."""
     offsets, radius = lf.offsets, float(np.hypot(*lf.size)) / 2
     said = []
     shift = cameras["shift"]
@@ -485,6 +517,12 @@ def _sentences(lf: LightField, cameras: dict[str, Any]) -> list[str]:
             return f"{size} {more if value > 0 else less}"
 
         said += _single(lf, out, amount_of, "line up")
+    return said
+
+
+def _brightness(lf: LightField, cameras: dict[str, Any]) -> list[str]:
+    """What stands out about how bright views are."""
+    offsets, said = lf.offsets, list[str]()
     bright = np.log(np.maximum(cameras["brightness"], 1e-3))[:, None]
     rest_bright = consensus.smooth_rest(bright, offsets)[:, 0]
     if 1.4826 * float(np.median(np.abs(rest_bright))) > _UNEQUAL:
