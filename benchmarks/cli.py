@@ -1,8 +1,8 @@
 """The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found.
 
 `accuracy` scores a population of light fields, `ablation` leaves ingredients out, `rendering` renders views that were
-left out, `live`, `flicker` and `soak` are about streams, `scaling` takes several GPUs, `tiles` limits the memory,
-`gallery` draws the picture of the README.
+left out, `live`, `rectify`, `flicker` and `soak` are about streams, `scaling` takes several GPUs, `tiles` limits the
+memory, `gallery` draws the picture of the README.
 """
 
 from __future__ import annotations
@@ -23,12 +23,14 @@ from benchmarks import (
     flicker,
     gallery,
     live,
+    machine,
     merge,
     moving,
     operations,
     pipelines,
     plot,
     population,
+    rectify,
     rendering,
     results,
     scaling,
@@ -278,6 +280,42 @@ def live_(
     rows = live.run(plan, lambda what: typer.echo(what, err=True))
     live.save(out, {"rows": [asdict(row) for row in rows]})
     live.show(rows)
+
+
+@app.command("rectify")
+def rectify_(
+    case_names: Annotated[str, typer.Option("--cases", metavar="NAME,...")] = "7x7x375x375,9x9x512x512",
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Of the frame that rectification is a part of.")] = (
+        "accurate"
+    ),
+    backends: Annotated[str, typer.Option(metavar="NAME,...", help="Default: warp.")] = "warp",
+    seconds: Annotated[float, typer.Option(min=0.01, help="For each measurement, at most.")] = 5.0,
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """What it costs to rectify raw frames on the device, by itself and as a part of a frame."""
+    if out is not None:
+        check_writable(out, folder=False)
+    chosen = tuple(_known_backend(name) for name in _names(backends))
+    found = rectify.run(
+        tuple(cases.find(name) for name in _names(case_names)),
+        preset,
+        chosen,
+        device,
+        lambda what: typer.echo(what, err=True),
+        seconds=seconds,
+    )
+    live.save(
+        out,
+        {
+            "machine": machine.describe(),
+            "versions": machine.versions(),
+            "commit": machine.commit(),
+            "rig": asdict(rectify.RIG),
+            "rows": [{**asdict(row), "added_ms": row.added_ms} for row in found],
+        },
+    )
+    rectify.show(found)
 
 
 @app.command("soak")

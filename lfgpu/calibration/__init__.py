@@ -5,11 +5,12 @@ from lfgpu.calibration.formats import Calibration, read_calibration, write_camer
 from lfgpu.calibration.judge import Explanation, explain, remarks, residual_pictures
 from lfgpu.calibration.misalign import Disturbed, Misalignment, disturb
 from lfgpu.calibration.rectifiers import read_rectifier
-from lfgpu.calibration.rectify import Rectified, load_pictures, rectify, write_rectified
+from lfgpu.calibration.rectify import Rectified, rectify, write_rectified
 from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.rig import Rig, fit_rig
 from lfgpu.calibration.tones import Tones
 from lfgpu.calibration.watch import RigWatch
+from lfgpu.io.pictures import load_pictures
 
 __all__ = [
     "Calibration",

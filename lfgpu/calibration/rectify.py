@@ -20,9 +20,8 @@ from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable, read, write_description
-from lfgpu.io.folders import image_files
+from lfgpu.io.pictures import load_pictures
 from lfgpu.io.png import write_png
-from lfgpu.io.views import load_views
 from lfgpu.pipelines.rectifier import Rectifier
 
 
@@ -53,22 +52,6 @@ class Rectified:
         LightFieldError if the common frame shows nothing of a camera.
         """
         return rectifier_of(self.light_field, self.rig, self.refinement)
-
-
-def load_pictures(folder: str | os.PathLike[str]) -> LightField:
-    """The pictures of a folder, or of its folder `images`, as views at positions that mean nothing yet.
-
-    LightFieldError if there are fewer than two, or they are not alike.
-    """
-    path = Path(folder)
-    if not path.is_dir():
-        raise LightFieldError(f"{path} is not a folder with pictures.")
-    files = image_files(path) or (image_files(path / "images") if (path / "images").is_dir() else [])
-    if len(files) < 2:
-        raise LightFieldError(f"{path} holds {len(files)} pictures; at least two are needed.")
-    views, notes = load_views(files)
-    where = np.stack([np.arange(len(files)), np.zeros(len(files))], axis=1).astype(np.float64)
-    return LightField(views, where, name=path.resolve().name, notes=notes, files=tuple(map(str, files)))
 
 
 def calibration_beside(folder: Path) -> Path | None:

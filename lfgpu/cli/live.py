@@ -71,6 +71,14 @@ def live(
     noise: Annotated[
         float, typer.Option(help="Noise of the views of a synthetic scene: standard deviation, intensities 0 to 1.")
     ] = 0.005,
+    rectify: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="What `lfgpu rectify` wrote for these cameras: frames are raw pictures, rectified on the device; the "
+            "cameras are watched.",
+        ),
+    ] = None,
     device: Device = None,
     threads: Threads = None,
     settings: Parameters = None,
@@ -85,8 +93,12 @@ def live(
     """Estimate the disparity of each frame of a stream. Ctrl-C ends it.
 
     With -o each map is written as soon as it is computed (disparity_000000.pfm, confidence_000000.pfm). At the end
-    live.json records what happened to every frame.
+    live.json records what happened to every frame. With --rectify the gains of the cameras are kept up to date, and a
+    sentence says if cameras have moved.
     """
+    from contextlib import nullcontext
+
+    from lfgpu import calibration
     from lfgpu.io import check_writable
     from lfgpu.methods.temporal_prior import TemporalPrior
     from lfgpu.pipelines.sources import feed, open_source
@@ -107,7 +119,8 @@ def live(
         "noise": noise,
     }
     values.use_threads("--threads", threads)
-    first, coming = open_source(source, scene_options=options)
+    rectifier = None if rectify is None else calibration.read_rectifier(rectify)
+    first, coming = open_source(source, scene_options=options, rectifier=rectifier)
     record = Record(out)
     with DepthStream(
         first,
@@ -118,8 +131,10 @@ def live(
         policy=way,
         waiting=waiting,
         budget_ms=budget,
+        rectifier=rectifier,
     ) as stream:
-        with Display(stream, metrics, quiet=quiet) as display:
+        watch = nullcontext() if rectifier is None else calibration.RigWatch(stream, on_finding=record.moved)
+        with watch, Display(stream, metrics, quiet=quiet) as display:
             try:
                 feed(stream, coming, fps=fps, most=frames, on_done=_both(record.add, display.look))
             except KeyboardInterrupt:
@@ -135,6 +150,7 @@ class Record:
 
     def __init__(self, out: Path | None) -> None:
         self.out, self._frames, self.failed = out, [], []  # type: ignore[var-annotated]
+        self.findings: tuple[str, ...] = ()
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
 
@@ -164,6 +180,12 @@ class Record:
             }
         )
 
+    def moved(self, findings: tuple[str, ...]) -> None:
+        """Record that cameras have moved, and say it."""
+        self.findings = findings
+        for sentence in findings:
+            typer.echo(f"The cameras have moved: {sentence}", err=True)
+
     def finish(self, stream: DepthStream, stats: dict[str, Any]) -> None:
         """Write the log."""
         if self.out is None:
@@ -179,6 +201,7 @@ class Record:
             "disparity_range": list(stream.bounds),
             "config": asdict(stream.config),
             "stats": {name: None if math.isnan(value) else value for name, value in stats.items()},
+            "cameras": list(self.findings),
             "frames": self._frames,
         }
         with atomic_write(self.out / RECORD_FILE) as temporary:

@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from lfgpu.data import interop
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.folders import natural_order
+from lfgpu.pipelines.rectifier import Rectifier
 from lfgpu.pipelines.stream import DepthStream, StreamResult
 
 Frames = Iterator[Any]
@@ -24,7 +26,9 @@ Frames = Iterator[Any]
 _RENDERED = 24  # frames of a synthetic scene that are rendered; then they repeat
 
 
-def open_source(source: str, *, scene_options: dict[str, Any] | None = None) -> tuple[LightField, Frames]:
+def open_source(
+    source: str, *, scene_options: dict[str, Any] | None = None, rectifier: Rectifier | None = None
+) -> tuple[LightField, Frames]:
     """The first frame of a source, and all frames, the first included.
 
     Parameters
@@ -37,17 +41,25 @@ def open_source(source: str, *, scene_options: dict[str, Any] | None = None) -> 
         a picture.
     scene_options
         `grid`, `size`, `disparity_range`, `noise` and `seed` of `scenes.make`.
+    rectifier
+        What raw pictures are rectified with later: then a folder holds folders of pictures, and a grabber need not
+        begin with a LightField. Default None: frames are light fields.
 
     Raises
     ------
     LightFieldError
         If there is no such source, or it is empty.
     """
-    frames = _frames(source, scene_options or {})
+    frames = _frames(source, scene_options or {}, raw=rectifier is not None)
     try:
         first = next(frames)
     except StopIteration:
         raise LightFieldError(f"{source} yielded no frame; give a source with at least one.") from None
+    if rectifier is not None:
+        views = first[0] if isinstance(first, tuple) else first
+        white = views.white if isinstance(views, LightField) else None
+        pictures = views.views if isinstance(views, LightField) else interop.on_host("views", views)
+        return rectifier.pictures(pictures, white=white), itertools.chain([first], frames)
     if not isinstance(first, LightField):
         raise LightFieldError(
             f"{source} must yield a LightField first, because it gives the camera positions; found "
@@ -96,12 +108,12 @@ def feed(
     look(wait=True)
 
 
-def _frames(source: str, scene_options: dict[str, Any]) -> Frames:
+def _frames(source: str, scene_options: dict[str, Any], *, raw: bool) -> Frames:
     from lfgpu.scenes import NAMES
 
     path = Path(source)
     if path.is_dir():
-        return _of_folder(path)
+        return _of_folder(path, raw=raw)
     if ":" in source and not path.exists():
         return _of_grabber(source)
     if source in NAMES and not path.exists():
@@ -113,8 +125,9 @@ def _frames(source: str, scene_options: dict[str, Any]) -> Frames:
     )
 
 
-def _of_folder(path: Path) -> Frames:
+def _of_folder(path: Path, *, raw: bool) -> Frames:
     from lfgpu.io import read
+    from lfgpu.io.pictures import load_pictures
 
     found = sorted(
         (entry for entry in path.iterdir() if not entry.name.startswith(".")),
@@ -127,7 +140,7 @@ def _of_folder(path: Path) -> Frames:
         )
     first: LightField | None = None
     for folder in folders:
-        lf = read(folder)
+        lf = load_pictures(folder) if raw else read(folder)
         if first is not None and not np.array_equal(lf.positions, first.positions):
             raise LightFieldError(
                 f"{folder} has other camera positions than {folders[0]}; all frames of a stream must come from the "

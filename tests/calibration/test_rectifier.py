@@ -8,14 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.calibration import Disturbed, Misalignment, Rectified, disturb, read_rectifier, rectify, write_rectified
 from lfgpu.calibration.formats import Calibration
+from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io import read_map
 from lfgpu.pipelines.rectifier import Rectifier
 
 RANGE = (-2.0, 2.0)
@@ -143,3 +147,32 @@ def test_wrong_pictures_and_rectifiers_are_refused(tmp_path: Path) -> None:
         pytest.raises(LightFieldError, match="no rectifier"),
     ):
         stream.set_tones(rectifier().tones)
+
+
+def test_live_takes_raw_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_rectified(rectified(), tmp_path / "rig")
+    for frame in range(2):
+        folder = tmp_path / "frames" / f"frame_{frame}"
+        folder.mkdir(parents=True)
+        for n, view in enumerate(raw().views):
+            Image.fromarray(view).save(folder / f"camera_{n}.png")
+    (tmp_path / "raw_grabber_for_tests.py").write_text(
+        "import numpy as np\nfrom PIL import Image\nfrom pathlib import Path\n"
+        "def frames():\n"
+        "    files = sorted(Path('frames/frame_0').iterdir())\n"
+        "    yield np.stack([np.asarray(Image.open(file)) for file in files])\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    options = ["--rectify", "rig", "--preset=fast", "--disparity-range=-2,2", "--device=cpu", "--cold"]
+    for source in ("frames", "raw_grabber_for_tests:frames"):
+        outcome = CliRunner().invoke(app, ["live", source, "-o", "out", *options])
+        assert outcome.exit_code == 0, outcome.output
+        found = read_map(tmp_path / "out" / "disparity_000000.pfm")
+        with lfgpu.DepthStream(
+            raw(), rectifier=rectifier(), config="fast", disparity_range=RANGE, device="cpu", prior=None
+        ) as stream:
+            want = stream.push(raw().views).numpy()
+        assert np.nanmean(np.abs(found - want)) < 0.01  # the map of the frame, from a rig that was written as pictures
+    outcome = CliRunner().invoke(app, ["live", "frames", "--rectify", "frames", "--device=cpu"])
+    assert outcome.exit_code == 1
+    assert "rectified.npz" in outcome.output
