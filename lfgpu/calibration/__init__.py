@@ -9,6 +9,7 @@ from lfgpu.calibration.rectify import Rectified, rectify, write_rectified
 from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.rig import Rig, fit_rig
 from lfgpu.calibration.tones import Tones
+from lfgpu.calibration.trust import judged
 from lfgpu.calibration.watch import RigWatch
 from lfgpu.io.pictures import load_pictures
 
@@ -27,6 +28,7 @@ __all__ = [
     "equalise",
     "explain",
     "fit_rig",
+    "judged",
     "load_pictures",
     "read_calibration",
     "read_rectifier",

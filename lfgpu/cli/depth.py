@@ -158,11 +158,13 @@ def depth(
     lf = _chosen(lf, place, pattern)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)
+    if max_memory is None:
+        result = _judged(lf, result, estimation)
     if fill:
         result = filled(result)
-        if views:
-            views = replace(views, disparities=fill_unknown(views.disparities), reference=result)
-    said = () if quiet or max_memory is not None else _remarks(lf, result, estimation)
+    if views:
+        disparities = fill_unknown(views.disparities) if fill else views.disparities
+        views = replace(views, disparities=disparities, reference=result)
     with atomic_folder(out) as folder:
         files = write_outputs(folder, result)
         if views:
@@ -178,18 +180,18 @@ def depth(
     if estimation.disparity_range is not None and (doubt := range_remark(lf, estimation.disparity_range)):
         remark(console, doubt)
     summary.show_scores(console, lf, result)
-    summary.show_remarks(console, said)
+    summary.show_remarks(console, result.remarks)
     summary.show_outputs(console, out, files)
 
 
-def _remarks(lf: LightField, result: DepthResult, estimation: Estimation) -> tuple[str, ...]:
-    """What stands out about the cameras; nothing where the map says nothing."""
-    from lfgpu.calibration import remarks
+def _judged(lf: LightField, result: DepthResult, estimation: Estimation) -> DepthResult:
+    """The result after a look at the cameras; as it is where the map says nothing of them."""
+    from lfgpu.calibration import judged
 
     try:
-        return remarks(lf, result, backend=estimation.backend, device=estimation.device)
+        return judged(lf, result, backend=estimation.backend, device=estimation.device)
     except LightFieldError:
-        return ()
+        return result
 
 
 def _chosen(lf: LightField, place: tuple[float, float] | None, pattern: str) -> LightField:

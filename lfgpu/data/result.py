@@ -65,6 +65,9 @@ class DepthResult:
     uncertainty
         float32 [y, x], the expected error of the disparity as a standard deviation, pixels per view step; NaN where the
         disparity is. None if the method does not tell (synthesis).
+    remarks
+        What stands out about the cameras, one sentence each, from `lfgpu.calibration.judged`, which lowers the
+        confidence accordingly; empty if nothing does, or if nobody looked.
     """
 
     disparity: Float32Array
@@ -83,6 +86,7 @@ class DepthResult:
     geometry: Geometry | None = None
     name: str = "light field"
     uncertainty: Float32Array | None = None
+    remarks: tuple[str, ...] = ()
 
     @property
     def depth(self) -> NDArray[np.float32] | None:

@@ -55,6 +55,7 @@ def result_html(result: DepthResult) -> str:
         ("computed by", f"{result.config.method}, {result.backend} on {result.device}"),
         ("time", f"{result.timings.get('total', float('nan')):.2f} s"),
         ("status", result.status),
+        *(("cameras", sentence) for sentence in result.remarks),
     ]
     return _page(result.name, pictures, rows)
 
