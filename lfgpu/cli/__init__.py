@@ -21,6 +21,7 @@ from lfgpu.cli import (
     depth,
     evaluate,
     export,
+    export_scene,
     info,
     live,
     parameters,
@@ -54,6 +55,7 @@ app.command("eval", cls=Command)(evaluate.evaluate)
 app.command("view", cls=Command)(view.view)
 app.command("live", cls=Command)(live.live)
 app.command("export", cls=Command)(export.export)
+app.command("export-scene", cls=Command)(export_scene.export_scene)
 app.command("demo", cls=Command)(demo.demo)
 app.command("backends", cls=Command)(backends.backends)
 app.command("parameters", cls=Command)(parameters.parameters)

@@ -15,7 +15,7 @@ from lfgpu import scenes
 from lfgpu.calibration import Camera, Misalignment, disturb, equalise, fit_rig, rectify, refine, write_rectified
 from lfgpu.calibration.cameras import turned
 from lfgpu.calibration.formats import Calibration
-from lfgpu.calibration.misalign import ideal_cameras
+from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lfgpu.calibration.cameras import Camera, of_quaternion
 from lfgpu.errors import LightFieldError
@@ -114,3 +118,82 @@ def _binary_images(data: bytes) -> Iterator[Pose]:
         (points,) = struct.unpack_from("<Q", data, end + 1)
         at = end + 9 + 24 * points
         yield tuple(numbers[:4]), tuple(numbers[4:]), key, name
+
+
+def write_colmap(
+    folder: Path, cameras: Sequence[Camera], points: NDArray[np.float32], colors: NDArray[np.uint8]
+) -> None:
+    """Write a model, binary and as text: a lens and an image for each camera, and points without tracks.
+
+    Parameters
+    ----------
+    folder
+        An existing folder.
+    cameras
+        Their names are those of the images.
+    points, colors
+        [n, 3], in the world of the cameras, and red, green, blue.
+    """
+    _write_text(folder, cameras, points, colors)
+    _write_binary(folder, cameras, points, colors)
+
+
+def _lens_of(camera: Camera) -> tuple[str, tuple[float, ...]]:
+    """The name of COLMAP's model and its parameters."""
+    pinhole = (*camera.focal_length, *(place + 0.5 for place in camera.principal_point))
+    k = camera.distortion
+    if camera.model == "fisheye":
+        return "OPENCV_FISHEYE", (*pinhole, *(k or (0.0,) * 4))
+    if not any(k):
+        return "PINHOLE", pinhole
+    return ("OPENCV", (*pinhole, *k)) if len(k) == 4 else ("FULL_OPENCV", (*pinhole, *k, *(0.0,) * (8 - len(k))))
+
+
+def _pose_of(camera: Camera) -> tuple[float, ...]:
+    """Quaternion w, x, y, z and translation, world to camera."""
+    w_last = Rotation.from_matrix(np.asarray(camera.rotation)).as_quat()
+    return (*map(float, np.roll(w_last, 1)), *map(float, np.asarray(camera.translation)))
+
+
+def _write_text(
+    folder: Path, cameras: Sequence[Camera], points: NDArray[np.float32], colors: NDArray[np.uint8]
+) -> None:
+    lenses, images = [], []
+    for n, camera in enumerate(cameras, 1):
+        model, values = _lens_of(camera)
+        height, width = camera.size
+        lenses.append(f"{n} {model} {width} {height} {' '.join(map(repr, values))}\n")
+        images.append(f"{n} {' '.join(map(repr, _pose_of(camera)))} {n} {camera.name}\n\n")
+    (folder / "cameras.txt").write_text("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n" + "".join(lenses), encoding="utf-8")
+    head = "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of POINTS2D[]\n"
+    (folder / "images.txt").write_text(head + "".join(images), encoding="utf-8")
+    rows = (
+        f"{n} {x:.7g} {y:.7g} {z:.7g} {r} {g} {b} -1\n"
+        for n, ((x, y, z), (r, g, b)) in enumerate(zip(points.tolist(), colors.tolist(), strict=True), 1)
+    )
+    head = "# POINT3D_ID X Y Z R G B ERROR TRACK[]\n"
+    (folder / "points3D.txt").write_text(head + "".join(rows), encoding="utf-8")
+
+
+def _write_binary(
+    folder: Path, cameras: Sequence[Camera], points: NDArray[np.float32], colors: NDArray[np.uint8]
+) -> None:
+    lenses, images = [struct.pack("<Q", len(cameras))], [struct.pack("<Q", len(cameras))]
+    for n, camera in enumerate(cameras, 1):
+        model, values = _lens_of(camera)
+        height, width = camera.size
+        lenses.append(struct.pack(f"<iiQQ{len(values)}d", n, _MODELS[model][0], width, height, *values))
+        name = camera.name.encode() + b"\0"
+        images.append(struct.pack("<I7dI", n, *_pose_of(camera), n) + name + struct.pack("<Q", 0))
+    (folder / "cameras.bin").write_bytes(b"".join(lenses))
+    (folder / "images.bin").write_bytes(b"".join(images))
+    kinds = [("id", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track", "<u8")]
+    table = np.zeros(len(points), np.dtype(kinds))
+    table["id"], table["xyz"], table["rgb"], table["error"] = np.arange(1, len(points) + 1), points, colors, -1
+    (folder / "points3D.bin").write_bytes(struct.pack("<Q", len(points)) + table.tobytes())
+
+
+def write_depth(path: Path, depth: NDArray[np.float32]) -> None:
+    """Write a depth map [y, x] as COLMAP stores those of its stereo: float32, 0 where it is not known."""
+    known = np.where(np.isfinite(depth), depth, 0).astype("<f4")
+    path.write_bytes(f"{depth.shape[1]}&{depth.shape[0]}&1&".encode() + known.tobytes())
