@@ -18,6 +18,7 @@ from lfgpu.calibration.rig import Rig, fit_rig, matched
 from lfgpu.calibration.tones import squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable, read, write_description
 from lfgpu.io.pictures import load_pictures
@@ -52,6 +53,42 @@ class Rectified:
         LightFieldError if the common frame shows nothing of a camera.
         """
         return rectifier_of(self.light_field, self.rig, self.refinement)
+
+    def original_depth(self, result: DepthResult | DisparityMap) -> Float32Array:
+        """Metric depth in the frame of a camera and in its original picture, lens and all, float32 [y, x].
+
+        Parameters
+        ----------
+        result
+            A map of one of the rectified views, whose camera is meant.
+
+        Returns
+        -------
+        Distance along the camera's own axis in the unit of the calibration; NaN where the map does not reach or is not
+        known, infinity beyond the horizon.
+
+        Raises
+        ------
+        LightFieldError
+            If there was no calibration, or the map is not of one of the views.
+        """
+        lf, rig = self.light_field, self.rig
+        if rig is None or len(lf.views) != len(rig.cameras):
+            raise LightFieldError(f"{lf.name} was not rectified with a calibration of all its cameras.")
+        u, v = result.position or lf.positions[lf.reference_index]
+        index = lf.index_of(v, u)
+        if result.disparity.shape != lf.size:
+            raise LightFieldError(f"the map must be of {lf.size}, found {result.disparity.shape}.")
+        height, width = lf.size
+        at, along = rig.back(index, pixels(height, width))
+        if self.refinement is not None and self.refinement.kept:
+            at = through(np.linalg.inv(self.refinement.homographies[index]), at)
+        with np.errstate(invalid="ignore"):
+            column, row = np.rint(np.nan_to_num(at, nan=-1e6)).clip(-1e6, 1e6).astype(np.intp).transpose(2, 0, 1)
+            inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+            disparity = result.disparity[row.clip(0, height - 1), column.clip(0, width - 1)]
+            depth = (rig.geometry.depth(disparity) - rig.ahead[index]) / along[..., 2]
+            return np.where(inside & (depth > 0), depth, np.nan).astype(np.float32)
 
 
 def calibration_beside(folder: Path) -> Path | None:

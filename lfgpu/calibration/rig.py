@@ -71,6 +71,20 @@ class Rig:
         camera = self.cameras[index]
         return camera.project(np.concatenate([plane, depth], axis=-1) @ self.rotation @ np.asarray(camera.rotation).T)
 
+    def back(self, index: int, at: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """The inverse of `places`: rectified pixels [..., 2] of pixels `at` [..., 2] of a picture, and directions.
+
+        The directions [..., 3] are those of the pixels' rays in the common frame, 1 long along the camera's own axis.
+        """
+        geometry, camera = self.geometry, self.cameras[index]
+        assert geometry.principal_point is not None
+        along = camera.rays(at) @ np.asarray(camera.rotation) @ self.rotation.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            plane = along[..., :2] / np.where(along[..., 2:] > 0, along[..., 2:], np.nan)
+        plane = plane * (1.0 - self.ahead[index] / self.corrected_at)
+        shift = self.positions[index] * geometry.baseline_m * geometry.focal_length_px / geometry.focus_distance_m
+        return plane * geometry.focal_length_px + geometry.principal_point + shift, along
+
     def light_field(
         self,
         pictures: LightField,
