@@ -113,7 +113,7 @@ def main(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     cameras = rig(rng)
     poses = []
-    for _ in range(14):
+    for _ in range(10):
         turn = Rotation.from_euler("xyz", rng.uniform(-0.4, 0.4, 3)).as_matrix()
         middle = SQUARE * (np.array(CORNERS) - 1) / 2
         place = [rng.uniform(-0.06, 0.06), rng.uniform(-0.04, 0.04), DISTANCE * rng.uniform(0.75, 1.1)]

@@ -145,7 +145,7 @@ def rectify(
     rig, lf = None, pictures
     if calibration is not None:
         names = pictures.files or tuple(f"view_{n:03d}" for n in range(len(pictures.views)))
-        cameras = matched(calibration.cameras, names, pictures.size, calibration.source)
+        cameras = matched(calibration.cameras, names, pictures.size, calibration.source, rig=calibration.rig)
         told = isinstance(source, LightField) or pictures.truth is not None
         reference = pictures.reference if told else None
         depths = depths or calibration.depths

@@ -187,16 +187,30 @@ def fit_rig(
     )
 
 
-def matched(cameras: Sequence[Camera], names: Sequence[str], size: tuple[int, int], source: str) -> list[Camera]:
+def matched(
+    cameras: Sequence[Camera],
+    names: Sequence[str],
+    size: tuple[int, int],
+    source: str,
+    *,
+    rig: Sequence[Camera] = (),
+) -> list[Camera]:
     """The camera of each picture: by name where the calibration has names of pictures, else by order.
 
-    Cameras are scaled to the size of the pictures if these have the same shape. LightFieldError if a picture has no
-    camera, or the shapes differ.
+    If no picture is one that was calibrated, the cameras of the calibration's `rig` are taken, if it has one. Cameras
+    are scaled to the size of the pictures if these have the same shape. LightFieldError if a picture has no camera, or
+    the shapes differ.
     """
-    by_name: dict[str, Camera] = {}
-    for camera in cameras:
-        by_name.setdefault(_stem(camera.name), camera)
-    found = [by_name.get(_stem(name)) for name in names]
+
+    def named(known: Sequence[Camera]) -> list[Camera | None]:
+        by_name: dict[str, Camera] = {}
+        for camera in known:
+            by_name.setdefault(_stem(camera.name), camera)
+        return [by_name.get(_stem(name)) for name in names]
+
+    found = named(cameras)
+    if rig and not any(found):
+        cameras, found = rig, named(rig)
     if not any(found):
         if len(cameras) != len(names):
             raise LightFieldError(

@@ -54,6 +54,81 @@ def read_colmap(folder: Path) -> list[Camera]:
         raise LightFieldError(f"{folder} holds a damaged model of COLMAP ({type(error).__name__}: {error}).") from error
 
 
+def read_rig(folder: Path) -> list[Camera]:
+    """The cameras of a model's rig in the rig's frame, named after the folders of their images; [] without a rig.
+
+    Of several rigs it is the one with the most cameras. Rigs are those of COLMAP 3.12 and later (rigs.bin, rigs.txt).
+    """
+    try:
+        if (folder / "rigs.bin").is_file():
+            rigs = list(_binary_rigs((folder / "rigs.bin").read_bytes()))
+            lenses = dict(_binary_cameras((folder / "cameras.bin").read_bytes()))
+            poses = list(_binary_images((folder / "images.bin").read_bytes()))
+        elif (folder / "rigs.txt").is_file():
+            rigs = list(_text_rigs((folder / "rigs.txt").read_text(encoding="utf-8")))
+            lenses = dict(_text_cameras((folder / "cameras.txt").read_text(encoding="utf-8")))
+            poses = list(_text_images((folder / "images.txt").read_text(encoding="utf-8")))
+        else:
+            return []
+        largest = max(rigs, key=len, default={})
+        if len(largest) < 2:
+            return []
+        names = {key: _folder_of([name for _, _, of, name in poses if of == key], key) for key in largest}
+        return [_camera(lenses[key], pose[:4], pose[4:], names[key]) for key, pose in sorted(largest.items())]
+    except LightFieldError as error:
+        raise LightFieldError(f"{folder}: {error}") from error
+    except (KeyError, ValueError, IndexError, struct.error) as error:
+        raise LightFieldError(f"{folder} holds a damaged rig of COLMAP ({type(error).__name__}: {error}).") from error
+
+
+def _folder_of(names: list[str], key: int) -> str:
+    """The folder that all images of a camera lie in, else "camera" and its number."""
+    folders = {name.replace("\\", "/").rsplit("/", 1)[0] for name in names if "/" in name.replace("\\", "/")}
+    return folders.pop().rsplit("/", 1)[-1] if len(folders) == 1 else f"camera {key}"
+
+
+_STILL = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_IS_CAMERA = 0  # among COLMAP's kinds of sensors
+
+
+def _text_rigs(text: str) -> Iterator[dict[int, tuple[float, ...]]]:
+    """Of each rig the poses of its cameras (quaternion, translation; rig to camera), by the number of the camera."""
+    for line in _rows(text):
+        parts = line.split()
+        if len(parts) < 4:
+            continue
+        found: dict[int, tuple[float, ...]] = {int(parts[3]): _STILL} if parts[2] == "CAMERA" else {}
+        at = 4
+        while at < len(parts):
+            kind, key, has_pose = parts[at], int(parts[at + 1]), parts[at + 2] == "1"
+            if has_pose and kind == "CAMERA":
+                found[key] = tuple(map(float, parts[at + 3 : at + 10]))
+            at += 10 if has_pose else 3
+        yield found
+
+
+def _binary_rigs(data: bytes) -> Iterator[dict[int, tuple[float, ...]]]:
+    (count,), at = struct.unpack_from("<Q", data), 8
+    for _ in range(count):
+        _, sensors = struct.unpack_from("<II", data, at)
+        at += 8
+        found: dict[int, tuple[float, ...]] = {}
+        for sensor in range(sensors):
+            kind, key = struct.unpack_from("<iI", data, at)
+            at += 8
+            pose = _STILL
+            if sensor > 0:  # the first one is the rig's own frame
+                (has_pose,) = struct.unpack_from("<B", data, at)
+                at += 1
+                if not has_pose:
+                    continue
+                pose = struct.unpack_from("<7d", data, at)
+                at += 56
+            if kind == _IS_CAMERA:
+                found[key] = pose
+        yield found
+
+
 def _camera(lens: Lens, q: tuple[float, ...], t: tuple[float, ...], name: str) -> Camera:
     model, width, height, values = lens
     if model not in _MODELS:
