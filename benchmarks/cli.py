@@ -25,6 +25,7 @@ from benchmarks import (
     live,
     machine,
     merge,
+    misalignment,
     moving,
     operations,
     pipelines,
@@ -280,6 +281,36 @@ def live_(
     rows = live.run(plan, lambda what: typer.echo(what, err=True))
     live.save(out, {"rows": [asdict(row) for row in rows]})
     live.show(rows)
+
+
+@app.command("misalignment")
+def misalignment_(
+    scene_names: Annotated[
+        list[str],
+        typer.Argument(metavar="SCENE...", help="Folders of light fields with truth, or scenes of the package."),
+    ],
+    arrays: Annotated[str, typer.Option(metavar="NAME,...", help="Which views are used.")] = ",".join(
+        misalignment.ARRAYS
+    ),
+    disturbances: Annotated[
+        list[str] | None,
+        typer.Option("--misalign", metavar="WHAT", help="As of `lfgpu scene`; may be repeated. Default: five of them."),
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Draws of each disturbance.")] = 1,
+    crop: Annotated[int, typer.Option(min=64, help="Longest side of the middle of the views that is used.")] = 512,
+    preset: Annotated[str, typer.Option(metavar="NAME")] = "accurate",
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Errors of maps with cameras as they should be, misaligned, and lined up by `refine`, with the true range."""
+    if out is not None:
+        check_writable(out, folder=False)
+    chosen = tuple(disturbances or misalignment.DISTURBANCES)
+    plan = misalignment.Plan(tuple(scene_names), tuple(_names(arrays)), chosen, seeds, crop, preset, device)
+    found = misalignment.run(plan, lambda what: typer.echo(what, err=True))
+    about = {"machine": machine.describe(), "versions": machine.versions(), "commit": machine.commit()}
+    live.save(out, {**about, "plan": asdict(plan), "rows": [asdict(row) for row in found]})
+    misalignment.show(found)
 
 
 @app.command("rectify")
