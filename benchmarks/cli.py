@@ -307,9 +307,11 @@ def misalignment_(
         check_writable(out, folder=False)
     chosen = tuple(disturbances or misalignment.DISTURBANCES)
     plan = misalignment.Plan(tuple(scene_names), tuple(_names(arrays)), chosen, seeds, crop, preset, device)
-    found = misalignment.run(plan, lambda what: typer.echo(what, err=True))
     about = {"machine": machine.describe(), "versions": machine.versions(), "commit": machine.commit()}
-    live.save(out, {**about, "plan": asdict(plan), "rows": [asdict(row) for row in found]})
+    found = []
+    for row in misalignment.run(plan, lambda what: typer.echo(what, err=True)):
+        found.append(row)
+        live.save(out, {**about, "plan": asdict(plan), "rows": [asdict(row) for row in found]})  # as far as it is
     misalignment.show(found)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -81,13 +81,12 @@ class Plan:
     device: str | None
 
 
-def run(plan: Plan, say: Say) -> list[Row]:
-    """Measure all disturbances of all arrays of all scenes."""
+def run(plan: Plan, say: Say) -> Iterator[Row]:
+    """Measure all disturbances of all arrays of all scenes, one after the other."""
     for array in plan.arrays:
         if array not in ARRAYS and not _grid(array):
             raise BenchmarkError(f"unknown array {array!r}; there are {', '.join(ARRAYS)} and other ROWSxCOLUMNS.")
     parsed = {how: Misalignment.parse(how) for how in plan.disturbances}
-    rows = []
     for scene in plan.scenes:
         source = _source(scene)
         for array in plan.arrays:
@@ -98,8 +97,7 @@ def run(plan: Plan, say: Say) -> list[Row]:
             for how, misalignment in parsed.items():
                 for seed in range(plan.seeds):
                     say(f"{scene} {array} {how} seed {seed}")
-                    rows.append(_measured(scene, source, array, how, misalignment, seed, right, plan))
-    return rows
+                    yield _measured(scene, source, array, how, misalignment, seed, right, plan)
 
 
 def _measured(
