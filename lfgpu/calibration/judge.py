@@ -260,14 +260,24 @@ class Look:
 
 
 def look(
-    lf: LightField, disparity: NDArray[np.float32], kernels: KernelSet, device: str, *, colours: bool = True
+    lf: LightField,
+    disparity: NDArray[np.float32],
+    kernels: KernelSet,
+    device: str,
+    *,
+    colours: bool = True,
+    axes: bool = True,
 ) -> Look | None:
-    """A quick look at the cameras with the map of the reference view [y, x]; None where texture is too little."""
+    """A quick look at the cameras with the map of the reference view [y, x]; None where texture is too little.
+
+    `colours` says whether tones are told apart by colour, `axes` whether the signs of the axes are looked at, too. While
+    the device is asked for its part, others wait for it; without `axes` that is a small part.
+    """
     with kernels.asking(device):
         points = choose_points(lf, disparity, kernels, device, most=_QUICK_POINTS)
         if len(points.x) < _FEWEST:
             return None
-        wrong = _signs(lf, disparity, points, kernels, device)
+        wrong = _signs(lf, disparity, points, kernels, device) if axes else None
     cameras = _cameras(lf, points, steps=_QUICK_STEPS, colours=colours)
     moved = tuple(_placement(lf, cameras)) if wrong is None else ()
     findings = (*moved, *_brightness(lf, cameras)) if wrong is None else (_SIGNS[wrong],)

@@ -87,7 +87,7 @@ class RigWatch:
                 return self._findings
             lf, result = shown
             try:
-                found = look(lf, result.numpy(), load(DEFAULT), self._stream.device)
+                found = look(lf, result.numpy(), load(DEFAULT), self._stream.device, axes=False)
             except LfgpuError:  # the frame failed, which its own result says
                 return self._findings
             if found is None:  # too little texture to tell
