@@ -270,8 +270,8 @@ def look(
 ) -> Look | None:
     """A quick look at the cameras with the map of the reference view [y, x]; None where texture is too little.
 
-    `colours` says whether tones are told apart by colour, `axes` whether the signs of the axes are looked at, too. While
-    the device is asked for its part, others wait for it; without `axes` that is a small part.
+    `colours` says whether tones are told apart by colour, `axes` whether the signs of the axes are looked at, too.
+    While the device is asked for its part, others wait for it; without `axes` that is a small part.
     """
     with kernels.asking(device):
         points = choose_points(lf, disparity, kernels, device, most=_QUICK_POINTS)
