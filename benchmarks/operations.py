@@ -21,6 +21,7 @@ from lfgpu.methods.structure_tensor import structure_filters
 _PAIRS = 10  # that the method's L-BFGS remembers
 _TOLERANCE = 1e-4  # relative error of operations in float32, at any size
 _FLOOR = 1e-3  # of what is divided by: there is no division by 0
+_MARGIN = 0.02  # of costs between 0 and 0.05
 _UNIT = 0.004  # intensity: the noise in whose units costs are
 _RIDGE = 0.5  # pixels squared
 _EDGE = 0.3  # pixels per view step: larger differences are depth edges
@@ -318,6 +319,7 @@ def _planned_sweep(on: Desk) -> PlaneSweep:
         preference=config.view_set_penalty,
         tolerance=config.tolerance / farthest(places),
         least=max(1, math.ceil(config.min_share * (len(places) - 1))),
+        rise=config.far_preference * config.noise,
     )
     sweep.load(a["image"], a["views"], None)
     return sweep
@@ -330,7 +332,7 @@ def _sweep_by_view_sets(on: Desk) -> Work:
 
 def _sweep_by_visibility(on: Desk) -> Work:
     sweep, a = _planned_sweep(on), on.arrays
-    return Work(lambda: sweep.by_visibility(a["nearest"], a["volume_out"]))
+    return Work(lambda: sweep.by_visibility(a["nearest"], a["certain"], a["volume_out"]))
 
 
 def _nlm_average(on: Desk) -> Work:
@@ -356,6 +358,12 @@ def _semi_global(on: Desk) -> Work:
 def _row(on: Desk) -> dict[str, float]:
     """First and distance of the disparities of the volume."""
     return {"first": -LARGEST_DISPARITY, "step": 2 * LARGEST_DISPARITY / (on.shapes["volume"][0] - 1)}
+
+
+def _farthest_as_good(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    options = {**_row(on), "margin": _MARGIN}
+    return Work(lambda: k.farthest_as_good(a["volume"], a["levels"], **options, disparity_out=a["farthest"]))
 
 
 def _least_costs(on: Desk) -> Work:
@@ -502,12 +510,18 @@ OPERATIONS = (
         trusted=("coherence", CONFIG.local.coherence_threshold),
     ),
     Operation("plane_sweep_by_view_sets", _VIEWS, (Slot("volume_out", "lyx"),), _sweep_by_view_sets),
-    Operation("plane_sweep_by_visibility", (*_VIEWS, _NEAREST), (Slot("volume_out", "lyx"),), _sweep_by_visibility),
+    Operation(
+        "plane_sweep_by_visibility",
+        (*_VIEWS, _NEAREST, Slot("certain", "nyx")),
+        (Slot("volume_out", "lyx"),),
+        _sweep_by_visibility,
+    ),
     Operation("nlm_average", (Slot("near_weights", "wyx"), _VOLUME), (Slot("average", "lyx"),), _nlm_average),
     Operation(
         "semi_global", (_VOLUME, _IMAGE, Slot("other_values", "yx")), (Slot("sum", "lyx"),), _semi_global, local=False
     ),
     Operation("least_costs", (_VOLUME,), (Slot("least", "yx"),), _least_costs),
+    Operation("farthest_as_good", (_VOLUME, Slot("levels", "yx")), (Slot("farthest", "yx"),), _farthest_as_good),
     Operation("winner_takes_all", (_VOLUME,), (Slot("disparity_out", "yx"),), _winner_takes_all),
     Operation("evidence", (_VOLUME, _LAYERS), (Slot("cost", "yx"), Slot("evidence", "yx")), _evidence),
     Operation(

@@ -195,10 +195,11 @@ def test_traffic_of_matching_counts_labels_views_and_neighbours() -> None:
     image, views, offsets, volume, nearest = 12 * pixels, 27 * pixels, 9 * 2 * 4, 36 * pixels, 36 * pixels
     for name, bytes_ in {
         "plane_sweep_by_view_sets": image + views + offsets + volume,
-        "plane_sweep_by_visibility": image + views + offsets + nearest + volume,
+        "plane_sweep_by_visibility": image + views + offsets + 2 * nearest + volume,
         "nlm_average": 16 * pixels + 2 * volume,
         "semi_global": 2 * volume + image + 4 * pixels,
         "least_costs": volume + 4 * pixels,
+        "farthest_as_good": volume + 8 * pixels,
         "evidence": volume + 12 * pixels,
         "judge": 12 * pixels,
         "nlm_plane": 160 * pixels + 12 * pixels,

@@ -75,6 +75,7 @@ class PlaneSweep:
         preference: float,
         tolerance: float,
         least: int,
+        rise: float,
     ) -> None:
         self._view_sets = view_sets != 0
         self._disparities = first + step * np.arange(count)
@@ -82,7 +83,7 @@ class PlaneSweep:
         self._others = np.flatnonzero(np.hypot(*offsets.T) > LEAST_OFFSET)
         self._scale, self._truncation = scale, truncation
         self._weight, self._gradient_truncation = gradient_weight, gradient_truncation
-        self._preference, self._tolerance, self._least = preference, tolerance, least
+        self._preference, self._tolerance, self._least, self._rise = preference, tolerance, least, rise
         self._most = (truncation + gradient_weight * gradient_truncation) / (1 + gradient_weight)
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
@@ -100,15 +101,17 @@ class PlaneSweep:
             means[1:] = means[1:] * (1 + self._preference) + PENALTY
             slice_out[:] = means.min(0)
 
-    def by_visibility(self, nearest: Array, volume_out: Array) -> None:
+    def by_visibility(self, nearest: Array, certain: Array, volume_out: Array) -> None:
         for label, slice_out in enumerate(volume_out):
-            total, count = np.zeros(slice_out.shape), np.zeros(slice_out.shape)
+            total, count = np.zeros((2, *slice_out.shape)), np.zeros((2, *slice_out.shape))
             for compared in self._compared(label):
-                surface = nearest[compared.view][compared.nearest]
-                sees = compared.inside & (self._disparities[label] >= surface - self._tolerance)
-                total += np.where(sees, compared.cost, 0)
-                count += sees
-            slice_out[:] = np.where(count >= self._least, total / np.maximum(count, 1), self._most)
+                for i, front in enumerate((nearest, certain)):
+                    surface = front[compared.view][compared.nearest]
+                    sees = compared.inside & (self._disparities[label] >= surface - self._tolerance)
+                    total[i] += np.where(sees, compared.cost, 0)
+                    count[i] += sees
+            means = np.where(count >= self._least, total / np.maximum(count, 1), self._most)
+            slice_out[:] = means.min(0) + label * self._rise
 
     def _compared(self, label: int) -> Iterator[Compared]:
         """Each view but the reference."""
@@ -141,6 +144,7 @@ def plane_sweep(
     preference: float,
     tolerance: float,
     least: int,
+    rise: float,
 ) -> PlaneSweep:
     return PlaneSweep(
         offsets,
@@ -155,4 +159,5 @@ def plane_sweep(
         preference,
         tolerance,
         least,
+        rise,
     )

@@ -6,7 +6,7 @@ from .alignment import alignment, z_buffer
 from .boundaries import refine_boundaries
 from .confidence import evidence, judge
 from .control import asking, capture, is_deterministic, repeat
-from .cost_volume import least_costs, nlm_average, winner_takes_all
+from .cost_volume import farthest_as_good, least_costs, nlm_average, winner_takes_all
 from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_plane, nlm_ratio, nlm_weights
@@ -42,6 +42,7 @@ __all__ = [
     "dot",
     "dtype",
     "evidence",
+    "farthest_as_good",
     "field",
     "fill",
     "image",

@@ -5,7 +5,7 @@ differences from the reference view, then the costs of these. Views that belong 
 first, and then once to each of these.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the 
 _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 _TOGETHER = 32  # views at a time on a GPU, so that there are few launches
 _TOGETHER_CPU = 4  # so that what lies between two kernels stays in a cache
+_SURFACES = 2  # past which views see a pixel: the nearest one, and what is certain of it
 _BLOCK = 64  # pixels of a row at a time on a CPU, so that what they share is worked out once
 
 
@@ -112,13 +113,13 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
     """A thread computes `block` pixels that lie one after the other."""
 
     @ti.func
-    def part_of(valid: ti.template(), nearest: ti.template(), deepest: float, near: int):
+    def part_of(valid: ti.template(), surface: ti.template(), deepest: float, near: int):
         """1 where the view takes part, else 0."""
         part = 1.0
         if ti.static(masked):
             part = ti.select(valid[near] != 0.0, part, 0.0)
         if ti.static(seen):
-            part = ti.select(nearest[near] <= deepest, part, 0.0)
+            part = ti.select(surface[near] <= deepest, part, 0.0)
         return part
 
     @ti.kernel
@@ -126,6 +127,7 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
         differences: flat(),
         valid: flat(),
         nearest: flat(),
+        certain: flat(),
         shifts: flat(ti.f64),
         members: flat(ti.f64),
         view_sets: int,
@@ -144,7 +146,8 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
         """Add the views from `begin` to before `end`, whose shifts lie from `first` on; at 0 begin anew.
 
         `members` are for each view its view_sets and, last, whether it is the last one of these. What they add up to is
-        a cost and a count for each pixel: `group_out` [2, y, x] and `sums_out` [view_sets, 2, y, x].
+        a cost and a count for each pixel: `group_out` [2, y, x] and `sums_out` [view_sets, 2, y, x]. Of a sweep of what
+        is seen, the sums [2, 2, y, x] are those past `nearest` and past `certain`.
         """
         size = height * width
         blocks = (width + block - 1) // block
@@ -186,19 +189,50 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
                     cost = ti.min(color / channels, truncation)
                     cost += gradient_weight * ti.min(slope / (4 * channels), gradient_truncation)
                     part = part_of(valid, nearest, deepest, to + x)
-                    group_out[here + x] += part * cost
-                    group_out[size + here + x] += part
-                if k + 1 == end or members[k * (view_sets + 1) + view_sets] != 0.0:
-                    for m in range(view_sets):
-                        if members[k * (view_sets + 1) + m] != 0.0:
-                            for x in range(left, right):
-                                sums_out[2 * m * size + here + x] += group_out[here + x]
-                                sums_out[(2 * m + 1) * size + here + x] += group_out[size + here + x]
-                    for x in range(left, right):
-                        group_out[here + x] = 0.0
-                        group_out[size + here + x] = 0.0
+                    if ti.static(seen):
+                        sums_out[here + x] += part * cost
+                        sums_out[size + here + x] += part
+                        past = part_of(valid, certain, deepest, to + x)
+                        sums_out[2 * size + here + x] += past * cost
+                        sums_out[3 * size + here + x] += past
+                    else:
+                        group_out[here + x] += part * cost
+                        group_out[size + here + x] += part
+                if ti.static(not seen):
+                    if k + 1 == end or members[k * (view_sets + 1) + view_sets] != 0.0:
+                        for m in range(view_sets):
+                            if members[k * (view_sets + 1) + m] != 0.0:
+                                for x in range(left, right):
+                                    sums_out[2 * m * size + here + x] += group_out[here + x]
+                                    sums_out[(2 * m + 1) * size + here + x] += group_out[size + here + x]
+                        for x in range(left, right):
+                            group_out[here + x] = 0.0
+                            group_out[size + here + x] = 0.0
 
     return cost_kernel
+
+
+@ti.kernel
+def _seen_kernel(
+    sums: flat(),
+    truncation: float,
+    gradient_weight: float,
+    gradient_truncation: float,
+    least: float,
+    rise: float,
+    first: int,
+    size: int,
+    volume_out: flat(),
+):
+    """The smaller mean past either surface plus `rise`, to the slice of the volume that begins at `first`."""
+    fade = 1.0 / (1.0 + gradient_weight)
+    for p in range(size):
+        lowest = fade * (truncation + gradient_weight * gradient_truncation)
+        for m in ti.static(range(_SURFACES)):
+            count = sums[(2 * m + 1) * size + p]
+            if count >= least:
+                lowest = ti.min(lowest, fade * sums[2 * m * size + p] / count)
+        volume_out[first + p] = lowest + rise
 
 
 @ti.kernel
@@ -209,7 +243,6 @@ def _least_kernel(
     gradient_weight: float,
     gradient_truncation: float,
     preference: float,
-    least: float,
     first: int,
     size: int,
     volume_out: flat(),
@@ -218,7 +251,7 @@ def _least_kernel(
     fade = 1.0 / (1.0 + gradient_weight)
     for p in range(size):
         lowest = fade * (truncation + gradient_weight * gradient_truncation)
-        if sums[size + p] >= least:
+        if sums[size + p] > 0.0:
             lowest = fade * sums[p] / sums[size + p]
         for m in range(1, view_sets):
             count = sums[(2 * m + 1) * size + p]
@@ -249,9 +282,10 @@ class _PlaneSweep:
         preference: float,
         tolerance: float,
         least: int,
+        rise: float,
     ) -> None:
         self._shape, self._scale, self._limits = tuple(shape), scale, limits
-        self._preference, self._least = preference, float(least)
+        self._preference, self._least, self._rise = preference, float(least), rise
         places, belongs = numpy(offsets), numpy(view_sets).T != 0
         others = np.flatnonzero(np.hypot(*places.T) > _LEAST_OFFSET)
         others = others[np.lexsort(belongs[others].T)]
@@ -262,7 +296,6 @@ class _PlaneSweep:
         self._views, self._view_sets = len(others), belongs.shape[1]
         self._shifts = _table(np.concatenate([views, whole, shifts - whole], axis=2))
         self._members = _table(np.concatenate([members, ends[:, None]], axis=1))
-        self._together = _table(np.tile([1.0, 0.0], (len(others), 1)))
         self._deepest = [float(d) for d in first + step * np.arange(count) + tolerance]
         _, height, width, channels = self._shape
         self._batch = max(1, min(self._views, _TOGETHER_CPU if on_cpu() else _TOGETHER))
@@ -270,7 +303,7 @@ class _PlaneSweep:
         self._image = empty((channels, height, width))
         self._differences = empty((self._batch, channels, height, width))
         self._group = empty((2, height, width))
-        self._sums = empty((self._view_sets, 2, height, width))
+        self._sums = empty((max(self._view_sets, _SURFACES), 2, height, width))
         self._recorded: Any = None
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
@@ -282,21 +315,21 @@ class _PlaneSweep:
         self._valid = valid
 
     def by_view_sets(self, volume_out: DeviceArray) -> None:
-        self._sweep(None, self._members, self._view_sets, 1.0, volume_out)
+        size = volume_out.shape[1] * volume_out.shape[2]
+        for label in self._swept(None, None, self._view_sets):
+            numbers = *self._limits, self._preference, label * size, size
+            run(_least_kernel, self._sums.values, self._view_sets, *numbers, volume_out.values)
 
-    def by_visibility(self, nearest: DeviceArray, volume_out: DeviceArray) -> None:
-        self._sweep(nearest, self._together, 1, self._least, volume_out)
+    def by_visibility(self, nearest: DeviceArray, certain: DeviceArray, volume_out: DeviceArray) -> None:
+        size = volume_out.shape[1] * volume_out.shape[2]
+        for label in self._swept(nearest, certain, _SURFACES):
+            numbers = *self._limits, self._least, label * self._rise, label * size, size
+            run(_seen_kernel, self._sums.values, *numbers, volume_out.values)
 
-    def _sweep(
-        self,
-        nearest: DeviceArray | None,
-        members: DeviceArray,
-        view_sets: int,
-        least: float,
-        volume_out: DeviceArray,
-    ) -> None:
+    def _swept(self, nearest: DeviceArray | None, certain: DeviceArray | None, sums_of: int) -> Iterator[int]:
+        """The number of each disparity, whose sums are then in `_sums`."""
         _, height, width, channels = self._shape
-        (mask, masked), (surface, seen), size = optional(self._valid), optional(nearest), height * width
+        (mask, masked), (surface, seen), (sure, _) = optional(self._valid), optional(nearest), optional(certain)
         differ = _difference_kernel(self._recorded.scalar, self._block)
         add = _cost_kernel(channels, masked, seen, self._block)
         shifts, differences, sums = self._shifts.values, self._differences.values, self._sums.values
@@ -306,10 +339,18 @@ class _PlaneSweep:
                 end = min(begin + self._batch, self._views)
                 images, these = (self._recorded.values, self._image.values), (first + begin, end - begin)
                 run(differ, *images, shifts, *these, channels, height, width, self._scale, differences)
-                inputs = differences, mask, surface, shifts, members.values, view_sets, first, begin, end, height, width
-                run(add, *inputs, *self._limits, deepest, self._group.values, sums)
-            numbers = *self._limits, self._preference, least, label * size, size
-            run(_least_kernel, sums, view_sets, *numbers, volume_out.values)
+                inputs = differences, mask, surface, sure, shifts, self._members.values
+                run(
+                    add,
+                    *inputs,
+                    sums_of,
+                    *(first, begin, end, height, width),
+                    *self._limits,
+                    deepest,
+                    self._group.values,
+                    sums,
+                )
+            yield label
 
 
 def plane_sweep(
@@ -327,6 +368,7 @@ def plane_sweep(
     preference: float,
     tolerance: float,
     least: int,
+    rise: float,
 ) -> PlaneSweep:
     limits = truncation, gradient_weight, gradient_truncation
-    return _PlaneSweep(shape, offsets, view_sets, first, step, count, scale, limits, preference, tolerance, least)
+    return _PlaneSweep(shape, offsets, view_sets, first, step, count, scale, limits, preference, tolerance, least, rise)

@@ -279,3 +279,52 @@ def _lowest_kernel(block: int) -> Any:
 
 def winner_takes_all(volume: Any, *, first: float, step: float, disparity_out: Any) -> None:
     launch_rows(_lowest_kernel(_BLOCK if volume.device.is_cpu else 1), [volume, first, step], disparity_out)
+
+
+_FARTHEST = """
+    const int width = volume.shape[2], count = volume.shape[0];
+    const size_t size = (size_t)volume.shape[1] * width;
+    const float* const costs = volume.data + (size_t)y * width + x;
+    const float here = disparity.data[(size_t)y * width + x];
+    const int place = (int)floorf((here - first) / step + 0.5f), k = place < 0 ? 0 : place < count ? place : count - 1;
+    const float most = costs[k * size] + margin;
+    int j = k;
+    while (j > 0 && costs[(j - 1) * size] <= most) --j;
+    farthest.data[(size_t)y * width + x] = j < k ? first + step * j : here;
+"""
+
+
+@wp.func_native(_FARTHEST)
+def _farthest_of(
+    volume: wp.array3d(dtype=float),
+    disparity: wp.array2d(dtype=float),
+    y: int,
+    x: int,
+    first: float,
+    step: float,
+    margin: float,
+    farthest: wp.array2d(dtype=float),
+): ...
+
+
+@wp.kernel(module="lfgpu_farthest", enable_backward=False)
+def _farthest_kernel(
+    volume: wp.array3d(dtype=float),
+    disparity: wp.array2d(dtype=float),
+    first: float,
+    step: float,
+    margin: float,
+    row: int,
+    lanes: int,
+    disparity_out: wp.array2d(dtype=float),
+):
+    i = wp.tid()
+    y = row + i / lanes
+    for x in range(i % lanes, volume.shape[2], lanes):
+        _farthest_of(volume, disparity, y, x, first, step, margin, disparity_out)
+
+
+def farthest_as_good(
+    volume: Any, disparity: Any, *, first: float, step: float, margin: float, disparity_out: Any
+) -> None:
+    launch_rows(_farthest_kernel, [volume, disparity, first, step, margin], disparity_out)

@@ -54,7 +54,8 @@ _SWEEP_STRIP = """
     for (int r = 0; r < STRIP + 2; ++r)
         for (int c = 0; c < CHANNELS; ++c)
             color[r][c] = image.data[within(y + r - 1, height) * width + column].c[c];
-    float cost[STRIP] = {}, number[STRIP] = {}, sums[APERTURES][STRIP] = {}, counts[APERTURES][STRIP] = {};
+    // Of a sweep of what is seen, the sums are those past either surface; of one by view sets, those of each set.
+    float cost[STRIP] = {}, number[STRIP] = {}, sums[SETS][STRIP] = {}, counts[SETS][STRIP] = {};
     const float deepest = limits.data[l];
 
     for (int k = 0; k < count; ++k) {
@@ -94,8 +95,12 @@ _SWEEP_STRIP = """
                 const int row = y + r - 2;
                 const bool first = r == 2 && row == 0, last = row == height - 1;
                 bool takes = part && inside && (unsigned)(row + dy) < rows_inside;
-                float front = 0.f;  // asked for before there is something else to do
-                if (SEEN && takes) front = nearest.data[n * plane + (row + dy + down) * width + x + dx + right];
+                float front = 0.f, sure = 0.f;  // asked for before there is something else to do
+                if (SEEN && takes) {
+                    const size_t there = n * plane + (row + dy + down) * width + x + dx + right;
+                    front = nearest.data[there];
+                    sure = certain.data[there];
+                }
                 float size = 0.f, slope = 0.f, along = 0.f;
                 for (int c = 0; c < CHANNELS; ++c) {
                     along += fabsf(__shfl_down_sync(~0u, here[c], 2) - here[c]);  // of the column to the right
@@ -105,8 +110,16 @@ _SWEEP_STRIP = """
                 slope += __shfl_up_sync(~0u, along, 1);
                 const float robust = fminf(size * (1.f / CHANNELS), truncation)
                     + gradient_weight * fminf(slope * (0.25f / CHANNELS), gradient_truncation);
-                if (SEEN) takes = takes && front <= deepest;
-                if (takes) {
+                if (SEEN) {
+                    if (takes && front <= deepest) {
+                        sums[0][r - 2] += robust;
+                        counts[0][r - 2] += 1.f;
+                    }
+                    if (takes && sure <= deepest) {
+                        sums[SETS - 1][r - 2] += robust;
+                        counts[SETS - 1][r - 2] += 1.f;
+                    }
+                } else if (takes) {
                     cost[r - 2] += robust;
                     number[r - 2] += 1.f;
                 }
@@ -118,10 +131,10 @@ _SWEEP_STRIP = """
             part = next_part;
         }
 
-        if (k + 1 == count || members.data[k + 1] != members.data[k]) {
+        if (!SEEN && (k + 1 == count || members.data[k + 1] != members.data[k])) {
             const unsigned bits = members.data[k];
             #pragma unroll
-            for (int m = 0; m < APERTURES; ++m)
+            for (int m = 0; m < SETS; ++m)
                 if (bits >> m & 1u)
                     for (int r = 0; r < STRIP; ++r) {
                         sums[m][r] += cost[r];
@@ -139,9 +152,12 @@ _SWEEP_STRIP = """
         if (y + r >= height) break;
         float lowest = counts[0][r] >= least ? fade * sums[0][r] / counts[0][r] : most;
         #pragma unroll
-        for (int m = 1; m < APERTURES; ++m)
-            if (counts[m][r] > 0.f)
+        for (int m = 1; m < SETS; ++m)
+            if (SEEN && counts[m][r] >= least)
+                lowest = fminf(lowest, fade * sums[m][r] / counts[m][r]);
+            else if (!SEEN && counts[m][r] > 0.f)
                 lowest = fminf(lowest, (1.f + preference) * (fade * sums[m][r] / counts[m][r]) + PENALTY);
+        lowest += rise * l;
         volume.data[l * plane + (size_t)(y + r) * width + x] = lowest;
     }
 """
@@ -182,13 +198,13 @@ def pack_kernel(channels: int, stored: Any) -> Any:
 
 
 @once
-def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty: float) -> Any:
-    """The kernel for so many view_sets; if `seen`, views count where `nearest` lets them see the pixel."""
+def sweep_kernel(channels: int, stored: Any, sums: int, seen: bool, penalty: float) -> Any:
+    """The kernel for so many sums: of view sets or, if `seen`, of views that see a pixel past either surface."""
     pixel, kept_pixel = pixel_type(channels), kept_type(channels, stored)
     code = _SWEEP_STRIP
     for name, value in (
         ("CHANNELS", channels),
-        ("APERTURES", view_sets),
+        ("SETS", sums),
         ("COLUMNS", _COLUMNS),
         ("STRIP", _STRIPS[seen]),
         ("PENALTY", f"{penalty}f"),
@@ -205,6 +221,7 @@ def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty
         views: wp.array3d(dtype=kept_pixel),
         image: wp.array2d(dtype=pixel),
         nearest: wp.array3d(dtype=float),
+        certain: wp.array3d(dtype=float),
         order: wp.array(dtype=int),
         members: wp.array(dtype=int),
         shifts: wp.array2d(dtype=wp.vec4f),
@@ -215,17 +232,19 @@ def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty
         gradient_truncation: float,
         preference: float,
         least: float,
+        rise: float,
         thread: int,
         volume: wp.array3d(dtype=float),
     ): ...
 
-    module = f"lfgpu_gpu_plane_sweep_{channels}_{stored.__name__}_{view_sets}_{seen:d}"
+    module = f"lfgpu_gpu_plane_sweep_{channels}_{stored.__name__}_{sums}_{seen:d}"
 
     @wp.kernel(module=module, enable_backward=False)
     def sweep(
         views: wp.array3d(dtype=kept_pixel),
         image: wp.array2d(dtype=pixel),
         nearest: wp.array3d(dtype=float),
+        certain: wp.array3d(dtype=float),
         order: wp.array(dtype=int),
         members: wp.array(dtype=int),
         shifts: wp.array2d(dtype=wp.vec4f),
@@ -236,12 +255,14 @@ def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty
         gradient_truncation: float,
         preference: float,
         least: float,
+        rise: float,
         volume_out: wp.array3d(dtype=float),
     ):
         sweep_strip(
             views,
             image,
             nearest,
+            certain,
             order,
             members,
             shifts,
@@ -252,6 +273,7 @@ def sweep_kernel(channels: int, stored: Any, view_sets: int, seen: bool, penalty
             gradient_truncation,
             preference,
             least,
+            rise,
             wp.tid(),
             volume_out,
         )

@@ -25,6 +25,7 @@ wp.set_module_options({"enable_backward": False})
 _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
 _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 _STRIP = 16  # rows of sums that stay in a cache of a CPU
+_SURFACES = 2  # past which views see a pixel: the nearest one, and what is certain of it
 
 _SWEEP = """
     const int height = image.shape[1], width = image.shape[2], views_there = order.shape[0];
@@ -36,6 +37,7 @@ _SWEEP = """
     float* const levels = differences + (size_t)3 * CHANNELS * wide;  // [2, CHANNELS, width], between two columns
     float* const group = levels + (size_t)2 * CHANNELS * width;       // [2, STRIP, width]: cost and count
     float* const sums = group + 2 * strip;                            // [view_sets, 2, STRIP, width]
+    const bool seen = nearest.data;                                   // the sums are those past either surface
     auto least_of = [](auto a, auto b) { return a < b ? a : b; };
     auto size_of = [](float a) { return a < 0.f ? -a : a; };
     auto within = [](int i, int size) { return i < 0 ? 0 : i < size ? i : size - 1; };
@@ -102,10 +104,15 @@ _SWEEP = """
                 const int near_x = dx + (ax >= 0.5f);
                 const float* const mask = valid.data + near;
                 const float* const surface = nearest.data + near;
+                const float* const sure = certain.data + near;
                 const float deepest = limits.data[l];
-                float* const cost = group + (size_t)(y - top) * width;
+                float* const cost = (seen ? sums : group) + (size_t)(y - top) * width;
                 float* const count = cost + strip;
-                auto add = [&](auto takes_part) {
+                float* const past_cost = cost + 2 * strip;
+                float* const past_count = cost + 3 * strip;
+                struct One { enum { both = 0 }; };
+                struct Both { enum { both = 1 }; };
+                auto add = [&](auto surfaces, auto takes_part, auto sees, auto past) {
                     #pragma clang loop vectorize(assume_safety)
                     for (int x = left; x < right; ++x) {
                         float color = 0.f, slope = 0.f;
@@ -115,24 +122,29 @@ _SWEEP = """
                             color += size_of(here[i]);
                             slope += size_of(here[i + 1] - here[i - 1]) + size_of(below[i] - above[i]);
                         }
-                        const float part = takes_part(x) ? 1.f : 0.f;
+                        const float part = takes_part(x) && sees(x) ? 1.f : 0.f;
                         const float robust = least_of(color * (1.f / CHANNELS), truncation)
                             + gradient_weight * least_of(slope * (0.25f / CHANNELS), gradient_truncation);
                         cost[x] += part * robust;
                         count[x] += part;
+                        if constexpr (decltype(surfaces)::both) {
+                            const float also = takes_part(x) && past(x) ? 1.f : 0.f;
+                            past_cost[x] += also * robust;
+                            past_count[x] += also;
+                        }
                     }
                 };
-                if (nearest.data && valid.data)
-                    add([&](int x) { return mask[x + near_x] != 0.f && surface[x + near_x] <= deepest; });
-                else if (nearest.data)
-                    add([&](int x) { return surface[x + near_x] <= deepest; });
-                else if (valid.data)
-                    add([&](int x) { return mask[x + near_x] != 0.f; });
-                else
-                    add([&](int x) { return true; });
+                auto all = [](int) { return true; };
+                auto recorded = [&](int x) { return mask[x + near_x] != 0.f; };
+                auto sees = [&](int x) { return surface[x + near_x] <= deepest; };
+                auto past = [&](int x) { return sure[x + near_x] <= deepest; };
+                if (seen && valid.data) add(Both(), recorded, sees, past);
+                else if (seen) add(Both(), all, sees, past);
+                else if (valid.data) add(One(), recorded, all, all);
+                else add(One(), all, all, all);
             }
 
-            if (k + 1 == views_there || members.data[k + 1] != members.data[k])
+            if (!seen && (k + 1 == views_there || members.data[k + 1] != members.data[k]))
                 for (int m = 0; m < view_sets; ++m)
                     if ((unsigned)members.data[k] >> m & 1u) {
                         float* const total = sums + m * 2 * strip;
@@ -146,11 +158,13 @@ _SWEEP = """
         for (int m = 0; m < view_sets; ++m) {
             const float* const total = sums + m * 2 * strip;
             const float* const count = total + strip;
-            const float factor = m ? 1.f + preference : 1.f, penalty = m ? PENALTY : 0.f, needed = m ? 1.f : least;
+            const bool preferred = m == 0 || seen;
+            const float factor = preferred ? 1.f : 1.f + preference, penalty = preferred ? rise * l : PENALTY;
+            const float needed = preferred ? least : 1.f;
             #pragma clang loop vectorize(assume_safety)
             for (int i = 0; i < pixels; ++i) {
                 const float mean = fade * total[i] / (count[i] > 1.f ? count[i] : 1.f);
-                const float value = count[i] >= needed ? factor * mean + penalty : most;
+                const float value = count[i] >= needed ? factor * mean + penalty : most + (preferred ? penalty : 0.f);
                 out[i] = m == 0 || value < out[i] ? value : out[i];
             }
         }
@@ -191,6 +205,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
         image: wp.array3d(dtype=float),
         valid: wp.array3d(dtype=float),
         nearest: wp.array3d(dtype=float),
+        certain: wp.array3d(dtype=float),
         order: wp.array(dtype=int),
         members: wp.array(dtype=int),
         shifts: wp.array2d(dtype=wp.vec4f),
@@ -202,6 +217,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
         gradient_truncation: float,
         preference: float,
         least: float,
+        rise: float,
         first: int,
         last: int,
         room: wp.array(dtype=float),
@@ -214,6 +230,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
         image: wp.array3d(dtype=float),
         valid: wp.array3d(dtype=float),
         nearest: wp.array3d(dtype=float),
+        certain: wp.array3d(dtype=float),
         order: wp.array(dtype=int),
         members: wp.array(dtype=int),
         shifts: wp.array2d(dtype=wp.vec4f),
@@ -225,6 +242,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
         gradient_truncation: float,
         preference: float,
         least: float,
+        rise: float,
         first: int,
         last: int,
         room: wp.array(dtype=float),
@@ -236,6 +254,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
             image,
             valid,
             nearest,
+            certain,
             order,
             members,
             shifts,
@@ -247,6 +266,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
             gradient_truncation,
             preference,
             least,
+            rise,
             first,
             last,
             room,
@@ -269,9 +289,11 @@ class _PlaneSweep:
         count: int,
         tolerance: float,
         least: int,
+        rise: float,
         numbers: list[float],
     ) -> None:
-        self._shape, self._device, self._least, self._numbers = tuple(shape), offsets.device, float(least), numbers
+        self._shape, self._device, self._numbers = tuple(shape), offsets.device, numbers
+        self._least, self._rise = float(least), rise
         places, belongs = offsets.numpy(), view_sets.numpy() != 0
         self._view_sets, self._count = len(belongs), count
         bits = np.left_shift(np.uint32(1), np.arange(len(belongs), dtype=np.uint32))
@@ -282,7 +304,6 @@ class _PlaneSweep:
         whole, deepest = np.floor(shifts), first + step * np.arange(count) + tolerance
         self._order = self._array(others.astype(np.int32), int)
         self._members = self._array(members[others].view(np.int32), int)
-        self._together = self._array(np.ones(len(others), np.int32), int)
         self._shifts = self._array(np.concatenate([whole, shifts - whole], axis=2).astype(np.float32), wp.vec4f)
         self._deepest = self._array(deepest.astype(np.float32), float)
         self._stored: Any = None
@@ -316,7 +337,7 @@ class _PlaneSweep:
             self._views = wp.empty((n, height, width), dtype=kept_type(channels, stored), device=self._device)
             self._pack = pack_kernel(channels, stored)
             self._kernel = {
-                seen: sweep_kernel(channels, stored, 1 if seen else self._view_sets, seen, _PENALTY)
+                seen: sweep_kernel(channels, stored, _SURFACES if seen else self._view_sets, seen, _PENALTY)
                 for seen in (False, True)
             }
             return
@@ -324,29 +345,29 @@ class _PlaneSweep:
         self._views = wp.empty((n, channels, height, width), dtype=_kept(stored), device="cpu")
         self._image = wp.empty((channels, height, width), dtype=float, device="cpu")
         differences, levels = 3 * channels * (width + 2), 2 * channels * width
-        size = differences + levels + 2 * (1 + self._view_sets) * _STRIP * width
+        size = differences + levels + 2 * (1 + max(self._view_sets, _SURFACES)) * _STRIP * width
         self._room = wp.empty((len(slices(self._device, height)), size), dtype=float, device="cpu")
 
     def by_view_sets(self, volume_out: Any) -> None:
-        self._sweep(None, self._members, self._view_sets, 1.0, volume_out)
+        self._sweep(None, None, self._view_sets, 1.0, 0.0, volume_out)
 
-    def by_visibility(self, nearest: Any, volume_out: Any) -> None:
-        self._sweep(nearest, self._together, 1, self._least, volume_out)
+    def by_visibility(self, nearest: Any, certain: Any, volume_out: Any) -> None:
+        self._sweep(nearest, certain, _SURFACES, self._least, self._rise, volume_out)
 
-    def _sweep(self, nearest: Any, members: Any, view_sets: int, least: float, volume_out: Any) -> None:
+    def _sweep(self, nearest: Any, certain: Any, sums: int, least: float, rise: float, volume_out: Any) -> None:
         _, height, width, _ = self._shape
-        planned = [nearest, self._order, members, self._shifts, self._deepest]
+        planned = [nearest, certain, self._order, self._members, self._shifts, self._deepest]
         if not self._device.is_cpu:
             seen = nearest is not None
             kernel, dim = self._kernel[seen], threads_of(self._count, height, width, seen=seen)
-            inputs = [self._views, self._image, *planned, *self._numbers, least]
+            inputs = [self._views, self._image, *planned, *self._numbers, least, rise]
             wp.launch(kernel, dim, inputs, [volume_out], device=self._device, block_dim=BLOCK)
             return
         views = [self._views, self._image, self._valid]
         load(self._device, self._kernels.sweep)
 
         def some_rows(k: int, first: int, last: int) -> None:
-            inputs = [*views, *planned, view_sets, *self._numbers, least, first, last, self._room[k]]
+            inputs = [*views, *planned, sums, *self._numbers, least, rise, first, last, self._room[k]]
             wp.launch(self._kernels.sweep, 1, inputs, [volume_out], device="cpu")
 
         in_slices(self._device, height, some_rows)
@@ -367,6 +388,7 @@ def plane_sweep(
     preference: float,
     tolerance: float,
     least: int,
+    rise: float,
 ) -> PlaneSweep:
     numbers = [scale, truncation, gradient_weight, gradient_truncation, preference]
-    return _PlaneSweep(shape, offsets, view_sets, first, step, count, tolerance, least, numbers)
+    return _PlaneSweep(shape, offsets, view_sets, first, step, count, tolerance, least, rise, numbers)

@@ -41,11 +41,14 @@ class PlaneSweep(Protocol):
         nearer surface hides p from some views, a set without these views still sees it.
         """
 
-    def by_visibility(self, nearest: Array, volume_out: Array) -> None:
-        """volume [l, y, x]: the mean of c_n over the views that take part and see p at d_l, if there are `least`.
+    def by_visibility(self, nearest: Array, certain: Array, volume_out: Array) -> None:
+        """volume [l, y, x]: the smaller of two mean costs, plus l * rise.
 
-        View n sees it if d_l >= nearest [n, y, x] - tolerance at the pixel nearest to p - d_l o_n: see
-        `KernelSet.z_buffer`.
+        The first is the mean of c_n over the views that take part and see p at d_l past the surface in `nearest`, the
+        second that over the views that see it past the surface in `certain`; each only if these are `least` views.
+        View n sees it if d_l >= nearest [n, y, x] - tolerance at the pixel nearest to p - d_l o_n, and likewise for
+        `certain`: see `KernelSet.z_buffer`. Where a surface might lie farther away than `nearest` says, `certain` has
+        it farther away, and hides less.
         """
 
 
@@ -103,10 +106,12 @@ class Matching(Protocol):
         preference: float,
         tolerance: float,
         least: int,
+        rise: float,
     ) -> PlaneSweep:
         """Plan a sweep over views of `shape` [n, y, x, c]; `view_sets` [m, n] is a field of 1 and 0, row 0 all 1.
 
-        There are at most 32 view_sets; truncations, weight, preference and tolerance are >= 0, `count` and `least` > 0.
+        There are at most 32 view_sets; truncations, weight, preference, tolerance and rise are >= 0, `count` and
+        `least` > 0.
         What `offsets` and `view_sets` hold is read once, when the sweep is planned.
         """
 
@@ -152,6 +157,16 @@ class Matching(Protocol):
 
         k is the first of the least costs, but at least 1 and at most count - 2; t the minimum of the parabola through
         the costs at k - 1, k and k + 1, in -1 to 1, 0 where they do not bend upwards by more than 1e-9.
+        """
+
+    def farthest_as_good(
+        self, volume: Array, disparity: Array, *, first: float, step: float, margin: float, disparity_out: Array
+    ) -> None:
+        """How far away a surface [y, x] can be moved before its costs C [l, y, x] rise by more than `margin` >= 0.
+
+        The disparities are first + l * step. With k the l nearest to `disparity` [y, x] (upwards from the middle, from
+        0 to count - 1), it is first + j * step for the least j <= k with C_i <= C_k + margin for all i from j to k;
+        where j = k, it is `disparity` itself. `disparity_out` may be `disparity`.
         """
 
     def evidence(

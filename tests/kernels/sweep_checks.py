@@ -20,11 +20,11 @@ def plane_sweep(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = {"view_sets": desk.out(shape), "seen": desk.out(shape)}
     other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
     plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
-    plan.by_visibility(desk.field(i.nearest[:, ::-1]), out["view_sets"])
+    plan.by_visibility(desk.field(i.nearest[:, ::-1]), desk.field(i.certain[:, ::-1]), out["view_sets"])
     plan.by_view_sets(out["seen"])
     plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
     plan.by_view_sets(out["view_sets"])
-    plan.by_visibility(desk.field(i.nearest), out["seen"])
+    plan.by_visibility(desk.field(i.nearest), desk.field(i.certain), out["seen"])
     return out
 
 
@@ -50,7 +50,7 @@ def check_masked_view_is_a_missing_view(kernels: KernelSet, device: str, i: Simp
     valid = np.ones(i.recorded.shape[:3], np.float32)
     no_mask, all_valid = (compute(kernels, device, SWEEP, changed(i, valid=mask)) for mask in (None, valid))
     valid[0] = 0
-    fewer = {name: getattr(i, name)[1:] for name in ("recorded", "offsets", "nearest")}
+    fewer = {name: getattr(i, name)[1:] for name in ("recorded", "offsets", "nearest", "certain")}
     masked = compute(kernels, device, SWEEP, changed(i, valid=valid))
     missing = compute(kernels, device, SWEEP, changed(i, **fewer, view_sets=i.view_sets[:, 1:], valid=None))
     tolerance = adjoint_tolerance(kernels)
@@ -60,7 +60,9 @@ def check_masked_view_is_a_missing_view(kernels: KernelSet, device: str, i: Simp
 
 
 def check_nothing_valid_costs_the_most(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
-    for name, volume in compute(kernels, device, SWEEP, changed(i, valid=np.zeros(i.recorded.shape[:3]))).items():
+    options = {**i.options, "rise": 0.0}
+    unseen = changed(i, valid=np.zeros(i.recorded.shape[:3]), options=options)
+    for name, volume in compute(kernels, device, SWEEP, unseen).items():
         np.testing.assert_allclose(volume, most(i), rtol=1e-6, atol=0, err_msg=f"{name} without a valid pixel")
 
 
@@ -79,7 +81,8 @@ def check_a_side_that_sees_is_enough(kernels: KernelSet, device: str, i: SimpleN
     recorded[hidden] += 0.7
     near[hidden] = 3.0
     options = {**i.options, "first": 0.0, "step": 1.0, "count": 4, "scale": 1.0, "least": 1, "tolerance": 0.5}
-    values = {"image": image, "recorded": recorded, "valid": None, "offsets": offsets, "nearest": near}
+    options["rise"] = 0.0
+    values = {"image": image, "recorded": recorded, "valid": None, "offsets": offsets, "nearest": near, "certain": near}
     got = compute(kernels, device, SWEEP, changed(i, **values, view_sets=sides(offsets, 8), options=options))
     inner = np.s_[:, 3:-3, 3:-3]  # where all views take part, and see the neighbours too
     np.testing.assert_allclose(got["view_sets"][2:3][inner], 1e-4, rtol=0, atol=1e-6, err_msg="a side that sees")
@@ -97,6 +100,7 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
     views, offsets = values["recorded"], values["offsets"]
     inputs = {name: kernels.image(values[name], device) for name in ("image", "recorded")}
     inputs["valid"] = kernels.field(values["valid"], device)
+    inputs["certain"] = kernels.field(1 - values["valid"], device)
     plan = kernels.plane_sweep(
         views.shape,
         kernels.field(offsets, device),
@@ -111,6 +115,7 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
         preference=0.2,
         tolerance=0.1003,
         least=1,
+        rise=0.03125,
     )
     shape = (5, *views.shape[1:3])
     volumes = {name: kernels.zeros(shape, device) for name in ("view_sets", "seen")}
@@ -118,6 +123,6 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
     def work() -> None:
         plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
         plan.by_view_sets(volumes["view_sets"])
-        plan.by_visibility(inputs["valid"], volumes["seen"])  # which serves as surfaces at 0 and 1
+        plan.by_visibility(inputs["valid"], inputs["certain"], volumes["seen"])  # surfaces at 0 and 1
 
     return Program(inputs, work, volumes)

@@ -80,6 +80,22 @@ def adding(right: Callable[..., Any]) -> Callable[..., Any]:
     return wrong
 
 
+def seeing(change: Callable[[np.ndarray, np.ndarray], Any]) -> Callable[..., Any]:
+    """The sweep is given other surfaces."""
+
+    def broken(right: Callable[..., Any]) -> Callable[..., Any]:
+        def wrong(nearest: np.ndarray, certain: np.ndarray, volume: np.ndarray) -> None:
+            right(*change(nearest, certain), volume)
+
+        return wrong
+
+    return method("by_visibility", broken)
+
+
+def past_both(nearest: np.ndarray, certain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return (np.maximum(nearest, certain),) * 2
+
+
 def within(name: str, value: Any) -> Callable[..., Any]:
     """Something of the reference's module is another one while the sweep computes."""
 
@@ -141,6 +157,10 @@ FAULTS = (
     Fault("tolerance ignored", NAME, option("tolerance", lambda _: 0.0), VALUE),
     Fault("one is enough", NAME, option("least", lambda _: 1), VALUE),
     Fault("one more is needed", NAME, option("least", lambda least: least + 1), VALUE),
+    Fault("all disparities cost the same", NAME, option("rise", lambda _: 0.0), VALUE),
+    Fault("what is certain ignored", NAME, seeing(lambda nearest, certain: (nearest, nearest)), VALUE),
+    Fault("nearest surfaces ignored", NAME, seeing(lambda nearest, certain: (certain, certain)), VALUE),
+    Fault("seen past both surfaces", NAME, seeing(past_both), VALUE),
     Fault("first view_set only", NAME, argument(2, lambda a: a[:1]), VALUE),
     Fault("last view_set skipped", NAME, argument(2, lambda a: a[:-1]), GRID),
     Fault("all in all view_sets", NAME, argument(2, np.ones_like), VALUE),

@@ -40,6 +40,16 @@ def winner_takes_all(desk: Desk, i: SimpleNamespace) -> Outputs:
     return out
 
 
+def farthest_as_good(desk: Desk, i: SimpleNamespace) -> Outputs:
+    """Of costs and a margin that are exact in float32, so that rounding decides nothing."""
+    out = {name: desk.out(i.volume.shape[1:]) for name in ("some", "all")}
+    for name, margin in (("some", 0.25), ("all", 1.0)):
+        desk.kernels.farthest_as_good(
+            desk.field(i.alike), desk.field(i.map), **i.row, margin=margin, disparity_out=out[name]
+        )
+    return out
+
+
 def evidence(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = {name: desk.out(i.volume.shape[1:]) for name in ("cost", "evidence")}
     desk.kernels.evidence(
@@ -93,10 +103,11 @@ OPERATIONS = (
     Operation(semi_global, "volume", relative_to_terms(sum=lambda i: size(i.volume))),
     Operation(least_costs, "volume"),
     Operation(winner_takes_all, "volume", lowest_errors),
+    Operation(farthest_as_good, "volume"),
     Operation(evidence, "volume", relative_to_terms(cost=lambda i: size(i.volume) / i.unit)),
     Operation(judge, "volume"),
 )
-AVERAGE, SEMI_GLOBAL, LEAST, LOWEST, EVIDENCE, JUDGE = OPERATIONS
+AVERAGE, SEMI_GLOBAL, LEAST, LOWEST, FARTHEST, EVIDENCE, JUDGE = OPERATIONS
 
 
 # --- a program of them, for devices that can do work as a whole ---
@@ -110,7 +121,7 @@ def finding_the_lowest(kernels: KernelSet, device: str, values: dict[str, Values
     plan = kernels.nlm_weights(values["image"].shape, device, **options)
     weights = kernels.zeros((WINDOW * WINDOW // 2, *shape[1:]), device)
     average, total = (kernels.zeros(shape, device) for _ in range(2))
-    disparity, least = (kernels.zeros(shape[1:], device) for _ in range(2))
+    disparity, least, farthest = (kernels.zeros(shape[1:], device) for _ in range(3))
 
     def work() -> None:
         plan(image, weights)
@@ -118,5 +129,7 @@ def finding_the_lowest(kernels: KernelSet, device: str, values: dict[str, Values
         kernels.least_costs(average, least_out=least)
         kernels.semi_global(average, image, least, small=0.01, large=0.05, contrast=0.25, sum_out=total)
         kernels.winner_takes_all(volume, first=-1.0, step=0.5, disparity_out=disparity)
+        kernels.farthest_as_good(volume, disparity, first=-1.0, step=0.5, margin=0.5, disparity_out=farthest)
 
-    return Program({"image": image, "volume": volume}, work, {"sum": total, "least": least, "disparity": disparity})
+    outputs = {"sum": total, "least": least, "disparity": disparity, "farthest": farthest}
+    return Program({"image": image, "volume": volume}, work, outputs)

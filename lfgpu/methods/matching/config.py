@@ -23,11 +23,11 @@ class SweepConfig(Section):
     step: float = number(0.4, 0.02, 2.0, "distance between two disparities, pixels in the farthest view")
     max_labels: int = number(256, 3, 4096, "most disparities; a range that needs more gets longer steps")
     noise: float = number(
-        0.0, 0.0, 1.0, "difference between views that agree, intensity; 0 measures it. All thresholds on intensity "
-        "grow with it, from 0.004 on"
+        0.0, 0.0, 1.0, "difference between views that agree, intensity; 0 measures it. Thresholds on what views may "
+        "differ by grow with it, from 0.004 on"
     )  # fmt: skip
     truncation: float = number(0.1, 1e-3, 10.0, "larger differences in intensity count as this one")
-    gradient_weight: float = number(1.0, 0.0, 100.0, "weight of image gradients against intensities")
+    gradient_weight: float = number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
     gradient_truncation: float = number(
         0.04, 1e-4, 10.0, "larger differences in image gradients count as this one, intensity per pixel"
     )
@@ -41,7 +41,15 @@ class SweepConfig(Section):
         1.2, 0.0, 100.0, "a surface hides only what lies behind it by more than this, pixels in the farthest view"
     )  # fmt: skip
     min_share: float = number(
-        0.04, 0.0, 1.0, "share of the views, but at least one, that must see a pixel in the second sweep"
+        0.02, 0.0, 1.0, "share of the views, but at least one, that must see a pixel in the second sweep"
+    )  # fmt: skip
+    hiding_margin: float = number(
+        0.15, 0.0, 100.0, "a surface that could lie farther away at costs higher by at most this hides for certain "
+        "only from there, units of the noise"
+    )  # fmt: skip
+    far_preference: float = number(
+        0.1, 0.0, 100.0, "how much more the nearest disparity costs than the farthest in the second sweep, units of "
+        "the noise"
     )  # fmt: skip
 
 
@@ -51,7 +59,8 @@ class SemiGlobalConfig(Section):
 
     window: int = number(3, 3, 31, "side of the window over which costs are averaged, pixels", odd=True)
     small_penalty: float = number(0.00025, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
-    large_penalty: float = number(0.005, 0.0, 10.0, "cost of a larger change", symbol="P2")
+    large_penalty: float = number(0.0025, 0.0, 10.0, "cost of a larger change", symbol="P2")
+    resweep_factor: float = number(2.0, 0.1, 100.0, "factor on large_penalty after the second sweep")
     contrast: float = number(2.0, 1e-3, 10.0, "difference in intensity that lowers both penalties to 1/e")
 
 
@@ -69,7 +78,7 @@ class AlignmentConfig(Section):
         0.4, 1e-3, 100.0, "difference in disparity that halves the weight of a neighbour, pixels in the farthest view"
     )  # fmt: skip
     ridge: float = number(
-        4.0, 1e-3, 1e6, "variance of the places in a window below which its plane becomes level, pixel²"
+        1.0, 1e-3, 1e6, "variance of the places in a window below which its plane becomes level, pixel²"
     )  # fmt: skip
     stiffness: float = number(
         0.1, 0.0, 100.0, "a pixel whose curvature over robust² is below this follows its neighbours, 1 / pixel²"
@@ -92,7 +101,7 @@ class HoleFillingConfig(Section):
     """Hole filling: surfaces without texture continue those around them. A quadratic problem."""
 
     stiffness: float = number(
-        0.01, 1e-6, 100.0, "curvature over robust² at which a pixel's own estimate counts as much as one similar "
+        0.03, 1e-6, 100.0, "curvature over robust² at which a pixel's own estimate counts as much as one similar "
         "neighbour, 1 / pixel²"
     )  # fmt: skip
     tolerance: float = number(3e-7, 1e-8, 1e-1, "relative residual at which the solver stops")
@@ -122,7 +131,7 @@ class MatchingConfig(Config):
         "filling": "hole_filling",
     }
 
-    prior: PriorConfig = PriorConfig(window=9, sigma_color=0.021, sigma_gradient=10.0)  # shadows' edges are no edges
+    prior: PriorConfig = PriorConfig(window=9, sigma_color=0.03, sigma_gradient=10.0)  # shadows' edges are no edges
     sweep: SweepConfig = SweepConfig()
     semi_global: SemiGlobalConfig = SemiGlobalConfig()
     alignment: AlignmentConfig = AlignmentConfig()

@@ -77,9 +77,10 @@ class Matching(Method[MatchingConfig]):
         weights = 3 * 4 * ((config.prior.window**2 - 1) // 2) + 4 * 3 * channels
         if config.semi_global.window != config.prior.window:
             weights += 2 * 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels
+        hiding = (8 if config.sweep.occlusions == "twice" else 4) * used
         workspaces = 0 if on_gpu else 2 * 4 * _SLICES
         fields = 4 * (25 + 2 * channels)
-        per_pixel = host + views + swept + packed + 4 * used + volumes + weights + workspaces + fields + masks
+        per_pixel = host + views + swept + packed + hiding + volumes + weights + workspaces + fields + masks
         return Footprint(per_pixel, GPU_CONTEXT if on_gpu else PROCESS)
 
     def halo(self, lf: LightField, measured: Measured) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields, replace
 from typing import TypeVar
 
@@ -44,17 +45,20 @@ def measured_noise(
 
 
 def in_units_of(noise: float, config: MatchingConfig) -> MatchingConfig:
-    """The parameters with all differences of intensity in proportion to the noise; as they are at a noise of 0.004."""
+    """The parameters for views with that noise; as they are at a noise of 0.004.
+
+    Penalties and the scales of what views differ by grow in proportion to the noise. Truncations stay: what is hidden
+    differs as much with noise as without. Which pixels are alike is decided by means over patches, where noise averages
+    out: that scale grows with the square root.
+    """
     times = min(max(noise / _USUAL_NOISE, _LEAST_NOISE), _MOST_NOISE)
     return replace(
         config,
-        sweep=replace(
-            _times(times, config.sweep, "truncation", "gradient_truncation"), noise=min(times * _USUAL_NOISE, 1.0)
-        ),
+        sweep=replace(config.sweep, noise=min(times * _USUAL_NOISE, 1.0)),
         semi_global=_times(times, config.semi_global, "small_penalty", "large_penalty", "contrast"),
         alignment=_times(times, config.alignment, "robust"),
         boundaries=_times(times, config.boundaries, "contrast"),
-        prior=_times(times, config.prior, "sigma_color"),
+        prior=_times(math.sqrt(times), config.prior, "sigma_color"),
     )
 
 

@@ -2,9 +2,10 @@
 
 Four stages. `sweep` compares the views with the reference at a row of disparities and finds the best surface through
 these costs. Partial view sets see past occluders. `resweep` compares again, now only with the views that see a pixel
-past the first surface. `align` makes the disparity continuous: Gauss-Newton steps on what the views that see a pixel
-have in common, and then the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge
-to the side whose colour it has, and fills surfaces without texture from those around them.
+past the first surface, or past what is certain of it: a surface without texture may lie farther away than it was found.
+`align` makes the disparity continuous: Gauss-Newton steps on what the views that see a pixel have in common, and then
+the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side whose colour
+it has, and fills surfaces without texture from those around them.
 """
 
 from __future__ import annotations
@@ -82,6 +83,7 @@ class MatchingPlan:
         self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
         self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
         self._nearest = kernels.zeros(shape[:3], device)
+        self._certain = kernels.zeros(shape[:3], device) if self._twice else None
         self._sweep = planned_sweep(lf, (self._first, self._step, count), config.sweep, kernels, device)
         self._hiding = kernels.z_buffer(shape, self._offsets, reach=0) if self._twice else None
         self._hiding_beside = kernels.z_buffer(shape, self._offsets, reach=1)
@@ -169,12 +171,26 @@ class MatchingPlan:
 
     def _compare_visible(self, _: Callback | None) -> None:
         assert self._hiding is not None  # there is no such stage otherwise
+        assert self._certain is not None
+        # Where the costs do not tell how far away a surface lies, it must not hide what may be seen in its place.
+        self._kernels.farthest_as_good(
+            self._smooth,
+            self._swept,
+            first=self._first,
+            step=self._step,
+            margin=self._config.sweep.hiding_margin * self._config.sweep.noise,
+            disparity_out=self._workspace,
+        )
+        self._hiding(self._workspace, self._certain)
         self._hiding(self._swept, self._nearest)
-        self._sweep.by_visibility(self._nearest, self._volume)
-        self._find_surface(self._matched)
+        self._sweep.by_visibility(self._nearest, self._certain, self._volume)
+        self._find_surface(self._matched, self._config.semi_global.resweep_factor)
 
-    def _find_surface(self, disparity_out: Array) -> None:
-        """From costs to the map of the best surface through them; both volumes change."""
+    def _find_surface(self, disparity_out: Array, factor: float = 1.0) -> None:
+        """From costs to the map of the best surface through them; both volumes change.
+
+        `factor` is on the penalty of large changes.
+        """
         semi_global = self._config.semi_global
         self._near.average(self._volume, self._smooth)
         self._weigh_penalties()
@@ -184,7 +200,7 @@ class MatchingPlan:
             self._image,
             self._penalty_scale,
             small=semi_global.small_penalty,
-            large=semi_global.large_penalty,
+            large=factor * semi_global.large_penalty,
             contrast=semi_global.contrast,
             sum_out=self._volume,
         )

@@ -109,7 +109,7 @@ class TemporalMatching(MatchingPlan):
         self._streaming.sameness(self._image, self._last_image, tolerance=tolerance, same_out=self._same)
         kernels.multiply(self._same, self.confidence, self._believed)
         self._past_hiding(self._past, self._nearest)
-        self._sweep.by_visibility(self._nearest, self._volume)
+        self._sweep.by_visibility(self._nearest, self._nearest, self._volume)
         self._find_surface(self._swept)
         if self._twice:
             kernels.copy(self._swept, self._matched)
