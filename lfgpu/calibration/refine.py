@@ -26,6 +26,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.estimate import estimate_depth
 
 _COARSE, _MIDDLE = 128, 256  # pixels: longer sides of the pictures that maps are made from
+_SMOOTH = 2.0  # pixels: standard deviation with which views are smoothed in the first round, at least
 _ROUNDS = 3
 _STEPS = 6
 _POINTS = 3000  # of the first round; later ones take twice as many
@@ -180,7 +181,9 @@ class _Search:
                 f"{lf.name}: only {len(points.x)} points of the reference have texture on smooth surfaces; "
                 f"{_FEWEST} are needed to line views up."
             )
-        bundle = Bundle(moved, points, model=self._model, free_positions=self._positions, smoothing=factor / 4)
+        # What is off by pixels is found in smooth pictures only, however small they are.
+        smoothing = max(factor / 4, _SMOOTH if coarseness == _COARSE else 0.0)
+        bundle = Bundle(moved, points, model=self._model, free_positions=self._positions, smoothing=smoothing)
         bundle.warps[:] = self.warps
         bundle.tones[:, 0], bundle.tones[:, 1] = self.tones.gain.mean(1), self.tones.offset.mean(1)
         bundle.tones[lf.reference_index] = 1, 0
