@@ -160,6 +160,15 @@ def test_refinement_lines_views_up(boxes: LightField) -> None:
     assert found.light_field.grid_shape == (3, 3)
 
 
+def test_cameras_off_by_pixels_are_found_in_small_pictures() -> None:
+    """Twelve cameras in no grid; without smooth pictures at first, some of them end two pixels beside."""
+    lf = scenes.make("boxes", grid=(9, 9), size=(128, 128), seed=7, noise=0.004)
+    others = np.random.default_rng(0).permutation([n for n in range(81) if n != 40])[:11]
+    wrong = disturb(lf.subset(sorted([40, *map(int, others)])), Misalignment(shift=1.5), seed=0)
+    found = refine(wrong.light_field, disparity_range=(-2, 2))
+    assert found.psnr_after > found.psnr_before + 4.5
+
+
 def test_what_is_right_is_left_alone(boxes: LightField) -> None:
     found = refine(boxes)
     assert not found.kept
