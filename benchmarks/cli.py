@@ -15,6 +15,7 @@ import typer
 
 from benchmarks import (
     ablation,
+    batches,
     cases,
     compare,
     confidence,
@@ -396,6 +397,36 @@ def scaling_(
     if out is not None:
         scaling.save(rows, out)
     typer.echo(scaling.table(rows), nl=False)
+
+
+@app.command("batches")
+def batches_(
+    case_name: Annotated[str, typer.Option("--case", metavar="NAME")] = "9x9x512x512",
+    preset: Annotated[str, typer.Option(metavar="NAME")] = "fast",
+    kinds: Annotated[str, typer.Option(metavar="KIND,...", help="What the items are.")] = ",".join(batches.KINDS),
+    counts: Annotated[str, typer.Option(metavar="N,...", help="On how many GPUs; default: 1, 2, 4 and all.")] = "",
+    items: Annotated[int, typer.Option(min=10, help="For each worker.")] = 100,
+    per_gpu: Annotated[str, typer.Option(metavar="N,...", help="Workers for each GPU.")] = "1",
+    threads: Annotated[int, typer.Option(min=1, help="Of the CPU for each worker.")] = 4,
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = None,
+) -> None:
+    """Measure the items in a second that `lfgpu batch` does on 1, 2, 4 .. GPUs of this machine, and where they wait."""
+    there = len(scaling.devices_here())
+    wanted = tuple(int(n) for n in _names(counts)) or tuple(sorted({1, *(n for n in (2, 4) if n <= there), there}))
+    if out is not None:
+        check_writable(out, folder=False)
+    rows = batches.run(
+        cases.find(case_name),
+        preset,
+        _names(kinds),
+        [(gpus, int(n)) for n in _names(per_gpu) for gpus in wanted],
+        items=items,
+        threads=threads,
+        say=lambda what: typer.echo(what, err=True),
+    )
+    if out is not None:
+        scaling.save(rows, out)
+    typer.echo(batches.table(rows), nl=False)
 
 
 @app.command("tiles")

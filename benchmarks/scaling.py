@@ -11,7 +11,7 @@ import json
 import multiprocessing
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -110,7 +110,7 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def save(rows: list[Row], path: Path) -> None:
+def save(rows: Sequence[Any], path: Path) -> None:
     """Write them as JSON with the machine that they are of; whole or not at all."""
     content: dict[str, Any] = {
         "date": time(),

@@ -14,6 +14,7 @@ from PIL.TiffImagePlugin import TiffImageFile
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow
+from lfgpu.io.fast_png import fast_pixels
 from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.limits import check_claim
 from lfgpu.io.tiff_pages import check_pages
@@ -82,6 +83,8 @@ def _decode(path: Path) -> NDArray[Any]:
     """[y, x] or [y, x, c] with c = 1 to 4, in whatever dtype the file has."""
     try:
         with pillow.opened(path) as image:
+            if (pixels := fast_pixels(path, image)) is not None:
+                return pixels
             return _decode_tiff(path) if _is_misread_by_pillow(image) else _pixels(path, image)
     except UnidentifiedImageError:
         with path.open("rb") as file:
