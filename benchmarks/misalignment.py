@@ -63,8 +63,8 @@ class Row:
     right: Scores
     wrong: Scores
     refined: Scores
-    off_px: float
-    left_px: float
+    off_px: float | None
+    left_px: float | None
     status: str
 
 
@@ -230,10 +230,10 @@ def _left(
     cameras: Sequence[Camera],
     homographies: NDArray[np.float64] | None,
     moved: NDArray[np.float64] | None,
-) -> float:
+) -> float | None:
     """Shift of the views, rms along each axis, of where pixels are looked up against where they should be."""
     if moved is not None and moved.any():
-        return float("nan")  # what parallax does of it differs from pixel to pixel
+        return None  # what parallax does of it differs from pixel to pixel
     height, width = lf.size
     y, x = np.mgrid[: height - 1 : 7j, : width - 1 : 7j]
     pixels = np.stack([x, y], axis=-1)
@@ -261,7 +261,6 @@ def show(rows: list[Row]) -> None:
             row.array,
             row.disturbance,
             *(f"{number:.1f}" for number in (*numbers, *levels)),
-            f"{row.off_px:.3f}",
-            f"{row.left_px:.3f}",
+            *("–" if shift is None else f"{shift:.3f}" for shift in (row.off_px, row.left_px)),
         )
     Console(width=150).print(table)

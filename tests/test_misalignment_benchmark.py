@@ -41,12 +41,14 @@ def test_what_is_left_is_measured_against_the_cameras(planes: LightField) -> Non
     lf = planes.subset("star")
     cameras = disturb(lf, Misalignment(shift=1.0), seed=2).cameras
     off = misalignment._left(lf, list(cameras), None, None)
+    assert off is not None
     assert off == pytest.approx(1.0, abs=0.2)
     # The homographies that undo it exactly: a turn about the centre is one.
     found = []
     for ideal, real in zip(ideal_cameras(lf), cameras, strict=True):
         found.append(real.matrix @ np.asarray(real.rotation) @ np.linalg.inv(ideal.matrix))
-    assert misalignment._left(lf, list(cameras), np.array(found), None) < 1e-6
+    assert misalignment._left(lf, list(cameras), np.array(found), None) == pytest.approx(0, abs=1e-6)
+    assert misalignment._left(lf, list(cameras), None, np.ones((33, 2))) is None  # parallax, not shifts
 
 
 def test_the_command_writes_what_it_found(planes: LightField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
