@@ -51,7 +51,7 @@ class Row:
     """One disturbance of one array: scores with the cameras as they should be, as they are, and lined up.
 
     `off_px` and `left_px` are the shifts of the views, rms along each axis, before and after, against what the cameras
-    are, without what views cannot tell.
+    are, without what views cannot tell; None where cameras stand beside their places.
     """
 
     scene: str
