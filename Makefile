@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint docs figures bench clean
 
 demo: .venv/use
 	$(BIN)/lfgpu demo
@@ -15,11 +15,18 @@ lint: .venv/develop
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: .venv/develop
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/site
+	@echo "The site is in build/site: open build/site/index.html"
+
+figures: .venv/develop
+	$(BIN)/python -m benchmarks figures
+
 bench: .venv/develop
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf .venv dist lfgpu-demo
+	rm -rf .venv build dist docs/made lfgpu-demo
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "lfgpu needs Python 3.11 or newer; name one with: make PYTHON=/path/to/python3.12 ...")'

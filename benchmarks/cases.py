@@ -51,3 +51,12 @@ def find(name: str) -> Case:
         if case.name == name:
             return case
     raise BenchmarkError(f"unknown case {name!r}; there are {', '.join(case.name for case in CASES)}.")
+
+
+def parse(name: str) -> Case:
+    """The case "7x7x375x375", listed here or not; BenchmarkError for anything else."""
+    try:
+        rows, columns, height, width = (int(part) for part in name.split("x"))
+    except ValueError:
+        raise BenchmarkError(f"{name!r} is no case: it must be ROWSxCOLUMNSxHEIGHTxWIDTH.") from None
+    return Case((rows, columns), (height, width))

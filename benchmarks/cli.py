@@ -1,8 +1,9 @@
 """The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found.
 
 `accuracy` scores a population of light fields, `ablation` leaves ingredients out, `rendering` renders views that were
-left out, `live`, `rectify`, `flicker` and `soak` are about streams, `scaling` takes several GPUs, `tiles` limits the
-memory, `gallery` draws the picture of the README.
+left out, `misalignment` lines up cameras that were moved, `live`, `rectify`, `ring`, `flicker` and `soak` are about
+streams, `scaling` takes several GPUs, `tiles` limits the memory, `gallery` draws the picture of the README, `figures`
+writes the figures of all pages from the committed results.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ from benchmarks import (
     compare,
     confidence,
     error_sheet,
+    figures,
     files,
     flicker,
     gallery,
     live,
+    live_stages,
     machine,
     merge,
     misalignment,
@@ -35,6 +38,7 @@ from benchmarks import (
     rectify,
     rendering,
     results,
+    ring,
     scaling,
     show,
     soak,
@@ -150,13 +154,19 @@ def accuracy_(
     baseline: Annotated[Path, typer.Option(metavar="FILE.json", help="A run to hold this one against.")] = (
         population.BASELINE
     ),
+    scene_names: Annotated[
+        str, typer.Option("--scenes", metavar="NAME-CASE,...", help="Scenes of the package: boxes-7x7x375x375 ...")
+    ] = "",
     sheet: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Where the pictures of errors go.")] = None,
     out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = None,
 ) -> None:
     """Score presets on a population of light fields, with the range found and the true one, against a baseline."""
     where = [*(first or ()), *(folders or ())]
-    if not where:
-        raise BenchmarkError("no light fields to score: give folders with --population.")
+    made = _names(scene_names)
+    if not where and not made:
+        raise BenchmarkError("no light fields to score: give folders with --population, or --scenes of the package.")
+    for name in made:
+        population.made(name)
     if unknown := [name for name in _names(ranges) if name not in population.RANGES]:
         raise BenchmarkError(f"unknown range {unknown[0]!r}; there are {', '.join(population.RANGES)}.")
     for path in (out, sheet):
@@ -165,7 +175,7 @@ def accuracy_(
     old = results.load(baseline) if baseline != population.BASELINE or baseline.exists() else None
     pictures: list[population.Picture] = []
     run = population.run(
-        where, _names(presets), _names(ranges), lambda what: typer.echo(what, err=True), pictures.append
+        where, _names(presets), _names(ranges), lambda what: typer.echo(what, err=True), pictures.append, made
     )
     if sheet is not None and pictures:
         error_sheet.write(pictures, sheet)
@@ -261,7 +271,8 @@ def flicker_(
     out: Out = None,
 ) -> None:
     """How much maps of a moving scene change where nothing does, with and without the last map, and their errors."""
-    film = moving.Film(*live.parse_case(case_name), frames, period, noise)
+    case = cases.parse(case_name)
+    film = moving.Film(case.grid, case.size, frames, period, noise)
     rows = flicker.run(film, tuple(_names(presets)), device, lambda what: typer.echo(what, err=True))
     live.save(out, {"film": asdict(film), "rows": [asdict(row) for row in rows]})
     flicker.show(rows)
@@ -274,14 +285,53 @@ def live_(
     frames: Annotated[int, typer.Option(min=2, help="How many are cast; they are played to and fro.")] = 8,
     seconds: Annotated[float, typer.Option(min=0.1, help="How long each way is measured.")] = 10.0,
     budget: Annotated[float | None, typer.Option(metavar="MS", help="Of the device for a frame.")] = None,
+    stages: Annotated[
+        bool,
+        typer.Option("--stages", help="Instead: time of each operation beside its limit by memory and arithmetic."),
+    ] = False,
     device: Device = None,
     out: Out = None,
 ) -> None:
     """Frames a second and latency from a frame on the host to its map on the host, and errors of warm maps."""
+    if stages:
+        _live_stages(tuple(_names(case_names)), tuple(_names(presets)), device, out)
+        return
     plan = live.Plan(tuple(_names(case_names)), tuple(_names(presets)), frames, seconds, budget, device)
     rows = live.run(plan, lambda what: typer.echo(what, err=True))
     live.save(out, {"rows": [asdict(row) for row in rows]})
     live.show(rows)
+
+
+def _live_stages(case_names: tuple[str, ...], presets: tuple[str, ...], device: str | None, out: Path | None) -> None:
+    rows = []
+    for name in case_names:
+        size = cases.parse(name)
+        film = moving.Film(size.grid, size.size, 1)
+        rates, some = live_stages.run(name, film, presets, device, lambda what: typer.echo(what, err=True))
+        rows += some
+    found = [{**asdict(row), "limit": row.limit} for row in rows]
+    live.save(out, {"rates": asdict(rates), "operations": found})
+    live_stages.show(rates, rows)
+
+
+@app.command("ring")
+def ring_(
+    case_name: Annotated[str, typer.Option("--case", metavar="ROWSxCOLUMNSxHEIGHTxWIDTH")] = "9x9x512x512",
+    rate: Annotated[float, typer.Option(min=0.1, help="Frames a second.")] = 60.0,
+    seconds: Annotated[float, typer.Option(min=0.1)] = 20.0,
+    out: Out = None,
+) -> None:
+    """Frames of a producer in another process through shared memory; exits with 1 if one is torn."""
+    size = cases.parse(case_name)
+    found = ring.run(size.grid, size.size, rate, seconds)
+    live.save(out, asdict(found))
+    typer.echo(
+        f"{found.read} frames of {found.frame_bytes / 1e6:.1f} MB read at {rate:g} a second, "
+        f"{found.passed} passed over, {found.torn} torn, {found.repeated} copied again; "
+        f"{found.late_p50:.2f} ms after they were published in the median, {found.late_p99:.2f} ms for 99 %."
+    )
+    if found.torn:
+        raise typer.Exit(1)
 
 
 @app.command("misalignment")
@@ -362,7 +412,8 @@ def soak_(
     out: Out = None,
 ) -> None:
     """Frames with random drop-outs, cuts and errors for a long time; exits with 1 if memory grows or one is lost."""
-    plan = soak.Plan(frames, *live.parse_case(case_name), preset, seed, device)
+    case = cases.parse(case_name)
+    plan = soak.Plan(frames, case.grid, case.size, preset, seed, device)
     found = soak.run(plan, lambda what: typer.echo(what, err=True))
     live.save(out, asdict(found))
     for line in found.lines():
@@ -490,6 +541,24 @@ def gallery_(
     check_writable(out, folder=False)
     for line in gallery.write(out):
         typer.echo(line)
+
+
+@app.command("figures")
+def figures_(
+    check: Annotated[bool, typer.Option("--check", help="Write nothing; exit with 1 if a page differs.")] = False,
+    list_: Annotated[bool, typer.Option("--list", help="Write nothing; print what each figure comes from.")] = False,
+) -> None:
+    """Write the figures of README, docs and benchmarks anew from the files in benchmarks/results."""
+    if not (check or list_):
+        for page in figures.write():
+            typer.echo(f"written: {page.relative_to(figures.ROOT)}")
+        return
+    found = [mark for page in figures.pages() for mark in figures.marks(page)]
+    differing = [mark for mark in found if mark.found != mark.wanted]
+    for line in figures.listing(found if list_ else differing):
+        typer.echo(line)
+    if check and differing:
+        raise BenchmarkError(f"{len(differing)} figures differ from their files: run python -m benchmarks figures.")
 
 
 def _finish(run: results.Run, out: Path | None) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.errors import BenchmarkError
+from benchmarks import cases
 from benchmarks.moving import RANGE, Film, to_and_fro
 from lfgpu import DepthPipeline, DepthStream, LightField, StreamResult, TemporalPrior, evaluate
 from lfgpu.io.atomic import atomic_write
@@ -65,15 +65,6 @@ class Row:
     bad_ratio: float
 
 
-def parse_case(name: str) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Grid and size of "7x7x375x375"; BenchmarkError for anything else."""
-    try:
-        rows, columns, height, width = (int(part) for part in name.split("x"))
-    except ValueError:
-        raise BenchmarkError(f"{name!r} is no case: it must be ROWSxCOLUMNSxHEIGHTxWIDTH.") from None
-    return (rows, columns), (height, width)
-
-
 def save(out: Path | None, found: dict[str, Any]) -> None:
     """Write what was found as JSON, if it goes anywhere."""
     if out is not None:
@@ -86,7 +77,8 @@ def run(plan: Plan, say: Say) -> list[Row]:
     rows = []
     for case in plan.cases:
         say(f"{case}: casting {plan.frames} frames")
-        frames = Film(*parse_case(case), plan.frames).frames()
+        size = cases.parse(case)
+        frames = Film(size.grid, size.size, plan.frames).frames()
         cold = _errors(frames, _solved_cold(frames, plan.device))
         for preset in plan.presets:
             for warm in (True, False):

@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
-from lfgpu.cli.machine import device_name
+from lfgpu.machine import device_name
 
 ROOT = Path(__file__).parents[1]
 _PACKAGES = ("lfgpu", "warp-lang", "taichi", "numpy", "scipy")

@@ -319,7 +319,7 @@ def _planned_sweep(on: Desk) -> PlaneSweep:
         preference=config.view_set_penalty,
         tolerance=config.tolerance / farthest(places),
         least=max(1, math.ceil(config.min_share * (len(places) - 1))),
-        rise=config.far_preference * config.noise,
+        penalty=config.certain_penalty * config.noise,
     )
     sweep.load(a["image"], a["views"], None)
     return sweep

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import clock, machine
+from benchmarks import cases, clock, machine
 from benchmarks.errors import BenchmarkError
 from benchmarks.pipelines import METRICS
 from benchmarks.results import Record, Run
@@ -66,18 +66,36 @@ def light_fields(folders: Sequence[Path]) -> dict[str, Path]:
     return found
 
 
+def made(name: str) -> Callable[[], LightField]:
+    """A scene of the package by name and case, "boxes-7x7x375x375"; BenchmarkError if there is none such."""
+    scene, _, case = name.partition("-")
+    if scene not in scenes.NAMES:
+        raise BenchmarkError(f"unknown scene {name!r}; write NAME-CASE with one of {', '.join(scenes.NAMES)}.")
+    size = cases.parse(case)
+    return lambda: scenes.make(scene, grid=size.grid, size=size.size)
+
+
 def run(
-    folders: Sequence[Path], presets: Sequence[str], ranges: Sequence[str], say: Say, draw: Callable[[Picture], None]
+    folders: Sequence[Path],
+    presets: Sequence[str],
+    ranges: Sequence[str],
+    say: Say,
+    draw: Callable[[Picture], None],
+    scene_names: Sequence[str] = (),
 ) -> Run:
     """Estimate each light field with each preset and range.
 
     `say` is told what is being estimated, `draw` is given what came out. What fails is a record that says why.
+    `scene_names` are scenes of the package besides, as `made` takes them.
     """
     load, date = machine.load_average(), datetime.now(UTC).isoformat(timespec="seconds")
     records: list[Record] = []
-    for scene, path in light_fields(folders).items():
+    sources: dict[str, Callable[[], LightField]] = {name: made(name) for name in scene_names}
+    if folders:
+        sources = {**{name: partial(read, path) for name, path in light_fields(folders).items()}, **sources}
+    for scene, source in sources.items():
         try:
-            lf = read(path)
+            lf = source()
             truth = _truth(lf)
         except LfgpuError as error:
             records.append(Record(KIND, "", "", scene, "all presets", failed=str(error)))

@@ -35,7 +35,7 @@ def table(found: Table) -> None:
 def markdown(run: Run) -> str:
     """A run as a section of a README."""
     parts = [f"### {run.where}", *headings(run)[1:]]
-    parts += [f"**{table.title}**\n\n{_lines(table)}" for table in tables(run.records)]
+    parts += [f"**{table.title}**\n\n{markdown_table(table)}" for table in tables(run.records)]
     for heading, lines in (("Not measured", remarks(run)), ("Wrong", doubts(run))):
         if lines:
             parts.append(f"{heading}:\n\n" + "\n".join(f"- {line}" for line in lines))
@@ -58,6 +58,7 @@ def _rich(table: Table) -> RichTable:
     return shown
 
 
-def _lines(table: Table) -> str:
+def markdown_table(table: Table) -> str:
+    """A table as Markdown."""
     rule = ["---" if place < table.labels else "---:" for place in range(len(table.columns))]
     return "\n".join(f"| {' | '.join(row)} |" for row in (table.columns, rule, *table.rows))

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from lfgpu.pipelines.pipeline import DepthPipeline
     from lfgpu.pipelines.rectifier import Rectifier
     from lfgpu.pipelines.stream import DepthStream, FrameDroppedError, StreamResult
+    from lfgpu.reports.report import write_report
     from lfgpu.threads import get_threads, set_threads
     from lfgpu.viewer import Viewer
     from lfgpu.viz.refocusing import all_in_focus, refocus
@@ -88,6 +89,7 @@ _HOMES = {
     "render_view": "viz.rendering",
     "save": "io",
     "set_threads": "threads",
+    "write_report": "reports.report",
 }
 
 __all__ = [
@@ -133,6 +135,7 @@ __all__ = [
     "render_view",
     "save",
     "set_threads",
+    "write_report",
 ]
 
 
@@ -152,8 +155,11 @@ def _later(home: str, name: str) -> Callable[..., Any]:
 
 
 _hooks.attach("save", _later("lfgpu.io", "save"))
+_hooks.attach("explanation_html", _later("lfgpu.reports.report", "explanation_html"))
 _hooks.attach("light_field_html", _later("lfgpu.viz.notebook", "light_field_html"))
+_hooks.attach("map_html", _later("lfgpu.viz.notebook", "map_html"))
 _hooks.attach("result_html", _later("lfgpu.viz.notebook", "result_html"))
+_hooks.attach("views_html", _later("lfgpu.viz.notebook", "views_html"))
 
 
 def __dir__() -> list[str]:

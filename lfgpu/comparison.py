@@ -50,62 +50,69 @@ class Scene:
 
 @dataclass(frozen=True)
 class Row:
-    """One metric on one scene, with a value for each method; NaN without a map."""
+    """The scores of one method on one scene."""
 
     scene: str
-    metric: str
+    method: str
     values: tuple[float, ...]
+    """A value for each of `COLUMNS`; NaN without a map."""
+    best: tuple[bool, ...]
+    """Whether it is the smallest on this scene, for each of `COLUMNS`."""
 
     @property
-    def best(self) -> int | None:
-        """Index of the smallest value; None if there is none."""
-        return int(np.nanargmin(self.values)) if not all(map(math.isnan, self.values)) else None
+    def cells(self) -> list[str]:
+        """The values as text; those of a metric have the same number of digits in all rows."""
+        digits = [3 if metric.endswith("x100") else 2 for metric in COLUMNS]
+        return ["-" if math.isnan(v) else f"{v:.{n}f}" for v, n in zip(self.values, digits, strict=True)]
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a row for each scene and metric, and a column for each method; averages come last."""
+    """A table with a row for each scene and method and a column for each metric; averages come last."""
 
     methods: tuple[str, ...]
     rows: tuple[Row, ...]
 
-    def cells(self, row: Row) -> list[str]:
-        """The values of a row as text, all with the same number of digits."""
-        digits = 3 if row.metric.endswith("x100") else 2
-        return ["-" if math.isnan(value) else f"{value:.{digits}f}" for value in row.values]
+    @property
+    def scenes(self) -> dict[str, list[Row]]:
+        """The rows of each scene, in order."""
+        found: dict[str, list[Row]] = {}
+        for row in self.rows:
+            found.setdefault(row.scene, []).append(row)
+        return found
 
     def markdown(self) -> str:
-        """The table in Markdown; the best of each row is bold."""
-        head = ["scene", "metric", *self.methods]
-        lines = [_piped(head), "|---|---|" + "---:|" * len(self.methods)]
+        """The table in Markdown; the best of each scene and metric is bold."""
+        lines = [_piped(["scene", "method", *COLUMNS]), "|---|---|" + "---:|" * len(COLUMNS)]
         for row in self.rows:
-            cells = [f"**{cell}**" if i == row.best else cell for i, cell in enumerate(self.cells(row))]
-            lines.append(_piped([row.scene, row.metric, *cells]))
+            cells = [f"**{cell}**" if best else cell for cell, best in zip(row.cells, row.best, strict=True)]
+            lines.append(_piped([row.scene, row.method, *cells]))
         return "\n".join(lines) + "\n"
 
     def latex(self) -> str:
-        """The table in LaTeX, with the package booktabs; the best of each row is bold."""
+        """The table in LaTeX, with the package booktabs; the best of each scene and metric is bold."""
+        heads = [name.replace("x100", r"$\times$100") for name in COLUMNS]
         lines = [
-            f"\\begin{{tabular}}{{ll{'r' * len(self.methods)}}}",
+            f"\\begin{{tabular}}{{ll{'r' * len(COLUMNS)}}}",
             "\\toprule",
-            " & ".join(["scene", "metric", *map(_escaped, self.methods)]) + r" \\",
+            " & ".join(["scene", "method", *heads]) + r" \\",
         ]
-        before = None
-        for row in self.rows:
-            if row.scene != before:
-                lines.append("\\midrule")
-            cells = [f"\\textbf{{{cell}}}" if i == row.best else cell for i, cell in enumerate(self.cells(row))]
-            name = _escaped(row.scene) if row.scene != before else ""
-            lines.append(" & ".join([name, row.metric.replace("x100", r"$\times$100"), *cells]) + r" \\")
-            before = row.scene
+        for scene, rows in self.scenes.items():
+            lines.append("\\midrule")
+            for row in rows:
+                cells = [
+                    f"\\textbf{{{cell}}}" if best else cell for cell, best in zip(row.cells, row.best, strict=True)
+                ]
+                name = _escaped(scene) if row is rows[0] else ""
+                lines.append(" & ".join([name, _escaped(row.method), *cells]) + r" \\")
         return "\n".join([*lines, "\\bottomrule", "\\end{tabular}"]) + "\n"
 
     def csv(self) -> str:
         """The table as CSV, with all digits."""
-        lines = [",".join(["scene", "metric", *map(_quoted, self.methods)])]
+        lines = [",".join(["scene", "method", *COLUMNS])]
         for row in self.rows:
             values = ["" if math.isnan(value) else repr(value) for value in row.values]
-            lines.append(",".join([_quoted(row.scene), row.metric, *values]))
+            lines.append(",".join([_quoted(row.scene), _quoted(row.method), *values]))
         return "\n".join(lines) + "\n"
 
 
@@ -125,16 +132,11 @@ def table_of(methods: tuple[str, ...], scores: Mapping[str, Mapping[str, Metrics
     """Make the table from scores by scene and method; LightFieldError if there is no scene."""
     if not scores:
         raise LightFieldError("there is nothing to compare; give at least one scene.")
-    rows = [
-        Row(scene, metric, tuple(_score(of, method, attribute) for method in methods))
-        for scene, of in scores.items()
-        for metric, attribute in COLUMNS.items()
-    ]
+    rows = [row for scene, of in scores.items() for row in _rows(scene, methods, of)]
     common = [of for of in scores.values() if len(of) == len(methods)]
     if len(common) > 1:
-        for metric, attribute in COLUMNS.items():
-            means = tuple(float(np.mean([_score(of, method, attribute) for of in common])) for method in methods)
-            rows.append(Row(f"{_AVERAGE} of {len(common)}", metric, means))
+        means = np.array([[_values(of, method) for method in methods] for of in common]).mean(axis=0)
+        rows += _best(f"{_AVERAGE} of {len(common)}", methods, means)
     return Table(methods, tuple(rows))
 
 
@@ -144,8 +146,23 @@ def error_map(values: ArrayLike, truth: ArrayLike) -> NDArray[np.float32]:
     return np.where(np.isfinite(found), found, np.float32(np.nan))
 
 
-def _score(scores: Mapping[str, Metrics], method: str, attribute: str) -> float:
-    return float(getattr(scores[method], attribute)) if method in scores else float("nan")
+def _rows(scene: str, methods: tuple[str, ...], scores: Mapping[str, Metrics]) -> list[Row]:
+    return _best(scene, methods, np.array([_values(scores, method) for method in methods]))
+
+
+def _best(scene: str, methods: tuple[str, ...], values: NDArray[np.float64]) -> list[Row]:
+    """The rows of a scene from values [method, metric]."""
+    smallest = np.where(np.isnan(values), np.inf, values).min(axis=0)
+    return [
+        Row(scene, method, tuple(map(float, row)), tuple(map(bool, row == smallest)))
+        for method, row in zip(methods, values, strict=True)
+    ]
+
+
+def _values(scores: Mapping[str, Metrics], method: str) -> list[float]:
+    if method not in scores:
+        return [float("nan")] * len(COLUMNS)
+    return [float(getattr(scores[method], attribute)) for attribute in COLUMNS.values()]
 
 
 def _piped(cells: Sequence[str]) -> str:

@@ -129,6 +129,12 @@ def parameters(config: Config | type[Config]) -> Iterator[tuple[str, dataclasses
             yield f"{section.name}.{parameter.name}", parameter
 
 
+def value_of(config: Config, name: str) -> Any:
+    """The value of a parameter `section.parameter`."""
+    section, parameter = name.split(".")
+    return getattr(getattr(config, section), parameter)
+
+
 def as_dict(config: Config) -> dict[str, Any]:
     """The parameters as plain values: the name of the method under "method", and a dictionary per section."""
     return {"method": config.method, **dataclasses.asdict(config)}

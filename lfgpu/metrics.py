@@ -1,4 +1,4 @@
-"""The metrics of the HCI 4D Light Field Benchmark, and the sparsification of a confidence."""
+"""The metrics of the HCI 4D Light Field Benchmark, and how far a confidence can be trusted."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ BORDER = 15
 
 _SHARES = np.arange(20, 0, -1) / 20  # of the pixels that are kept: 1, 0.95 .. 0.05
 _ROUNDING = 1e-9  # percent
+_BINS = 10  # of a reliability diagram
 _SAME_PLACE = 1e-6  # view steps
 
 
@@ -31,13 +32,13 @@ class Metrics:
     mse_100: float
     """Mean squared error times 100, in pixels squared per view step squared."""
     badpix_07: float
-    """Percent of pixels with |error| > 0.07 pixels per view step."""
+    """Percent of pixels with an absolute error above 0.07 pixels per view step."""
     badpix_03: float
-    """Percent of pixels with |error| > 0.03 pixels per view step."""
+    """Percent of pixels with an absolute error above 0.03 pixels per view step."""
     badpix_01: float
-    """Percent of pixels with |error| > 0.01 pixels per view step."""
+    """Percent of pixels with an absolute error above 0.01 pixels per view step."""
     q25: float
-    """25 % quantile of |error|, times 100: the accuracy of the best quarter of the pixels."""
+    """25 % quantile of the absolute error, times 100: the accuracy of the best quarter of the pixels."""
     rmse: float
     """Root of the mean squared error, pixels per view step."""
     undefined: float
@@ -119,7 +120,7 @@ class Sparsification:
     monotone: bool
     """Whether `bad` never rises as less confident pixels are left out."""
     threshold: float
-    """Pixels with a larger |error|, pixels per view step, are bad."""
+    """Pixels with a larger absolute error, pixels per view step, are bad."""
     count: int
     """Number of scored pixels."""
 
@@ -153,20 +154,15 @@ def sparsification(
     confidence
         The larger the surer, of the same shape; only its order counts.
     threshold
-        Pixels with |error| > threshold are bad; pixels per view step, >= 0, default 0.07.
+        Pixels with an absolute error above the threshold are bad; pixels per view step, >= 0, default 0.07.
 
     Raises
     ------
     LightFieldError
         As `evaluate`; if the confidence is of another shape, or the threshold is negative.
     """
-    if not threshold >= 0:
-        raise LightFieldError(f"threshold must be at least 0, found {threshold:g}.")
-    errors, scored = _errors(disparity, truth, mask, border)
-    surer = np.asarray(confidence, np.float64)
-    if surer.shape != scored.shape:
-        raise LightFieldError(f"confidence must be {scored.shape} as the disparity, found {surer.shape}.")
-    levels, level = np.unique(-np.where(np.isnan(surer), -np.inf, surer)[scored], return_inverse=True)
+    errors, surer = _with_confidence(disparity, confidence, truth, mask, border, threshold)
+    levels, level = np.unique(-np.where(np.isnan(surer), -np.inf, surer), return_inverse=True)
     off = ~(errors <= threshold)  # undefined ones too
     pixels = np.cumsum(np.bincount(level, minlength=len(levels)))
     wrong = np.cumsum(np.bincount(level, off, minlength=len(levels)))
@@ -184,6 +180,89 @@ def sparsification(
         threshold=threshold,
         count=count,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Reliability:
+    """A reliability diagram: how many pixels of each stated confidence are right. Bins without a pixel are left out."""
+
+    said: NDArray[np.float64]
+    """Mean confidence of the pixels of each bin, 0 to 1."""
+    right: NDArray[np.float64]
+    """Percent of them that are within the threshold of the truth."""
+    share: NDArray[np.float64]
+    """Percent of all scored pixels that are in the bin."""
+    threshold: float
+    """Pixels with |error| <= threshold, pixels per view step, are right."""
+    count: int
+    """Number of scored pixels."""
+
+    def __repr__(self) -> str:
+        bins = ", ".join(f"{100 * s:.0f} -> {r:.1f}" for s, r in zip(self.said, self.right, strict=True))
+        return f"<Reliability over {self.count} pixels: percent said -> right({self.threshold:g}): {bins}>"
+
+
+def reliability(
+    disparity: DepthResult | DisparityMap | ArrayLike,
+    confidence: ArrayLike,
+    truth: GroundTruth | ArrayLike,
+    *,
+    mask: ArrayLike | None = None,
+    border: int = BORDER,
+    threshold: float = 0.07,
+) -> Reliability:
+    """Compute which share of the pixels of each confidence is right, in ten bins of equal width.
+
+    Undefined disparities are wrong. Pixels whose confidence is NaN are left out.
+
+    Parameters
+    ----------
+    disparity, truth, mask, border
+        As for `evaluate`.
+    confidence
+        0 to 1, of the same shape.
+    threshold
+        Pixels with |error| <= threshold are right; pixels per view step, >= 0, default 0.07.
+
+    Raises
+    ------
+    LightFieldError
+        As `sparsification`; if the confidence is not from 0 to 1.
+    """
+    errors, said = _with_confidence(disparity, confidence, truth, mask, border, threshold)
+    stated = np.isfinite(said)
+    errors, said = errors[stated], said[stated]
+    if said.size and (said.min() < 0 or said.max() > 1):
+        raise LightFieldError(f"confidence must be from 0 to 1, found {said.min():g} to {said.max():g}.")
+    bins = np.minimum((said * _BINS).astype(np.intp), _BINS - 1)
+    pixels = np.bincount(bins, minlength=_BINS)
+    there = pixels > 0
+    right = np.bincount(bins, errors <= threshold, minlength=_BINS)[there] / pixels[there]
+    return Reliability(
+        said=np.bincount(bins, said, minlength=_BINS)[there] / pixels[there],
+        right=100 * right,
+        share=100 * pixels[there] / max(len(errors), 1),
+        threshold=threshold,
+        count=len(errors),
+    )
+
+
+def _with_confidence(
+    disparity: DepthResult | DisparityMap | ArrayLike,
+    confidence: ArrayLike,
+    truth: GroundTruth | ArrayLike,
+    mask: ArrayLike | None,
+    border: int,
+    threshold: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """|error| and confidence of the scored pixels, [p] each."""
+    if not threshold >= 0:
+        raise LightFieldError(f"threshold must be at least 0, found {threshold:g}.")
+    errors, scored = _errors(disparity, truth, mask, border)
+    surer = np.asarray(confidence, np.float64)
+    if surer.shape != scored.shape:
+        raise LightFieldError(f"confidence must be {scored.shape} as the disparity, found {surer.shape}.")
+    return errors, surer[scored]
 
 
 def _errors(

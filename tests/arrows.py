@@ -20,13 +20,14 @@ DRAWING = ROOT / "docs" / "arrows.svg"
 FLOORS = (
     ("cli",),
     ("batch", "viewer"),
+    ("reports",),
     ("viz", "calibration"),
     ("pipelines",),
     ("io", "comparison"),
     ("methods", "scenes", "metrics", "region_metrics"),
     ("data", "solvers", "kernels"),
     ("_backends",),
-    ("contract", "config", "threads"),
+    ("contract", "config", "threads", "machine"),
     ("errors",),
     ("printable",),
 )

@@ -192,9 +192,6 @@ def test_wrong_wishes_are_refused(tmp_path: Path) -> None:
 # --- the results ---
 
 
-def test_the_readme_has_the_summary_of_the_results() -> None:
+def test_the_results_have_every_variant() -> None:
     run: Run = results.load(ROOT / "benchmarks" / "results" / "ablation.json")
-    summary_lines = show.markdown(run).split("**")[2].strip()
-    text = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
-    assert text.split("<!-- ablation -->")[1].split("<!-- /ablation -->")[0].strip() == summary_lines
     assert {record.name for record in run.records} == {variant.name for variant in VARIANTS}

@@ -273,8 +273,10 @@ def test_the_last_line_of_an_item_holds_and_half_lines_are_skipped(tmp_path: Pat
     assert {name: entry["status"] for name, entry in found.items()} == {"a": DONE, "c": DONE}
 
 
-def test_what_is_gone_or_renamed_does_not_stand(tmp_path: Path) -> None:
-    def entry(name: str, source: str, began: float, status: str = DONE) -> dict[str, Any]:
+@pytest.mark.parametrize("clock", [1, -1], ids=["a clock that runs", "a clock that was set back"])
+def test_what_is_gone_or_renamed_does_not_stand(tmp_path: Path, clock: int) -> None:
+    def entry(name: str, source: str, number: int, status: str = DONE) -> dict[str, Any]:
+        began = 10 + clock * number
         (tmp_path / name).mkdir(parents=True)
         (tmp_path / name / "disparity.pfm").write_bytes(b"1234")
         return {"item": name, "input": source, "began": began, "status": status, "sizes": {"disparity.pfm": 4}}
@@ -342,8 +344,10 @@ def test_a_report_shows_all_items(recorded: Path, undisturbed: Path) -> None:
     page = write_report(summary, undisturbed, "a & b").read_text(encoding="utf-8")
     assert "4 done, 1 failed, 1 not reached" in page
     assert "a &amp; b" in page
+    assert "66.67 % done" in page
+    assert "preset" not in page, "nobody said which"
     assert page.index("scene_2") < page.index("scene_0"), "failed ones come first"
-    assert page.count('loading="lazy"') == 4
+    assert page.count('loading="lazy"') == 2 * 4, "a view and a map of each"
     for target in re.findall(r'(?:src|href)="([^"]+)"', page):
         assert (undisturbed / target).exists(), target
 
@@ -354,14 +358,14 @@ def test_a_batch_is_scored_per_item_and_in_total(undisturbed: Path, recorded: Pa
         manifest.add(work(job, "cpu") for job in jobs(recorded, other)[:2])
     outcome = lfgpu("eval", undisturbed, other, "-o", tmp_path / "tables")
     assert outcome.exit_code == 0, outcome.output
-    assert "1 items failed or have no ground truth" in outcome.stdout
+    assert "1 item failed or without ground truth" in outcome.stdout
     lines = (tmp_path / "tables" / "table.csv").read_text().splitlines()
-    assert lines[0] == f"scene,metric,{undisturbed.name},other"
-    found = {tuple(line.split(",")[:2]): line.split(",")[2:] for line in lines[1:]}
+    assert lines[0] == "scene,method,MSE x100,BadPix 0.07,BadPix 0.03,BadPix 0.01,Q25 x100"
+    found = {tuple(line.split(",")[:2]): line.split(",")[2] for line in lines[1:]}
     scores = [read_manifest(undisturbed)[f"scene_{index}"]["metrics"]["mse_100"] for index in (0, 1)]
-    assert [float(found[f"scene_{index}", "MSE x100"][0]) for index in (0, 1)] == scores
-    assert float(found["average of 2", "MSE x100"][0]) == pytest.approx(np.mean(scores))
-    assert found["scene_3", "MSE x100"][1] == ""
+    assert [float(found[f"scene_{index}", undisturbed.name]) for index in (0, 1)] == scores
+    assert float(found["average of 2", undisturbed.name]) == pytest.approx(np.mean(scores))
+    assert found["scene_3", "other"] == ""
     assert "\\toprule" in (tmp_path / "tables" / "table.tex").read_text()
     assert "different parameters" not in outcome.stdout
     with Manifest(other) as manifest:
@@ -415,6 +419,55 @@ def test_a_worker_that_is_killed_in_the_middle_costs_nothing(recorded: Path, und
     assert len(set(killed)) == 2
     assert (summary.computed, summary.left, [e["item"] for e in summary.failed]) == (4, 0, ["scene_2"])
     assert_same_maps(tmp_path, undisturbed)
+
+
+def test_kills_at_random_moments_cost_nothing(
+    recorded: Path, undisturbed: Path, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """All processes at once, wherever they are: the start of the cluster, an item, the manifest."""
+    settings = ["--set", "prior.window=3", "--set", "sweep.step=1", "--set", "alignment.iterations=100"]
+    command = ["batch", str(recorded), "-o", str(tmp_path), "--preset", "fast", "--disparity-range", "-1.2,1.2"]
+    command += [*settings, "--device", "cpu", "--threads", "1"]
+    for longest in (2.0, 5.0, 8.0):
+        with started(["lfgpu", *command]) as process, contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(float(rng.uniform(0, longest)))
+    outcome = lfgpu(*command)
+    assert "lfgpu: 1 of 5 items failed: scene_2: " in outcome.stderr, outcome.output
+    assert_same_maps(tmp_path, undisturbed)
+    assert_nothing_left_over(tmp_path)
+
+
+def test_a_clock_that_is_put_forward_costs_nothing(
+    recorded: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import dask
+
+    real, day, ahead = time.time, 86400.0, [0.0]
+    for place in ("time.time", "distributed.scheduler.time"):
+        monkeypatch.setattr(place, lambda: real() + ahead[-1])
+    seen: set[int] = set()
+    cluster = local()
+
+    def jump(_: object) -> None:
+        ahead.append(day)  # from the first item on
+        seen.update(pids(cluster))
+
+    with dask.config.set({"distributed.scheduler.worker-ttl": "1 s"}):  # five minutes are too long for a test
+        items = find_items([str(recorded)], sequence=False)[0]
+        summary = Batch(items, tmp_path, SLOW).run(cluster, on_progress=jump)
+    assert (summary.computed, [entry["item"] for entry in summary.failed]) == (4, ["scene_2"])
+    assert len(seen) == 1  # no worker was taken for dead
+    assert {entry["attempts"] for entry in summary.entries.values()} == {1}
+    assert all(0 <= entry["seconds"] < day for entry in summary.entries.values())
+    assert_same_maps(tmp_path, undisturbed)
+
+
+def test_the_time_of_an_item_is_not_that_of_a_clock_that_is_set_back(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter(range(10**6, 0, -1000))
+    monkeypatch.setattr("lfgpu.batch.work.time.time", lambda: float(next(clock)))
+    assert 0 <= work(jobs(recorded, tmp_path)[0], "cpu")["seconds"] < 1000
 
 
 def test_an_item_that_kills_its_worker_is_given_up_and_the_rest_goes_on(recorded: Path, tmp_path: Path) -> None:

@@ -20,12 +20,12 @@ from typer.testing import CliRunner
 from lfgpu import get_threads, list_backends, scenes, set_threads
 from lfgpu._backends import BackendInfo
 from lfgpu.cli import app, demo
-from lfgpu.cli.machine import device_name
 from lfgpu.config import Config, Section, number, parameters
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import formats, read, read_map, read_result, write_hci, write_pfm
 from lfgpu.io.formats import FORMATS, Format
+from lfgpu.machine import device_name
 from lfgpu.methods import METHODS, PRESETS, preset
 from lfgpu.methods.entry import Entry
 from lfgpu.metrics import evaluate, sparsification
@@ -227,6 +227,10 @@ def test_interruption_leaves_nothing(
         (
             RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'"),
             "lfgpu: out of memory on the device; use fewer views",
+        ),
+        (
+            RuntimeError("CUDA error 700: an illegal address"),
+            "lfgpu: the GPU failed (CUDA error 700: an illegal address)",
         ),
         (PermissionError(errno.EACCES, "Permission denied", "/views/a.png"), "/views/a.png: Permission denied"),
         (LightFieldError("a sentence\nover two lines."), "a sentence over two lines."),
@@ -526,7 +530,7 @@ def test_backends_shows_what_is_here_and_how_to_get_what_is_not(monkeypatch: pyt
         BackendInfo("fpga", "fpga-tools", "2.0", (), "cannot be loaded: OSError: libfpga.so: [no such file]", None),
     )
     monkeypatch.setattr("lfgpu._backends.describe_backends", lambda: described)
-    monkeypatch.setattr("lfgpu.cli.machine.device_name", {"cuda:0": "NVIDIA H200"}.get)
+    monkeypatch.setattr("lfgpu.machine.device_name", {"cuda:0": "NVIDIA H200"}.get)
     outcome = lfgpu("backends")
     assert (outcome.code, outcome.err) == (0, "")
     rows = [" ".join(line.split()) for line in outcome.out.splitlines() if line.strip()][2:]

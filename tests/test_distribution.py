@@ -22,6 +22,7 @@ TESTED_WITH = (
     "constraints.txt",
     "README.md",
     "CHANGELOG.md",
+    "CITATION.cff",
     "CONTRIBUTING.md",
     "LICENSE",
     "pyproject.toml",
@@ -110,7 +111,8 @@ def test_the_archive_of_sources_has_all_that_tests_need(sdist: Path) -> None:
         assert (sdist / name).read_bytes() == (ROOT / name).read_bytes(), name
     for folder in FOLDERS:
         for path in (ROOT / folder).rglob("*"):
-            if path.is_file() and "__pycache__" not in path.parts:
+            made = "__pycache__" in path.parts or "made" in path.parts  # docs/made: pages that `make docs` writes
+            if path.is_file() and not made:
                 name = path.relative_to(ROOT)
                 assert (sdist / name).is_file(), name
 
@@ -135,8 +137,9 @@ def test_the_wheel_has_the_code_and_nothing_else(wheel: Path) -> None:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
     shim = ROOT / "lfgpu" / "kernels.py"
     expected = {path.relative_to(ROOT) for path in CODE - {shim}}
-    expected |= {Path("lfgpu", name) for name in ("py.typed", "native/replay.cpp")}
+    expected |= {Path("lfgpu/py.typed")} | {path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "native").iterdir()}
     expected |= {path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "templates").glob("*.html")}
+    expected |= {path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "viewer" / "page").iterdir()}
     moved = {Path("lfgpu", path) if path.parts[0] == "kernels" else path for path in expected}
     assert names == {path.as_posix() for path in moved}
 

@@ -26,7 +26,31 @@ def example(name: str) -> ModuleType:
 def test_every_example_is_tried() -> None:
     tried = {"first_depth_map", "own_camera_array", "live_stream", "compare_backends"}
     tried |= {"checkerboard", "opencv_cameras", "gstreamer_appsink", "ros2_node"}  # in test_camera_examples.py
+    tried |= {"ring_producer"}  # in tests/io/test_ring.py
     assert {path.stem for path in FOLDER.glob("*.py")} == tried
+
+
+def test_every_notebook_is_tried() -> None:
+    assert {path.stem for path in FOLDER.glob("*.ipynb")} == {"depth_map"}
+
+
+def test_the_notebook_runs_and_shows_what_it_says(tmp_path: Path) -> None:
+    """In a kernel of Jupyter, from a folder of its own."""
+    nbformat = pytest.importorskip("nbformat", reason="nbclient is not installed: pip install 'lfgpu[test]'")
+    nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed: pip install 'lfgpu[test]'")
+    pytest.importorskip("ipykernel", reason="ipykernel is not installed: pip install 'lfgpu[test]'")
+    notebook = nbformat.read(FOLDER / "depth_map.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells), "it is kept without what it showed once"
+    nbclient.NotebookClient(notebook, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    shown = [output.data["text/html"] for output in outputs if "text/html" in output.get("data", {})]
+    assert [
+        next(word for word in ("EPI of row", "Uncertainty", "Left-over shifts") if word in page) for page in shown
+    ] == ["EPI of row", "Uncertainty", "Left-over shifts"], "the light field, the result, the judge"
+    said = "".join(output.text for output in outputs if output.output_type == "stream" and output.name == "stdout")
+    assert "BadPix(0.07)" in said
+    assert any("image/png" in output.get("data", {}) for output in outputs), "the refocused picture"
+    assert "<html" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
 def test_first_depth_map(tmp_path: Path) -> None:

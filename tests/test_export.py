@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 from functools import cache
@@ -22,6 +23,7 @@ from lfgpu.threads import get_threads
 
 RANGE = (-1.0, 1.0)
 SIZE = (36, 40)
+NATIVE = Path(lfgpu.__file__).parent / "native"
 
 
 @cache
@@ -29,31 +31,47 @@ def frames() -> tuple[LightField, ...]:
     return tuple(scenes.make(name, grid=(3, 3), size=SIZE, disparity_range=RANGE) for name in ("planes", "boxes"))
 
 
-def maps_of(config: str) -> np.ndarray:
-    """[frame, map, y, x] with Python."""
-    pipeline = lfgpu.DepthPipeline(frames()[0], config=config, disparity_range=RANGE, device="cpu")
-    maps = []
-    for lf in frames():
-        pipeline.upload(lf.views)
-        pipeline.run()
-        result = pipeline.result()
-        maps.append([result.disparity, result.confidence])
-    return np.array(maps)
+FILM = 5
+"""Frames: a scene that moves, and then another one."""
+
+
+@cache
+def film() -> tuple[LightField, ...]:
+    options = {"grid": (3, 3), "size": SIZE, "disparity_range": RANGE}
+    moving = scenes.sequence("moving", frames=60, noise=0.01, **options)
+    return (*(lf for lf, _ in zip(moving, range(FILM - 1), strict=False)), scenes.make("planes", **options))
+
+
+def streamed(config: str, prior: lfgpu.TemporalPrior | None) -> tuple[np.ndarray, list[bool]]:
+    """[frame, map, y, x] with Python, and which frames started without the map before."""
+    options = {"config": config, "disparity_range": RANGE, "device": "cpu", "policy": "block", "prior": prior}
+    with lfgpu.DepthStream(film()[0], **options) as stream:
+        results = [stream.push(lf.views) for lf in film()]
+        return np.array([[r.numpy(), r.confidence()] for r in results]), [r.cold for r in results]
 
 
 @pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    compiler = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
-    libraries, _ = exporting.libraries()
-    names = ["warp.so", "warp-clang.so"]
-    if compiler is None or not all((libraries / name).is_file() for name in names):
-        pytest.skip("no C++ compiler, or no libraries of Warp for it to link with, here")
-    folder = tmp_path_factory.mktemp("program")
-    source = Path(lfgpu.__file__).parent / "native" / "replay.cpp"
-    linked = [f"-L{libraries}", *(f"-l:{name}" for name in names), f"-Wl,-rpath,{libraries}"]
-    command = [compiler, "-O1", "-std=c++17", "-Wall", "-Wextra", "-Werror", str(source), "-o", str(folder / "replay")]
-    subprocess.run([*command, *linked], check=True, capture_output=True, text=True)
-    return folder / "replay"
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where CMake installed the library and the program."""
+    cmake, libraries = shutil.which("cmake"), exporting.libraries()[0]
+    if cmake is None or not (libraries / "warp.so").is_file() or shutil.which("c++") is None:
+        pytest.skip("no CMake, no C++ compiler, or no libraries of Warp for it to link with, here")
+    folder = tmp_path_factory.mktemp("cmake")
+    flags = f"-DWARP={libraries.parent}", "-DCMAKE_CXX_FLAGS=-O1 -Wall -Wextra -Werror"
+    run(cmake, "-S", NATIVE, "-B", folder / "build", *flags)
+    run(cmake, "--build", folder / "build")
+    run(cmake, "--install", folder / "build", "--prefix", folder / "installed")
+    return folder / "installed"
+
+
+@pytest.fixture(scope="module")
+def program(built: Path) -> Path:
+    return built / "bin" / "replay"
+
+
+def run(*command: Path | str) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def replayed(program: Path, *arguments: Path | str) -> subprocess.CompletedProcess[str]:
@@ -62,16 +80,76 @@ def replayed(program: Path, *arguments: Path | str) -> subprocess.CompletedProce
 
 @pytest.mark.parametrize("config", ["accurate", "fast"])
 def test_same_bits_without_python(program: Path, tmp_path: Path, config: str) -> None:
+    """Each frame starts from the map before, but the first one and the one of another scene."""
     threads = get_threads()
-    lfgpu.export_pipeline(frames()[0], tmp_path / "out", config=config, disparity_range=RANGE)
+    lfgpu.export_pipeline(film()[0], tmp_path / "out", config=config, disparity_range=RANGE)
     assert get_threads() == threads
-    views = np.stack([lf.views for lf in frames()])
-    views.tofile(tmp_path / "frames.raw")
-    done = replayed(program, tmp_path / "out", tmp_path / "frames.raw", tmp_path / "maps.raw")
-    assert done.returncode == 0, done.stderr
-    got = np.fromfile(tmp_path / "maps.raw", np.float32).reshape(2, 2, *SIZE)
-    np.testing.assert_array_equal(got, maps_of(config))
-    assert not np.array_equal(got[0], got[1])
+    np.stack([lf.views for lf in film()]).tofile(tmp_path / "frames.raw")
+    want, cold = streamed(config, lfgpu.TemporalPrior())
+    assert cold == [True, *[False] * (FILM - 2), True]
+    for count in ("1", "3"):
+        done = replayed(program, tmp_path / "out", tmp_path / "frames.raw", tmp_path / "maps.raw", "--threads", count)
+        assert done.returncode == 0, done.stderr
+        assert f"{FILM} frames, 2 without the map before" in done.stderr
+        got = np.fromfile(tmp_path / "maps.raw", np.float32).reshape(want.shape)
+        np.testing.assert_array_equal(got, want)
+    assert not np.array_equal(want[1], streamed(config, None)[0][1])
+
+
+def test_each_frame_on_its_own(program: Path, tmp_path: Path) -> None:
+    lfgpu.export_pipeline(film()[0], tmp_path / "out", config="fast", disparity_range=RANGE, prior=None)
+    assert not (tmp_path / "out" / "warm.wrp").exists()
+    np.stack([lf.views for lf in film()]).tofile(tmp_path / "frames.raw")
+    done = replayed(program, tmp_path / "out", tmp_path / "frames.raw", tmp_path / "maps.raw", "--repeat", "2")
+    assert f"{2 * FILM} frames, {2 * FILM} without the map before" in done.stderr
+    want, _ = streamed("fast", None)
+    np.testing.assert_array_equal(np.fromfile(tmp_path / "maps.raw", np.float32).reshape(want.shape), want)
+
+
+USER = r"""
+#include <lfgpu_replay.h>
+#include <cstdio>
+#include <thread>
+#include <vector>
+
+int main(int, char** arguments)
+{
+    // Two pipelines in two threads, with frames of zeros and of a gradient.
+    std::vector<float> maps[2];
+    auto solve = [&](int k) {
+        lfgpu::Replay replay(arguments[1], 2);
+        std::vector<unsigned char> views(replay.frame_bytes());
+        for (std::size_t i = 0; i < views.size(); ++i) views[i] = static_cast<unsigned char>((i * i / 7) % 256);
+        maps[k].resize(replay.pixels());
+        for (int frame = 0; frame < 3; ++frame) {
+            if (frame == 2) replay.restart();
+            if (replay.solve(views.data(), maps[k].data(), nullptr) != (frame != 1)) std::printf("wrong start ");
+        }
+    };
+    std::thread other(solve, 1);
+    solve(0);
+    other.join();
+    try {
+        lfgpu::Replay nothing("nowhere");
+    } catch (const lfgpu::Error& error) {
+        std::printf("%s|%d\n", error.what(), int(maps[0] == maps[1]));
+    }
+}
+"""
+
+
+def test_the_library_in_a_project_of_its_own(built: Path, tmp_path: Path) -> None:
+    lfgpu.export_pipeline(film()[0], tmp_path / "out", config="fast", disparity_range=RANGE)
+    (tmp_path / "user").mkdir()
+    (tmp_path / "user" / "main.cpp").write_text(USER)
+    (tmp_path / "user" / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.16)\nproject(user CXX)\nfind_package(lfgpu_replay REQUIRED)\n"
+        "add_executable(user main.cpp)\ntarget_link_libraries(user lfgpu::lfgpu_replay)\n"
+    )
+    run("cmake", "-S", tmp_path / "user", "-B", tmp_path / "build", f"-DCMAKE_PREFIX_PATH={built}")
+    run("cmake", "--build", tmp_path / "build")
+    done = subprocess.run([tmp_path / "build" / "user", tmp_path / "out"], capture_output=True, text=True, timeout=600)
+    assert done.stdout == "nowhere/replay.txt cannot be read; give a folder that lfgpu export made.|1\n", done.stderr
 
 
 def test_mistakes_of_those_who_replay(program: Path, tmp_path: Path) -> None:
@@ -83,11 +161,13 @@ def test_mistakes_of_those_who_replay(program: Path, tmp_path: Path) -> None:
         ((tmp_path, tmp_path / "half.raw", maps), "give a folder that lfgpu export made"),
         ((tmp_path / "out", tmp_path / "nothing.raw", maps), "nothing.raw cannot be read"),
         ((tmp_path / "out", tmp_path / "half.raw", maps), "ends in the middle of a frame"),
+        ((tmp_path / "out", tmp_path / "half.raw", maps, "--threads", "0"), "--threads must be a whole number"),
     ):
         done = replayed(program, *arguments)
         assert done.returncode == 1
         assert sentence in done.stderr
-    (tmp_path / "out" / "warp-version.txt").write_text("0.0.1\n")
+    about = tmp_path / "out" / "replay.txt"
+    about.write_text(re.sub("^warp .*$", "warp 0.0.1", about.read_text(), flags=re.M))
     assert "Version mismatch" in replayed(program, tmp_path / "out", tmp_path / "half.raw", maps).stderr
 
 
@@ -100,7 +180,7 @@ def test_command_and_what_it_writes(tmp_path: Path) -> None:
     assert about["views"] == {"shape": [9, *SIZE, 3], "dtype": "uint8", "order": "n, y, x, c"}
     assert about["disparity_range"] == [-1, 1]
     assert str(9 * SIZE[0] * SIZE[1] * 3) in (tmp_path / "out" / "README.txt").read_text()
-    assert (tmp_path / "out" / "replay.cpp").is_file()
+    assert {path.name for path in (tmp_path / "out").iterdir()} >= {path.name for path in NATIVE.glob("*replay*")}
 
 
 def test_command_reads_as_depth_does(tmp_path: Path) -> None:

@@ -15,10 +15,12 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.cli import app
+from lfgpu.data.lightfield import LightField
 from lfgpu.io import read_map, write_hci
-from lfgpu.pipelines.sources import feed, open_source
+from lfgpu.pipelines.sources import Options, feed, open_source
 
-OPTIONS: dict[str, Any] = {"grid": (3, 3), "size": (32, 36), "disparity_range": (-1, 1)}
+SCENE: dict[str, Any] = {"size": (32, 36), "disparity_range": (-1, 1)}
+OPTIONS: dict[str, Any] = {"grid": (3, 3), **SCENE}
 RANGE = "--disparity-range=-1,1"
 
 
@@ -59,8 +61,9 @@ def grabbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_folder_in_the_order_of_its_numbers(sequence: Path) -> None:
-    first, frames = open_source(str(sequence))
-    found = [lf.views for lf in frames]
+    opened = open_source(str(sequence))
+    first = opened.first
+    found = [frame.views if isinstance(frame, LightField) else frame[0] for frame in opened.frames]
     want = [lf.views for lf in scenes.sequence("moving", frames=12, **OPTIONS)]
     np.testing.assert_array_equal(found, want)
     np.testing.assert_array_equal(first.views, want[0])
@@ -94,26 +97,27 @@ def test_grabber_with_a_bad_frame_and_a_missing_camera(grabbers: None, tmp_path:
 
 
 def test_scene_goes_round() -> None:
-    _, frames = open_source("moving", scene_options=OPTIONS)
+    frames = open_source("moving", Options(grid=(3, 3), scene=SCENE)).frames
     views = [lf.views for lf, _ in zip(frames, range(26), strict=False)]
     np.testing.assert_array_equal(views[0], views[24])
     assert not np.array_equal(views[0], views[12])
 
 
 def test_feed_tells_of_all_frames_in_order() -> None:
-    lf, frames = open_source("planes", scene_options=OPTIONS)
+    opened = open_source("planes", Options(grid=(3, 3), scene=SCENE))
+    lf, frames = opened.first, opened.frames
     seen: list[int] = []
     with lfgpu.DepthStream(lf, config="fast", disparity_range=(-1, 1), device="cpu") as stream:
-        feed(stream, frames, fps=1000.0, most=7, on_done=lambda result: seen.append(result.index))
+        feed(stream, frames, max_fps=1000.0, most=7, on_done=lambda result: seen.append(result.index))
     assert seen == list(range(7))
 
 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["nowhere"], "does not exist; give a folder of light fields, a grabber"),
+        (["nowhere"], "does not exist; give one of growing:FOLDER"),
         (["."], "holds no folders"),
-        (["grabber_for_tests.py"], "is a file; give a folder"),
+        (["grabber_for_tests.py"], "is a file, but no video; give one of"),
         (["grabber_for_tests:nothing"], "yielded no frame"),
         (["grabber_for_tests:arrays"], "must yield a LightField first"),
         (["grabber_for_tests:number"], "must be a function without arguments that yields frames"),
@@ -140,19 +144,73 @@ def _warp_devices() -> tuple[str, ...]:
     return load("warp").devices()
 
 
-@pytest.mark.parametrize("device", _warp_devices())
-def test_sameness(device: str, rng: np.random.Generator) -> None:
+def _texture(height: int, width: int, dx: float, dy: float) -> np.ndarray:
+    """A picture [y, x, c] that is (dx, dy) further right and down."""
+    y, x = np.mgrid[:height, :width].astype(float)
+    x, y = x - dx, y - dy
+    waves = [np.sin(0.7 * x + 0.2 * y), np.cos(0.5 * y - 0.3 * x), np.sin(0.4 * x + 0.6 * y + 1)]
+    return (0.5 + 0.2 * np.stack(waves, axis=2)).astype(np.float32)
+
+
+def _found(device: str, image: np.ndarray, last: np.ndarray, fields: list[np.ndarray]) -> tuple[Any, list[Any]]:
+    """`same`, and the fields carried along the motion."""
     kernels = load("warp")
     live = kernels.streaming
     assert live is not None
-    image, last = rng.random((2, 9, 11, 3), np.float32)
-    last[:, 5:] = image[:, 5:] + 0.01
-    out = kernels.zeros((9, 11), device)
-    live.sameness(kernels.image(image, device), kernels.image(last, device), tolerance=0.05, same_out=out)
-    change = np.pad(np.abs(image - last).mean(2), 1, mode="edge")
-    mean = sum(change[y : y + 9, x : x + 11] for y in range(3) for x in range(3)) / 9
-    np.testing.assert_allclose(kernels.numpy(out), 1 / (1 + (mean / 0.05) ** 8), rtol=1e-4, atol=1e-6)
-    assert (kernels.numpy(out)[:, 6:] > 0.99).all()
+    size = image.shape[:2]
+    motion, same = live.motion(kernels.image(image, device)), kernels.zeros(size, device)
+    motion.find(kernels.image(image, device), kernels.image(last, device), tolerance=0.01, same_out=same)
+    outs = [kernels.zeros(size, device) for _ in range(4)]
+    names = ("past_out", "frames_out", "rate_out", "confidence_out")
+    inputs = [kernels.field(field, device) for field in fields]
+    motion.carry(*inputs, support=0.1, **dict(zip(names, outs, strict=True)))
+    return kernels.numpy(same), [kernels.numpy(out) for out in outs]
+
+
+@pytest.mark.parametrize("device", _warp_devices())
+def test_what_is_known_moves_along(device: str) -> None:
+    """The coordinates as maps say where each pixel was."""
+    dx, dy = 0.7, -0.4
+    y, x = np.mgrid[:40, :48].astype(np.float32)
+    fields = [np.zeros_like(x), x, 0.01 * y, y]
+    same, (past, frames, rate, confidence) = _found(device, _texture(40, 48, dx, dy), _texture(40, 48, 0, 0), fields)
+    inside = np.s_[8:-8, 8:-8]
+    np.testing.assert_allclose(frames[inside], (x - dx)[inside], atol=0.1)
+    np.testing.assert_allclose(confidence[inside], (y - dy)[inside], atol=0.1)
+    np.testing.assert_allclose(past, rate, atol=1e-6)  # what is expected is the past and its change
+    np.testing.assert_allclose(rate, 0.01 * confidence, atol=1e-5)
+    assert (same[inside] > 0.99).all()
+
+
+@pytest.mark.parametrize("device", _warp_devices())
+def test_what_stands_still_stays(device: str, rng: np.random.Generator) -> None:
+    image, fields = _texture(40, 48, 0, 0), list(rng.random((4, 40, 48), np.float32))
+    noisy = image + rng.normal(0, 0.002, image.shape).astype(np.float32)
+    same, (past, frames, rate, confidence) = _found(device, noisy, image, fields)
+    stays = (frames == fields[1]) & (rate == fields[2]) & (confidence == fields[3])
+    assert stays.mean() > 0.9
+    np.testing.assert_allclose(past[stays], (fields[0] + fields[2])[stays], atol=1e-6)
+    assert (same > 0.99).all()
+
+
+@pytest.mark.parametrize("device", _warp_devices())
+def test_surfaces_are_not_mixed_when_they_move(device: str) -> None:
+    past = np.where(np.arange(48) < 24, 0.0, 1.0)[None].repeat(40, axis=0).astype(np.float32)
+    zero = np.zeros_like(past)
+    _, carried = _found(device, _texture(40, 48, 0.5, 0.2), _texture(40, 48, 0, 0), [past, past, zero, zero])
+    assert set(np.unique(carried[0])) == {0.0, 1.0}
+    np.testing.assert_array_equal(carried[1], carried[0])
+
+
+@pytest.mark.parametrize("device", _warp_devices())
+def test_what_looks_otherwise_is_not_the_same(device: str) -> None:
+    last = _texture(40, 48, 0, 0)
+    image = last.copy()
+    image[:, 24:] = 1 - image[:, 24:]
+    zero = np.zeros((40, 48), np.float32)
+    same, _ = _found(device, image, last, [zero] * 4)
+    assert (same[8:-8, 4:15] > 0.99).all()
+    assert same[8:-8, 30:-8].mean() < 0.2
 
 
 @pytest.mark.parametrize("device", _warp_devices())
@@ -160,16 +218,23 @@ def test_bias_and_blend(device: str, rng: np.random.Generator) -> None:
     kernels = load("warp")
     live = kernels.streaming
     assert live is not None
-    past, trust, frames, disparity = rng.random((4, 9, 11), np.float32)
+    past, trust, frames, rate, disparity = rng.random((5, 9, 11), np.float32)
     costs = rng.random((5, 9, 11), np.float32)
     volume = kernels.field(costs, device)
-    fields = [kernels.field(values, device) for values in (past, trust, frames, disparity)]
+    fields = [kernels.field(values, device) for values in (past, trust, frames, rate, disparity)]
     live.bias(fields[0], fields[1], volume, first=-0.5, step=0.4, strength=0.3, reach=1.5)
     labels = -0.5 + 0.4 * np.arange(5)[:, None, None]
     want = costs + 0.3 * trust * np.minimum(np.abs(labels - past) / 0.4, 1.5) / 1.5
     np.testing.assert_allclose(kernels.numpy(volume), want, rtol=1e-5, atol=1e-6)
 
-    live.blend(fields[0], fields[1], fields[2], fields[3], persistence=0.7, support=0.3)
-    before = 0.7 * trust * frames / (1 + ((past - disparity) / 0.3) ** 4)
-    np.testing.assert_allclose(kernels.numpy(fields[2]), 1 + before, rtol=1e-5)
-    np.testing.assert_allclose(kernels.numpy(fields[3]), (disparity + before * past) / (1 + before), rtol=1e-5)
+    names = ("frames_out", "rates_out", "weights_out")
+    outs = {name: kernels.zeros((9, 11), device) for name in names}
+    live.blend(*fields, persistence=0.7, support=0.3, rate_gain=0.2, **outs)
+    surprise = disparity - past
+    goes_on = trust / (1 + (surprise / 0.3) ** 4)
+    before = 0.7 * goes_on * frames
+    weight = goes_on * before / (1 + before)
+    wanted = (1 + before, weight * (rate + 0.2 * surprise), weight)
+    for name, values in zip(names, wanted, strict=True):
+        np.testing.assert_allclose(kernels.numpy(outs[name]), values, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(kernels.numpy(fields[4]), past + surprise / (1 + before), rtol=1e-5)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import flicker, live, moving, soak
+from benchmarks import clock, flicker, live_stages, moving, ring, soak
 from benchmarks.cli import app
 from lfgpu import scenes
+from lfgpu.io.ring import RingReader, RingWriter
 from lfgpu.pipelines.stream import DepthStream
 
 FILM = moving.Film((3, 3), (64, 72), 4, period=40)
@@ -87,6 +87,45 @@ def test_live_command(tmp_path: Path) -> None:
         assert np.isfinite(row["mse_ratio"])
 
 
+def test_operations_beside_their_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("_BUDGET", 0.0), ("_REPEATS", 1), ("_LENGTH", 1 << 16), ("_CHAINS", 1 << 8)):
+        monkeypatch.setattr(live_stages, name, value)
+    monkeypatch.setattr(clock, "_SHORTEST_BATCH", 0.0)
+    out = tmp_path / "stages.json"
+    arguments = ["live", "--stages", "--cases=3x3x32x32", "--presets=fast", "--device=cpu", f"--out={out}"]
+    outcome = CliRunner().invoke(app, arguments)
+    assert outcome.exit_code == 0, outcome.output
+    rows = json.loads(out.read_text())["operations"]
+    cold, warm = ({row["operation"]: row for row in rows if row["warm"] is is_warm} for is_warm in (False, True))
+    assert {"motion.find", "motion.carry", "bias", "blend", "plane_sweep.by_visibility"} == warm.keys() - cold.keys()
+    assert "plane_sweep.by_view_sets" in cold
+    assert warm["motion.carry"]["bytes"] == 8 * 4 * 32 * 32  # four fields before, and four carried along
+    for row in rows:
+        assert row["seconds"] > 0
+        assert row["limit"] == max(row["memory"], row["arithmetic"]) >= 0
+    assert "limit, ms" in outcome.stdout
+
+
+def test_frames_of_another_process(tmp_path: Path) -> None:
+    arguments = ["ring", "--case=3x3x24x24", "--rate=200", "--seconds=0.2", "-o", str(tmp_path / "ring.json")]
+    outcome = CliRunner().invoke(app, arguments)
+    assert outcome.exit_code == 0, outcome.output
+    found = json.loads((tmp_path / "ring.json").read_text())
+    assert found["torn"] == 0
+    assert 0 < found["read"] + found["passed"] <= 40
+
+
+def test_a_torn_frame_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    views = np.ones((4, 8, 8, 3), np.uint8)
+    views[2:] = 2
+    with RingWriter(tmp_path / "ring", [(0, 0), (1, 0), (0, 1), (1, 1)], (8, 8)) as writer:
+        writer.write(views)
+        reader = RingReader(tmp_path / "ring")
+        writer.close()
+        monkeypatch.setattr(ring, "RingReader", lambda path: reader)
+        assert ring._read(tmp_path / "ring", 60.0, 1.0).torn == 1
+
+
 def test_cases_that_are_none() -> None:
     outcome = CliRunner().invoke(app, ["live", "--cases=7x7x375"])
     assert outcome.exit_code == 1
@@ -133,11 +172,6 @@ def test_soak_notices_another_map_at_the_end(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(DepthStream, "restart", lambda self: None)
     monkeypatch.setattr(soak, "_CUT", 0.0)
     assert any("another map" in problem for problem in soak.run(plan(40), quiet).problems)
-
-
-def test_parse_case() -> None:
-    found: Any = live.parse_case("7x9x375x400")
-    assert found == ((7, 9), (375, 400))
 
 
 def test_what_rectification_adds_is_measured(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lfgpu.errors import LightFieldError
-from lfgpu.metrics import Metrics, Sparsification, evaluate, sparsification
+from lfgpu.metrics import Metrics, Sparsification, evaluate, reliability, sparsification
 
 NAN = float("nan")
 
@@ -216,3 +216,31 @@ def test_bad_input_of_the_curve_is_said_so(confidence: object, options: dict[str
     with pytest.raises(LightFieldError) as error:
         sparsification(np.zeros((4, 4)), confidence, np.zeros((4, 4)), border=0, **options)  # type: ignore[arg-type]
     assert all(word in str(error.value) for word in words)
+
+
+# --- reliability ---
+
+
+def test_reliability_counts_what_is_right_in_each_bin() -> None:
+    truth = np.zeros((10, 10))
+    said = np.full((10, 10), 0.25)
+    said[5:] = 0.95
+    found = np.zeros((10, 10))
+    found[0] = 0.08  # a fifth of the unsure pixels is off
+    found[9, :5] = np.nan  # undefined is wrong
+    diagram = reliability(found, said, truth, border=0)
+    np.testing.assert_allclose(diagram.said, [0.25, 0.95])
+    np.testing.assert_allclose(diagram.right, [80, 90])
+    np.testing.assert_allclose(diagram.share, [50, 50])
+    assert diagram.count == 100
+    assert "25 -> 80.0" in repr(diagram)
+    assert reliability(found, said, truth, border=0, threshold=0.1).right[0] == 100
+    said[0] = np.nan
+    assert reliability(found, said, truth, border=0).count == 90, "what has no confidence is in no bin"
+    assert reliability(found, np.ones((10, 10)), truth, border=0).said == [1.0]
+
+
+@pytest.mark.parametrize("said", [-0.1, 1.1])
+def test_a_confidence_that_is_no_share_has_no_reliability(said: float) -> None:
+    with pytest.raises(LightFieldError, match="must be from 0 to 1"):
+        reliability(np.zeros((4, 4)), np.full((4, 4), said), np.zeros((4, 4)), border=0)

@@ -149,6 +149,18 @@ def test_the_stages_of_results_are_described() -> None:
             assert f"`{stage.name}`" in (DepthResult.__doc__ or ""), stage.name
 
 
+def test_one_version_everywhere() -> None:
+    """A release is one number: in the package, in the citation and at the top of the changelog."""
+    yaml = pytest.importorskip("yaml", reason="CITATION.cff is YAML: pip install 'lfgpu[calibration]'")
+    version = SETTINGS["project"]["version"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == version
+    assert citation["license"] == SETTINGS["project"]["license"]
+    first = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert first is not None
+    assert first[1] == version.partition(".dev")[0]
+
+
 # --- what importing costs ---
 
 

@@ -53,6 +53,22 @@ def told(*arguments: str | Path) -> Any:
     return CliRunner().invoke(app, ["accuracy", *map(str, arguments)])
 
 
+def test_scenes_of_the_package_stand_beside_folders() -> None:
+    found = population.run([], ["fast"], ["true"], lambda _: None, lambda _: None, ["planes-5x5x64x72"])
+    lf = scenes.make("planes", grid=(5, 5), size=(64, 72))
+    assert lf.truth is not None
+    (scored,) = found.records
+    assert scored.case == "planes-5x5x64x72"
+    assert scored.details["true"] == [lf.truth.disparity.min(), lf.truth.disparity.max()]
+
+
+@pytest.mark.parametrize("name", ["nosuch-5x5x64x72", "planes", "planes-5x5x64"])
+def test_scenes_that_there_are_not_are_refused(name: str) -> None:
+    done = told("--scenes", name)
+    assert done.exit_code == 1
+    assert "scene" in done.output or "is no case" in done.output
+
+
 def test_scores_are_those_of_the_map_with_the_range_that_is_said(folder: Path) -> None:
     pictures: list[Picture] = []
     found = population.run([folder / "first"], ["fast"], ["true"], lambda _: None, pictures.append)

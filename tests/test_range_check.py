@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import lfgpu
 from lfgpu import scenes
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci
-from lfgpu.methods.range_check import range_remark
+from lfgpu.methods.range_check import doubt_about, shows_nothing
 
 
 @pytest.fixture(scope="module")
@@ -21,14 +24,23 @@ def lf() -> LightField:
 
 @pytest.mark.parametrize("given", [(3.0, 5.0), (-9.0, -5.0)])
 def test_a_range_without_the_scene(lf: LightField, given: tuple[float, float]) -> None:
-    assert "the map may be wrong everywhere" in (range_remark(lf, given) or "")
+    doubt = doubt_about(lf, given)
+    assert doubt is not None
+    assert "the map may be wrong everywhere" in doubt.note
+    result = lfgpu.estimate_depth(lf, disparity_range=given, config="fast")
+    assert result.notes == (doubt.note,)
+    assert doubt.note in repr(result)
+    assert doubt.note in result._repr_html_()
 
 
 def test_a_range_with_the_scene(lf: LightField) -> None:
     assert lf.truth is not None
     low, high = float(lf.truth.disparity.min()), float(lf.truth.disparity.max())
     for given in ((low, high), (low - 1, high + 1), (low - 20, high + 20), (low, (low + 2 * high) / 3)):
-        assert range_remark(lf, given) is None
+        assert doubt_about(lf, given) is None
+    assert doubt_about(lf, None) is None
+    assert shows_nothing(lf) is None
+    assert lfgpu.estimate_depth(lf, disparity_range=(-3, 3), config="fast").notes == ()
 
 
 def test_the_command_says_so(lf: LightField, tmp_path: Path) -> None:
@@ -37,3 +49,49 @@ def test_the_command_says_so(lf: LightField, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
     assert "the map may be wrong everywhere" in " ".join(done.stdout.split())
+
+
+NOISE = {
+    "grey": ((3, 3, 64, 72, 1), 1.0),
+    "colour": ((5, 5, 64, 72, 3), 1.0),
+    "of a sensor in the dark": ((5, 5, 64, 72, 3), 0.02),
+    "in a row": ((1, 9, 64, 72, 3), 1.0),
+    "two": ((1, 2, 64, 72, 3), 1.0),
+}
+
+
+def noise(kind: str) -> LightField:
+    """Views that have nothing to do with each other."""
+    shape, contrast = NOISE[kind]
+    values = 0.5 + contrast * (np.random.default_rng(len(kind)).random(shape) - 0.5)
+    return LightField.from_grid(np.rint(255 * values).astype(np.uint8))
+
+
+@pytest.mark.parametrize("kind", NOISE)
+def test_noise_is_said_to_be_nothing_and_is_not_believed(kind: str, tmp_path: Path) -> None:
+    views = noise(kind)
+    assert shows_nothing(views)
+    with pytest.raises(LightFieldError, match="nowhere do views look alike"):
+        lfgpu.estimate_depth(views)
+    result = lfgpu.estimate_depth(views, disparity_range=(-2, 2))
+    assert "The map means nothing" in result.notes[0]
+    assert result.confidence.max() <= 0.1
+    assert result.uncertainty is not None
+    assert result.uncertainty.min() >= 1.15  # as uncertain as a number that may be anything from -2 to 2
+    result.save(tmp_path / "result.npz")
+    assert lfgpu.load(tmp_path / "result.npz").notes == result.notes
+
+
+def test_all_views_and_tiles_of_noise_are_not_believed_either() -> None:
+    views = noise("grey")
+    assert lfgpu.estimate_all_views(views, disparity_range=(-2, 2), config="fast").confidences.max() < 0.101
+    tiled = lfgpu.estimate_depth(views, disparity_range=(-2, 2), config="fast", max_memory="1GiB")
+    assert tiled.confidence.max() < 0.101
+
+
+def test_commands_say_that_noise_is_nothing(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", noise("grey").views.reshape(3, 3, 64, 72, 1))
+    command = ["depth", str(tmp_path / "a.npy"), "-o", str(tmp_path / "out"), "--preset=fast", "--disparity-range=-2,2"]
+    for done in (CliRunner().invoke(app, ["info", str(tmp_path / "a.npy")]), CliRunner().invoke(app, command)):
+        assert done.exit_code == 0, done.output
+        assert "they are noise, have no texture" in " ".join(done.stdout.split())

@@ -1,4 +1,4 @@
-"""The README says what the code does: its table of parameters, its commands, its three lines of Python."""
+"""The README says what the code does: formats, commands, pictures, links, figures; and it stays short."""
 
 import re
 from pathlib import Path
@@ -6,10 +6,27 @@ from pathlib import Path
 import parameters_page
 
 import lfgpu
+from benchmarks import figures
 from lfgpu import scenes
+from lfgpu.cli import app
 from lfgpu.io import FORMATS
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+DOCS = ROOT / "docs"
+MARKED = re.compile(r"<!-- (?:table|figure): .*?<!-- /(?:table|figure) -->", re.DOTALL)
+NO_FIGURES = {
+    "0.07": "the threshold of BadPix",
+    "100": "of MSE×100",
+    "16": "of TIFF or PNG",
+    "3.11": "the version of Python",
+    "4D": "light fields",
+    "64": "float64",
+    "2013": "a year",
+    "2016": "a year",
+    "0.2.0": "the version, compared below",
+}
+"""Numbers in the README that were not measured."""
 
 
 def test_the_page_of_parameters_is_what_they_say_of_themselves() -> None:
@@ -17,26 +34,65 @@ def test_the_page_of_parameters_is_what_they_say_of_themselves() -> None:
     assert found == parameters_page.page(), "run: python tests/parameters_page.py"
 
 
+def test_it_is_short() -> None:
+    assert len(README.splitlines()) <= 130
+
+
 def test_every_format_and_scene_is_named() -> None:
+    formats = (DOCS / "formats.md").read_text(encoding="utf-8")
     for entry in FORMATS:
         assert f"| `{entry.name}` |" in README
+        assert f"| `{entry.name}` |" in formats
+    page = (DOCS / "scenes.md").read_text(encoding="utf-8")
     for name in scenes.NAMES:
-        assert f"`{name}`" in README
+        assert f"| `{name}` |" in page
 
 
 def test_the_names_of_the_python_example_exist() -> None:
-    for name in re.findall(r"lfgpu\.(\w+)\(", README):
+    names = re.findall(r"lfgpu\.(\w+)\(", README)
+    assert names
+    for name in names:
         assert hasattr(lfgpu, name), name
-    methods = re.findall(r"pipeline\.(\w+)\(", README)
-    assert {"upload", "run", "disparity"} <= set(methods)
-    for name in methods:
-        assert hasattr(lfgpu.DepthPipeline, name), name
 
 
-def test_pictures_and_commands_exist() -> None:
-    root = Path(__file__).parents[1]
-    for target in re.findall(r"\]\(([\w/]+\.png)\)", README):
-        assert (root / target).is_file()
-    rules = (root / "Makefile").read_text()
-    for rule in re.findall(r"^    make (\w+)", README, re.MULTILINE):
+def test_links_and_commands_exist() -> None:
+    targets = re.findall(r"\]\(([^)#:]+)[#)]", README)
+    assert len(targets) > 20
+    for target in targets:
+        assert (ROOT / target).exists(), target
+    rules = (ROOT / "Makefile").read_text()
+    for rule in re.findall(r"(?:^    |`)make (\w+)", README, re.MULTILINE):
         assert f"\n{rule}:" in rules
+    commands = {command.callback.__name__.rstrip("_") for command in app.registered_commands if command.callback}
+    known = commands | {command.name for command in app.registered_commands}
+    for command in re.findall(r"(?:^    |`)lfgpu (\w+)", README, re.MULTILINE):
+        assert command in known, command
+
+
+def test_every_number_is_a_figure_with_a_source_or_none_that_was_measured() -> None:
+    """What stands between marks is held by tests/test_figures.py. Nothing else may look like a measurement."""
+    prose = MARKED.sub("", README)
+    prose = re.sub(r"\]\([^)]*\)|\w*64`?|lfgpu-[\w.-]+whl", "", prose)
+    numbers = set(re.findall(r"(?<![\w-])\d[\d.]*\d\w?|(?<![\w-])\d\w?", prose))
+    assert numbers <= NO_FIGURES.keys(), numbers - NO_FIGURES.keys()
+
+
+def test_a_figure_that_differs_from_its_source_is_found(tmp_path: Path) -> None:
+    """The test that holds the figures can fail: one digit of the README changed is one figure that differs."""
+    page = tmp_path / "README.md"
+    page.write_text(README, encoding="utf-8")
+    assert all(mark.found == mark.wanted for mark in figures.marks(page))
+    table = MARKED.search(README)
+    assert table is not None
+    number = re.search(r"\d\.\d\d", table[0])
+    assert number is not None
+    wrong = table[0].replace(number[0], "9.99", 1)
+    page.write_text(README.replace(table[0], wrong), encoding="utf-8")
+    assert len([mark for mark in figures.marks(page) if mark.found != mark.wanted]) == 1
+
+
+def test_the_wheel_that_it_names_is_of_this_version() -> None:
+    settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    version = re.search(r'^version = "(.*)"', settings, re.MULTILINE)
+    assert version is not None
+    assert f"lfgpu-{version[1]}-py3-none-any.whl" in README

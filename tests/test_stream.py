@@ -6,6 +6,7 @@ import gc
 import re
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -162,6 +163,26 @@ def test_masks_of_the_light_field_stay() -> None:
         np.testing.assert_array_equal(stream.push(lf.views).numpy(), want)
 
 
+def test_what_the_reference_did_not_record_is_unknown_in_warm_maps_too() -> None:
+    """Although the past holds numbers there, for the sums of neighbours."""
+    lf = frames()[0]
+    valid = np.ones(lf.views.shape[:3], bool)
+    valid[7, 10:22, 12:30] = False
+    masked = LightField(lf.views, lf.positions, reference=lf.reference, valid=valid)
+    with made(masked) as stream:
+        results = [stream.push(frame.views) for frame in frames()]
+        maps = [result.numpy() for result in results]
+        trust = [result.confidence() for result in results]
+    assert [result.cold for result in results] == [True] + [False] * (FRAMES - 1)
+    for disparity, confidence in zip(maps, trust, strict=True):
+        np.testing.assert_array_equal(np.isnan(disparity), ~valid[7])
+        assert (confidence[~valid[7]] == 0).all()
+    beside = np.zeros_like(valid[7])
+    beside[9:23, 11:31] = True
+    beside &= valid[7]
+    assert (maps[-1][beside] > RANGE[0] + 0.01).all()
+
+
 def test_before_there_is_a_frame() -> None:
     lf = frames()[0]
     config = lfgpu.PRESETS["fast"].with_values({"sweep.noise": 0.01})
@@ -251,6 +272,52 @@ def test_what_is_not_finite_fails_unless_it_does_not_count() -> None:
         assert np.isfinite(stream.push(views, valid=there).numpy()).all()
 
 
+def test_float_frames_in_another_unit_are_refused() -> None:
+    lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=np.float32, disparity_range=(-1, 1))
+    with made(lf, disparity_range=(-1, 1)) as stream:
+        with pytest.raises(lfgpu.LightFieldError, match=r"view \d has values from .* scale float views to \[0, 1\]"):
+            stream.push(lf.views * 255).numpy()
+        assert np.isfinite(stream.push(lf.views).numpy()).all()
+
+
+def test_float_frames_in_another_unit_are_seen_on_the_device_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As frames that lie on a GPU are, which the host does not look at."""
+    lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=np.float32, disparity_range=(-1, 1))
+    monkeypatch.setattr("lfgpu.pipelines.stream.check_scaled", lambda *_: None)
+    with made(lf, disparity_range=(-1, 1)) as stream:
+        with pytest.raises(lfgpu.LightFieldError, match=r"scale float views"):
+            stream.push(lf.views * 255).numpy()
+        result = stream.push(lf.views)
+        assert np.isfinite(result.numpy()).all()
+        assert result.cold
+
+
+# --- the disparity range ---
+
+
+@pytest.mark.parametrize(("bounds", "end"), [((-1.5, 0.0), "near"), ((0.3, 1.5), "far")])
+def test_a_range_that_is_too_small_is_said_so(
+    bounds: tuple[float, float], end: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    with made(disparity_range=bounds) as stream:
+        results = [stream.push(lf.views) for lf in frames()]
+        assert all(result.wait(LONG) for result in results)
+    assert stream.stats()["frames_beyond_range"] == FRAMES
+    assert len(stream.warnings) == stream.stats()["warnings"] == 1
+    assert f"lies at its {end} end" in stream.warnings[0]
+    assert [record.getMessage() for record in caplog.records] == list(stream.warnings)
+
+
+@pytest.mark.parametrize("config", ["accurate", "fast"])
+def test_a_range_that_holds_the_scene_is_not(config: str) -> None:
+    truth = [lf.truth.disparity for lf in frames() if lf.truth is not None]
+    bounds = float(np.min(truth)) - 0.05, float(np.max(truth)) + 0.05
+    with made(config=config, disparity_range=bounds) as stream:
+        for lf in frames():
+            assert stream.push(lf.views).wait(LONG)
+    assert stream.warnings == ()
+
+
 # --- results ---
 
 
@@ -276,6 +343,33 @@ def test_results_keep_their_maps_and_give_them_back() -> None:
         assert stream.stats()["result_buffers"] == held_up
 
 
+def test_a_closed_stream_returns_its_memory_and_results_keep_theirs() -> None:
+    stream = made()
+    result = stream.push(frames()[0].views)
+    want = result.numpy()
+    parts = [weakref.ref(part) for part in (stream._plan, stream._transport, stream._views)]
+    stream.close()
+    stream.close()
+    gc.collect()
+    assert [part() for part in parts] == [None] * 3
+    assert stream.stats()["frames_done"] == 1
+    np.testing.assert_array_equal(result.numpy(), want)
+    np.testing.assert_array_equal(np.asarray(result.device_disparity), want)
+
+
+def test_a_device_that_fails_is_said_so_and_logged(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with made() as stream:
+        with monkeypatch.context() as patch:
+            patch.setattr(stream._transport, "solve", lambda *_: 1 / 0)
+            failed = [stream.push(lf.views) for lf in frames()[:2]]
+            assert all(result.wait(LONG) for result in failed)
+        np.testing.assert_array_equal(stream.push(frames()[0].views).numpy(), alone("fast", 0))
+    assert [str(result.error) for result in failed] == ["the device failed (division by zero)."] * 2
+    assert caplog.text.count("Traceback") == 1
+
+
 def test_callback_sees_every_result_and_may_fail() -> None:
     seen: list[int] = []
 
@@ -289,6 +383,36 @@ def test_callback_sees_every_result_and_may_fail() -> None:
             stream.push(lf.views)
     assert seen == list(range(FRAMES))
     assert stream.stats()["callback_errors"] == FRAMES
+
+
+def test_exceptions_of_a_callback_are_logged_once_with_their_place(caplog: pytest.LogCaptureFixture) -> None:
+    def look(result: lfgpu.StreamResult) -> None:
+        raise RuntimeError(f"the viewer is gone at {result.index}")
+
+    with made(on_result=look) as stream:
+        for lf in frames():
+            stream.push(lf.views)
+    records = [record for record in caplog.records if record.levelname == "ERROR"]
+    assert [record.getMessage().split(";")[0] for record in records] == ["on_result failed with frame 0"]
+    assert "the viewer is gone at 0" in caplog.text
+    assert "in look" in caplog.text
+
+
+def test_exceptions_of_a_callback_can_end_the_stream() -> None:
+    called: list[int] = []
+
+    def look(result: lfgpu.StreamResult) -> None:
+        called.append(result.index)
+        raise RuntimeError("the viewer is gone")
+
+    with made(on_result=look, end_on_error=True) as stream:
+        first = stream.push(frames()[0].views)
+        until(lambda: stream._inbox.closed)
+        assert first.error is None
+        with pytest.raises(lfgpu.LfgpuError, match=r"on_result failed \(RuntimeError: the viewer is gone\)"):
+            stream.push(frames()[1].views)
+    assert called == [0]
+    assert adds_up(stream.stats())
 
 
 @pytest.mark.parametrize("ending", [SystemExit, KeyboardInterrupt, GeneratorExit])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import threading
 from pathlib import Path
@@ -16,9 +17,13 @@ from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io import write_hci, write_pfm
-from lfgpu.viewer.cloud import nearest_to_ray, shown_cloud
-from lfgpu.viewer.contents import TRUTH, Contents, Entry, opened, opened_all
+from lfgpu.io import read_map, write_hci, write_pfm
+from lfgpu.viewer import pictures, saving
+from lfgpu.viewer.board import Board
+from lfgpu.viewer.cloud import nearest_to_ray, shown_cloud, surface
+from lfgpu.viewer.contents import LIVE, TRUTH, Contents, Entry, opened, opened_all
+from lfgpu.viewer.facts import Facts, fixed
+from lfgpu.viewer.space import framed
 from lfgpu.viz import panels as frames
 from lfgpu.viz.refocusing import all_in_focus, refocus
 
@@ -264,13 +269,193 @@ def test_what_does_not_belong_is_refused(tmp_path: Path) -> None:
         opened(tmp_path / "nowhere", Contents())
 
 
+def test_scores_belong_to_their_frame() -> None:
+    lf = scenes.make("relief", grid=(3, 3), size=(40, 48))
+    assert lf.truth is not None
+    board = Board()
+    board.show(lf, DisparityMap(lf.truth.disparity + 0.1), name="mine")
+    scores = board.contents.scores("mine")
+    assert scores is not None
+    assert scores.badpix_07 == 100
+    board.update(lf.truth.disparity)  # of an unknown frame
+    assert board.contents.scores(LIVE) is None
+    assert board.contents.map(LIVE, "error") is None
+    assert board.contents.scores("mine") is not None
+    board.update(lf.truth.disparity, views=lf.views[::-1].copy())
+    assert board.contents.truth is None
+    assert board.contents.scores("mine") is None
+    assert board.contents.map(LIVE, "error") is None
+    facts = {one["name"]: one for one in Facts(board).now()["results"]}
+    assert (facts["mine"]["earlier"], facts[LIVE]["earlier"]) == (True, False)
+    assert TRUTH not in facts
+
+
+def test_what_is_unknown_does_not_stretch_scales() -> None:
+    disparity = np.linspace(-1, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
+    disparity[0, 0], disparity[0, 1] = np.nan, np.inf
+    contents = Contents(None, {"a": Entry(DisparityMap(disparity)), "b": Entry(DisparityMap(disparity * np.nan))})
+    low, high = contents.limits("disparity")
+    assert -1 <= low < high <= 1
+    assert contents.extent("disparity") == pytest.approx((disparity[0, 2], 1))
+    assert contents.extent("confidence") is None
+
+
+def test_facts_are_plain_and_say_what_is_the_truth() -> None:
+    lf = scenes.make("relief", grid=(3, 3), size=SIZE)
+    board = Board()
+    facts = Facts(board)
+    assert json.loads(json.dumps(facts.now(), allow_nan=False))["size"] is None
+    board.show(lf)
+    (truth,) = json.loads(json.dumps(facts.now(), allow_nan=False))["results"]
+    assert truth["isTruth"]
+    assert truth["kinds"] == ["disparity", "depth"] if lf.geometry else ["disparity"]
+    presets = {one["name"]: one for one in json.loads(json.dumps(fixed(), allow_nan=False))["presets"]}
+    sections = {section["name"] for section in presets["paper"]["sections"]}
+    assert "refinement" in sections
+    assert "semi_global" not in sections  # that of another method
+
+
+def test_readers_say_what_they_do(tmp_path: Path) -> None:
+    write_hci(scenes.make("relief", grid=(3, 3), size=SIZE), tmp_path / "lf")
+    board, said = Board(), list[str]()
+    board.listen(lambda: said.append(board.loading[0] if board.loading else "done"))
+    board.load([tmp_path / "lf"])
+    assert said[0] == "Reading lf"
+    assert "Reading lf: 9 of 9 views" in said
+    assert said[-1] == "done"
+
+
+def test_a_listener_that_fails_keeps_nobody_from_knowing() -> None:
+    board, heard = Board(), list[bool]()
+    board.listen(lambda: 1 / 0)
+    end = board.listen(lambda: heard.append(True))
+    board.tell()
+    end()
+    board.tell()
+    assert heard == [True]
+
+
+def test_pages_switch_what_a_stream_offers() -> None:
+    board, switched = Board(), list[bool]()
+    board.offer(pause=switched.append)
+    board.switch("pause", True)
+    assert board.stream.paused
+    board.switch("pause", False)
+    assert switched == [True, False]
+    with pytest.raises(LightFieldError, match="record"):
+        board.switch("record", True)
+
+
+# --- what pages draw ---
+
+
+@pytest.mark.parametrize(
+    ("dtype", "white"), [(np.uint8, None), (np.uint16, None), (np.uint16, 4095), (np.float32, None)]
+)
+@pytest.mark.parametrize("level", [0, 1, 3])
+def test_tiles_are_means_of_intensities(dtype: type, white: int | None, level: int) -> None:
+    rng = np.random.default_rng(1)
+    top = 1.0 if dtype is np.float32 else white or np.iinfo(dtype).max
+    views = (rng.random((2, 30, 531, 3)) * top).astype(dtype)
+    lf = LightField(views, [[0, 0], [1, 0]], white=white)
+    tiles = [pictures.view_tile(lf, 1, level, column, 0) for column in range(2 if level == 0 else 1)]
+    found = np.concatenate(tiles, axis=1) / float(np.iinfo(tiles[0].dtype).max)
+    step = 2**level
+    padded = np.pad(lf.image(1), ((0, -30 % step), (0, -531 % step), (0, 0)), mode="edge")
+    means = padded.reshape(-(-30 // step), step, -(-531 // step), step, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(found, means, atol=0.6 / np.iinfo(tiles[0].dtype).max)
+    with pytest.raises(LightFieldError, match="no tile"):
+        pictures.view_tile(lf, 1, level, 2, 0)
+    with pytest.raises(LightFieldError, match="no view 2"):
+        pictures.view_tile(lf, 2, level, 0, 0)
+
+
+def test_maps_come_as_they_are() -> None:
+    values = np.random.default_rng(1).standard_normal((600, 700)).astype(np.float32)
+    values[3, 5] = np.nan
+    np.testing.assert_array_equal(pictures.map_tile(values, 0, 1, 1), values[512:, 512:])
+    np.testing.assert_array_equal(pictures.map_tile(values, 2, 0, 0), values[::4, ::4])
+
+
+@pytest.mark.parametrize(("u", "v"), [(2, 1), (1, 0), (0, 0), (1, 1)])
+def test_a_pixel_is_found_in_the_reference_view(u: int, v: int) -> None:
+    """A near square before a far wall: behind it the wall is not seen, beside it nothing else is."""
+    lf = wall(1.0)
+    disparity = np.full(SIZE, -1.0, np.float32)
+    disparity[8:16, 10:20] = 3.0
+    disparity[0, 0] = np.nan
+    contents = Contents(lf, {"mine": Entry(DisparityMap(disparity))})
+    index = lf.index_of(v, u)
+    for x, y in ((12, 10), (25, 20), (17, 14)):
+        d = disparity[y, x]
+        assert pictures.in_reference(contents, "mine", "final", index, x - d * (u - 1), y - d * (v - 1)) == (x, y)
+    assert pictures.in_reference(contents, "none", "final", index, 3, 4) == ((3, 4) if (u, v) == (1, 1) else None)
+
+
+def test_a_smaller_lens_takes_fewer_views() -> None:
+    lf = wall(1.0)
+    views = lf.views.copy()
+    views[lf.index_of(0, 0)] = 1.0
+    lf = LightField.from_grid(views.reshape(3, 3, *SIZE, 1))
+    reference = lf.image(lf.reference_index)
+    np.testing.assert_allclose(refocus(lf, 5.0, aperture=0.5), reference, atol=1e-5)
+    np.testing.assert_allclose(refocus(lf, 1.0, aperture=1.0), reference, atol=1e-4)
+    assert np.abs(refocus(lf, 1.0, aperture=1.5) - reference).mean() > 0.01
+    with pytest.raises(LightFieldError, match="aperture"):
+        refocus(lf, 1.0, aperture=-1)
+
+
+def test_a_surface_has_no_sheets_across_edges() -> None:
+    disparity = np.zeros(SIZE, np.float32)
+    disparity[:, 16:] = 2.0
+    disparity[5, 5] = np.nan
+    cloud = shown_cloud(DisparityMap(disparity), np.zeros((*SIZE, 3), np.uint8))
+    triangles = surface(cloud, disparity)
+    sides = (cloud.pixels[:, 0] < 16)[triangles]
+    assert (sides.all(axis=1) | ~sides.any(axis=1)).all()
+    assert len(triangles) == 2 * ((SIZE[0] - 1) * (SIZE[1] - 2) - 4)
+    towards = np.cross(*(cloud.points[triangles[:, k]] - cloud.points[triangles[:, 0]] for k in (1, 2)))
+    assert (towards[:, 2] < 0).all()  # their fronts face the camera
+
+
+def test_the_first_eye_sees_the_whole_cloud() -> None:
+    disparity = np.linspace(-1, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
+    cloud = shown_cloud(DisparityMap(disparity, geometry=Geometry(50.0, 0.1, 2.0)), np.zeros((*SIZE, 3), np.uint8))
+    for aspect in (0.5, 2.0):
+        eye, target, fov = framed(cloud, aspect)
+        forward = (target - eye) / np.linalg.norm(target - eye)
+        right = np.cross([0, 1, 0], forward)
+        right /= np.linalg.norm(right)
+        relative = cloud.points - eye
+        deep = relative @ forward
+        up = np.abs(relative @ np.cross(forward, right)) / deep
+        beside = np.abs(relative @ right) / deep / aspect
+        assert 0.85 < max(up.max(), beside.max()) / np.tan(fov / 2) < 1.05
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".pfm", ".exr", ".ply", ".png", ".tif"])
+def test_results_are_saved_as_the_package_saves_them(suffix: str, tmp_path: Path) -> None:
+    pytest.importorskip("OpenEXR") if suffix == ".exr" else None
+    lf = scenes.make("relief", grid=(3, 3), size=SIZE)
+    contents = Contents(
+        lf, {"mine": Entry(DisparityMap(np.full(SIZE, 0.5, np.float32), np.full(SIZE, 0.9, np.float32)))}
+    )
+    path = tmp_path / f"saved{suffix}"
+    path.write_bytes(saving.saved(contents, "mine", "final", suffix))
+    np.testing.assert_allclose(read_map(path), 0.5, atol=1e-4)
+    for wrong in (".jpg", f"/../../escaped{suffix}", ""):
+        with pytest.raises(LightFieldError, match="cannot be written"):
+            saving.saved(contents, "mine", "final", wrong)
+    with pytest.raises(LightFieldError, match="no result"):
+        saving.saved(contents, "other", "final", suffix)
+
+
 # --- the viewer itself ---
 
 
 def test_updates_come_from_any_thread_and_wrong_ones_are_refused() -> None:
     pytest.importorskip("viser")
     from lfgpu.viewer import Viewer
-    from lfgpu.viewer.server import LIVE
 
     lf = wall(1.0)
     with Viewer(lf, port=0) as viewer:
@@ -375,10 +560,23 @@ def test_the_command_reads_as_depth_does(tmp_path: Path, monkeypatch: pytest.Mon
 def test_what_cannot_be_shown_is_a_sentence(name: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "bad.pfm").write_bytes(b"PF?")
-    code, said, err = view(tmp_path / name)
-    assert (code, said) == (1, "")
+    code, _, err = view(tmp_path / name)
+    assert code == 1
     assert words in err
     assert err.count("\n") == 1
+
+
+def test_the_command_says_where_to_look_before_all_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reading waits here until the address was said."""
+    said = threading.Event()
+    monkeypatch.setattr("lfgpu.viewer.server.Viewer.wait", lambda _: None)
+    monkeypatch.setattr(
+        "lfgpu.viewer.board.opened_all", lambda *_, **__: Contents(wall(1.0)) if said.wait(60) else None
+    )
+    monkeypatch.setattr("lfgpu.cli.view.typer.echo", lambda text: said.set() if "Open http://" in text else None)
+    write_pfm(tmp_path / "map.pfm", np.zeros((5, 6)))
+    assert view(tmp_path / "map.pfm")[0] == 0
+    assert said.is_set()
 
 
 def test_without_viser_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:

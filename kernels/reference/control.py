@@ -7,6 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+def kernel_cache() -> None:
+    return None
+
+
 def repeat(body: Callable[[], None], go_on: NDArray[np.float64], most: int) -> None:
     for _ in range(most):
         if go_on[0] == 0:

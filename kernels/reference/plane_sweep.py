@@ -75,7 +75,7 @@ class PlaneSweep:
         preference: float,
         tolerance: float,
         least: int,
-        rise: float,
+        penalty: float,
     ) -> None:
         self._view_sets = view_sets != 0
         self._disparities = first + step * np.arange(count)
@@ -83,7 +83,7 @@ class PlaneSweep:
         self._others = np.flatnonzero(np.hypot(*offsets.T) > LEAST_OFFSET)
         self._scale, self._truncation = scale, truncation
         self._weight, self._gradient_truncation = gradient_weight, gradient_truncation
-        self._preference, self._tolerance, self._least, self._rise = preference, tolerance, least, rise
+        self._preference, self._tolerance, self._least, self._penalty = preference, tolerance, least, penalty
         self._most = (truncation + gradient_weight * gradient_truncation) / (1 + gradient_weight)
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
@@ -110,8 +110,8 @@ class PlaneSweep:
                     sees = compared.inside & (self._disparities[label] >= surface - self._tolerance)
                     total[i] += np.where(sees, compared.cost, 0)
                     count[i] += sees
-            means = np.where(count >= self._least, total / np.maximum(count, 1), self._most)
-            slice_out[:] = means.min(0) + label * self._rise
+            seen = total / np.maximum(count, 1) + np.array([0, self._penalty])[:, None, None]
+            slice_out[:] = np.where(count >= self._least, seen, self._most).min(0)
 
     def _compared(self, label: int) -> Iterator[Compared]:
         """Each view but the reference."""
@@ -144,7 +144,7 @@ def plane_sweep(
     preference: float,
     tolerance: float,
     least: int,
-    rise: float,
+    penalty: float,
 ) -> PlaneSweep:
     return PlaneSweep(
         offsets,
@@ -159,5 +159,5 @@ def plane_sweep(
         preference,
         tolerance,
         least,
-        rise,
+        penalty,
     )

@@ -5,7 +5,7 @@ import numpy as np
 from .alignment import alignment, z_buffer
 from .boundaries import refine_boundaries
 from .confidence import evidence, judge
-from .control import asking, capture, is_deterministic, repeat
+from .control import asking, capture, is_deterministic, kernel_cache, repeat
 from .cost_volume import farthest_as_good, least_costs, nlm_average, winner_takes_all
 from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
@@ -50,6 +50,7 @@ __all__ = [
     "is_deterministic",
     "judge",
     "keep_more_coherent",
+    "kernel_cache",
     "lbfgs",
     "least_costs",
     "line_of_views",

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
+from taichi.lang import impl
+
 from .memory import DeviceArray, number
 
 
@@ -23,3 +25,7 @@ def asking(device: str) -> AbstractContextManager[object]:
 
 def is_deterministic(device: str) -> bool:
     return device == "cpu"  # a GPU adds up the prediction atomically, in an order of its own
+
+
+def kernel_cache() -> str | None:
+    return str(impl.default_cfg().offline_cache_file_path)

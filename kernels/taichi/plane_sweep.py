@@ -219,20 +219,23 @@ def _seen_kernel(
     gradient_weight: float,
     gradient_truncation: float,
     least: float,
-    rise: float,
+    penalty: float,
     first: int,
     size: int,
     volume_out: flat(),
 ):
-    """The smaller mean past either surface plus `rise`, to the slice of the volume that begins at `first`."""
+    """The smaller mean past either surface, to the slice of the volume that begins at `first`.
+
+    That past the second one costs `penalty` more.
+    """
     fade = 1.0 / (1.0 + gradient_weight)
     for p in range(size):
         lowest = fade * (truncation + gradient_weight * gradient_truncation)
         for m in ti.static(range(_SURFACES)):
             count = sums[(2 * m + 1) * size + p]
             if count >= least:
-                lowest = ti.min(lowest, fade * sums[2 * m * size + p] / count)
-        volume_out[first + p] = lowest + rise
+                lowest = ti.min(lowest, fade * sums[2 * m * size + p] / count + m * penalty)
+        volume_out[first + p] = lowest
 
 
 @ti.kernel
@@ -282,10 +285,10 @@ class _PlaneSweep:
         preference: float,
         tolerance: float,
         least: int,
-        rise: float,
+        penalty: float,
     ) -> None:
         self._shape, self._scale, self._limits = tuple(shape), scale, limits
-        self._preference, self._least, self._rise = preference, float(least), rise
+        self._preference, self._least, self._penalty = preference, float(least), penalty
         places, belongs = numpy(offsets), numpy(view_sets).T != 0
         others = np.flatnonzero(np.hypot(*places.T) > _LEAST_OFFSET)
         others = others[np.lexsort(belongs[others].T)]
@@ -323,7 +326,7 @@ class _PlaneSweep:
     def by_visibility(self, nearest: DeviceArray, certain: DeviceArray, volume_out: DeviceArray) -> None:
         size = volume_out.shape[1] * volume_out.shape[2]
         for label in self._swept(nearest, certain, _SURFACES):
-            numbers = *self._limits, self._least, label * self._rise, label * size, size
+            numbers = *self._limits, self._least, self._penalty, label * size, size
             run(_seen_kernel, self._sums.values, *numbers, volume_out.values)
 
     def _swept(self, nearest: DeviceArray | None, certain: DeviceArray | None, sums_of: int) -> Iterator[int]:
@@ -368,7 +371,9 @@ def plane_sweep(
     preference: float,
     tolerance: float,
     least: int,
-    rise: float,
+    penalty: float,
 ) -> PlaneSweep:
     limits = truncation, gradient_weight, gradient_truncation
-    return _PlaneSweep(shape, offsets, view_sets, first, step, count, scale, limits, preference, tolerance, least, rise)
+    return _PlaneSweep(
+        shape, offsets, view_sets, first, step, count, scale, limits, preference, tolerance, least, penalty
+    )

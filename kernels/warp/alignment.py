@@ -19,7 +19,7 @@ from lfgpu.contract import Alignment, ZBuffer
 
 from .memory import pixel_type
 from .splat import as_offsets
-from .threads import in_slices, lanes, launch_rows, load, once, slices
+from .threads import in_slices, lanes, launch, launch_rows, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -118,6 +118,12 @@ def _look_around_row(
 
 
 @wp.kernel
+def _clear_kernel(fronts_out: wp.array(dtype=float)):
+    for k in range(fronts_out.shape[0]):
+        fronts_out[k] = wp.static(_NOWHERE)
+
+
+@wp.kernel
 def _land_kernel(
     disparity: wp.array2d(dtype=float),
     offsets: wp.array(dtype=wp.vec2f),
@@ -148,16 +154,19 @@ def z_buffer(shape: Sequence[int], offsets: Any, *, reach: int) -> ZBuffer:
 
     def find(disparity: Any, nearest_out: Any) -> None:
         threads = lanes(disparity)
-        load(device, _land_kernel)
+        load(device, _land_kernel, _clear_kernel)
 
         def some_views(k: int, first: int, last: int) -> None:
             for start in range(first, last, batch):
                 end = min(last, start + batch)
                 dim = (end - start) * height * threads
-                room[k].fill_(_NOWHERE)
-                wp.launch(_land_kernel, dim, [disparity, pairs, start, border, threads], [room[k]], device=device)
+                if device.is_cpu:
+                    launch(_clear_kernel, 1, [], [room[k]], device=device)
+                else:
+                    room[k].fill_(_NOWHERE)
+                launch(_land_kernel, dim, [disparity, pairs, start, border, threads], [room[k]], device=device)
                 inputs, out = [room[k], reach, threads], nearest_out[start:end]
-                wp.launch(_look_around_kernel, dim, inputs, [out], device=device)
+                launch(_look_around_kernel, dim, inputs, [out], device=device)
 
         in_slices(device, count, some_views)
 

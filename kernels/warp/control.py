@@ -6,10 +6,10 @@ from typing import Any
 import warp as wp
 
 from .asking import alone, asking
-from .memory import number
-from .threads import once
+from .memory import number, start
+from .threads import launch, once
 
-__all__ = ["asking", "capture", "is_deterministic", "repeat"]
+__all__ = ["asking", "capture", "is_deterministic", "kernel_cache", "repeat"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -41,7 +41,7 @@ def repeat(body: Callable[[], None], go_on: Any, most: int) -> None:
         return
 
     def look() -> None:
-        wp.launch(_continue_kernel, 1, [go_on, most], [count, more], device=device)
+        launch(_continue_kernel, 1, [go_on, most], [count, more], device=device)
 
     def turn() -> None:
         body()
@@ -63,3 +63,8 @@ def capture(work: Callable[[], None], device: str) -> Callable[[], None] | None:
 
 def is_deterministic(device: str) -> bool:
     return True  # `splat` and `splat_jvp` add atomically on a GPU, but no estimate needs them
+
+
+def kernel_cache() -> str | None:
+    start()
+    return str(wp.config.kernel_cache_dir)

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from .threads import in_slices, launch_rows, load, once, slices
+from .threads import in_slices, launch, launch_rows, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -174,14 +174,14 @@ def nlm_average(weights: Any, volume: Any, *, window: int, average_out: Any) -> 
         block = _TILE[0] * _TILE[1]
         dim = tiles * -(-count // _SLICES) * block
         kernel = _pixels_kernel(window // 2)
-        wp.launch(kernel, dim, [weights, volume], [average_out], device=device, block_dim=block)
+        launch(kernel, dim, [weights, volume], [average_out], device=device, block_dim=block)
         return
     kernel = _rows_kernel(window // 2)
     load(device, kernel)
     room = wp.empty((len(slices(device, height)), window * window * _BLOCK), dtype=float, device=device)
 
     def some_rows(part: int, first: int, last: int) -> None:
-        wp.launch(kernel, 1, [weights, volume, first, last, room[part]], [average_out], device=device)
+        launch(kernel, 1, [weights, volume, first, last, room[part]], [average_out], device=device)
 
     in_slices(device, height, some_rows)
 

@@ -18,7 +18,7 @@ import warp as wp
 
 from .curvature import curvature, curvature_factor
 from .memory import pixel_type
-from .threads import check_size, once
+from .threads import check_size, launch, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -573,21 +573,21 @@ class GpuDataTerm:
         self._given = image
         self._most.zero_()
         outputs = [self._image, self._most]
-        wp.launch(self._kernels.image, self._image.size, [image, self._columns], outputs, device=device)
+        launch(self._kernels.image, self._image.size, [image, self._columns], outputs, device=device)
         inputs = [recorded.flatten(), None if valid is None else valid.flatten()]
-        wp.launch(self._kernels.pack, recorded.size, inputs, [self._packed.flatten()], device=device)
+        launch(self._kernels.pack, recorded.size, inputs, [self._packed.flatten()], device=device)
 
     def __call__(self, disparity: Any, gradient_out: Any, value_out: Any) -> None:
         kernels, device, offsets, ours = self._kernels, disparity.device, self._offsets, self._disparity
         outputs = [ours, self._ranges, self._parts]
-        wp.launch(kernels.ranges, _PARTS * _BLOCK, [disparity], outputs, device=device, block_dim=_BLOCK)
+        launch(kernels.ranges, _PARTS * _BLOCK, [disparity], outputs, device=device, block_dim=_BLOCK)
         inputs = [self._image, self._most, ours, self._ranges, self._parts, offsets, self._packed]
         inputs += [self._softness, self._scale, *self._tiling]
         outputs = [self._gradients, self._squares]
         dim = self._squares.size * _BLOCK
-        wp.launch(kernels.tile, dim, inputs, outputs, device=device, block_dim=_BLOCK)
+        launch(kernels.tile, dim, inputs, outputs, device=device, block_dim=_BLOCK)
         inputs, dim = [self._gradients, ours, offsets, self._squares], -(-ours.size // _BLOCK) * _BLOCK
-        wp.launch(kernels.total, dim, inputs, [gradient_out, value_out], device=device, block_dim=_BLOCK)
+        launch(kernels.total, dim, inputs, [gradient_out, value_out], device=device, block_dim=_BLOCK)
 
     def curvature(self, curvature_out: Any) -> None:
         curvature(self._given, self._curvature, curvature_out)

@@ -10,7 +10,7 @@ import warp as wp
 
 from .cost_volume import code
 from .lbfgs_state import LEAST_CURVATURE, State
-from .threads import check_size, once
+from .threads import check_size, launch, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -242,16 +242,16 @@ def _combine_kernel(rows: int) -> Any:
 
 def products(state: State, stack: Any, sums_out: Any) -> None:
     dim = -(-len(stack) // _ROWS) * PARTS * _BLOCK
-    wp.launch(_products_kernel, dim, [state, stack], [sums_out], device=stack.device, block_dim=_BLOCK)
+    launch(_products_kernel, dim, [state, stack], [sums_out], device=stack.device, block_dim=_BLOCK)
 
 
 def recursion(inputs: list[Any], products: Any, coefficients_out: Any) -> None:
     outputs, threads = [products, coefficients_out], 128 * _TURNS
-    wp.launch(_recursion_kernel, threads, inputs, outputs, device=products.device, block_dim=threads)
+    launch(_recursion_kernel, threads, inputs, outputs, device=products.device, block_dim=threads)
 
 
 def combine(inputs: list[Any], direction_out: Any) -> None:
     dim = -(-direction_out.size // _BLOCK) * _BLOCK
     check_size(dim)
     kernel = _combine_kernel(len(inputs[0]))
-    wp.launch(kernel, dim, inputs, [direction_out], device=direction_out.device, block_dim=_BLOCK)
+    launch(kernel, dim, inputs, [direction_out], device=direction_out.device, block_dim=_BLOCK)

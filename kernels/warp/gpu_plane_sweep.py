@@ -154,10 +154,9 @@ _SWEEP_STRIP = """
         #pragma unroll
         for (int m = 1; m < SETS; ++m)
             if (SEEN && counts[m][r] >= least)
-                lowest = fminf(lowest, fade * sums[m][r] / counts[m][r]);
+                lowest = fminf(lowest, fade * sums[m][r] / counts[m][r] + penalty);
             else if (!SEEN && counts[m][r] > 0.f)
                 lowest = fminf(lowest, (1.f + preference) * (fade * sums[m][r] / counts[m][r]) + PENALTY);
-        lowest += rise * l;
         volume.data[l * plane + (size_t)(y + r) * width + x] = lowest;
     }
 """
@@ -198,7 +197,7 @@ def pack_kernel(channels: int, stored: Any) -> Any:
 
 
 @once
-def sweep_kernel(channels: int, stored: Any, sums: int, seen: bool, penalty: float) -> Any:
+def sweep_kernel(channels: int, stored: Any, sums: int, seen: bool, set_penalty: float) -> Any:
     """The kernel for so many sums: of view sets or, if `seen`, of views that see a pixel past either surface."""
     pixel, kept_pixel = pixel_type(channels), kept_type(channels, stored)
     code = _SWEEP_STRIP
@@ -207,7 +206,7 @@ def sweep_kernel(channels: int, stored: Any, sums: int, seen: bool, penalty: flo
         ("SETS", sums),
         ("COLUMNS", _COLUMNS),
         ("STRIP", _STRIPS[seen]),
-        ("PENALTY", f"{penalty}f"),
+        ("PENALTY", f"{set_penalty}f"),
         ("SEEN", str(seen).lower()),
         ("BYTES", int(stored is wp.uint8)),
         ("WORD", "unsigned" if channels == 3 else "unsigned short"),
@@ -232,7 +231,7 @@ def sweep_kernel(channels: int, stored: Any, sums: int, seen: bool, penalty: flo
         gradient_truncation: float,
         preference: float,
         least: float,
-        rise: float,
+        penalty: float,
         thread: int,
         volume: wp.array3d(dtype=float),
     ): ...
@@ -255,7 +254,7 @@ def sweep_kernel(channels: int, stored: Any, sums: int, seen: bool, penalty: flo
         gradient_truncation: float,
         preference: float,
         least: float,
-        rise: float,
+        penalty: float,
         volume_out: wp.array3d(dtype=float),
     ):
         sweep_strip(
@@ -273,7 +272,7 @@ def sweep_kernel(channels: int, stored: Any, sums: int, seen: bool, penalty: flo
             gradient_truncation,
             preference,
             least,
-            rise,
+            penalty,
             wp.tid(),
             volume_out,
         )

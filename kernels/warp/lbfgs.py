@@ -14,7 +14,7 @@ from . import gpu_lbfgs
 from .asking import asking
 from .lbfgs_state import LEAST_CURVATURE, State
 from .memory import scalar
-from .threads import in_slices, launch_rows, load
+from .threads import in_slices, launch, launch_rows, load
 
 wp.set_module_options({"enable_backward": False})
 
@@ -333,19 +333,19 @@ class _Lbfgs:
             setattr(self._state, name, wp.zeros(1, dtype=int, device=device))
 
     def begin(self, x: Any, gradient: Any, value: Any, curvature: Any = None) -> None:
-        wp.launch(_begin_kernel, 1, [self._state, value], [self._trace], device=self._device)
+        launch(_begin_kernel, 1, [self._state, value], [self._trace], device=self._device)
         line = None if curvature is None else curvature.flatten()
-        wp.launch(_root_kernel, x.size, [line], [self._root.flatten()], device=self._device)
+        launch(_root_kernel, x.size, [line], [self._root.flatten()], device=self._device)
         launch_rows(_project_kernel, [x, gradient, self._root, *self._bounds], self._stack[-1], light=True)
         self._turn(x, beginning=True)
 
     def propose(self, x: Any, trial_out: Any) -> None:
         inputs = [self._state, x.flatten(), self._direction.flatten(), *self._bounds]
-        wp.launch(_propose_kernel, x.size, inputs, [trial_out.flatten()], device=self._device)
+        launch(_propose_kernel, x.size, inputs, [trial_out.flatten()], device=self._device)
 
     def judge(self, value: Any, trial_value: Any) -> None:
         inputs = [self._state, trial_value, *self._flatness]
-        wp.launch(_judge_kernel, 1, inputs, [value, self._trace], device=self._device)
+        launch(_judge_kernel, 1, inputs, [value, self._trace], device=self._device)
 
     def learn(self, x: Any, gradient: Any, trial: Any, trial_gradient: Any) -> None:
         inputs = [self._state, trial, trial_gradient, self._root, *self._bounds]
@@ -365,7 +365,7 @@ class _Lbfgs:
             load(device, _products_on_cpu_kernel)
 
             def some(_: int, first: int, last: int) -> None:
-                wp.launch(_products_on_cpu_kernel, last - first, [state, stack, first], [self._sums], device=device)
+                launch(_products_on_cpu_kernel, last - first, [state, stack, first], [self._sums], device=device)
 
             in_slices(device, stack.shape[0], some)
         else:
@@ -373,7 +373,7 @@ class _Lbfgs:
         inputs = [state, self._sums, self._first_step, float(x.size), int(beginning)]
         if device.is_cpu or len(stack) > gpu_lbfgs.MOST_ROWS:
             outputs = [self._products, self._alpha, self._coefficients]
-            wp.launch(_direction_by_one_thread_kernel, 1, inputs, outputs, device=device)
+            launch(_direction_by_one_thread_kernel, 1, inputs, outputs, device=device)
         else:
             gpu_lbfgs.recursion(inputs, self._products, self._coefficients)
         inputs = [stack, self._coefficients, x, self._root, *self._bounds]

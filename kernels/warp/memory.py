@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from .asking import asking
+from .asking import asking, started
 from .sharing import take
 from .staging import WORTHWHILE, staging
 from .threads import cache_is_closed, once
@@ -35,6 +35,7 @@ def start() -> None:
         os.dup2(caught.fileno(), 2)
         try:
             wp.init()
+            started.extend(device.alias for device in wp.get_devices())
         except OSError as error:
             raise cache_is_closed(error) from error
         finally:

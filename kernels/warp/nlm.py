@@ -10,7 +10,7 @@ import warp as wp
 from lfgpu.contract import NlmWeights, half_window
 
 from .memory import pixel_type
-from .threads import check_size, in_slices, lanes, launch_rows, load, once
+from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -255,9 +255,9 @@ def nlm_weights(
 
         def some_neighbors(_: int, first: int, last: int) -> None:
             some, room, dim = steps[first:last], distances[first:last], (last - first, height, threads)
-            wp.launch(kernels.distance, dim, [features, some, threads], [room], device=place)
+            launch(kernels.distance, dim, [features, some, threads], [room], device=place)
             inputs = [room, some, patch // 2, floor, threads]
-            wp.launch(_weight_kernel, dim, inputs, [weights_out[first:last]], device=place)
+            launch(_weight_kernel, dim, inputs, [weights_out[first:last]], device=place)
 
         in_slices(place, len(steps), some_neighbors)
 
@@ -291,7 +291,7 @@ def _launch_pixels(kernel: Any, inputs: list[Any], window: int, result_out: Any)
     block = rows * _WARP
     dim = height * -(-width // _WARP) * block
     check_size(dim)
-    wp.launch(kernel, dim, inputs, [result_out], device=result_out.device, block_dim=block)
+    launch(kernel, dim, inputs, [result_out], device=result_out.device, block_dim=block)
 
 
 # The sums of the ratio are native code like those of the operators. On a CPU a row goes in chunks, whose sums lie on

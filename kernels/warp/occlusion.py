@@ -17,7 +17,7 @@ from lfgpu.contract import DataTerm, Loss
 from .memory import pixel_type
 from .splat import as_offsets, land
 from .tent import foot, tent_slope
-from .threads import in_slices, lanes, launch_rows, load, once, slices
+from .threads import in_slices, lanes, launch, launch_rows, launch_tiles, load, once, slices
 from .vector import BLOCK, sum_kernel
 
 _LOSSES = get_args(Loss)
@@ -272,7 +272,7 @@ def _find_nearest(disparity: Any, offsets: Any, softness: float, nearest_out: An
     nearest_out.fill_(_NOWHERE)
     dim = (len(offsets), disparity.shape[0], threads)
     inputs = [disparity, offsets, softness, threads]
-    wp.launch(_nearest_kernel, dim, inputs, [nearest_out], device=disparity.device)
+    launch(_nearest_kernel, dim, inputs, [nearest_out], device=disparity.device)
 
 
 def splat_z_buffered(
@@ -296,8 +296,8 @@ def splat_z_buffered(
         dim = (last - first, image.shape[0], threads)
         _find_nearest(disparity, some, softness, nearest)
         inputs = [image, disparity, some, nearest, softness, sharpness, threads]
-        wp.launch(kernels.sums, dim, inputs, [sums], device=device)
-        wp.launch(kernels.means, dim, [sums, threads], [views, coverage], device=device)
+        launch(kernels.sums, dim, inputs, [sums], device=device)
+        launch(kernels.means, dim, [sums, threads], [views, coverage], device=device)
 
     in_slices(device, len(views_out), some_views)
 
@@ -349,7 +349,7 @@ class _OccludingDataTerm:
             return
         parts = self._values.flatten()
         options = {"inputs": [parts], "outputs": [value_out], "block_dim": BLOCK, "device": disparity.device}
-        wp.launch_tiled(sum_kernel, dim=[1], **options)
+        launch_tiles(sum_kernel, dim=[1], **options)
 
     def _add_views(self, k: int, first: int, last: int, disparity: Any) -> None:
         """Add gradient and value of some views to those of slice `k`."""
@@ -361,11 +361,11 @@ class _OccludingDataTerm:
         sums.zero_()
         seen = [image, disparity, pairs, nearest]
         weights = [self._softness, self._sharpness, threads]
-        wp.launch(kernels.sums, dim, [*seen, *weights], [sums], device=device)
+        launch(kernels.sums, dim, [*seen, *weights], [sums], device=device)
         inputs = [self._recorded, self._valid, first, *self._compared, threads]
-        wp.launch(kernels.residual, dim, inputs, [sums], device=device)
+        launch(kernels.residual, dim, inputs, [sums], device=device)
         outputs = [self._gradients[k], self._values[k]]
-        wp.launch(kernels.gradient, height * threads, [*seen, sums, *weights], outputs, device=device)
+        launch(kernels.gradient, height * threads, [*seen, sums, *weights], outputs, device=device)
 
 
 def z_buffered_data_term(
@@ -394,6 +394,6 @@ def visible(disparity: Any, offsets: Any, *, tolerance: float, visible_out: Any)
         _find_nearest(disparity, some, _ANY_SOFTNESS, nearest)
         inputs = [disparity, some, nearest, _ANY_SOFTNESS, tolerance, threads]
         dim = (last - first, disparity.shape[0], threads)
-        wp.launch(_visible_kernel, dim, inputs, [visible_out[first:last]], device=device)
+        launch(_visible_kernel, dim, inputs, [visible_out[first:last]], device=device)
 
     in_slices(device, len(visible_out), some_views)

@@ -18,7 +18,7 @@ from lfgpu.contract import PlaneSweep, sweep_shifts
 
 from .gpu_plane_sweep import BLOCK, kept_type, pack_kernel, sweep_kernel, threads_of
 from .memory import pixel_type
-from .threads import in_slices, load, once, slices
+from .threads import in_slices, launch, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -158,13 +158,12 @@ _SWEEP = """
         for (int m = 0; m < view_sets; ++m) {
             const float* const total = sums + m * 2 * strip;
             const float* const count = total + strip;
-            const bool preferred = m == 0 || seen;
-            const float factor = preferred ? 1.f : 1.f + preference, penalty = preferred ? rise * l : PENALTY;
-            const float needed = preferred ? least : 1.f;
+            const float factor = m == 0 || seen ? 1.f : 1.f + preference;
+            const float extra = m == 0 ? 0.f : seen ? penalty : PENALTY, needed = m == 0 || seen ? least : 1.f;
             #pragma clang loop vectorize(assume_safety)
             for (int i = 0; i < pixels; ++i) {
                 const float mean = fade * total[i] / (count[i] > 1.f ? count[i] : 1.f);
-                const float value = count[i] >= needed ? factor * mean + penalty : most + (preferred ? penalty : 0.f);
+                const float value = count[i] >= needed ? factor * mean + extra : most;
                 out[i] = m == 0 || value < out[i] ? value : out[i];
             }
         }
@@ -217,7 +216,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
         gradient_truncation: float,
         preference: float,
         least: float,
-        rise: float,
+        penalty: float,
         first: int,
         last: int,
         room: wp.array(dtype=float),
@@ -242,7 +241,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
         gradient_truncation: float,
         preference: float,
         least: float,
-        rise: float,
+        penalty: float,
         first: int,
         last: int,
         room: wp.array(dtype=float),
@@ -266,7 +265,7 @@ def _cpu_kernels(channels: int, stored: Any) -> SimpleNamespace:
             gradient_truncation,
             preference,
             least,
-            rise,
+            penalty,
             first,
             last,
             room,
@@ -289,11 +288,11 @@ class _PlaneSweep:
         count: int,
         tolerance: float,
         least: int,
-        rise: float,
+        penalty: float,
         numbers: list[float],
     ) -> None:
         self._shape, self._device, self._numbers = tuple(shape), offsets.device, numbers
-        self._least, self._rise = float(least), rise
+        self._least, self._penalty = float(least), penalty
         places, belongs = offsets.numpy(), view_sets.numpy() != 0
         self._view_sets, self._count = len(belongs), count
         bits = np.left_shift(np.uint32(1), np.arange(len(belongs), dtype=np.uint32))
@@ -317,17 +316,17 @@ class _PlaneSweep:
             self._prepare(stored)
         if not self._device.is_cpu:
             self._image = image
-            wp.launch(self._pack, recorded.size, [recorded, valid], [self._views], device=self._device)
+            launch(self._pack, recorded.size, [recorded, valid], [self._views], device=self._device)
             return
         self._valid = valid
         load(self._device, self._kernels.views)
 
         def some_views(_: int, first: int, last: int) -> None:
             some, kept = recorded[first:last], self._views[first:last]
-            wp.launch(self._kernels.views, last - first, [some], [kept], device="cpu")
+            launch(self._kernels.views, last - first, [some], [kept], device="cpu")
 
         in_slices(self._device, len(recorded), some_views)
-        wp.launch(self._kernels.image, image.shape, [image], [self._image], device="cpu")
+        launch(self._kernels.image, image.shape, [image], [self._image], device="cpu")
 
     def _prepare(self, stored: Any) -> None:
         """Allocate for views of scalar type `stored`, the first time and when that changes."""
@@ -352,23 +351,23 @@ class _PlaneSweep:
         self._sweep(None, None, self._view_sets, 1.0, 0.0, volume_out)
 
     def by_visibility(self, nearest: Any, certain: Any, volume_out: Any) -> None:
-        self._sweep(nearest, certain, _SURFACES, self._least, self._rise, volume_out)
+        self._sweep(nearest, certain, _SURFACES, self._least, self._penalty, volume_out)
 
-    def _sweep(self, nearest: Any, certain: Any, sums: int, least: float, rise: float, volume_out: Any) -> None:
+    def _sweep(self, nearest: Any, certain: Any, sums: int, least: float, penalty: float, volume_out: Any) -> None:
         _, height, width, _ = self._shape
         planned = [nearest, certain, self._order, self._members, self._shifts, self._deepest]
         if not self._device.is_cpu:
             seen = nearest is not None
             kernel, dim = self._kernel[seen], threads_of(self._count, height, width, seen=seen)
-            inputs = [self._views, self._image, *planned, *self._numbers, least, rise]
-            wp.launch(kernel, dim, inputs, [volume_out], device=self._device, block_dim=BLOCK)
+            inputs = [self._views, self._image, *planned, *self._numbers, least, penalty]
+            launch(kernel, dim, inputs, [volume_out], device=self._device, block_dim=BLOCK)
             return
         views = [self._views, self._image, self._valid]
         load(self._device, self._kernels.sweep)
 
         def some_rows(k: int, first: int, last: int) -> None:
-            inputs = [*views, *planned, sums, *self._numbers, least, rise, first, last, self._room[k]]
-            wp.launch(self._kernels.sweep, 1, inputs, [volume_out], device="cpu")
+            inputs = [*views, *planned, sums, *self._numbers, least, penalty, first, last, self._room[k]]
+            launch(self._kernels.sweep, 1, inputs, [volume_out], device="cpu")
 
         in_slices(self._device, height, some_rows)
 
@@ -388,7 +387,7 @@ def plane_sweep(
     preference: float,
     tolerance: float,
     least: int,
-    rise: float,
+    penalty: float,
 ) -> PlaneSweep:
     numbers = [scale, truncation, gradient_weight, gradient_truncation, preference]
-    return _PlaneSweep(shape, offsets, view_sets, first, step, count, tolerance, least, rise, numbers)
+    return _PlaneSweep(shape, offsets, view_sets, first, step, count, tolerance, least, penalty, numbers)

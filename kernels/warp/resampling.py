@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from .memory import pixel_type
-from .threads import check_size, in_slices, lanes, load, once
+from .threads import check_size, in_slices, lanes, launch, load, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -84,6 +84,6 @@ def resample(pictures: Any, places: Any, tones: Any, *, white: float, views_out:
         rows = (last - first) * views_out.shape[1] * threads
         check_size(rows)
         inputs = [pictures[first:last], places[first:last], tones[first:last], white, threads]
-        wp.launch(kernel, rows, inputs, [views_out[first:last]], device=device)
+        launch(kernel, rows, inputs, [views_out[first:last]], device=device)
 
     in_slices(device, views_out.shape[0], some_views)

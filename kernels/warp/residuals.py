@@ -6,6 +6,7 @@ import warp as wp
 
 from .asking import asking
 from .memory import scalar
+from .threads import launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -49,11 +50,11 @@ class _Residuals:
 
     def begin(self, norm: Any) -> None:
         outputs = [self._norm, self._length, self.go_on]
-        wp.launch(_begin_kernel, 1, [norm], outputs, device=self.go_on.device)
+        launch(_begin_kernel, 1, [norm], outputs, device=self.go_on.device)
 
     def add(self, residual: Any) -> None:
         inputs = [residual, self._norm, self._tolerance, self._length]
-        wp.launch(_add_kernel, 1, inputs, [self._trace, self.go_on], device=self.go_on.device)
+        launch(_add_kernel, 1, inputs, [self._trace, self.go_on], device=self.go_on.device)
 
     def report(self) -> list[float]:
         with asking(self._trace.device.alias):

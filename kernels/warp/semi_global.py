@@ -10,7 +10,7 @@ import warp as wp
 
 from .cost_volume import code
 from .memory import pixel_type
-from .threads import in_slices, load, once, slices
+from .threads import in_slices, launch, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -314,7 +314,7 @@ def _on_cpu(inputs: list[Any], channels: int, dy: int, dx: int, sum_out: Any) ->
     room = wp.empty((len(slices(device, blocks)), (count + 1 + count * _CHUNK) * _BLOCK), dtype=float, device=device)
 
     def some_blocks(part: int, first: int, last: int) -> None:
-        wp.launch(kernel, 1, [*inputs, first, last, room[part]], [sum_out], device=device)
+        launch(kernel, 1, [*inputs, first, last, room[part]], [sum_out], device=device)
 
     in_slices(device, blocks, some_blocks)
 
@@ -329,4 +329,4 @@ def _on_gpu(inputs: list[Any], channels: int, dy: int, dx: int, sum_out: Any) ->
     threads = -(-groups * paths // _WARP) * _WARP
     blocks = -(-(width if dy else height) // paths)
     kernel = _paths_kernel(channels, each, paths)
-    wp.launch(kernel, blocks * threads, [*inputs, threads], [sum_out], device=sum_out.device, block_dim=threads)
+    launch(kernel, blocks * threads, [*inputs, threads], [sum_out], device=sum_out.device, block_dim=threads)

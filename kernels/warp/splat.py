@@ -12,7 +12,7 @@ from .curvature import curvature, curvature_factor
 from .gpu_data_term import GpuDataTerm
 from .memory import pixel_type
 from .tent import tent, tent_slope
-from .threads import check_size, in_slices, lanes, launch_rows, load, once, slices
+from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once, slices
 
 
 @wp.struct
@@ -277,8 +277,8 @@ def splat(image: Any, disparity: Any, offsets: Any, *, softness: float, views_ou
         views.zero_()
         coverage.zero_()
         dim = (last - first, image.shape[0], threads)
-        wp.launch(kernels.splat, dim, [image, disparity, some, softness, threads], [views], device=device)
-        wp.launch(kernels.coverage, dim, [disparity, some, softness, threads], [coverage], device=device)
+        launch(kernels.splat, dim, [image, disparity, some, softness, threads], [views], device=device)
+        launch(kernels.coverage, dim, [disparity, some, softness, threads], [coverage], device=device)
 
     in_slices(device, views_out.shape[0], some_views)
 
@@ -296,7 +296,7 @@ def splat_jvp(image: Any, disparity: Any, tangent: Any, offsets: Any, *, softnes
         views = views_out[first:last]
         views.zero_()
         inputs = [image, disparity, tangent, pairs[first:last], softness, threads]
-        wp.launch(kernel, (last - first, image.shape[0], threads), inputs, [views], device=device)
+        launch(kernel, (last - first, image.shape[0], threads), inputs, [views], device=device)
 
     in_slices(device, views_out.shape[0], some_views)
 
@@ -342,7 +342,7 @@ def seen_by_reference(disparity: Any, offsets: Any, known: Any, valid: Any, *, s
         inputs = [disparity, pairs[first:last], known, mask, threads]
         dim = (last - first) * disparity.shape[0] * threads
         check_size(dim)
-        wp.launch(_seen_kernel, dim, inputs, [seen_out[first:last]], device=device)
+        launch(_seen_kernel, dim, inputs, [seen_out[first:last]], device=device)
 
     in_slices(device, seen_out.shape[0], some_views)
 
@@ -375,11 +375,11 @@ class _CpuDataTerm:
                 pair = self._pairs[n : n + 1]
                 residual.zero_()
                 inputs = [image, disparity, pair, softness, 1]
-                wp.launch(self._kernels.splat, dim, inputs, [residual], device=device)
+                launch(self._kernels.splat, dim, inputs, [residual], device=device)
                 inputs = [self._recorded, self._valid, n, self._scale, 1]
-                wp.launch(self._kernels.residual, dim, inputs, [residual, self._squares], device=device)
+                launch(self._kernels.residual, dim, inputs, [residual, self._squares], device=device)
                 inputs = [image, disparity, residual, pair, 2.0, softness, 0, 1]
-                wp.launch(self._kernels.vjp, disparity.shape[0], inputs, [gradient], device=device)
+                launch(self._kernels.vjp, disparity.shape[0], inputs, [gradient], device=device)
 
         self._gradients.zero_()
         self._squares.zero_()

@@ -7,9 +7,10 @@ import glob
 import os
 import shutil
 import threading
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, lru_cache, wraps
+from contextlib import contextmanager
+from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,32 +22,70 @@ from lfgpu.threads import get_threads
 _SLICES = 16
 _MANY = 2**18  # pixels: to cut light work on fewer of them takes longer than the work
 _MOST_THREADS = 2**31 - 1  # of a launch that counts them in 32 bits
-_LOCK = threading.RLock()
+LOADING = threading.RLock()
+"""Held while something is made that is made once, such as a compiled kernel."""
 
 Result = TypeVar("Result")
 
 
 def once(function: Callable[..., Result]) -> Callable[..., Result]:
     """Call a function once for each set of arguments and keep what it returned; other threads wait meanwhile."""
-    kept = cache(function)
+    kept: dict[tuple[Hashable, ...], Result] = {}
 
     @wraps(function)
     def call(*arguments: Hashable) -> Result:
-        with _LOCK:
-            return kept(*arguments)
+        if arguments not in kept:  # what is there is taken without waiting for others that make something else
+            with LOADING:
+                if arguments not in kept:
+                    kept[arguments] = function(*arguments)
+        return kept[arguments]
 
     return call
 
 
 def in_slices(device: Any, count: int, work: Callable[[int, int, int], None]) -> None:
-    """Call work(slice, first, last) for slices of range(count): one for all on a GPU, several at a time on a CPU."""
+    """Call work(slice, first, last) for slices of range(count): one for all on a GPU, several at a time on a CPU.
+
+    On a CPU `work` asks for nothing but launches: what is recorded of it runs them side by side.
+    """
     cuts, threads = slices(device, count), get_threads()
     if len(cuts) == 1 or threads == 1:
+        marks = len(cuts) > 1 and getattr(_marking, "on", False)
         for k, (first, last) in enumerate(cuts):
+            if marks:
+                wp.launch(slice_begins_kernel, 1, device=device)
             work(k, first, last)
+        if marks:
+            wp.launch(slices_end_kernel, 1, device=device)
         return
     for done in [_pool(threads).submit(work, k, first, last) for k, (first, last) in enumerate(cuts)]:
         done.result()
+
+
+@wp.kernel(module="lfgpu_slices", enable_backward=False)
+def slice_begins_kernel():
+    pass
+
+
+@wp.kernel(module="lfgpu_slices", enable_backward=False)
+def slices_end_kernel():
+    pass
+
+
+MARKS = slice_begins_kernel, slices_end_kernel
+"""Launched before each slice of one call, and after the last, in work that is recorded: slices may run side by side."""
+
+_marking = threading.local()
+
+
+@contextmanager
+def marked_slices() -> Iterator[None]:
+    """While the block runs, what this thread has done in slices of a CPU is marked."""
+    _marking.on = True
+    try:
+        yield
+    finally:
+        _marking.on = False
 
 
 def slices(device: Any, count: int) -> list[tuple[int, int]]:
@@ -67,12 +106,46 @@ def launch_rows(kernel: Any, inputs: list[Any], *outputs: Any, light: bool = Fal
     load(device, kernel)
 
     def some_rows(_: int, first: int, last: int) -> None:
-        wp.launch(kernel, (last - first) * threads, [*inputs, first, threads], list(outputs), device=device)
+        launch(kernel, (last - first) * threads, [*inputs, first, threads], list(outputs), device=device)
 
     if light and outputs[0].shape[-2] * outputs[0].shape[-1] < _MANY:
         some_rows(0, 0, height)
     else:
         in_slices(device, height, some_rows)
+
+
+def launch(
+    kernel: Any,
+    dim: Any,
+    inputs: Sequence[Any],
+    outputs: Sequence[Any] = (),
+    *,
+    device: Any,
+    stream: Any = None,
+    block_dim: int | None = None,
+) -> None:
+    """Launch a kernel; what a crash left of it in the cache of kernels is compiled again."""
+    options = {"device": device, "stream": stream, "block_dim": block_dim}
+    _launched(lambda: wp.launch(kernel, dim, inputs, outputs, **options), kernel, device)
+
+
+def launch_tiles(
+    kernel: Any, dim: list[int], inputs: list[Any], outputs: list[Any], *, device: Any, block_dim: int
+) -> None:
+    """Launch a kernel whose threads work together on tiles, as `launch` does."""
+    _launched(lambda: wp.launch_tiled(kernel, dim, inputs, outputs, device=device, block_dim=block_dim), kernel, device)
+
+
+def _launched(start: Callable[[], None], kernel: Any, device: Any) -> None:
+    try:
+        start()
+    except OSError as error:
+        raise cache_is_closed(error) from error
+    except Exception:
+        if not _forgotten(kernel.module):
+            raise
+        load(device, kernel)
+        start()
 
 
 def check_size(*threads: int) -> None:
@@ -94,7 +167,7 @@ def lanes(array: Any) -> int:
 
 def load(device: Any, *kernels: Any) -> None:
     """Compile and load what threads are about to launch; they must not do it at the same time."""
-    with _LOCK:
+    with LOADING:
         for module in {kernel.module for kernel in kernels}:
             _load(module, device)
 
@@ -106,13 +179,19 @@ def _load(module: Any, device: Any) -> None:
     except OSError as error:
         raise cache_is_closed(error) from error
     except Exception:
-        places = list(Path(wp.config.kernel_cache_dir).glob(f"wp_{glob.escape(module.name)}_*"))
-        if not places:
+        if not _forgotten(module):
             raise
-        for place in places:
-            shutil.rmtree(place, ignore_errors=True)
-        module.unload()
         wp.load_module(module, device=device)
+
+
+def _forgotten(module: Any) -> bool:
+    """Remove what the cache of kernels has of a module; whether there was something."""
+    places = list(Path(wp.config.kernel_cache_dir).glob(f"wp_{glob.escape(module.name)}_*"))
+    for place in places:
+        shutil.rmtree(place, ignore_errors=True)
+    if places:
+        module.unload()
+    return bool(places)
 
 
 def cache_is_closed(error: OSError) -> BackendError:

@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from .asking import alone, asking
 from .memory import pixel_type
 from .sharing import Shared, take
-from .threads import load, once
+from .threads import launch, load, once
 
 wp.set_module_options({"enable_backward": False})
 
 _SAMPLES = 64  # along each side of the reference view, that are looked at for cuts
+_LOWEST, _HIGHEST = -0.5, 1.5  # intensities beyond these are in another unit
 
 
 @once
@@ -37,9 +38,9 @@ def _change_kernel(channels: int, stored: Any) -> Any:
         stride_y: int,
         stride_x: int,
         last: wp.array2d(dtype=stored_pixel),
-        changed: wp.array(dtype=int),
+        counts: wp.array(dtype=int),
     ):
-        """Counts the samples of the reference view that changed since the last frame, and keeps them."""
+        """Counts the samples of the reference view that changed, and those out of scale; keeps them for the next."""
         j, i = wp.tid()
         y = j * stride_y + stride_y / 2
         x = i * stride_x + stride_x / 2
@@ -48,10 +49,16 @@ def _change_kernel(channels: int, stored: Any) -> Any:
         now = views[reference, y, x]
         before = last[j, i]
         change = float(0.0)
+        outside = float(0.0)
         for c in range(wp.static(channels)):
             change = change + wp.abs(float(now[c]) - float(before[c]))
+            intensity = float(now[c]) * scale
+            if intensity < wp.static(_LOWEST) or intensity > wp.static(_HIGHEST):
+                outside = 1.0
         if not (change * scale <= tolerance * float(wp.static(channels))):
-            wp.atomic_add(changed, 0, 1)
+            wp.atomic_add(counts, 0, 1)
+        if outside > 0.0:
+            wp.atomic_add(counts, 1, 1)
         last[j, i] = now
 
     return change_kernel
@@ -173,17 +180,17 @@ class Transport:
         self._kernel = _change_kernel(views.dtype._length_, views.dtype._wp_scalar_type_)
         self._there = wp.ones(len(views), dtype=float, device=self._device)
         self._last = wp.zeros(self._grid, dtype=views.dtype, device=self._device)
-        self._changed, self._zero = (wp.zeros(1, dtype=int, device=self._device) for _ in range(2))
+        self._counts, self._zero = (wp.zeros(2, dtype=int, device=self._device) for _ in range(2))
         load(self._device, self._kernel, _mask_kernel)
         if self._device.is_cuda:
             self._compute = self._device.stream
             self._in, self._up, self._down = (wp.Stream(self._device) for _ in range(3))
             self._incoming = wp.empty_like(views)
-            self._changed_host = wp.zeros(1, dtype=int, device="cpu", pinned=True)
+            self._counts_host = wp.zeros(2, dtype=int, device="cpu", pinned=True)
             self._arrived, self._taken, self._solved = (wp.Event(self._device) for _ in range(3))
             self._compute.record_event(self._taken)
         else:
-            self._incoming, self._changed_host = views, self._changed
+            self._incoming, self._counts_host = views, self._counts
         self.made = 0
         """How many results there is memory for."""
         self._free: deque[Maps] = deque(self._new_maps() for _ in range(results))
@@ -198,7 +205,7 @@ class Transport:
 
     def mask(self, base: Any, mask_out: Any) -> None:
         """mask [n, y, x] = whether view n of the frame brought last is there, times `base` unless that is None."""
-        wp.launch(_mask_kernel, mask_out.shape, [base, self._there], [mask_out], device=self._device)
+        launch(_mask_kernel, mask_out.shape, [base, self._there], [mask_out], device=self._device)
 
     def take(self, values: Any, slot: Slot, views: list[int] | None) -> None:
         """Copy an array of another library on the same GPU into a slot, in the order of that library's stream."""
@@ -210,21 +217,22 @@ class Transport:
                     take(values[n], slot.resident[k], self._in)
             self._in.record_event(slot.copied)
 
-    def bring(self, slot: Slot) -> float:
-        """Take a frame to the device, while it may still work on the one before; which share of the samples changed.
+    def bring(self, slot: Slot) -> tuple[float, float]:
+        """Take a frame to the device, while it may still work on the one before.
 
-        It returns when the slot may be used again.
+        It returns when the slot may be used again: which share of the samples of the reference view changed, and which
+        share is far outside [0, 1].
         """
         source = slot.resident if slot.is_resident else slot.staged
-        samples = self._grid[0] * self._grid[1]
         if not self._device.is_cuda:
-            wp.copy(self._incoming, source)
-            wp.copy(self._there, slot.presence)
-            self._changed.zero_()
-            wp.launch(
-                self._kernel, self._grid, [self._incoming, *self._looking, self._last, self._changed], device="cpu"
-            )
-            return float(self._changed.numpy()[0]) / samples
+            with self._asking:
+                wp.copy(self._incoming, source)
+                wp.copy(self._there, slot.presence)
+                self._counts.zero_()
+                launch(
+                    self._kernel, self._grid, [self._incoming, *self._looking, self._last, self._counts], device="cpu"
+                )
+            return self._shares()
         with self._asking:
             up = self._up
             up.wait_event(self._taken)
@@ -232,13 +240,17 @@ class Transport:
                 up.wait_event(slot.copied)
             wp.copy(self._incoming, source, stream=up)
             wp.copy(self._there, slot.presence, stream=up)
-            wp.copy(self._changed, self._zero, stream=up)
-            arguments = [self._incoming, *self._looking, self._last, self._changed]
-            wp.launch(self._kernel, self._grid, arguments, device=self._device, stream=up)
-            wp.copy(self._changed_host, self._changed, stream=up)
+            wp.copy(self._counts, self._zero, stream=up)
+            arguments = [self._incoming, *self._looking, self._last, self._counts]
+            launch(self._kernel, self._grid, arguments, device=self._device, stream=up)
+            wp.copy(self._counts_host, self._counts, stream=up)
             up.record_event(self._arrived)
         _wait_for(self._arrived)
-        return float(self._changed_host.numpy()[0]) / samples
+        return self._shares()
+
+    def _shares(self) -> tuple[float, float]:
+        changed, outside = self._counts_host.numpy() / (self._grid[0] * self._grid[1])
+        return float(changed), float(outside)
 
     def solve(self, work: Callable[[], None], before: Callable[[], None] | None) -> Maps:
         """Ask for a map of the frame that was brought last: `before`, if given, and `work`. The maps come later."""

@@ -4,7 +4,7 @@ from typing import Any
 
 import warp as wp
 
-from .threads import once
+from .threads import launch, launch_tiles, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -156,16 +156,16 @@ def _parts(device: str) -> Any:
 def dot(a: Any, b: Any, product_out: Any) -> None:
     device = a.device
     if device.is_cpu:
-        wp.launch(_dot_on_cpu_kernel, 1, [a.flatten(), b.flatten()], [product_out], device=device)
+        launch(_dot_on_cpu_kernel, 1, [a.flatten(), b.flatten()], [product_out], device=device)
         return
     parts = _parts(device.alias)
     inputs = [a.flatten(), b.flatten(), _BLOCKS * BLOCK]
-    wp.launch_tiled(_partial_dot_kernel, dim=[_BLOCKS], inputs=inputs, outputs=[parts], block_dim=BLOCK, device=device)
-    wp.launch_tiled(sum_kernel, dim=[1], inputs=[parts], outputs=[product_out], block_dim=BLOCK, device=device)
+    launch_tiles(_partial_dot_kernel, dim=[_BLOCKS], inputs=inputs, outputs=[parts], block_dim=BLOCK, device=device)
+    launch_tiles(sum_kernel, dim=[1], inputs=[parts], outputs=[product_out], block_dim=BLOCK, device=device)
 
 
 def ratio(numerator: Any, denominator: Any, ratio_out: Any, *, factor: float = 1.0) -> None:
-    wp.launch(_ratio_kernel, 1, [numerator, denominator, factor], [ratio_out], device=ratio_out.device)
+    launch(_ratio_kernel, 1, [numerator, denominator, factor], [ratio_out], device=ratio_out.device)
 
 
 def copy(source: Any, target_out: Any) -> None:
@@ -208,4 +208,4 @@ def _number_or_scalar(value: Any) -> tuple[float, Any]:
 
 
 def _launch(kernel: Any, inputs: list[Any], result_out: Any) -> None:
-    wp.launch(kernel, result_out.size, inputs, [result_out.flatten()], device=result_out.device)
+    launch(kernel, result_out.size, inputs, [result_out.flatten()], device=result_out.device)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lfgpu.contract import Normalization
 
 from .memory import pixel_type
-from .threads import check_size, in_slices, lanes, launch_rows, load, once, slices
+from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -413,13 +413,13 @@ def normalization(shape: Sequence[int], device: str, *, scale: float, sigma: flo
 
         across, down = -(-threads // _AT_ONCE), -(-height // _AT_ONCE)
 
-        def launch(kernel: Any, rows: int, columns: int, inputs: list[Any], outputs: list[Any]) -> None:
+        def launch_each(kernel: Any, rows: int, columns: int, inputs: list[Any], outputs: list[Any]) -> None:
             check_size(rows * columns)
-            wp.launch(kernel, rows * columns, [*inputs, columns], outputs, device=place)
+            launch(kernel, rows * columns, [*inputs, columns], outputs, device=place)
 
         def some_views(k: int, first: int, last: int) -> None:
             if sigma == 0:
-                launch(
+                launch_each(
                     kernels.scale,
                     (last - first) * height,
                     threads,
@@ -431,13 +431,13 @@ def normalization(shape: Sequence[int], device: str, *, scale: float, sigma: flo
             for start in range(first, last, batch):
                 end = min(start + batch, last)
                 some, mask = views[start:end], None if valid is None else valid[start:end]
-                launch(kernels.rows, (end - start) * height, across, [some, mask, scale], [sums, shares])
-                launch(
+                launch_each(kernels.rows, (end - start) * height, across, [some, mask, scale], [sums, shares])
+                launch_each(
                     kernels.detail, (end - start) * down, threads, [some, sums, shares, mask, scale], [details, energy]
                 )
-                launch(kernels.energy_rows, (end - start) * height, across, [energy, mask], [energy_sums, shares])
+                launch_each(kernels.energy_rows, (end - start) * height, across, [energy, mask], [energy_sums, shares])
                 inputs = [details, energy_sums, shares, mask, floor]
-                launch(kernels.contrast, (end - start) * down, threads, inputs, [detail_out[start:end]])
+                launch_each(kernels.contrast, (end - start) * down, threads, inputs, [detail_out[start:end]])
 
         in_slices(place, n, some_views)
 

@@ -120,10 +120,12 @@ class Cluster:
         import dask
 
         # The scheduler reads the number of retries when it starts.
-        settings = {
+        settings: dict[str, Any] = {
             "distributed.scheduler.allowed-failures": self._retries,
             "distributed.scheduler.worker-saturation": 1.0,  # no job is queued on a worker that another job may kill
             "distributed.worker.daemon": True,
+            # It goes by the clock of the day, which may jump; processes that died are seen without it.
+            "distributed.scheduler.worker-ttl": None,
             # Pages about a cluster can be read by everybody on the machine, and some of them give orders.
             "distributed.scheduler.http.routes": [],
             "distributed.worker.http.routes": [],

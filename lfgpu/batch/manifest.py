@@ -29,7 +29,10 @@ def key_of(config: Config, options: Mapping[str, Any]) -> str:
 
 
 def read_manifest(folder: Path) -> dict[str, dict[str, Any]]:
-    """What holds of each item, by name; `damaged` lines are skipped. LightFieldError if the file cannot be read."""
+    """What holds of each item, by name, in the order of the lines; damaged lines are skipped.
+
+    LightFieldError if the file cannot be read.
+    """
     return _read(folder)[0]
 
 
@@ -50,7 +53,8 @@ def _read(folder: Path) -> tuple[dict[str, dict[str, Any]], int]:
                 if entry is None:
                     damaged += 1
                 elif "item" in entry:
-                    found[entry["item"]] = entry
+                    found.pop(entry["item"], None)
+                    found[entry["item"]] = entry  # the newest is the last one: clocks may jump
     except FileNotFoundError:
         return {}, 0
     except OSError as error:
@@ -84,8 +88,10 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     **dict.fromkeys(("began", "seconds", "attempts"), _is_number),
     "sizes": _are(_is_number),
     "times": _are(_is_number),
+    "scale": _are(_is_number),
     "metrics": lambda value: value is None or _are(lambda score: score is None or _is_number(score))(value),
     "disparity_range": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)),
+    "size": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)),
     "notes": lambda value: isinstance(value, list) and all(isinstance(note, str) for note in value),
 }
 """What the entries of a line have to be that are used."""
@@ -105,7 +111,7 @@ def standing(entries: Mapping[str, dict[str, Any]], out: Path) -> dict[str, dict
 
     Left out are entries whose outputs are missing, and those whose input was done again under another name.
     """
-    newest = {entry.get("input"): name for name, entry in sorted(entries.items(), key=lambda e: e[1].get("began", 0.0))}
+    newest = {entry.get("input"): name for name, entry in entries.items()}
     return {
         name: entry
         for name, entry in entries.items()

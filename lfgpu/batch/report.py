@@ -2,34 +2,46 @@
 
 from __future__ import annotations
 
-import math
+import json
 from collections.abc import Mapping, Sequence
-from importlib import resources
+from datetime import datetime
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 from urllib.parse import quote
 
-import jinja2
+from markupsafe import Markup
 
 from lfgpu.batch.manifest import DONE
 from lfgpu.batch.run import Summary
-from lfgpu.batch.work import PREVIEW_FILE
+from lfgpu.batch.work import PREVIEW_FILE, VIEW_FILE
+from lfgpu.batch.work import REPORT_FILE as ITEM_REPORT
 from lfgpu.comparison import COLUMNS
 from lfgpu.io.atomic import atomic_write
+from lfgpu.reports.facts import date, preset
+from lfgpu.viz.cards import Scale, Tile, scale
+from lfgpu.viz.pages import rendered
+from lfgpu.viz.panels import LOOKS
 
 REPORT_FILE = "report.html"
+
+_UNITS = {name: "%" for name in COLUMNS if name.startswith("BadPix")}
+_FIRST = ("BadPix 0.07", "MSE x100")  # scores that are read first
 
 
 def write_report(summary: Summary, out: Path, title: str) -> Path:
     """Write the page atomically into the folder of the batch, because it refers to pictures there."""
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined)
-    text = resources.files("lfgpu").joinpath("templates/batch.html").read_text(encoding="utf-8")
     entries = [summary.entries[item.name] for item in summary.items if item.name in summary.entries]
-    page = environment.from_string(text).render(
-        title=title,
+    page = rendered(
+        "batch.html",
+        title=f"{title}: depth by lfgpu",
+        name=title,
+        lead=_lead(summary),
+        tiles=_tiles(summary),
         facts=facts(summary),
-        heads=list(COLUMNS),
+        keys=["item", "seconds", "searched range", *(COLUMNS if any(e.get("metrics") for e in entries) else ())],
+        stops=scale("disparity", (0.0, 1.0)).stops,
+        unit=LOOKS["disparity"].unit,
         rows=[_row(entry) for entry in sorted(entries, key=lambda entry: entry.get("status") == DONE)],
     )
     path = out / REPORT_FILE
@@ -39,13 +51,40 @@ def write_report(summary: Summary, out: Path, title: str) -> Path:
     return path
 
 
+def _lead(summary: Summary) -> str:
+    """When the items were computed, and by which preset."""
+    ends = [entry["began"] + entry.get("seconds", 0.0) for entry in summary.entries.values() if "began" in entry]
+    when = [f"until {date(datetime.fromtimestamp(max(ends)).astimezone())}"] if ends else []
+    by = [] if summary.settings is None else [f"preset {preset(summary.settings.config)}"]
+    return ", ".join(["Disparity by lfgpu", *by, *when])
+
+
+def _tiles(summary: Summary) -> list[Tile]:
+    done = [entry for entry in summary.entries.values() if entry.get("status") == DONE]
+    share = 100 * len(done) / len(summary.items) if summary.items else 100.0
+    tiles = [Tile("Done", f"{share:.4g}", "%", f"{len(done)} of {len(summary.items)} items")]
+    if summary.failed:
+        tiles.append(Tile("Failed", str(len(summary.failed)), "", "items; they come first below"))
+    tiles += [Tile(name, f"{value:.3f}", unit, "mean") for name, value, unit in _means(done) if name in _FIRST]
+    if done:
+        tiles.append(Tile("An item", f"{median(e.get('seconds', 0.0) for e in done):.3g}", "s", "median"))
+    return tiles
+
+
 def facts(summary: Summary) -> list[tuple[str, str]]:
     """Counts, times and mean scores, as pairs of label and text."""
     done = [entry for entry in summary.entries.values() if entry.get("status") == DONE]
+    share = 100 * len(done) / len(summary.items) if summary.items else 100.0
     lines = [
-        ("items", f"{len(summary.items)}: {len(done)} done, {len(summary.failed)} failed, {summary.left} not reached"),
+        (
+            "items",
+            f"{len(summary.items)}: {len(done)} done, {len(summary.failed)} failed, {summary.left} not reached; "
+            f"{share:.4g} % done",
+        ),
         ("this run", f"{summary.computed} computed, {summary.kept} kept from before, in {summary.seconds:.1f} s"),
     ]
+    if summary.settings is not None:
+        lines.insert(1, ("preset", preset(summary.settings.config)))
     times = [entry["times"] for entry in done if "times" in entry]
     if summary.damaged:
         lines.append(("manifest", f"{summary.damaged} damaged lines were skipped; their items are done again"))
@@ -53,10 +92,9 @@ def facts(summary: Summary) -> list[tuple[str, str]]:
         parts = ", ".join(f"{name} {median(t.get(name, 0.0) for t in times):.3g}" for name in times[0])
         each = median(entry.get("seconds", 0.0) for entry in done)
         lines.append(("an item", f"{each:.3g} s, median ({parts})"))
-    means = mean_scores(done)
-    if means:
+    if means := _means(done):
         scored = sum(1 for entry in done if entry.get("metrics"))
-        text = ", ".join(f"{name} {value:.3f}" for name, value in means.items())
+        text = ", ".join(f"{name} {value:.3f} {unit}".rstrip() for name, value, unit in means)
         lines.append(("mean scores", f"{text}, of {scored} with ground truth"))
     return lines
 
@@ -70,20 +108,41 @@ def mean_scores(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     return {name: fmean(of) for name, of in values.items() if of}
 
 
+def _means(entries: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, str]]:
+    """The means of the scores with their units."""
+    return [(name, value, _UNITS.get(name, "")) for name, value in mean_scores(entries).items()]
+
+
 def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
-    done, metrics = entry.get("status") == DONE, entry.get("metrics")
-    low, high = entry.get("disparity_range") or (math.nan, math.nan)
-    picture = PREVIEW_FILE in entry.get("sizes", ())
+    done, metrics, sizes = entry.get("status") == DONE, entry.get("metrics") or {}, entry.get("sizes", ())
+    folder, seconds = quote(entry["item"]), entry.get("seconds", 0.0)
+    scores = {name: metrics.get(key) for name, key in COLUMNS.items()}
+    numbers, span = [("seconds", f"{seconds:.2f}")], None
+    if done and "disparity_range" in entry:
+        low, high = entry["disparity_range"]
+        span = high - low
+        numbers.append(("searched range, px", f"{low:.2f} to {high:.2f}".replace("-", "\u2212")))
+    numbers += [
+        (name, f"{score:.3f} {_UNITS.get(name, '')}".rstrip()) for name, score in scores.items() if score is not None
+    ]
+    height, width = entry.get("size") or (0, 0)
     return {
         "name": entry["item"],
-        "done": done,
-        "error": entry.get("error", ""),
+        "error": "" if done else entry.get("error", ""),
         "notes": entry.get("notes", []),
-        "folder": quote(entry["item"]) + "/",
-        "picture": f"{quote(entry['item'])}/{PREVIEW_FILE}" if picture else "",
-        "seconds": f"{entry.get('seconds', 0.0):.2f}",
-        "range": f"{low:.2f} to {high:.2f}" if done else "",
-        "scores": ["–" if metrics.get(key) is None else f"{metrics[key]:.3f}" for key in COLUMNS.values()]
-        if metrics
-        else [],
+        "link": f"{folder}/{ITEM_REPORT if ITEM_REPORT in sizes else ''}" if done else "",
+        "view": f"{folder}/{VIEW_FILE}" if VIEW_FILE in sizes else "",
+        "picture": f"{folder}/{PREVIEW_FILE}" if PREVIEW_FILE in sizes else "",
+        "shape": Markup(' width="{}" height="{}"').format(width, height) if height else "",
+        "scale": _scale(entry.get("scale") or {}),
+        "numbers": numbers,
+        "key_values": json.dumps([entry["item"], seconds, span, *scores.values()]),
     }
+
+
+def _scale(found: Mapping[str, float]) -> Scale | None:
+    """The scale of an item's map; None if its entry does not say."""
+    if not {"low", "high"} <= found.keys():
+        return None
+    beyond = {name: bool(found.get(name)) for name in ("below", "above", "undefined")}
+    return scale("disparity", (found["low"], found["high"]), **beyond)

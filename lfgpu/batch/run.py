@@ -14,7 +14,7 @@ from typing import Any
 from lfgpu.batch.cluster import BatchError, Cluster
 from lfgpu.batch.items import LEFT_OVER, Item, fingerprint
 from lfgpu.batch.manifest import DONE, Manifest, damaged_lines, is_done, key_of, read_manifest
-from lfgpu.batch.work import Job, Settings
+from lfgpu.batch.work import REPORT_FILE, Job, Settings
 
 _MEASURED_ON = 8  # frames of a sequence that are tried, in order, to measure range and noise
 
@@ -33,6 +33,8 @@ class Summary:
     computed: int = 0
     failed: list[Entry] = field(default_factory=list)
     seconds: float = 0.0
+    settings: Settings | None = None
+    """The settings of the estimates."""
     damaged: int = 0
     """How many lines of the manifest were skipped, as they say nothing that can be used."""
 
@@ -68,7 +70,7 @@ class Batch:
 
     def __init__(self, items: Sequence[Item], out: Path, settings: Settings) -> None:
         self._items, self._out, self._settings = list(items), out, settings
-        self.summary = Summary(self._items)
+        self.summary = Summary(self._items, settings=settings)
         """The outcome so far, also after an exception."""
 
     def run(self, cluster: Cluster, *, on_progress: Callable[[Progress], None] = lambda _: None) -> Summary:
@@ -123,8 +125,8 @@ class Batch:
         todo = []
         for job in _jobs(self._items, self._out, self._settings):
             entry = known.get(job.item.name)
-            if is_done(entry, job.item, job.keys["parameters_key"], job.keys["input_key"], self._out):
-                assert entry is not None
+            is_up_to_date = is_done(entry, job.item, job.keys["parameters_key"], job.keys["input_key"], self._out)
+            if is_up_to_date and entry is not None and (not job.settings.report or REPORT_FILE in entry["sizes"]):
                 self.summary.entries[job.item.name] = entry
                 self.summary.kept += 1
             else:

@@ -7,8 +7,11 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.batch.items import Item
@@ -16,20 +19,21 @@ from lfgpu.batch.manifest import DONE, FAILED
 from lfgpu.config import Config
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LfgpuError, LightFieldError
+from lfgpu.machine import device_name
 from lfgpu.methods import method_of
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.range_check import range_remark
-from lfgpu.printable import message
+from lfgpu.methods.range_check import doubt_about, doubted
+from lfgpu.printable import message, printable
 
 if TYPE_CHECKING:
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult
     from lfgpu.pipelines.pipeline import DepthPipeline
 
-PREVIEW_FILE = "preview.png"
-DEPTH_FILE = "depth.pfm"
+VIEW_FILE, PREVIEW_FILE = "view.jpg", "preview.png"
+DEPTH_FILE, REPORT_FILE = "depth.pfm", "report.html"
 
-_PREVIEW = 320, 240  # pixels
+_PREVIEW = 250_000  # pixels at most of the pictures for the page, such as 577 x 433
 _MEMORY = "out of memory; use fewer views (--views cross), smaller ones, or fewer workers."
 
 
@@ -46,6 +50,10 @@ class Settings:
     """Keywords of `lfgpu.read`."""
     backend: BackendName = DEFAULT
     deterministic: bool = False
+    report: bool = False
+    """Whether each item gets a report; results do not depend on it."""
+    command: str = ""
+    """The command line, for the reports."""
 
     @property
     def options(self) -> dict[str, Any]:
@@ -89,7 +97,7 @@ def work(job: Job, device: str | None = None) -> dict[str, Any]:
 
     Errors of the item are in the entry. Only OutOfMemory is raised, because a retry may succeed.
     """
-    begin = time.time()
+    began, start = time.time(), time.perf_counter()
     entry: dict[str, Any] = {"item": job.item.name, "input": job.item.source, "status": FAILED, **job.keys}
     try:
         entry |= {**_done(job, device), "status": DONE}
@@ -101,7 +109,7 @@ def work(job: Job, device: str | None = None) -> dict[str, Any]:
         if "Failed to allocate" in str(error):  # the message of Warp
             raise OutOfMemory(_MEMORY) from error
         entry["error"] = message(f"{type(error).__name__}: {error}")
-    return {**entry, "began": begin, "seconds": round(time.time() - begin, 4)}
+    return {**entry, "began": began, "seconds": round(time.perf_counter() - start, 4)}
 
 
 def _done(job: Job, device: str | None) -> dict[str, Any]:
@@ -111,23 +119,31 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
     lf = _read(job.item.source, job.settings)
     clock.lap("read")
     result = _estimate(lf, job, pick_device(load(job.settings.backend), device))
+    if not job.item.sequence:  # it would be said of each frame
+        result = doubted(result, doubt_about(lf, job.settings.disparity_range))
     clock.lap("estimate")
     scores = _scores(lf, result)
     out = Path(job.out, job.item.name)
     out.parent.mkdir(parents=True, exist_ok=True)  # other workers may create it at the same time
     with atomic_folder(out) as folder:
-        sizes = _write(folder, result)
+        scale = _write(folder, lf, result)
+        if job.settings.report:
+            _write_report(folder, lf, result, job)
+        sizes = {file.name: file.stat().st_size for file in sorted(folder.iterdir())}
+    if not job.settings.report:
+        (out / REPORT_FILE).unlink(missing_ok=True)  # that of an earlier result
     clock.lap("write")
     low, high = result.disparity_range
     return {
         "sizes": sizes,
+        "scale": scale,
         "metrics": scores,
         "disparity_range": [low, high],
         "views": len(lf.views),
         "size": list(lf.size),
         "device": result.device,
         "converged": result.converged,
-        "notes": [*lf.notes, *_doubts(lf, job)],
+        "notes": [*lf.notes, *result.notes],
         "times": clock.laps,
     }
 
@@ -213,13 +229,6 @@ class _Resident:
 _RESIDENT = _Resident()
 
 
-def _doubts(lf: LightField, job: Job) -> list[str]:
-    """Why the map may be wrong although nothing went wrong."""
-    given = job.settings.disparity_range
-    doubt = None if given is None or job.item.sequence else range_remark(lf, given)
-    return [] if doubt is None else [doubt]
-
-
 def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | None:
     """The metrics by name, None if not finite; or None if the ground truth of the reference view is unknown."""
     from lfgpu.metrics import evaluate
@@ -234,20 +243,39 @@ def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | No
         return None
 
 
-def _write(folder: Path, result: DepthResult) -> dict[str, int]:
-    """Write a result into an existing folder; returns the sizes of the files in bytes, by name."""
+def _write(folder: Path, lf: LightField, result: DepthResult) -> dict[str, float]:
+    """Write a result and its pictures into an existing folder; returns the scale of the picture of the map."""
     from lfgpu.io import DISPARITY_FILE, RESULT_FILE, write_pfm, write_result
-    from lfgpu.viz.figures import scale_limits
-    from lfgpu.viz.panels import LOOKS, colour, fitted
+    from lfgpu.viz.cards import SAVING, limits_of, map_image, view_image
+    from lfgpu.viz.panels import rgb
 
     write_pfm(folder / DISPARITY_FILE, result.disparity)
     write_result(result, folder / RESULT_FILE)
-    wide, tall = _PREVIEW
-    picture = colour(result.disparity, LOOKS["disparity"].colours, scale_limits(result.disparity))
-    fitted(picture, wide=wide, tall=tall).save(folder / PREVIEW_FILE)
     if (depth := result.depth) is not None:
         write_pfm(folder / DEPTH_FILE, depth)
-    return {file.name: file.stat().st_size for file in sorted(folder.iterdir())}
+    low, high = limits = limits_of("disparity", result.disparity)
+    view = view_image(rgb(lf.views[lf.reference_index], lf.scale), most=_PREVIEW)
+    view.save(folder / VIEW_FILE, **SAVING["JPEG"])
+    map_image(result.disparity, "disparity", limits, most=_PREVIEW).save(folder / PREVIEW_FILE, **SAVING["PNG"])
+    known = result.disparity[np.isfinite(result.disparity)]
+    return {
+        "low": low,
+        "high": high,
+        "below": int((known < low).sum()),
+        "above": int((known > high).sum()),
+        "undefined": result.disparity.size - known.size,
+    }
+
+
+def _write_report(folder: Path, lf: LightField, result: DepthResult, job: Job) -> None:
+    """Write the report of an item. It leaves out what the map predicts, which takes longer than the map."""
+    from lfgpu.reports.report import Origin, write_report
+
+    settings = job.settings
+    origin = Origin(
+        printable(job.item.source), settings.command, datetime.now().astimezone(), device_name(result.device)
+    )
+    write_report(folder / REPORT_FILE, lf, result, origin=origin)
 
 
 class _Clock:

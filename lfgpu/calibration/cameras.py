@@ -9,6 +9,7 @@ with k1 to k4: θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +22,11 @@ MODELS = {"pinhole": (0, 4, 5, 8), "fisheye": (0, 4)}
 """The lens models, and how many coefficients each may have."""
 
 _ROUNDS = 30  # of Newton's method
+_UNDONE = 1e-6  # how near it comes to the ray that is looked for, in the plane z = 1
 _TURN = 1e-3  # how far a rotation may be from an orthonormal matrix
+_LARGEST_SIDE = 1_000_000  # pixels
+_LARGEST = 1e9  # of pixels, coefficients and lengths in any unit: their products stay finite
+_WIDEST = 1000  # sides of a picture to its focal length
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +55,7 @@ class Camera:
     Raises
     ------
     LightFieldError
-        If a number is not finite, the rotation is none or mirrors, or the model is unknown.
+        If a number is not finite or beyond what a camera has, the rotation is none or mirrors, or the model is unknown.
     """
 
     size: tuple[int, int]
@@ -78,8 +83,15 @@ class Camera:
                 f"{translation.shape}."
             )
         numbers = [*self.focal_length, *self.principal_point, *self.distortion, *rotation.ravel(), *translation]
-        if not np.isfinite(numbers).all() or min(self.focal_length) <= 0 or min(self.size) < 1:
-            raise LightFieldError(f"{self.name}: numbers must be finite, focal lengths and sizes positive.")
+        if not (np.abs(numbers) <= _LARGEST).all() or min(self.focal_length) <= 0 or min(self.size) < 1:
+            raise LightFieldError(
+                f"{self.name}: numbers must be finite, up to {_LARGEST:g}, focal lengths and sizes positive."
+            )
+        if max(self.size) > _LARGEST_SIDE or min(self.focal_length) * _WIDEST < max(self.size):
+            raise LightFieldError(
+                f"{self.name}: no camera has pictures of {self.size[1]} x {self.size[0]} pixels with a focal length "
+                f"of {min(self.focal_length):g}."
+            )
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > _TURN:
             raise LightFieldError(f"{self.name}: the rotation is no rotation: its rows are not orthonormal.")
         if np.linalg.det(rotation) < 0:
@@ -109,25 +121,32 @@ class Camera:
         return self._distorted(plane) * self.focal_length + self.principal_point
 
     def rays(self, pixels: ArrayLike) -> Float64Array:
-        """Directions [..., 3] in the camera's frame, z = 1, of pixels [..., 2]; the inverse of `project`."""
+        """Directions [..., 3] in the camera's frame, z = 1, of pixels [..., 2]; the inverse of `project`.
+
+        NaN where the lens cannot be undone: no ray lands there.
+        """
         goal = (np.asarray(pixels, np.float64) - self.principal_point) / self.focal_length
         found = goal.copy()
         step = 1e-6
-        for _ in range(_ROUNDS if self.distortion else 0):
-            here = self._distorted(found)
-            by_x = (self._distorted(found + np.array([step, 0.0])) - here) / step
-            by_y = (self._distorted(found + np.array([0.0, step])) - here) / step
-            miss = here - goal
-            determinant = by_x[..., 0] * by_y[..., 1] - by_y[..., 0] * by_x[..., 1]
-            found = found - np.stack(
-                [
-                    (by_y[..., 1] * miss[..., 0] - by_y[..., 0] * miss[..., 1]) / determinant,
-                    (by_x[..., 0] * miss[..., 1] - by_x[..., 1] * miss[..., 0]) / determinant,
-                ],
-                axis=-1,
-            )
-            if np.abs(miss).max(initial=0) < 1e-13:
-                break
+        miss = np.zeros_like(goal)
+        with np.errstate(all="ignore"):  # what does not converge is NaN in the end
+            for _ in range(_ROUNDS if self.distortion else 0):
+                here = self._distorted(found)
+                by_x = (self._distorted(found + np.array([step, 0.0])) - here) / step
+                by_y = (self._distorted(found + np.array([0.0, step])) - here) / step
+                miss = here - goal
+                if np.abs(miss).max(initial=0) < 1e-13:
+                    break
+                determinant = by_x[..., 0] * by_y[..., 1] - by_y[..., 0] * by_x[..., 1]
+                found = found - np.stack(
+                    [
+                        (by_y[..., 1] * miss[..., 0] - by_y[..., 0] * miss[..., 1]) / determinant,
+                        (by_x[..., 0] * miss[..., 1] - by_x[..., 1] * miss[..., 0]) / determinant,
+                    ],
+                    axis=-1,
+                )
+            lost = ~(np.abs(miss).max(axis=-1, keepdims=True) < _UNDONE)
+        found = np.where(lost, np.nan, found)
         return np.concatenate([found, np.ones((*found.shape[:-1], 1))], axis=-1)
 
     def _distorted(self, plane: Float64Array) -> Float64Array:
@@ -174,8 +193,11 @@ def turned(vector: ArrayLike) -> Float64Array:
 
 
 def of_quaternion(w: float, x: float, y: float, z: float) -> NDArray[np.float64]:
-    """[3, 3], the rotation of a quaternion, which need not have length 1."""
-    w, x, y, z = np.array([w, x, y, z]) / np.linalg.norm([w, x, y, z])
+    """[3, 3], the rotation of a quaternion, which need not have length 1; LightFieldError if it has length 0."""
+    length = math.hypot(w, x, y, z)
+    if not 0 < length < math.inf:
+        raise LightFieldError(f"({w:g}, {x:g}, {y:g}, {z:g}) is the quaternion of no rotation.")
+    w, x, y, z = np.array([w, x, y, z]) / length
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

@@ -20,6 +20,7 @@ from lfgpu.calibration import consensus, signs
 from lfgpu.calibration.bundle import Bundle, Points, choose_points, most_points
 from lfgpu.calibration.tones import match_tones
 from lfgpu.contract import Float32Array, Float64Array, KernelSet
+from lfgpu.data import hooks
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 
@@ -114,6 +115,10 @@ class Explanation:
         """PSNR, dB, of the mean squared error over the views other than the reference that are predicted."""
         known = np.isfinite(self.psnr)
         return float(-10 * np.log10((10 ** (-self.psnr[known] / 10)).mean())) if known.any() else float("nan")
+
+    def _repr_html_(self) -> str:
+        """The HTML for notebooks."""
+        return str(hooks.call("explanation_html", self))
 
     def as_dict(self) -> dict[str, Any]:
         """All numbers but the map, for JSON; NaN and infinity are None."""

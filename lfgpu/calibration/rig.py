@@ -148,6 +148,10 @@ def fit_rig(
     """
     if len(cameras) < 2:
         raise LightFieldError("a rig needs at least two calibrated cameras.")
+    if depths is not None and not _SAME < depths[0] < depths[1]:
+        raise LightFieldError(
+            f"the nearest and farthest depth must be 0 < near < far, found {depths[0]:g} and {depths[1]:g}."
+        )
     sizes = {camera.size for camera in cameras}
     if len(sizes) > 1:
         raise LightFieldError(f"the cameras have pictures of {len(sizes)} sizes; rectify those of one size.")
@@ -176,6 +180,8 @@ def fit_rig(
             "light field needs cameras side by side."
         )
     baseline = _step(local[:, :2])
+    if not baseline > _SAME * extent:
+        raise LightFieldError("half of the cameras stand where others do; give each place once.")
     positions = local[:, :2] / baseline
     focal = float(np.exp(np.mean([np.log(camera.focal_length) for camera in cameras])))
     principal, focus = _frames(cameras, axes, positions, baseline, focal)
@@ -285,6 +291,11 @@ def _frames(
     for camera in cameras:
         height, width = camera.size
         ray = camera.rays(((width - 1) / 2, (height - 1) / 2)) @ np.asarray(camera.rotation) @ axes.T
+        if not np.isfinite(ray).all():
+            raise LightFieldError(
+                f"{camera.name}: its distortion cannot be undone in the middle of the picture; the coefficients are "
+                "wrong."
+            )
         seen.append(ray[:2] / ray[2])
     middle = (np.array(cameras[0].size[::-1]) - 1) / 2
     wanted = middle - focal * np.array(seen)

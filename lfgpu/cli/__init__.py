@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import io
 import sys
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, Any
 
 import typer
 
@@ -19,6 +20,7 @@ from lfgpu.cli import (
     decode,
     demo,
     depth,
+    doctor,
     evaluate,
     export,
     export_scene,
@@ -31,34 +33,52 @@ from lfgpu.cli import (
     view,
 )
 from lfgpu.cli.failures import Group
-from lfgpu.cli.listings import Command
+from lfgpu.cli.listings import EXAMPLE, Command
 
 app = typer.Typer(
     name="lfgpu",
     cls=Group,
-    help="Disparity, confidence and metric depth from 4D light fields.",
+    help="Disparity, confidence and metric depth from 4D light fields. `lfgpu COMMAND --help` tells more.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("depth", cls=Command)(depth.depth)
-app.command("batch", cls=Command)(batch.batch)
-app.command("info", cls=Command)(info.info)
-app.command("check", cls=Command)(check.check)
-app.command("decode", cls=Command)(decode.decode)
-app.command("convert", cls=Command)(convert.convert)
-app.command("rectify", cls=Command)(rectify.rectify)
-app.command("render", cls=Command)(render.render)
-app.command("scene", cls=Command)(scene.scene)
-app.command("eval", cls=Command)(evaluate.evaluate)
-app.command("view", cls=Command)(view.view)
-app.command("live", cls=Command)(live.live)
-app.command("export", cls=Command)(export.export)
-app.command("export-scene", cls=Command)(export_scene.export_scene)
-app.command("demo", cls=Command)(demo.demo)
-app.command("backends", cls=Command)(backends.backends)
-app.command("parameters", cls=Command)(parameters.parameters)
+
+_TASKS: dict[str, dict[str, tuple[Callable[..., Any], str]]] = {
+    "Begin": {
+        "demo": (demo.demo, "lfgpu demo"),
+        "doctor": (doctor.doctor, "lfgpu doctor"),
+        "scene": (scene.scene, "lfgpu scene boxes -o boxes --grid 7x7 --size 192x256"),
+    },
+    "Read": {
+        "info": (info.info, "lfgpu info my/light/field"),
+        "decode": (decode.decode, "lfgpu decode IMG_1.lfp -o views"),
+        "check": (check.check, "lfgpu check my/light/field"),
+        "rectify": (rectify.rectify, "lfgpu rectify photos --calibration cameras.toml -o rectified"),
+    },
+    "Estimate": {
+        "depth": (depth.depth, "lfgpu depth my/light/field -o out"),
+        "batch": (batch.batch, "lfgpu batch recordings -o out"),
+        "live": (live.live, "lfgpu live my_rig:frames --preset fast -o maps"),
+        "export": (export.export, "lfgpu export my/light/field -o pipeline --preset fast"),
+    },
+    "Look and use": {
+        "view": (view.view, "lfgpu view my/light/field out"),
+        "render": (render.render, "lfgpu render my/light/field --refocus 0.8 -o refocused.png"),
+        "convert": (convert.convert, "lfgpu convert out -o cloud.ply --image my/light/field"),
+        "export-scene": (export_scene.export_scene, "lfgpu export-scene my/light/field -o scene"),
+        "eval": (evaluate.evaluate, "lfgpu eval out truth.pfm"),
+    },
+    "Look up": {
+        "backends": (backends.backends, "lfgpu backends"),
+        "parameters": (parameters.parameters, "lfgpu parameters --preset fast"),
+    },
+}
+"""The commands by task, each with an example."""
+
+for _task, _commands in _TASKS.items():
+    for _name, (_function, _example) in _commands.items():
+        app.command(_name, cls=Command, rich_help_panel=_task, epilog=f"{EXAMPLE}{_example}")(_function)
 
 
 def main() -> None:

@@ -28,7 +28,7 @@ def _installed(info: BackendInfo) -> str:
 
 def _runs_on(info: BackendInfo) -> list[str]:
     """One line per device; or why the backend cannot run, and what to do."""
-    from lfgpu.cli.machine import device_name
+    from lfgpu.machine import device_name
 
     if info.problem is not None:
         return [info.problem, *filter(None, [info.remedy])]

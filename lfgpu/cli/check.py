@@ -115,7 +115,7 @@ def _show(console: Console, lf: LightField, found: Explanation) -> None:
     import numpy as np
 
     from lfgpu.cli import console as shown
-    from lfgpu.cli import facts
+    from lfgpu.reports import facts
 
     predicted = 100 * float(np.delete(found.predicted, found.reference).mean())
     darkest, brightest = 100 * np.nanmin(found.brightness), 100 * np.nanmax(found.brightness)

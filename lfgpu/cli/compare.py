@@ -20,6 +20,7 @@ _FILES = {
     "table.tex": "the same for LaTeX, with booktabs",
     "table.csv": "the same for programs, with all digits",
     "errors.png": "error maps: a row per scene, a column per method",
+    "report.html": "start here: scores and maps side by side on one page",
 }
 
 
@@ -127,7 +128,7 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
         "bad.",
     )
     if unscored:
-        remark(console, f"{unscored} items failed or have no ground truth.")
+        remark(console, f"{unscored} item{'s' * (unscored > 1)} failed or without ground truth.")
     if gone:
         remark(console, f"{gone} items are left out, because their outputs were deleted or renamed.")
     for name in mixed:
@@ -158,11 +159,13 @@ def _metrics(found: dict[str, float | None], folder: Path) -> Metrics:
 
 def _write(out: Path, scenes: list[Scene], scored: Table) -> None:
     from lfgpu.io import atomic_folder
+    from lfgpu.reports.comparison import write_comparison
     from lfgpu.viz.figures import comparison_figure, save_png
 
     with atomic_folder(out) as folder:
         _write_tables(folder, scored)
         save_png(comparison_figure(scenes), folder / "errors.png")
+        write_comparison(folder / "report.html", scenes, scored)
 
 
 def _write_tables(folder: Path, scored: Table) -> None:
@@ -211,9 +214,9 @@ def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
 
 
 def _map(file: Path, lf: LightField) -> NDArray[np.float32]:
-    from lfgpu.cli.facts import place
     from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import load
+    from lfgpu.reports.facts import place
 
     assert lf.truth is not None  # the caller looked
     result = load(file)

@@ -104,19 +104,19 @@ def region_scores(console: Console, rows: Mapping[str, Mapping[str, float]]) -> 
 
 
 def comparison(console: Console, scored: Compared) -> None:
-    """A table with a row per scene and metric and a column per method; the best of each row is bold."""
+    """A table with a row per scene and method and a column per metric; the best of each scene is bold."""
+    from lfgpu.comparison import COLUMNS
+
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
     table.add_column("scene")
-    table.add_column("metric", no_wrap=True)
-    for method in scored.methods:
-        table.add_column(Text(method), justify="right")
-    before = None
-    for row in scored.rows:
-        if before not in (None, row.scene):
-            table.add_section()
-        cells = [Text(cell, style="bold" * (i == row.best)) for i, cell in enumerate(scored.cells(row))]
-        table.add_row(Text(row.scene if row.scene != before else ""), row.metric, *cells)
-        before = row.scene
+    table.add_column("method")
+    for metric in COLUMNS:
+        table.add_column(metric.replace(" ", "\n"), justify="right", no_wrap=True)
+    for scene, rows in scored.scenes.items():
+        for row in rows:
+            cells = [Text(cell, style="bold" if best else "") for cell, best in zip(row.cells, row.best, strict=True)]
+            table.add_row(Text(scene if row is rows[0] else ""), Text(row.method), *cells)
+        table.add_section()
     console.print(Padding(table, (0, 0, 0, 2), expand=False))
 
 

@@ -40,12 +40,12 @@ def decode(
 
     Of a processed Lytro container, what it holds is written: views, refocused pictures, Lytro's own depth.
     """
-    from lfgpu.cli import facts
     from lfgpu.cli.console import heading, lines, output, waiting
     from lfgpu.io import check_writable, lytro
     from lfgpu.io.formats import check_exists
     from lfgpu.io.lenslet.decode import decode as decode_capture
     from lfgpu.io.lenslet.written import ABOUT_FILE, write_decoded
+    from lfgpu.reports import facts
 
     check_writable(out)
     check_exists(source, "a raw capture")

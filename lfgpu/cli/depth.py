@@ -30,7 +30,12 @@ from lfgpu.cli.options import (
 )
 from lfgpu.errors import LightFieldError
 
+_JUDGED = 40_000_000  # pixels of all views: of larger light fields a report does not say how well they are predicted
+
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from lfgpu.calibration import Explanation
     from lfgpu.config import Config
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult
@@ -77,6 +82,7 @@ class Estimation:
 
 
 def depth(
+    ctx: typer.Context,
     source: Source,
     out: OutFolder,
     preset: Preset = "accurate",
@@ -115,7 +121,11 @@ def depth(
     flip: Flip = "",
     allow_missing: AllowMissing = False,
     report: Annotated[
-        bool, typer.Option("--report", help="Also write report.html: input, maps, scores and parameters on one page.")
+        bool,
+        typer.Option(
+            "--report",
+            help="Also write report.html: input, maps, scores, what the map predicts, and parameters on one page.",
+        ),
     ] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -126,11 +136,10 @@ def depth(
     """
     from lfgpu.cli import summary
     from lfgpu.cli.console import output, remark
-    from lfgpu.cli.outputs import check_names, write_outputs, write_page, write_saved, write_view_maps
+    from lfgpu.cli.outputs import check_names, write_outputs, write_saved, write_view_maps
     from lfgpu.data.filling import fill_unknown, filled
     from lfgpu.io import atomic_folder, check_writable, read
     from lfgpu.methods.footprint import parse_memory
-    from lfgpu.methods.range_check import range_remark
 
     check_writable(out)
     check_names("--save", saved or ())
@@ -170,15 +179,15 @@ def depth(
         if views:
             files += write_view_maps(folder, views)
         if report:
-            files.append(write_page(folder, lf, result))
+            files.append(_write_report(folder, ctx, source, lf, result, estimation))
         files += write_saved(folder, saved or (), result, lf.image(lf.reference_index))
     if quiet:
         return
     console = output()
     summary.show_input(console, lf)
     summary.show_result(console, result, range_given=disparity_range is not None)
-    if estimation.disparity_range is not None and (doubt := range_remark(lf, estimation.disparity_range)):
-        remark(console, doubt)
+    for note in result.notes:
+        remark(console, note)
     summary.show_scores(console, lf, result)
     summary.show_remarks(console, result.remarks)
     summary.show_outputs(console, out, files)
@@ -192,6 +201,34 @@ def _judged(lf: LightField, result: DepthResult, estimation: Estimation) -> Dept
         return judged(lf, result, backend=estimation.backend, device=estimation.device)
     except LightFieldError:
         return result
+
+
+def _write_report(
+    folder: Path, ctx: typer.Context, source: Path, lf: LightField, result: DepthResult, estimation: Estimation
+) -> tuple[str, str]:
+    """Write the report; returns the file as a pair (name, meaning)."""
+    from datetime import datetime
+
+    from lfgpu.cli.failures import command_line
+    from lfgpu.machine import device_name
+    from lfgpu.printable import printable
+    from lfgpu.reports.report import REPORT_FILE, Origin, write_report
+
+    origin = Origin(printable(str(source)), command_line(ctx), datetime.now().astimezone(), device_name(result.device))
+    write_report(folder / REPORT_FILE, lf, result, origin=origin, explanation=_explanation(lf, result, estimation))
+    return REPORT_FILE, "everything on one page, for any browser"
+
+
+def _explanation(lf: LightField, result: DepthResult, estimation: Estimation) -> Explanation | None:
+    """What the judge says; None where the map says nothing, or the light field would take minutes."""
+    from lfgpu.calibration import explain
+
+    if lf.views[..., 0].size > _JUDGED:
+        return None
+    try:
+        return explain(lf, result, backend=estimation.backend, device=estimation.device)
+    except LightFieldError:
+        return None
 
 
 def _chosen(lf: LightField, place: tuple[float, float] | None, pattern: str) -> LightField:

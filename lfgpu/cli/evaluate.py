@@ -61,8 +61,9 @@ def evaluate(
     """Score a disparity map with the metrics of the HCI 4D Light Field Benchmark; smaller is better.
 
     Results of `lfgpu depth` also get a sparsification curve: the share of bad pixels among the most confident ones.
-    Several methods on several scenes (--scene) give one table; -o writes it as table.md, table.tex and table.csv, with
-    error maps in errors.png. Several batches give one table of all items with ground truth.
+    Several methods on several scenes (--scene) give one table; -o writes it as table.md, table.tex and table.csv, the
+    error maps as errors.png, and report.html with all of it. Several batches give one table of all items with ground
+    truth.
     """
     if submission is not None:
         if scenes or out is not None or mask is not None or border is not None:
@@ -190,9 +191,9 @@ def _check_exists(path: Path) -> None:
 
 def _truth(path: Path, position: tuple[float, float] | None) -> GroundTruth:
     """The ground truth in a map or in a light field, which must belong to the view at `position` (u, v), if known."""
-    from lfgpu.cli.facts import place
     from lfgpu.data.lightfield import GroundTruth
     from lfgpu.io import read, read_map
+    from lfgpu.reports.facts import place
 
     _check_exists(path)
     if not path.is_dir():

@@ -24,6 +24,9 @@ def export(
     ] = "accurate",
     disparity_range: DisparityRange = None,
     device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.")] = "cpu",
+    cold: Annotated[
+        bool, typer.Option("--cold", help="Estimate each frame independently, without the temporal prior.")
+    ] = False,
     settings: Parameters = None,
     format_name: FormatName = None,
     grid: Grid = None,
@@ -33,11 +36,13 @@ def export(
 ) -> None:
     """Write the estimate for light fields like INPUT as files, and a C++ program that runs them without Python."""
     from lfgpu.io import check_writable, read
+    from lfgpu.methods.temporal_prior import TemporalPrior
     from lfgpu.pipelines.export import export_pipeline
 
     check_writable(out)
     config = values.configured(preset, settings or ())
     bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
     reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
-    export_pipeline(read(source, **reading), out, config=config, disparity_range=bounds, device=device)
-    typer.echo(f"Wrote the pipeline and replay.cpp to {out}; README.txt there says how to build and run it.")
+    prior = None if cold else TemporalPrior()
+    export_pipeline(read(source, **reading), out, config=config, disparity_range=bounds, device=device, prior=prior)
+    typer.echo(f"Wrote the pipeline and its C++ library to {out}; README.txt there says how to build and run it.")

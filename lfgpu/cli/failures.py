@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import errno
+import shlex
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
 
 from lfgpu.errors import LfgpuError
-from lfgpu.printable import message
+from lfgpu.printable import message, printable
 
 _FAILED, _INTERRUPTED = 1, 130  # 130: the exit code of shells after Ctrl-C
 _INTERRUPTION = "interrupted; nothing was written."
 _MEMORY = "out of memory; use fewer views (--views cross) or smaller ones."
 _DEVICE_MEMORY = "out of memory on the device; use fewer views (--views cross) or --device cpu."
+
+_COMMAND = "lfgpu.command"
+
+
+def command_line(ctx: typer.Context) -> str:
+    """The command line that is running, as a shell takes it."""
+    return str(ctx.meta[_COMMAND])
 
 
 class Group(TyperGroup):
@@ -22,6 +30,11 @@ class Group(TyperGroup):
 
     Sentences begin with the name of the program.
     """
+
+    def parse_args(self, ctx: Any, args: list[str]) -> Any:
+        """Remember the command line, for reports."""
+        ctx.meta[_COMMAND] = printable(shlex.join([str(ctx.info_name), *args]))
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command that the arguments name."""
@@ -49,7 +62,11 @@ def _sentence(error: Exception) -> str | None:
     if isinstance(error, OSError):
         # A reader such as `head` that closes the pipe is no error: typer ends quietly.
         return None if error.errno == errno.EPIPE else _of_system(error)
-    return _DEVICE_MEMORY if "Failed to allocate" in str(error) else None  # the message of Warp
+    if "Failed to allocate" in str(error):  # the message of Warp
+        return _DEVICE_MEMORY
+    if "CUDA error" in str(error):
+        return f"the GPU failed ({str(error).rstrip('.')}); run the command again, or with --device cpu."
+    return None
 
 
 def _of_system(error: OSError) -> str:

@@ -26,9 +26,11 @@ def info(
     ] = None,
 ) -> None:
     """Show how a light field is read: format, grid, views, cameras, ground truth. Missing views are no error here."""
-    from lfgpu.cli import facts, values
+    from lfgpu.cli import values
     from lfgpu.cli.console import heading, lines, output, waiting
     from lfgpu.io import inside, read, recognise, write_description
+    from lfgpu.methods.range_check import shows_nothing
+    from lfgpu.reports import facts
 
     shape = values.parse_grid(grid)
     name, reason = format_name, "as told"
@@ -43,6 +45,7 @@ def info(
         return
     with waiting(f"reading {source.name}"):
         lf = read(source, format=name, allow_missing=True, grid=shape, every=every, flip=flip)
+        doubt = shows_nothing(lf)
     left_out: tuple[str, ...] = ()
     if write is not None:
         told = {"path": source, "format": name, "grid": shape, "every": every, "flip": flip}
@@ -60,7 +63,7 @@ def info(
             ("geometry", facts.geometry(lf.geometry)),
             ("ground truth", facts.truth(lf)),
             *held.facts,
-            *(("note", note) for note in lf.notes),
+            *(("note", note) for note in (*lf.notes, *((doubt,) if doubt else ()))),
             *((("written", str(write)),) if write is not None else ()),
             *(("left out", sentence) for sentence in left_out),
         ],

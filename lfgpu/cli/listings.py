@@ -11,9 +11,23 @@ from typing import Any
 
 from typer.core import TyperCommand
 
+EXAMPLE = "Example: "
+"""How the epilog of a command begins; the rest of it is the example."""
+
 
 class Command(TyperCommand):
-    """A command whose help texts may name lists."""
+    """A command whose help texts may name lists, and whose example stands in the list of all commands."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        paragraphs = [" ".join(paragraph.split()) for paragraph in (self.help or "").split("\n\n")]
+        self.help, self.summary = "\n\n".join(paragraphs), paragraphs[0]
+        # What stands in the list of all commands; \b keeps the line break.
+        self.short_help = f"\b\n{self.summary}\n$ {(self.epilog or '').removeprefix(EXAMPLE)}"
+
+    def get_short_help_str(self, limit: int = 45) -> str:
+        """The summary, for the shell's completion; Click's own would cut it off after `limit` characters."""
+        return self.summary
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Put the lists into the help texts, then show them."""
@@ -49,6 +63,12 @@ def _recordable_presets() -> str:
     return ", ".join(name for name in PRESETS if method_of(name).is_recordable)
 
 
+def _sources() -> str:
+    from lfgpu.pipelines.sources import SOURCES
+
+    return "; ".join(f"{source.form}: {source.description}" for source in SOURCES)
+
+
 def _formats() -> str:
     from lfgpu.io.formats import FORMATS
 
@@ -66,5 +86,6 @@ _LISTS: dict[str, Callable[[], str]] = {
     "{live presets}": _live_presets,
     "{recordable presets}": _recordable_presets,
     "{formats}": _formats,
+    "{sources}": _sources,
     "{backends}": _backends,
 }

@@ -12,24 +12,24 @@ import typer
 
 from lfgpu.cli import values
 from lfgpu.cli.options import Device, Parameters, Quiet, Threads
+from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from lfgpu.data.lightfield import LightField
     from lfgpu.pipelines.stream import DepthStream, StreamResult
 
 RECORD_FILE = "live.json"
 _REFRESH = 0.25  # seconds
+_SHOWN_AGAIN = 0.1  # seconds between two frames on the page
 _NAMES = "disparity_{:06d}.pfm", "confidence_{:06d}.pfm"
 
 
 def live(
     source: Annotated[
         str,
-        typer.Argument(
-            metavar="SOURCE",
-            help="A folder of light fields, a synthetic scene such as moving, or a grabber as module:function.",
-        ),
+        typer.Argument(metavar="SOURCE", help="{sources}."),
     ],
     out: Annotated[
         Path | None,
@@ -52,7 +52,7 @@ def live(
             metavar="NAME[:N]",
             help="What happens to frames that come too fast: latest (only the newest one waits), block (the source "
             "waits) or queue:N (up to N frames wait).",
-            show_default="latest; block for a folder",
+            show_default="latest for cameras, rings, growing folders and functions, block for the rest",
         ),
     ] = None,
     budget: Annotated[
@@ -62,9 +62,44 @@ def live(
     cold: Annotated[
         bool, typer.Option("--cold", help="Estimate each frame independently, without the temporal prior.")
     ] = False,
-    fps: Annotated[float | None, typer.Option(metavar="RATE", help="Largest number of frames per second.")] = None,
+    max_fps: Annotated[
+        float | None, typer.Option("--max-fps", metavar="RATE", help="Largest number of frames per second.")
+    ] = None,
     frames: Annotated[int | None, typer.Option(metavar="N", help="Stop after N frames.", min=1)] = None,
-    grid: Annotated[str, typer.Option(metavar="ROWSxCOLUMNS", help="Grid of views of a synthetic scene.")] = "7x7",
+    until: Annotated[
+        str | None,
+        typer.Option(metavar="TIME", help="Stop after a time (90s, 10m, 2h) or at a time of this day (18:30)."),
+    ] = None,
+    view: Annotated[
+        bool,
+        typer.Option(
+            "--view",
+            help="Show frames and maps in the browser, about ten a second; with --rectify frames as they were taken.",
+        ),
+    ] = False,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            "--record",
+            metavar="FOLDER",
+            help="Folder in which each frame is kept before it is estimated, to be played again as SOURCE.",
+        ),
+    ] = None,
+    grid: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROWSxCOLUMNS",
+            help="How the cameras stand, or the views in each frame of a video, row by row.",
+            show_default="a row; 7x7 for a scene",
+        ),
+    ] = None,
+    like: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LIGHTFIELD",
+            help="Light field of the same cameras that gives their positions, reference view and geometry.",
+        ),
+    ] = None,
     size: Annotated[
         str, typer.Option(metavar="HEIGHTxWIDTH", help="Size of the views of a synthetic scene, pixels.")
     ] = "192x256",
@@ -99,44 +134,66 @@ def live(
     from contextlib import nullcontext
 
     from lfgpu import calibration
-    from lfgpu.io import check_writable
+    from lfgpu.io import check_writable, read
     from lfgpu.methods.temporal_prior import TemporalPrior
-    from lfgpu.pipelines.sources import feed, open_source
+    from lfgpu.pipelines.sources import Options, feed, open_source, recorded
     from lfgpu.pipelines.stream import DepthStream
 
-    if out is not None:
-        check_writable(out)
+    for folder in (out, recording):
+        if folder is not None:
+            check_writable(folder)
     if metrics is not None:
         check_writable(metrics, folder=False)
-    if fps is not None and not fps > 0:
-        raise typer.BadParameter("the rate must be a number above 0.", param_hint="--fps")
+    if max_fps is not None and not (max_fps > 0 and math.isfinite(max_fps)):
+        raise typer.BadParameter("the rate must be a number above 0.", param_hint="--max-fps")
+    if like is not None and rectify is not None:
+        raise typer.BadParameter("leave it out: what --rectify names says where the cameras are.", param_hint="--like")
+    stop = _never if until is None else _at(time.monotonic() + values.parse_until("--until", until))
     config = values.configured(preset, settings or ())
     bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
-    way, waiting = values.parse_policy("--policy", policy or ("block" if Path(source).is_dir() else "latest"))
-    options = {
-        "grid": values.parse_size("--grid", grid, "ROWSxCOLUMNS such as 7x7"),
-        "size": values.parse_size("--size", size, "HEIGHTxWIDTH such as 192x256"),
-        "noise": noise,
-    }
+    chosen = None if policy is None else values.parse_policy("--policy", policy)
     values.use_threads("--threads", threads)
     rectifier = None if rectify is None else calibration.read_rectifier(rectify)
-    first, coming = open_source(source, scene_options=options, rectifier=rectifier)
-    record = Record(out)
-    with DepthStream(
-        first,
-        config=config,
-        disparity_range=bounds,
-        device=device,
-        prior=None if cold else TemporalPrior(),
-        policy=way,
-        waiting=waiting,
-        budget_ms=budget,
+    options = Options(
+        grid=values.parse_grid(grid),
+        like=None if like is None else read(like),
+        scene={"size": values.parse_size("--size", size, "HEIGHTxWIDTH such as 192x256"), "noise": noise},
         rectifier=rectifier,
-    ) as stream:
+        stop=stop,
+        say=(lambda _: None) if quiet else _say,
+    )
+    opened = open_source(source, options)
+    first, coming = opened.first, opened.frames
+    way, waiting = chosen or ("latest" if opened.is_live else "block", None)
+    if recording is not None:
+        coming = recorded(coming, first, recording)
+    record = Record(out)
+    with (
+        View(first if view else None) as page,
+        DepthStream(
+            first,
+            config=config,
+            disparity_range=bounds,
+            device=device,
+            prior=None if cold else TemporalPrior(),
+            policy=way,
+            waiting=waiting,
+            budget_ms=budget,
+            rectifier=rectifier,
+        ) as stream,
+    ):
         watch = nullcontext() if rectifier is None else calibration.RigWatch(stream, on_finding=record.moved)
         with watch, Display(stream, metrics, quiet=quiet) as display:
             try:
-                feed(stream, coming, fps=fps, most=frames, on_done=_both(record.add, display.look))
+                feed(
+                    stream,
+                    coming,
+                    max_fps=max_fps,
+                    most=frames,
+                    stop=stop,
+                    tag=page.kept,
+                    on_done=_all(record.add, display.look, page.show),
+                )
             except KeyboardInterrupt:
                 stream.close(finish=False)
         stats = stream.stats()
@@ -200,12 +257,51 @@ class Record:
             "device": stream.device,
             "disparity_range": list(stream.bounds),
             "config": asdict(stream.config),
+            "warnings": list(stream.warnings),
             "stats": {name: None if math.isnan(value) else value for name, value in stats.items()},
             "cameras": list(self.findings),
             "frames": self._frames,
         }
         with atomic_write(self.out / RECORD_FILE) as temporary:
             temporary.write_text(json.dumps(about, indent=1, allow_nan=False), encoding="utf-8")
+
+
+class View:
+    """The page in the browser that shows frames and maps; without a first frame there is none."""
+
+    def __init__(self, first: LightField | None) -> None:
+        self._viewer, self._next = None, 0.0
+        if first is not None:
+            from lfgpu.viewer import Viewer
+
+            self._viewer = Viewer(first)
+            _say(f"Open {self._viewer.url} with a browser on this machine.")
+
+    def __enter__(self) -> View:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._viewer is not None:
+            self._viewer.close()
+
+    def kept(self, _: int, views: Any) -> Any:
+        """A copy of the views of a frame that will be shown, and None for the others."""
+        if self._viewer is None or time.monotonic() < self._next:
+            return None
+        self._next = time.monotonic() + _SHOWN_AGAIN
+        from lfgpu.data.interop import on_host
+
+        try:
+            return on_host("views", views).copy()
+        except LightFieldError:  # the stream says what is wrong with it
+            return None
+
+    def show(self, result: StreamResult) -> None:
+        """Show a result whose frame was kept."""
+        if self._viewer is not None and result.tag is not None and result.error is None:
+            shown = self._viewer.contents.lf
+            views = result.tag if shown is None else result.tag.reshape(shown.views.shape)
+            self._viewer.update(result.numpy(), result.confidence(), views=views)
 
 
 class Display:
@@ -270,7 +366,20 @@ def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
     return lines
 
 
-def _both(*functions: Callable[[StreamResult], None]) -> Callable[[StreamResult], None]:
+def _never() -> bool:
+    return False
+
+
+def _at(end: float) -> Callable[[], bool]:
+    """Whether a time of the monotonic clock has come."""
+    return lambda: time.monotonic() >= end
+
+
+def _say(sentence: str) -> None:
+    typer.echo(sentence, err=True)
+
+
+def _all(*functions: Callable[[StreamResult], None]) -> Callable[[StreamResult], None]:
     def call(result: StreamResult) -> None:
         for function in functions:
             function(result)
@@ -285,6 +394,8 @@ def _show(stream: DepthStream, stats: dict[str, Any], record: Record) -> None:
     low, high = stream.bounds
     lines(console, [("device", stream.device), ("range", f"{low:.3g} to {high:.3g} px per view step")])
     lines(console, facts(stats))
+    for warning in stream.warnings:
+        remark(console, warning)
     for index, sentence in record.failed[:3]:
         remark(console, f"Frame {index}: {sentence}")
     if len(record.failed) > 3:

@@ -11,12 +11,10 @@ from lfgpu.io import DISPARITY_FILE, RESULT_FILE, save, writable_format
 
 if TYPE_CHECKING:
     from lfgpu.contract import Float32Array
-    from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult
     from lfgpu.data.views_result import ViewsResult
 
 VIEWS_FILE = "disparities.npz"
-REPORT_FILE = "report.html"
 
 _MEANING = {
     DISPARITY_FILE: "float32 map, px per view step, larger is nearer",
@@ -29,12 +27,15 @@ _MEANING = {
 
 def write_outputs(folder: Path, result: DepthResult) -> list[tuple[str, str]]:
     """Write a result into an existing folder; returns the files as pairs (name, meaning)."""
+    import numpy as np
+
     from lfgpu.io import write_pfm, write_result
     from lfgpu.viz.figures import confidence_figure, disparity_figure, save_png
 
     write_pfm(folder / DISPARITY_FILE, result.disparity)
     save_png(disparity_figure(result.disparity, name=result.name), folder / "disparity.png")
-    save_png(confidence_figure(result.confidence, name=result.name), folder / "confidence.png")
+    known = np.where(np.isnan(result.disparity), np.float32(np.nan), result.confidence)
+    save_png(confidence_figure(known, name=result.name), folder / "confidence.png")
     if result.depth is not None:
         write_pfm(folder / "depth.pfm", result.depth)
     write_result(result, folder / RESULT_FILE)
@@ -47,14 +48,6 @@ def write_view_maps(folder: Path, result: ViewsResult) -> list[tuple[str, str]]:
 
     write_views(result, folder / VIEWS_FILE)
     return [(VIEWS_FILE, f"consistent maps of all {len(result.disparities)} views")]
-
-
-def write_page(folder: Path, lf: LightField, result: DepthResult) -> tuple[str, str]:
-    """Write the report into an existing folder; returns the file as a pair (name, meaning)."""
-    from lfgpu.cli.report import write_report
-
-    write_report(folder / REPORT_FILE, lf, result)
-    return REPORT_FILE, "everything on one page, for any browser"
 
 
 def check_names(option: str, names: Sequence[str]) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lfgpu.cli import console as shown
-from lfgpu.cli import facts
 from lfgpu.errors import LightFieldError
+from lfgpu.reports import facts
 
 if TYPE_CHECKING:
     from rich.console import Console

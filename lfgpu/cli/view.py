@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import tempfile
+import threading
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +14,8 @@ from typing import Annotated
 import typer
 
 from lfgpu.cli.options import Every, Flip, FormatName, Grid, Threads
+
+_SOON = 0.4  # seconds: who reads for longer says first where to look
 
 
 def view(
@@ -35,7 +39,7 @@ def view(
     every: Every = None,
     flip: Flip = "",
 ) -> None:
-    """Show a light field, its epipolar plane images, maps and point clouds in the browser, and estimate new maps there.
+    """Show a light field, its epipolar plane images, maps and points in the browser, and estimate new maps there.
 
     The page is reachable from this machine only, by those who know its address, which has a token. Several maps can be
     compared. With --format, --grid, --every or --flip, the first INPUT_OR_RESULT is read as the light field. Ctrl-C
@@ -46,13 +50,33 @@ def view(
 
     values.use_threads("--threads", threads)
     reading = values.reading(format_name, grid, every, flip)
-    with Viewer.of(paths, port=port, allow_open=allow_open, **reading) as viewer:
-        typer.echo(f"Open {viewer.url} with a browser on this machine; Ctrl-C ends it.")
-        with _opened(viewer.url) if show else nullcontext():
-            try:
+    with Viewer(port=port, allow_open=allow_open) as viewer:
+        try:
+            loading = _begin(lambda: viewer.load(paths, **reading))
+            wait([loading], _SOON)
+            if loading.done():
+                loading.result()  # raises what was wrong
+            typer.echo(f"Open {viewer.url} with a browser on this machine; Ctrl-C ends it.")
+            with _opened(viewer.url) if show else nullcontext():
+                loading.result()
                 viewer.wait()
-            except KeyboardInterrupt:
-                typer.echo("Closed.")
+        except KeyboardInterrupt:
+            typer.echo("Closed.")
+
+
+def _begin(work: Callable[[], None]) -> Future[None]:
+    """Start work in a thread that does not keep the program from ending."""
+    future: Future[None] = Future()
+
+    def run() -> None:
+        try:
+            work()
+            future.set_result(None)
+        except BaseException as error:
+            future.set_exception(error)
+
+    threading.Thread(target=run, name="lfgpu-reading", daemon=True).start()
+    return future
 
 
 @contextmanager

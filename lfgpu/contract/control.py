@@ -15,6 +15,9 @@ class Control(Protocol):
     def is_deterministic(self, device: str) -> bool:
         """Whether an estimate on this device has the same bits each time, whatever the number of threads."""
 
+    def kernel_cache(self) -> str | None:
+        """The folder in which compiled kernels are kept from one process to the next; None if none are."""
+
     def asking(self, device: str) -> AbstractContextManager[object]:
         """Held while a device is asked for work, so that no capture of another thread records it.
 

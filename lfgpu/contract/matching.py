@@ -42,10 +42,11 @@ class PlaneSweep(Protocol):
         """
 
     def by_visibility(self, nearest: Array, certain: Array, volume_out: Array) -> None:
-        """volume [l, y, x]: the smaller of two mean costs, plus l * rise.
+        """volume [l, y, x]: the smaller of two mean costs.
 
         The first is the mean of c_n over the views that take part and see p at d_l past the surface in `nearest`, the
-        second that over the views that see it past the surface in `certain`; each only if these are `least` views.
+        second that over the views that see it past the surface in `certain`, plus `penalty`; each only if these are
+        `least` views.
         View n sees it if d_l >= nearest [n, y, x] - tolerance at the pixel nearest to p - d_l o_n, and likewise for
         `certain`: see `KernelSet.z_buffer`. Where a surface might lie farther away than `nearest` says, `certain` has
         it farther away, and hides less.
@@ -106,11 +107,11 @@ class Matching(Protocol):
         preference: float,
         tolerance: float,
         least: int,
-        rise: float,
+        penalty: float,
     ) -> PlaneSweep:
         """Plan a sweep over views of `shape` [n, y, x, c]; `view_sets` [m, n] is a field of 1 and 0, row 0 all 1.
 
-        There are at most 32 view_sets; truncations, weight, preference, tolerance and rise are >= 0, `count` and
+        There are at most 32 view_sets; truncations, weight, preference, tolerance and penalty are >= 0, `count` and
         `least` > 0.
         What `offsets` and `view_sets` hold is read once, when the sweep is planned.
         """

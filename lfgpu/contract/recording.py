@@ -26,8 +26,13 @@ class Recording(Protocol):
         device: str,
         inputs: dict[str, Array],
         outputs: dict[str, Array],
-    ) -> None:
+    ) -> tuple[tuple[str, str, int, str], ...]:
         """Record `work` and write it to `path` (.wrp) and to a folder of compiled kernels beside it.
 
         `work` must have run once before. On a CPU it must ask for everything from the thread that calls this.
+
+        Returns
+        -------
+        Of each kernel the file of its module, its name there, the bytes of its arguments, and its kind: "work"; or
+        "begin" before each of several slices of launches that may run side by side, and "end" after the last one.
         """

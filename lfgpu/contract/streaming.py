@@ -52,10 +52,11 @@ class Transport(Protocol):
     def take(self, values: Any, slot: Slot, views: list[int] | None) -> None:
         """Copy an array of another library on the same device into a slot, in the order of that library's stream."""
 
-    def bring(self, slot: Slot) -> float:
-        """Take a frame to the device. Returns which share of the samples of the reference view changed, 0 to 1.
+    def bring(self, slot: Slot) -> tuple[float, float]:
+        """Take a frame to the device.
 
-        The device may still work on the frame before. The slot may be used again afterwards.
+        Returns which share of the samples of the reference view changed, and which share is far outside [0, 1], both 0
+        to 1. The device may still work on the frame before. The slot may be used again afterwards.
         """
 
     def mask(self, base: Array | None, mask_out: Array) -> None:
@@ -78,6 +79,36 @@ class Transport(Protocol):
 
     def synchronize(self) -> None:
         """Wait for all that was asked for."""
+
+
+class Motion(Protocol):
+    """The motion of what the reference view shows, from the last frame to this one: p now was at p + w."""
+
+    def find(self, image: Array, last: Array, *, tolerance: float, same_out: Array) -> None:
+        """Find w for each pixel, from two images [y, x, c].
+
+        same_out = 1 / (1 + (m / t)^8) [y, x]. m is the mean change of intensity along w over 3 x 3 pixels and the
+        channels. t is `tolerance` where w = 0. Elsewhere it grows with the gradients of the image: w is not exact.
+        """
+
+    def carry(
+        self,
+        past: Array,
+        frames: Array,
+        rate: Array,
+        confidence: Array,
+        *,
+        support: float,
+        past_out: Array,
+        frames_out: Array,
+        rate_out: Array,
+        confidence_out: Array,
+    ) -> None:
+        """What was known of each pixel's surface in the last frame, fields [y, x]: each output is its input at p + w.
+
+        That is the mean of the four pixels around, weighted linearly, without those whose `past` differs by more than
+        `support` from that of the nearest one. past_out is the map that is expected now: past + rate.
+        """
 
 
 class Streaming(Protocol):
@@ -108,8 +139,8 @@ class Streaming(Protocol):
             How many results there is memory for at first.
         """
 
-    def sameness(self, image: Array, last: Array, *, tolerance: float, same_out: Array) -> None:
-        """1 / (1 + (m / tolerance)^8) [y, x]: m is the mean change of intensity over 3 x 3 pixels and the channels."""
+    def motion(self, image: Array) -> Motion:
+        """Plan the motion in images like `image` [y, x, c], float32."""
 
     def bias(
         self, past: Array, trust: Array, volume: Array, *, first: float, step: float, strength: float, reach: float
@@ -117,10 +148,23 @@ class Streaming(Protocol):
         """volume [l, y, x] += strength * trust * min(|first + l step - past| / step, reach) / reach."""
 
     def blend(
-        self, past: Array, same: Array, frames: Array, disparity: Array, *, persistence: float, support: float
+        self,
+        past: Array,
+        same: Array,
+        frames: Array,
+        rate: Array,
+        disparity: Array,
+        *,
+        persistence: float,
+        support: float,
+        rate_gain: float,
+        frames_out: Array,
+        rates_out: Array,
+        weights_out: Array,
     ) -> None:
-        """The mean of the past map, which `frames` [y, x] went into, and the one of now; both become the new ones.
+        """The mean of the map that was expected, `past`, which `frames` went into, and that of now; fields [y, x].
 
-        With b = persistence * same * frames / (1 + ((past - disparity) / support)^4):
-        disparity = (disparity + b past) / (1 + b), frames = 1 + b.
+        With e = disparity - past, s = same / (1 + (e / support)^4) and b = persistence s frames:
+        disparity = past + e / (1 + b), frames_out = 1 + b. What is known about the change from frame to frame is
+        rates_out = weights_out (rate + rate_gain e), weights_out = s b / (1 + b).
         """

@@ -13,10 +13,10 @@ from lfgpu.errors import LightFieldError
 
 
 def fill_unknown(disparity: ArrayLike) -> Float32Array:
-    """Replace each NaN by the farthest of the next values to the left, right, above and below.
+    """Replace each NaN by the farthest of the nearest known values to the left, right, above and below.
 
-    What is behind is hidden by what is before, not the other way round. NaN that have no value in their row and column
-    take it from such neighbours. The values are guesses: nothing was seen there.
+    A hole beside a depth edge belongs to the farther side, which the nearer side hides. A NaN without a known value in
+    its row and column takes the value of a neighbour that was filled. The values are guesses: nothing was seen there.
 
     Parameters
     ----------

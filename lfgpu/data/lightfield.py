@@ -29,6 +29,9 @@ _POSITION_TOLERANCE = 1e-6  # view steps: positions that differ by less are equa
 _NEAREST = 1e-3  # in view steps, to which views must stand apart
 _LINE_TOLERANCE = 0.1  # view steps: measured cameras are not exactly in line
 _FARTHEST = 1e6  # view steps: the largest coordinate of a position
+FLOAT_RANGE = -0.5, 1.5
+"""Of float values on [0, 1]: resampling may overshoot a little; other units differ by much more."""
+
 _LONGEST_NAME = 300  # characters
 
 
@@ -469,10 +472,15 @@ def _check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:
         where = f"view {index} (row {positions[index, 1]:g}, column {positions[index, 0]:g})"
         if not np.isfinite(low + high):
             raise LightFieldError(f"{where} has NaN or infinite values; float views must be finite.")
-        if low < -0.5 or high > 1.5:  # resampling may overshoot a little; other units differ by much more
-            raise LightFieldError(f"{where} has values from {low:g} to {high:g}; scale float views to [0, 1].")
+        check_scaled(where, low, high)
 
     each_view(views, range(len(views)), check)
+
+
+def check_scaled(where: str, low: float, high: float) -> None:
+    """LightFieldError that names `where` if float values from `low` to `high` are not on [0, 1]."""
+    if low < FLOAT_RANGE[0] or high > FLOAT_RANGE[1]:
+        raise LightFieldError(f"{where} has values from {low:g} to {high:g}; scale float views to [0, 1].")
 
 
 def _check_distinct(positions: NDArray[np.float64]) -> None:

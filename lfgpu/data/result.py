@@ -65,6 +65,9 @@ class DepthResult:
     uncertainty
         float32 [y, x], the expected error of the disparity as a standard deviation, pixels per view step; NaN where the
         disparity is. None if the method does not tell (synthesis).
+    notes
+        What may be wrong with the map although nothing went wrong, one sentence each: a given range that leaves out
+        what the views show, or views that show nothing.
     remarks
         What stands out about the cameras, one sentence each, from `lfgpu.calibration.judged`, which lowers the
         confidence accordingly; empty if nothing does, or if nobody looked.
@@ -86,6 +89,7 @@ class DepthResult:
     geometry: Geometry | None = None
     name: str = "light field"
     uncertainty: Float32Array | None = None
+    notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
     @property
@@ -94,11 +98,12 @@ class DepthResult:
         return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)
 
     def __repr__(self) -> str:
+        notes = "".join(f"\n note: {note}" for note in self.notes)
         seconds = self.timings.get("total")
         took = "" if seconds is None else f", {seconds:.3g} s"
         return (
             f"<DepthResult {_map_lines(self.map)}\n "
-            f"{self.config.method} with {self.backend} on {self.device}{took}; stages {', '.join(self.stages)}>"
+            f"{self.config.method} with {self.backend} on {self.device}{took}; stages {', '.join(self.stages)}{notes}>"
         )
 
     def _repr_html_(self) -> str:
@@ -155,6 +160,10 @@ class DisparityMap:
 
     def __repr__(self) -> str:
         return f"<DisparityMap {_map_lines(self)}>"
+
+    def _repr_html_(self) -> str:
+        """The HTML for notebooks."""
+        return str(hooks.call("map_html", self))
 
     @property
     def depth(self) -> NDArray[np.float32] | None:

@@ -59,6 +59,10 @@ class ViewsResult:
             f"{self.timings.get('total', np.nan):.3g} s>"
         )
 
+    def _repr_html_(self) -> str:
+        """The HTML for notebooks."""
+        return str(hooks.call("views_html", self))
+
     def index_of(self, row: float, column: float) -> int:
         """Index of the view at position v = `row`, u = `column`; LightFieldError if there is none."""
         distance = np.abs(self.positions - (column, row)).max(1)

@@ -8,8 +8,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -27,7 +25,7 @@ from lfgpu.io.flips import check_flip, flipped
 from lfgpu.io.maps import check_size, read_map, read_mask
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.png import write_png
-from lfgpu.io.texts import read_text
+from lfgpu.io.texts import read_json_or_toml
 from lfgpu.io.views import load_views
 from lfgpu.printable import printable
 
@@ -35,9 +33,6 @@ DEFAULT_NAME = "lightfield.toml"
 
 _MOST_SHOWN = 80  # characters of a wrong value
 
-# What may be a dotted key of many parts: the parser takes a time that grows with their square, or faster.
-_PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*"""
-_DEEP_KEY = re.compile(rf"(?<![\w-]){_PART}(?:\.[ \t]*{_PART}){{64}}")
 _PLACES = ("principal_point", "unshifted_at")  # of the geometry; the rest of it are lengths
 _KEYS = {
     "": {"name", "grid", "reference", "geometry", "truth", "source", "views"},
@@ -161,19 +156,9 @@ def _parsed(file: Path) -> Any:
     try:
         if not file.is_file():
             raise LightFieldError(f"{file} is not a description of a light field; name a .toml or .json file.")
-        text = read_text(file)
-        if file.suffix.lower() == ".json":
-            return json.loads(text)
-        if _DEEP_KEY.search(text):
-            raise ValueError("it has a key of more parts than any entry of a description")
-        return tomllib.loads(text)
     except OSError as error:
         raise LightFieldError(f"{file} cannot be read: {error.strerror}.") from error
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, LightFieldError):
-            raise
-        kind = "JSON" if file.suffix.lower() == ".json" else "TOML"
-        raise LightFieldError(f"{file} is not valid {kind}: {' '.join(str(error).split()).rstrip('.')}.") from error
+    return read_json_or_toml(file)
 
 
 def _listed_views(file: Path, views: Any) -> list[Mapping[str, Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ def check_available(path: Path) -> Any:
     return require("imageio_ffmpeg", "video", path)
 
 
-def frames(file: Path, *, name: Path | None = None, demuxer: str | None = None) -> Iterator[NDArray[np.uint8]]:
+def frames(file: Path, *, name: Path | None = None, demuxer: str | None = None) -> Generator[NDArray[np.uint8]]:
     """The frames of a video one after the other, each uint8 [y, x, 3].
 
     Parameters

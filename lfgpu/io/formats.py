@@ -215,20 +215,22 @@ def read(
     format
         Name of an entry of `FORMATS`; None finds it out from the path.
     allow_missing
-        A grid of which more than half of the views are there, but not all, has probably lost some: that is an error
-        unless this is True. Patterns that are meant (a cross, a star, a row, a column) and sparse grids always pass.
+        Whether a grid may have lost some of its views. Default False: a grid with more than half of its views, but not
+        all of them, is an error. Patterns that leave places empty on purpose (a cross, a star, a row, a column) and
+        grids with fewer views are always read.
     grid
-        (rows, columns) of the views where the files do not say it; None finds it out or asks for it. For the formats
-        that have "grid" in `Format.takes`.
+        (rows, columns) of the views, for formats whose files do not say it: those with "grid" in `Format.takes`.
+        Default None: found from the files; where that is impossible, an error asks for it.
     every
-        Take one view of so many, >= 1, from the first on; None takes all. For formats that have "every" there.
+        Every how many images or frames one is a view, >= 1, beginning with the first; for formats with "every" in
+        `Format.takes`. Default None: all are views.
     flip
-        Axes along which the cameras are counted the other way round: "u" (columns, from the right), "v" (rows, from
-        below), "uv", or "" as a rule. Wrong directions turn near into far.
+        Axes along which the files count the cameras the other way round: "u" (columns from the right), "v" (rows from
+        below) or "uv". Default "": neither. With a wrong direction near things come out far.
     lazy
-        Whether views stay on disk: `views` is mapped from a file, and takes memory only for what is looked at. Folders
-        of images are unpacked into a temporary file (in `TMPDIR`), .npy files are mapped as they are; other formats
-        are read into memory as ever.
+        Whether views stay on disk. Then `views` is mapped from a file, and only what is looked at takes memory. Folders
+        of images are unpacked into a temporary file (in `TMPDIR`), .npy files are mapped as they are, and other formats
+        are read into memory. Default False.
 
     Returns
     -------

@@ -51,7 +51,7 @@ def check_claim(
 
 def check_memory(path: Path, needed: int, *, advice: str) -> None:
     """LightFieldError if so many bytes are more than the machine has."""
-    memory = _physical_memory()
+    memory = physical_memory()
     if memory and needed > memory:
         raise LightFieldError(
             f"{path} does not fit into memory: its views are {needed / 2**30:.1f} GiB, "
@@ -59,8 +59,8 @@ def check_memory(path: Path, needed: int, *, advice: str) -> None:
         )
 
 
-def _physical_memory() -> int:
-    """Bytes; 0 where the system does not say."""
+def physical_memory() -> int:
+    """The memory of the machine in bytes; 0 where the system does not say."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, OSError, ValueError):  # Windows has no sysconf

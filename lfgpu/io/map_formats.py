@@ -54,6 +54,11 @@ class MapFormat:
     extra: str | None = None
     """The extra of the package that brings it: pip install 'lfgpu[EXTRA]'."""
 
+    @property
+    def is_available(self) -> bool:
+        """Whether the library that it needs is installed."""
+        return self.library is None or importlib.util.find_spec(self.library) is not None
+
 
 MAP_FORMATS: tuple[MapFormat, ...] = (
     MapFormat(
@@ -114,24 +119,25 @@ def save(
     *,
     image: ArrayLike | None = None,
 ) -> None:
-    """Write a result or a map in the format that the suffix of the file names; whole or not at all.
+    """Write a result or a map to a file, in the format that the suffix names. The file is written whole or not at all.
 
     Parameters
     ----------
     result
         What `estimate_depth` or `estimate_all_views` returned, or a map by itself (`ViewsResult.map(index)`).
     path
-        .npz: everything. .pfm, .png (16 bits), .tif, .exr: the disparity map. .ply: the points in space. All but .pfm
-        hold unit, sign, view, geometry, name and version; NaN is not known, in .png that is 0, in .ply it has no point.
-        In .npz, .exr and .ply the confidence comes along.
+        .npz holds everything; .pfm, .png (16 bits), .tif and .exr hold the disparity map; .ply holds points in space.
+        All but .pfm also say unit, sign, view, geometry, name and version. Unknown pixels are NaN, in .png 0; in .ply
+        they have no point. .npz, .exr and .ply hold the confidence, too.
     image
-        [y, x, c]: the view, for the colours of a .ply; others leave it out. Default: no colours.
+        The view [y, x, c] that gives the points of a .ply their colours; other formats ignore it. Default None: no
+        colours.
 
     Raises
     ------
     LightFieldError
-        If the suffix is none of these, the map is not [y, x], maps of all views shall go into a file for one, a library
-        is missing, or the file cannot be written.
+        If the suffix is none of these, the map is not [y, x], the maps of all views are given for a format that holds
+        one, a library is missing, or the file cannot be written.
     """
     path = Path(path)
     chosen = writable_format(path)
@@ -160,13 +166,13 @@ def load(path: str | os.PathLike[str]) -> DepthResult | ViewsResult | DisparityM
     Parameters
     ----------
     path
-        A file that `save` wrote, another map, or a folder that `lfgpu depth` wrote, whose result.npz is taken, or
-        disparity.pfm where that is missing.
+        A file that `save` wrote, another map, or a folder that `lfgpu depth` wrote: its result.npz, or its
+        disparity.pfm if there is no result.npz.
 
     Returns
     -------
     `DepthResult` or `ViewsResult` from an .npz that holds one, else `DisparityMap`, with what the file says about it.
-    The values are those that were written, of a .png within half a step of its scale.
+    The values are those that were written; of a .png, within half a step of its scale.
 
     Raises
     ------
@@ -251,7 +257,7 @@ def _named_as(path: Path) -> MapFormat | None:
 
 
 def _usable(path: Path, chosen: MapFormat) -> MapFormat:
-    if chosen.library is not None and importlib.util.find_spec(chosen.library) is None:
+    if not chosen.is_available:
         raise LightFieldError(
             f"{path} is a file of maps that needs {chosen.library}; {how_to_install(str(chosen.extra))}."
         )

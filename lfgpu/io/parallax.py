@@ -24,7 +24,8 @@ def measured(light_field: LightField, axis: int) -> tuple[NDArray[np.float64], N
     the views are too small. A view at offset o is the reference moved by -d o, to first order; d follows from
     differences over gradients (Lucas and Kanade).
     """
-    if min(light_field.size) < _SMALLEST:
+    factor = max(1, max(light_field.size) // _AROUND)
+    if min(light_field.size) < max(_SMALLEST, _BLOCK * factor):
         return None
     line = light_field.row() if axis == 0 else light_field.column()
     offsets = light_field.offsets[line, axis]
@@ -32,7 +33,6 @@ def measured(light_field: LightField, axis: int) -> tuple[NDArray[np.float64], N
     if not len(beside):
         return None
     nearest = beside[np.argmin(np.abs(offsets[beside]))]
-    factor = max(1, max(light_field.size) // _AROUND)
     centre, other = (_grey(light_field, index, factor) for index in (light_field.reference_index, int(line[nearest])))
     gradient = np.gradient((centre + other) / 2, axis=1 - axis)
     bottom = _blocks(gradient**2)

@@ -212,6 +212,7 @@ def _about(result: DepthResult) -> dict[str, Any]:
         "position": list(result.position),
         "disparity_range": list(result.disparity_range),
         "status": result.status,
+        "notes": list(result.notes),
         "remarks": list(result.remarks),
         "converged": result.converged,
         "backend": result.backend,
@@ -271,6 +272,7 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
         geometry=None if about["geometry"] is None else geometry_of(about["geometry"]),
         name=str(about["name"]),
         uncertainty=arrays.get("uncertainty"),
+        notes=tuple(str(note) for note in about.get("notes", ())),
         remarks=tuple(printable(str(sentence)) for sentence in about.get("remarks", [])),
     )
 

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import re
+import tomllib
 from pathlib import Path
+from typing import Any
 
 from lfgpu.errors import LightFieldError
 
 _LARGEST = 1 << 24  # bytes; a description of 100 000 views needs less
+
+# What may be a dotted key of many parts: the parser takes a time that grows with their square, or faster.
+_PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*"""
+_DEEP_KEY = re.compile(rf"(?<![\w-]){_PART}(?:\.[ \t]*{_PART}){{64}}")
 
 
 def read_text(path: Path, *, errors: str = "strict", largest: int = _LARGEST) -> str:
@@ -29,3 +37,25 @@ def read_text(path: Path, *, errors: str = "strict", largest: int = _LARGEST) ->
             return file.read(largest).decode("utf-8-sig", errors)
     except OSError as error:
         raise LightFieldError(f"{path} cannot be read: {error.strerror}.") from error
+
+
+def read_json_or_toml(path: Path) -> Any:
+    """What a JSON file (.json) or a TOML file (any other suffix) says.
+
+    Raises
+    ------
+    LightFieldError
+        If it cannot be read, is too long, or is not valid.
+    """
+    kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
+    try:
+        text = read_text(path)
+        if kind == "JSON":
+            return json.loads(text)
+        if _DEEP_KEY.search(text):
+            raise ValueError("it has a key of more parts than any entry may have")
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        if isinstance(error, LightFieldError):
+            raise
+        raise LightFieldError(f"{path} is not valid {kind}: {' '.join(str(error).split()).rstrip('.')}.") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from lfgpu.errors import LightFieldError
 from lfgpu.io.disk import Collected
 from lfgpu.io.images import read_image
+from lfgpu.io.reporting import listener
 from lfgpu.threads import in_threads
 
 _DECODED = 2**28  # bytes that decoders may take at once,
@@ -47,6 +49,8 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
         ) from error
     views.put(0, first)
 
+    tell, done = listener(), count(2)  # threads of a pool have no listener of their own
+
     def read(index: int) -> frozenset[str]:
         image, remarks = read_image(files[index])
         if image.shape != first.shape or image.dtype != first.dtype:
@@ -55,13 +59,14 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
                 f"{files[index].name} is {_kind(image)}; all views must have one size, colour and depth of bits."
             )
         views.put(index, image)
+        tell(f"{next(done)} of {len(files)} views")
         return remarks
 
     counts = Counter(remarks)
     at_once = max(1, _DECODED // (_COPIES * first.nbytes))
     for remarks in in_threads(read, range(1, len(files)), most=at_once):
         counts.update(remarks)
-    notes = tuple(f"{remark.capitalize()} in {count} of {len(files)} views." for remark, count in counts.items())
+    notes = tuple(f"{remark.capitalize()} in {often} of {len(files)} views." for remark, often in counts.items())
     return views.array(), notes
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from lfgpu.config import Config
+from lfgpu.config import Config, parameters, value_of
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.entry import Entry
 from lfgpu.methods.matching import config as _matching
@@ -51,17 +51,27 @@ def preset(name: str) -> Config:
 
 def configured(config: Config | str) -> Config:
     """The parameters that `config` is or names; LightFieldError if it is neither."""
-    parameters = preset(config) if isinstance(config, str) else config
-    if not isinstance(parameters, Config):
+    found = preset(config) if isinstance(config, str) else config
+    if not isinstance(found, Config):
         raise LightFieldError(
             f"config must be the name of a preset ({', '.join(PRESETS)}) or a Config, not {type(config).__name__}."
         )
-    return parameters
+    return found
+
+
+def nearest_preset(config: Config) -> tuple[str, frozenset[str]]:
+    """The preset of the same method that has most values in common, and the names of the parameters that differ."""
+    own = dict(parameters(config))
+    different = {
+        name: frozenset(parameter for parameter in own if value_of(config, parameter) != value_of(other, parameter))
+        for name, other in METHODS[config.method].presets.items()
+    }
+    return min(different.items(), key=lambda item: len(item[1]))
 
 
 def method_of(config: Config | str) -> Method[Any]:
     """The method with these parameters, or with those of a preset; LightFieldError if there is no such preset."""
-    parameters = configured(config)
-    module, _, name = METHODS[parameters.method].home.partition(":")
-    method: Method[Any] = getattr(importlib.import_module(module), name)(parameters)
+    found = configured(config)
+    module, _, name = METHODS[found.method].home.partition(":")
+    method: Method[Any] = getattr(importlib.import_module(module), name)(found)
     return method

@@ -112,6 +112,10 @@ class LivePlan(Protocol):
     def warm_levels(self) -> tuple[tuple[int, Callable[[Array], None]], ...]:
         """The same for a frame that starts from the previous map."""
 
+    @property
+    def state(self) -> dict[str, Array]:
+        """What a frame leaves for the next one, by name."""
+
     def mask(self, valid: Array | None) -> None:
         """Set the mask of the used views, a field [n, y, x], 0 at invalid pixels; None if all are valid."""
 

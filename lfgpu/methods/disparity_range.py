@@ -33,7 +33,8 @@ _OTHER = 1.5  # times the noise: what other disparities must be worse by
 _APART = 2.0  # shrunk pixels in the farthest view: what differs by more is another disparity
 _AGREEING = 5  # of the eight neighbours
 _LEAST_NOISE = 0.002  # intensity: half a step of 8 bits
-_OUTLIERS = 5  # pixels left out at either end
+_OUTLIERS = 5  # pixels left out at either end,
+_UNCHECKED = 500  # or one in so many, where no other view confirms what a pair of views says
 _MARGIN, _MORE = 0.25, 0.015  # at either end: pixels in the farthest view, and a share of the range that was found
 _TRIES = 3  # to widen a range at whose end there is evidence
 
@@ -55,6 +56,8 @@ class _Evidence:
     """Of pixels that are evidence, [p], sorted."""
     step: float
     """Distance of the disparities that were compared."""
+    unchecked: bool
+    """Whether each side was a single view, and none stood opposite."""
 
 
 def find_disparity_range(lf: LightField) -> tuple[float, float]:
@@ -104,8 +107,9 @@ def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
     """The disparities of the outermost evidence, without a few pixels of each comparison at either end."""
     kept = []
     for evidence in found:
-        outer = min(len(evidence.disparities) // 100, _OUTLIERS)
-        kept.append(evidence.disparities[outer : len(evidence.disparities) - outer])
+        count = len(evidence.disparities)
+        outer = max(min(count // 100, _OUTLIERS), count // _UNCHECKED if evidence.unchecked else 0)
+        kept.append(evidence.disparities[outer : count - outer])
     together = np.concatenate(kept)
     if not len(together):
         raise LightFieldError(
@@ -156,7 +160,8 @@ def _compare(lf: LightField, sides: list[_Side], bounds: tuple[float, float], fa
     disparity, certain = _distinct(lines, apart)
     disparity = (disparities[0] + step * disparity).astype(np.float32)
     certain &= _agreeing(disparity, certain, 1.5 * step) >= _AGREEING
-    return _Evidence(np.sort(disparity[certain]), step)
+    unchecked = len(lines) == len(sides) and all(len(side.views) == 1 for side in sides)
+    return _Evidence(np.sort(disparity[certain]), step, unchecked)
 
 
 def _costs(lf: LightField, sides: list[_Side], disparities: Float64Array, factor: int) -> list[Float32Array]:

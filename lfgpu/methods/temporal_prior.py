@@ -24,15 +24,15 @@ class TemporalPrior:
     ----------
     persistence
         Weight that earlier frames keep from one frame to the next, at pixels that did not change. In the long run
-        1 / (1 - persistence) frames are averaged. 0 to 0.99, default 0.8.
+        1 / (1 - persistence) frames are averaged. 0 to 0.99, default 0.9.
     strength
         Largest cost of a disparity that differs from the last map, in units of `semi_global.large_penalty`. 0 to 10,
-        default 0.5.
+        default 1.5.
     reach
         Difference in disparity from which on this cost is constant, in steps of the sweep. 0.5 to 100, default 2.
     tolerance
-        Change of intensity, averaged over 3 x 3 pixels, that halves the trust in the last map. In units of the noise of
-        the views. 0.5 to 100, default 1.5.
+        Change of intensity along the motion, averaged over 3 x 3 pixels, that halves the trust in the last map. In
+        units of the noise of the views. 0.5 to 100, default 2.
     support
         Difference in disparity that halves the weight of the last map, pixels in the farthest view. 0.001 to 100,
         default 0.4.
@@ -43,10 +43,10 @@ class TemporalPrior:
         If a value is out of range.
     """
 
-    persistence: float = 0.8
-    strength: float = 0.5
+    persistence: float = 0.9
+    strength: float = 1.5
     reach: float = 2.0
-    tolerance: float = 1.5
+    tolerance: float = 2.0
     support: float = 0.4
 
     def __post_init__(self) -> None:

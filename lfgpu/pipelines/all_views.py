@@ -23,6 +23,7 @@ from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.measured import Measured
+from lfgpu.methods.range_check import doubt_about, doubted
 from lfgpu.pipelines.pipeline import DepthPipeline, Progress
 
 _KEYS = 9
@@ -81,6 +82,8 @@ def estimate_all_views(
     for pipeline in _pipelines(lf, chosen, configured(config), disparity_range, backend, device, deterministic):
         estimates.append(pipeline.estimate())
         report("keys", len(estimates), len(estimates) / len(chosen))
+    doubt = doubt_about(lf, disparity_range)
+    estimates = [doubted(estimate, doubt) for estimate in estimates]
     estimated = perf_counter()
 
     report("join", 0, 0.0)

@@ -8,6 +8,7 @@ from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
 from lfgpu.methods import PresetName, configured
 from lfgpu.methods.footprint import parse_memory
+from lfgpu.methods.range_check import doubt_about, doubted
 from lfgpu.pipelines.pipeline import DepthPipeline, Progress
 from lfgpu.pipelines.tiles import estimate_in_tiles
 
@@ -56,7 +57,8 @@ def estimate_depth(
     Returns
     -------
     DepthResult
-        Disparity, confidence and depth of the reference view, each [y, x] at full resolution.
+        Disparity, confidence and depth of the reference view, each [y, x] at full resolution. Its `notes` say so if the
+        given range leaves out what the views show, or if they show nothing.
 
     Raises
     ------
@@ -67,7 +69,7 @@ def estimate_depth(
     """
     check_light_field(lf)
     if max_memory is not None:
-        return estimate_in_tiles(
+        result = estimate_in_tiles(
             lf,
             config=configured(config),
             disparity_range=disparity_range,
@@ -77,6 +79,7 @@ def estimate_depth(
             on_progress=on_progress,
             max_memory=parse_memory(max_memory),
         )
+        return doubted(result, doubt_about(lf, disparity_range))
     pipeline = DepthPipeline(
         lf,
         config=config,
@@ -85,4 +88,4 @@ def estimate_depth(
         device=device,
         deterministic=deterministic,
     )
-    return pipeline.estimate(on_progress=on_progress)
+    return doubted(pipeline.estimate(on_progress=on_progress), doubt_about(lf, disparity_range))

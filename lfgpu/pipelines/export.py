@@ -5,40 +5,55 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from dataclasses import asdict
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
-from lfgpu._backends import DEFAULT, BackendName, load
+from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.config import Config, as_dict
-from lfgpu.contract import Recording
+from lfgpu.contract import Array, Recording
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.io.about import CONVENTION
 from lfgpu.io.atomic import atomic_folder, check_writable
-from lfgpu.methods import PresetName, method_of
-from lfgpu.pipelines.pipeline import DepthPipeline
+from lfgpu.methods import PresetName, configured, method_of
+from lfgpu.methods.base import LivePlan
+from lfgpu.methods.temporal_prior import TemporalPrior
+from lfgpu.pipelines.stream import CUT, SEEN_CHANGE
 from lfgpu.threads import limited_threads
 
-_PROGRAM = "replay.cpp"
+_SOURCES = "lfgpu_replay.h", "lfgpu_replay.cpp", "replay.cpp", "CMakeLists.txt"
 
 _README = """\
 This folder holds an exported lfgpu pipeline. It estimates disparity for light fields of one kind, without Python.
 
 pipeline.wrp, pipeline_modules/  the recorded operations and their compiled kernels, for {device}
-pipeline.json                    shapes, types, cameras, disparity range and parameters
-replay.cpp                       a program that runs the pipeline on frames from a file and writes the maps
+{warm}pipeline.json                    shapes, types, cameras, disparity range and parameters
+replay.txt                       the same for the library
+lfgpu_replay.h, lfgpu_replay.cpp a C++ library that runs the pipeline
+replay.cpp, CMakeLists.txt       a program that runs it on frames from a file, and how both are built
 
 The pipeline needs Warp {version} and the same kind of processor as the one it was exported on. Install Warp's package
-(its folder is {package} on the exporting machine), then build and run the program with
+(its folder is {package} on the exporting machine), then build with CMake, WARP being that folder:
 
-    g++ -O2 -std=c++17 replay.cpp -o replay -L"$WARP/bin" -l:warp.so -l:warp-clang.so -Wl,-rpath,"$WARP/bin"
-    ./replay . frames.raw maps.raw
+    cmake -S . -B build -DCMAKE_BUILD_TYPE=Release -DWARP="$WARP" && cmake --build build
+    build/replay . frames.raw maps.raw --threads 8
+    cmake --install build --prefix PREFIX
 
-where WARP is that folder. frames.raw holds one frame after the other. Each frame has {frame_bytes} bytes: the views
-[n, y, x, c] = {shape}, {dtype}. For each frame, maps.raw gets {map_bytes} bytes of disparity and as many of
-confidence, both float32 [y, x]. The maps are bit-identical to those of lfgpu on the same device. On a CPU the program
-uses one thread.
+After the last line, other projects find the library by find_package(lfgpu_replay) and link lfgpu::lfgpu_replay.
+
+frames.raw holds one frame after the other. Each frame has {frame_bytes} bytes: the views [n, y, x, c] = {shape},
+{dtype}. For each frame, maps.raw gets {map_bytes} bytes of disparity and as many of confidence, both float32 [y, x].
+{start} The maps are bit-identical to those of lfgpu on the same
+device, whatever the number of threads.
 """
+_STARTS = {
+    True: "A frame starts from the map before, as in a DepthStream, but the first one and those after a scene cut.",
+    False: "Each frame is estimated on its own.",
+}
+_WARM = "warm.wrp, warm_modules/          the same for frames that start from the map before\n"
 
 
 def export_pipeline(
@@ -49,8 +64,9 @@ def export_pipeline(
     disparity_range: tuple[float, float] | None = None,
     backend: BackendName = DEFAULT,
     device: str | None = "cpu",
+    prior: TemporalPrior | None = TemporalPrior(),  # noqa: B008 - it is frozen
 ) -> None:
-    """Write a `DepthPipeline` as files that a program runs through Warp's C interface; all files or none.
+    """Write a pipeline as files that a program runs through Warp's C interface; all files or none.
 
     Parameters
     ----------
@@ -64,6 +80,9 @@ def export_pipeline(
         "warp" (default), the only backend that can export.
     device
         "cpu" (default), "cuda" or "cuda:1".
+    prior
+        How strongly a map follows the previous one, as for `DepthStream`; None estimates each frame independently.
+        Default `TemporalPrior()`.
 
     Raises
     ------
@@ -72,49 +91,104 @@ def export_pipeline(
     """
     check_light_field(lf)
     check_writable(out)
-    method, recording = method_of(config), load(backend).recording
-    if recording is None:
+    method, kernels = method_of(config), load(backend)
+    recording, streaming = kernels.recording, kernels.streaming
+    if recording is None or streaming is None:
         raise BackendError(f"backend {backend!r} cannot export pipelines; use backend {DEFAULT!r}.")
     if not method.is_recordable:
         raise LightFieldError(
             f"the method {method.name} cannot be exported, because its number of iterations depends on the views; use "
             "another preset (`lfgpu export --help` lists them)."
         )
+    device = pick_device(kernels, device)
+    used = method.used_views(lf)
     with limited_threads(1):  # the work of other threads would not be recorded
-        pipeline = DepthPipeline(lf, config=config, disparity_range=disparity_range, backend=backend, device=device)
-        pipeline.run()
-        views, maps = pipeline.buffers()
-        with atomic_folder(out) as folder:
-            recording.save(
-                pipeline.work, folder / "pipeline.wrp", device=pipeline.device, inputs={"views": views}, outputs=maps
+        with kernels.asking(device):
+            measured = method.measure(lf, kernels, device, disparity_range=disparity_range)
+            some = lf if len(used) == len(lf.views) else lf.subset(used)
+            views = kernels.image(some.views, device)
+            plan = method.live_plan(
+                some, measured, kernels, device, streaming=streaming, prior=prior or TemporalPrior()
             )
-            _describe(folder, lf, pipeline, recording)
+            cold, warm = plan.levels[-1][1], None if prior is None else plan.warm_levels[-1][1]
+            for work in (cold, *([warm] if warm is not None else [])):
+                work(views)
+        with atomic_folder(out) as folder:
+            save = partial(_save, plan, views, recording, folder, device)
+            found = save("pipeline.wrp", cold, state_in=False)
+            if warm is not None:
+                found |= save("warm.wrp", warm, state_in=True)
+            about = {
+                "convention": CONVENTION,
+                "device": device,
+                "warp": recording.version(),
+                "views": {"shape": list(lf.views.shape), "dtype": str(lf.views.dtype), "order": "n, y, x, c"},
+                "maps": {"names": ["disparity", "confidence"], "shape": list(lf.size), "dtype": "float32"},
+                "offsets": lf.offsets.tolist(),
+                "disparity_range": list(measured.disparity_range),
+                "config": as_dict(configured(config)),
+                "prior": None if prior is None else asdict(prior),
+            }
+            (folder / "pipeline.json").write_text(json.dumps(about, indent=1), encoding="utf-8")
+            state = list(plan.state) if warm is not None else []
+            lines: dict[str, Any] = {
+                "device": device,
+                "warp": recording.version(),
+                "views": lf.views.shape,
+                "type": lf.views.dtype,
+                "scale": lf.scale,
+                "reference": lf.reference_index,
+                "used": used,
+                "tolerance": SEEN_CHANGE * plan.noise,
+                "cut": CUT,
+                "state": state,
+            }
+            text = [f"{name} {_words(value)}" for name, value in lines.items()]
+            text += [f"kernel {_words(kernel)}" for kernel in sorted(found)]
+            (folder / "replay.txt").write_text("\n".join([*text, ""]), encoding="utf-8")
+            _explain(folder, lf, device, recording, is_warm=warm is not None)
 
 
-def _describe(folder: Path, lf: LightField, pipeline: DepthPipeline, recording: Recording) -> None:
-    height, width = lf.size
-    about = {
-        "convention": CONVENTION,
-        "device": pipeline.device,
-        "warp": recording.version(),
-        "views": {"shape": list(lf.views.shape), "dtype": str(lf.views.dtype), "order": "n, y, x, c"},
-        "maps": {"names": ["disparity", "confidence"], "shape": [height, width], "dtype": "float32"},
-        "offsets": lf.offsets.tolist(),
-        "disparity_range": list(pipeline.bounds),
-        "config": as_dict(pipeline.config),
+def _save(
+    plan: LivePlan,
+    views: Array,
+    recording: Recording,
+    folder: Path,
+    device: str,
+    name: str,
+    work: Any,
+    *,
+    state_in: bool,
+) -> set[tuple[str, str, int, str]]:
+    """Record one piece of work; what a frame leaves for the next one can be read and set. Returns its kernels."""
+    state = plan.state
+    maps = {"disparity": plan.disparity, "confidence": plan.confidence}
+    inputs = {
+        "views": views,
+        **({name: array for name, array in state.items() if name not in maps} if state_in else {}),
     }
+    outputs = {**maps, **({} if state_in else state)}
+    return set(recording.save(partial(work, views), folder / name, device=device, inputs=inputs, outputs=outputs))
+
+
+def _words(value: Any) -> str:
+    return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
+
+
+def _explain(folder: Path, lf: LightField, device: str, recording: Recording, *, is_warm: bool) -> None:
+    """Write the sources of the library and the program, and what to do with them."""
     readme = _README.format(
-        device=pipeline.device,
+        device=device,
+        warm=_WARM if is_warm else "",
         version=recording.version(),
         package=recording.libraries()[0].parent,
         frame_bytes=lf.views.nbytes,
         shape=list(lf.views.shape),
         dtype=lf.views.dtype,
-        map_bytes=4 * height * width,
+        map_bytes=4 * lf.size[0] * lf.size[1],
+        start=_STARTS[is_warm],
     )
-    (folder / "pipeline.json").write_text(json.dumps(about, indent=1), encoding="utf-8")
     (folder / "README.txt").write_text(readme, encoding="utf-8")
-    (folder / "device.txt").write_text(pipeline.device + "\n", encoding="utf-8")
-    (folder / "warp-version.txt").write_text(recording.version() + "\n", encoding="utf-8")
-    with files("lfgpu").joinpath("native", _PROGRAM).open("rb") as source, (folder / _PROGRAM).open("wb") as target:
-        shutil.copyfileobj(source, target)
+    for name in _SOURCES:
+        with files("lfgpu").joinpath("native", name).open("rb") as source, (folder / name).open("wb") as target:
+            shutil.copyfileobj(source, target)

@@ -37,6 +37,8 @@ class Inbox(Generic[Frame, Slot]):
         self._filling = 0
         self._changed = threading.Condition()
         self._closed = False
+        self.reason = ""
+        """Why it was closed, if not by its owner."""
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -52,7 +54,7 @@ class Inbox(Generic[Frame, Slot]):
         try:
             with self._changed:
                 while True:
-                    self._refuse_if_closed()
+                    self.refuse_if_closed()
                     room = not self._blocks or len(self._waiting) + self._filling < self._most
                     if room and self._free:
                         break
@@ -104,10 +106,11 @@ class Inbox(Generic[Frame, Slot]):
             self._changed.notify_all()
             return taken
 
-    def close(self, *, finish: bool) -> None:
+    def close(self, *, finish: bool, reason: str = "") -> None:
         """Refuse new frames; waiting frames can still be taken if `finish`, else they are dropped."""
         dropped: list[Frame] = []
         with self._changed:
+            self.reason = self.reason or ("" if self._closed else reason)
             self._closed = True
             while self._waiting and not finish:
                 frame, slot = self._waiting.popleft()
@@ -117,6 +120,12 @@ class Inbox(Generic[Frame, Slot]):
         for frame in dropped:
             self._drop(frame)
 
-    def _refuse_if_closed(self) -> None:
+    def forget_slots(self) -> None:
+        """Let go of the memory of all slots; nobody may ask for one any more."""
+        self._free.clear()
+
+    def refuse_if_closed(self) -> None:
+        """LfgpuError if new frames are refused."""
         if self._closed:
-            raise LfgpuError("the stream is closed; create a new one.")
+            why = f", because {self.reason}" if self.reason else ""
+            raise LfgpuError(f"the stream is closed{why}; create a new one.")

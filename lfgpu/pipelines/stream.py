@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import atexit
+import logging
 import math
+import os
 import queue
 import threading
 import weakref
@@ -22,23 +24,31 @@ from lfgpu._backends import DEFAULT, load, pick_device
 from lfgpu.config import Config
 from lfgpu.contract import Float32Array, Float64Array, KernelSet
 from lfgpu.data import interop
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.lightfield import LightField, check_scaled
 from lfgpu.errors import BackendError, LfgpuError, LightFieldError
 from lfgpu.methods import configured, method_of
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.pipelines import stream_stats
 from lfgpu.pipelines.inbox import POLICIES, Inbox
+from lfgpu.pipelines.range_watch import RangeWatch
 from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.snapshots import Snapshots
 from lfgpu.threads import get_threads
 
 _USUAL_NOISE = 0.004  # intensity: the noise of cameras of which nothing is known
-_SEEN_CHANGE = 4.0  # in units of the noise: a larger change of a sample counts as a change of the scene
+SEEN_CHANGE = 4.0
+"""In units of the noise: a larger change of a sample counts as a change of the scene."""
+
+CUT = 0.5
+"""Share of the samples that must have changed for a frame to start without the previous map."""
+
 _AT_ONCE = 2**22  # bytes: up to this size, one thread copies as fast as several
 _MOST_COPIERS = 8
 _MOST_WAITING = 1000
 _SMOOTHING = 0.1  # weight of the latest frame in the mean time of a level of work
+
+_LOG = logging.getLogger(__name__)
 
 OnResult = Callable[["StreamResult"], None]
 """Called with each result, from a thread of the stream."""
@@ -184,8 +194,11 @@ class DepthStream:
         earlier frames; if nothing fits, it does the least it can. Default None: all work that `config` asks for.
     on_result
         Called with each `StreamResult` that has a map, in order, from a thread of the stream. It should return quickly.
-        Its exceptions are counted (`stats`) and ignored. It is also an attribute that may be set at any time. Default
-        None.
+        Its exceptions are counted (`stats`) and logged by `logging`, the first one from each line of code with its
+        traceback. It is also an attribute that may be set at any time. Default None.
+    end_on_error
+        Whether an exception of `on_result` ends the stream: `on_result` is not called any more, waiting frames are
+        dropped, and `push` raises an LfgpuError that names the exception. Default False.
     measured
         The disparity range and the noise, if they were measured before; then `disparity_range` is not used. Default
         None: measured on the views of `lf`.
@@ -210,11 +223,12 @@ class DepthStream:
         backend: str = DEFAULT,
         device: str | None = None,
         prior: TemporalPrior | None = TemporalPrior(),  # noqa: B008 - it is frozen
-        cut: float = 0.5,
+        cut: float = CUT,
         policy: str = "latest",
         waiting: int | None = None,
         budget_ms: float | None = None,
         on_result: OnResult | None = None,
+        end_on_error: bool = False,
         measured: Measured | None = None,
         rectifier: Rectifier | None = None,
     ) -> None:
@@ -237,7 +251,7 @@ class DepthStream:
         with kernels.asking(self.device):
             self.measured = measured or method.measure(lf, kernels, self.device, disparity_range=disparity_range)
             lf = lf if self._all else lf.subset(self._used)
-            self._rectification = None
+            self._rectification: Rectification | None = None
             if rectifier is not None:
                 self._rectification = Rectification(rectifier, pictures, kernels, self.device, used=self._used)
                 frames, self._views = self._rectification.pictures, self._rectification.views
@@ -252,7 +266,7 @@ class DepthStream:
                 (self._plan.disparity, self._plan.confidence, *self._plan.numbers),
                 reference=lf.reference_index,
                 scale=lf.scale,
-                tolerance=_SEEN_CHANGE * self._plan.noise,
+                tolerance=SEEN_CHANGE * self._plan.noise,
                 results=most + 4,
             )
             self._base = None if lf.valid is None else kernels.field(lf.valid, self.device)
@@ -263,11 +277,15 @@ class DepthStream:
         self._cold, self._warm = self._prepared(kernels, warm=prior is not None)
         self._cut = cut
         self._fresh = True  # whether there is no previous map to start from
-        self.on_result = on_result
+        self.on_result, self._end_on_error = on_result, end_on_error
+        self._watch = RangeWatch(self.bounds)
+        self._logged: set[tuple[object, ...]] = set()
+        self._process = os.getpid()
 
         self._counters = stream_stats.Counters()
         self._index, self._numbering = 0, threading.Lock()
         self._asked_for: Snapshots[tuple[LightField, StreamResult]] = Snapshots()
+        self._returned, self._buffers = False, 0
         slots = [self._transport.slot() for _ in range(most + 2)]
         self._copying = max(1, min(_MOST_COPIERS, get_threads(), len(self._used)))
         self._copiers = ThreadPoolExecutor(self._copying, thread_name_prefix="lfgpu-copy")
@@ -279,7 +297,7 @@ class DepthStream:
         ]
         for thread in self._threads:
             thread.start()
-        self._at_exit = _close_at_exit(self)
+        _open.add(self)
 
     @classmethod
     def for_cameras(
@@ -323,6 +341,14 @@ class DepthStream:
         """(low, high) of the disparities, pixels per view step."""
         return self.measured.disparity_range
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the stream as a whole, a sentence each, such as a disparity range that is too small.
+
+        Each is also logged once by `logging`.
+        """
+        return self._watch.warnings
+
     # --- pushing frames ---
 
     def push(
@@ -350,12 +376,13 @@ class DepthStream:
         Raises
         ------
         LfgpuError
-            If the stream is closed. Errors of the frame are in the result instead.
+            If the stream is closed, or was made by another process. Errors of the frame are in the result instead.
         """
+        if os.getpid() != self._process:  # its threads are not here
+            raise LfgpuError("the stream belongs to the process that made it; create one in this process.")
         there = np.ones(self._expected[0][0], bool) if valid is None else valid
         with self._numbering:
-            if self._inbox.closed:
-                raise LfgpuError("the stream is closed; create a new one.")
+            self._inbox.refuse_if_closed()
             result = StreamResult(self._index, tag, np.asarray(there))
             self._index += 1
             self._counters.add("frames_pushed")
@@ -414,10 +441,12 @@ class DepthStream:
 
         LightFieldError without a rectifier, or if the shape is another one.
         """
-        if self._rectification is None or self._rectifier is None:
+        if self._rectifier is None:
             raise LightFieldError("the stream has no rectifier, so it cannot equalise its cameras; give it one.")
-        self._rectifier = self._rectifier.with_tones(tones)
-        self._rectification.set_tones(self._rectifier.tones)
+        with self._numbering:  # `close` returns the memory
+            self._rectifier = self._rectifier.with_tones(tones)
+            if self._rectification is not None:
+                self._rectification.set_tones(self._rectifier.tones)
 
     def restart(self) -> None:
         """Forget the previous map: the next frame starts without it."""
@@ -429,16 +458,18 @@ class DepthStream:
         Returns
         -------
         Counts: `frames_pushed`, which is the sum of `frames_done`, `frames_dropped`, `frames_failed` and
-        `frames_in_work`; `frames_cold`, `frames_with_missing_views`, `frames_over_budget`, `scene_cuts`,
-        `callback_errors`, `frames_waiting`. Rate: `frames_per_second` over the last two seconds. Times over the latest
+        `frames_in_work`; `frames_cold`, `frames_with_missing_views`, `frames_over_budget`, `frames_beyond_range` (at
+        least 1 % of the map lies at one end of the disparity range), `scene_cuts`, `callback_errors`, `warnings`,
+        `frames_waiting`. Rate: `frames_per_second` over the last two seconds. Times over the latest
         1024 results, NaN if there is none: `latency_p50_ms`, `latency_p95_ms`, `latency_p99_ms` from `push` to the map
         on the host, and `work_p50_ms` and so on for the device. Memory: `result_buffers`, the number of results that
         memory is allocated for; it grows if more results are held.
         """
         return {
             **self._counters.stats(),
+            "warnings": len(self.warnings),
             "frames_waiting": len(self._inbox),
-            "result_buffers": self._transport.made,
+            "result_buffers": self._buffers if self._returned else self._transport.made,
         }
 
     def prometheus(self) -> str:
@@ -448,14 +479,25 @@ class DepthStream:
     def close(self, *, finish: bool = True) -> None:
         """End the stream and its threads. Waiting frames are finished if `finish` (default), else dropped.
 
-        May be called more than once, from any thread except in `on_result`.
+        The memory of the device is returned; results that are still held keep theirs. May be called more than once,
+        from any thread except in `on_result`.
         """
+        if os.getpid() != self._process:  # a child that was forked has neither its threads nor its locks
+            return
         self._inbox.close(finish=finish)
+        if threading.current_thread() in self._threads:
+            return
         for thread in self._threads:
-            if thread is not threading.current_thread():
-                thread.join()
+            thread.join()
         self._copiers.shutdown()
-        atexit.unregister(self._at_exit)
+        _open.discard(self)
+        with self._numbering:
+            if not self._returned:
+                self._returned, self._buffers = True, self._transport.made
+                self._cold, self._warm = [], []
+                self._inbox.forget_slots()
+                self._rectification = None
+                del self._plan, self._transport, self._views, self._base, self._mask
 
     def __enter__(self) -> DepthStream:
         return self
@@ -522,6 +564,7 @@ class DepthStream:
                 low, high = float(slot.host[place].min()), float(slot.host[place].max())
                 if not np.isfinite(low + high):
                     raise LightFieldError(f"view {view} holds NaN or infinity; set valid[{view}] to False.")
+                check_scaled(f"view {view}", low, high)
 
         def copy_some(places: range) -> None:
             for place in places:
@@ -579,9 +622,13 @@ class DepthStream:
             result, slot = taken
             read = False
             try:
-                changed = self._transport.bring(slot)
+                changed, unscaled = self._transport.bring(slot)
                 self._inbox.give_back(slot, filled=True)
                 read = True
+                if unscaled > 0:
+                    self._fresh = True
+                    self._fail(result, LightFieldError("views have values far outside [0, 1]; scale float views."))
+                    continue
                 result.cut = not self._fresh and bool(self._warm) and changed > self._cut
                 result.cold = self._fresh or result.cut or not self._warm
                 level = self._level(self._cold if result.cold else self._warm)
@@ -592,7 +639,7 @@ class DepthStream:
                 if not read:
                     self._inbox.give_back(slot, filled=True)
                 self._fresh, self._present = True, np.zeros_like(self._present)
-                self._fail(result, LfgpuError(f"the device failed: {' '.join(str(error).split())}"))
+                self._fail(result, self._failed(error))
                 continue
             self._under_way.put((result, maps, level))
         self._under_way.put(None)
@@ -632,7 +679,7 @@ class DepthStream:
                 work, trust, moved = self._transport.wait(maps)
             except Exception as error:
                 self._fresh = True
-                self._fail(result, LfgpuError(f"the device failed: {' '.join(str(error).split())}"))
+                self._fail(result, self._failed(error))
                 continue
             level.seconds += _SMOOTHING * (work - level.seconds)
             problem = None
@@ -660,11 +707,36 @@ class DepthStream:
         self._counters.done(result.latency, work, *(name for name, counts in extra.items() if counts))
         result._finish(self._transport.lease(maps))
         callback = self.on_result
-        if callback is not None:
+        if callback is not None and not (self._end_on_error and self._inbox.reason):
             try:
                 callback(result)
-            except BaseException:  # the stream must not end for what others do with its results, sys.exit() included
+            except BaseException as error:  # others' mistakes must not end the thread, sys.exit() included
                 self._counters.add("callback_errors")
+                self._log(f"on_result failed with frame {result.index}", error)
+                if self._end_on_error:
+                    said = f"{type(error).__name__}: {error}".rstrip(": ")
+                    self._inbox.close(finish=False, reason=f"on_result failed ({said})")
+        beyond, new = self._watch.look(result.index, result._maps().numpy(0))
+        if beyond:
+            self._counters.add("frames_beyond_range")
+        for sentence in new:
+            _LOG.warning(sentence)
+
+    def _log(self, what: str, error: BaseException) -> None:
+        """Log an exception with its traceback; of those from one line of code only the first."""
+        place = error.__traceback__
+        while place is not None and place.tb_next is not None:
+            place = place.tb_next
+        kind = type(error), place and (place.tb_frame.f_code.co_filename, place.tb_lineno)
+        if kind not in self._logged:
+            self._logged.add(kind)
+            _LOG.error("%s; the next ones like this are only counted", what, exc_info=error)
+
+    def _failed(self, error: Exception) -> LfgpuError:
+        """The sentence about a failure of the device."""
+        self._log("the device failed", error)
+        remedy = "" if self.device == "cpu" else "; if all frames fail from now on, start the program again"
+        return LfgpuError(f"the device failed ({' '.join(str(error).split()).rstrip('.')}){remedy}.")
 
     def _fail(self, result: StreamResult, error: LfgpuError) -> None:
         self._counters.add("frames_failed")
@@ -706,14 +778,14 @@ def _cannot_be_taken(error: Exception) -> LightFieldError:
     return LightFieldError(f"views cannot be read: {' '.join(str(error).split())}")
 
 
-def _close_at_exit(stream: DepthStream) -> Callable[[], None]:
-    """Close the stream when the interpreter exits, because no device work may run then."""
-    known = weakref.ref(stream)
+_open: weakref.WeakSet[DepthStream] = weakref.WeakSet()
 
-    def close() -> None:
-        left = known()
-        if left is not None:
-            left.close(finish=False)
 
-    atexit.register(close)
-    return close
+def _close_all() -> None:
+    """Close all streams when the interpreter exits, because no device work may run then."""
+    for stream in list(_open):
+        stream.close(finish=False)
+
+
+# Pools of threads end when the main thread does, before `atexit`; what is registered here ends before them.
+getattr(threading, "_register_atexit", atexit.register)(_close_all)

@@ -21,7 +21,8 @@ _HELP = {
     "scene_cuts": "Frames that started cold because the scene changed.",
     "frames_with_missing_views": "Results with missing views.",
     "frames_over_budget": "Results that exceeded the time budget.",
-    "callback_errors": "Exceptions of the callback, which are ignored.",
+    "frames_beyond_range": "Results with at least 1 % of the pixels at one end of the disparity range.",
+    "callback_errors": "Exceptions of the callback.",
 }
 
 

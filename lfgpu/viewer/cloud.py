@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from lfgpu.data.points import point_cloud
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.viz.figures import scale_limits
+from lfgpu.viz.scales import scale_limits
 
 MOST_POINTS = 300_000
 """More are not sent to a browser: every second, third ... pixel of each row and column is."""
 
 _MARGIN = 0.5  # of the range of disparities or depths but for outliers: what lies farther beyond is left out
+_EDGE = 0.06  # of the range of disparities: neighbours that differ by more are not connected
 _RELIEF = 0.5  # of the picture's longer side: how deep all disparities together are drawn without metres
 
 
@@ -37,6 +38,8 @@ class Cloud:
     """Whether the points are in metres."""
     eye: NDArray[np.float64]
     """[3], where the camera stands that sees the map."""
+    step: int
+    """Every so many rows and columns of the map have points."""
 
     @property
     def centre(self) -> NDArray[np.float64]:
@@ -77,7 +80,7 @@ def shown_cloud(
         cloud = point_cloud(values, image=colours, least_confidence=least_confidence, step=step)
     except LightFieldError:  # no pixel is left; colours are of the map's size
         points, colours, pixels = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 2), np.int64)
-        return Cloud(points, colours, pixels, 1.0, geometry is not None, eye)
+        return Cloud(points, colours, pixels, 1.0, geometry is not None, eye, step)
     assert cloud.colors is not None
     points = cloud.points
     if geometry is None:
@@ -91,7 +94,29 @@ def shown_cloud(
         near, far = scale_limits(geometry.depth(disparity).astype(np.float32))
         keep = points[:, 2] <= far + _MARGIN * (far - near)
         spacing = step * float(np.median(points[keep, 2])) / geometry.focal_length_px
-    return Cloud(points[keep], cloud.colors[keep], cloud.pixels[keep], spacing, cloud.metric, eye)
+    return Cloud(points[keep], cloud.colors[keep], cloud.pixels[keep], spacing, cloud.metric, eye, step)
+
+
+def surface(cloud: Cloud, disparity: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Triangles [n, 3] between neighbouring points of a cloud, none across an edge of depth.
+
+    An edge is where the disparity [y, x] of neighbours differs by more than a small part of its range.
+    """
+    if not len(cloud.pixels):
+        return np.zeros((0, 3), np.int64)
+    places = np.full(disparity.shape, -1, np.int64)
+    x, y = cloud.pixels.T
+    places[y, x] = np.arange(len(x))
+    index, values = places[:: cloud.step, :: cloud.step], disparity[:: cloud.step, :: cloud.step]
+    low, high = scale_limits(disparity)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    corners = np.stack([values[:-1, :-1], values[:-1, 1:], values[1:, :-1], values[1:, 1:]])
+    whole = (np.stack([a, b, c, d]) >= 0).all(axis=0)
+    with np.errstate(invalid="ignore"):
+        whole &= np.ptp(corners, axis=0) <= _EDGE * (high - low)  # NaN is not
+    return np.concatenate(
+        [np.stack([a, c, b], axis=-1)[whole], np.stack([b, c, d], axis=-1)[whole]]
+    )  # fmt: skip
 
 
 def nearest_to_ray(cloud: Cloud, origin: Any, direction: Any) -> tuple[int, int] | None:

@@ -4,22 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import holds_map, load, read
-from lfgpu.viz.figures import error_reach, scale_limits
+from lfgpu.metrics import Metrics, evaluate
+from lfgpu.viz.scales import error_reach, scale_limits
 
 TRUTH = "ground truth"
+"""The name of the ground truth among the maps."""
+
+LIVE = "live"
+"""The name of the newest map of a stream among the maps."""
+
 FINAL = "final"
+"""The name of the map after the last stage."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a map shows, and how it is shown at first."""
+
+    label: str
+    unit: str
+    hint: str
+    colours: str
+    """The name of a colour map of matplotlib."""
+
+
+_STEP = "px per view step"
+QUANTITIES = {
+    "disparity": Quantity("Disparity", _STEP, "larger is nearer", "viridis"),
+    "depth": Quantity("Depth", "m", "", "viridis_r"),
+    "confidence": Quantity("Confidence", "", "0 to 1, larger is surer", "cividis"),
+    "uncertainty": Quantity("Uncertainty", _STEP, "expected error as a standard deviation", "magma"),
+    "error": Quantity("Error", _STEP, "red: too near, blue: too far", "RdBu_r"),
+}
+"""The quantities of maps by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +60,16 @@ class Entry:
     map: DisparityMap
     result: DepthResult | None = None
     """The result that the map belongs to; None for a single map."""
+    frame: int | None = 0
+    """Number of the frame of a stream that it belongs to, as `Contents.frame`; None if unknown."""
+    serial: int = field(default_factory=count().__next__, kw_only=True)
+    """A number that no other entry of this process has."""
+    _ends: dict[str, tuple[float, float]] = field(default_factory=dict, kw_only=True, repr=False)
 
     @classmethod
-    def of(cls, values: DepthResult | DisparityMap) -> Entry:
+    def of(cls, values: DepthResult | DisparityMap, frame: int | None = 0) -> Entry:
         """The entry of a result or of a single map."""
-        return cls(values.map, values) if isinstance(values, DepthResult) else cls(values)
+        return cls(values.map, values, frame) if isinstance(values, DepthResult) else cls(values, None, frame)
 
     @property
     def disparity(self) -> NDArray[np.float32]:
@@ -49,6 +85,25 @@ class Entry:
         """The map after a stage; the final map for `FINAL` and for unknown stages."""
         return self.disparity if self.result is None else self.result.stages.get(name, self.disparity)
 
+    def ends(self, stage: str) -> tuple[float, float]:
+        """The smallest and the largest disparity after a stage; (0, 0) if it is undefined everywhere."""
+        if stage not in self._ends:
+            values = self.stage(stage)
+            known = values[np.isfinite(values)]
+            self._ends[stage] = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+        return self._ends[stage]
+
+
+def _scored(entry: Entry, truth: GroundTruth) -> Metrics | None:
+    try:
+        return evaluate(entry.disparity, truth)
+    except LightFieldError:  # smaller than the border that is not scored
+        return None
+
+
+_scores = WeakKeyDictionary[Entry, tuple[GroundTruth, Metrics | None]]()  # and the truth that they are against
+_truths = WeakKeyDictionary[GroundTruth, Entry]()  # one entry each, with one serial number
+
 
 @dataclass(frozen=True, eq=False)
 class Contents:
@@ -56,6 +111,8 @@ class Contents:
 
     lf: LightField | None = None
     entries: dict[str, Entry] = field(default_factory=dict)
+    frame: int = 0
+    """Number of the frame of a stream whose views are shown; 0 before the first one."""
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -94,7 +151,11 @@ class Contents:
     def all_entries(self) -> dict[str, Entry]:
         """All maps, with the ground truth as one of them."""
         truth = None if self.lf is None else self.lf.reference_truth()
-        return self.entries if truth is None else {**self.entries, TRUTH: Entry(DisparityMap(truth.disparity))}
+        if truth is None:
+            return self.entries
+        if truth not in _truths:
+            _truths[truth] = Entry(DisparityMap(truth.disparity))
+        return {**self.entries, TRUTH: _truths[truth]}
 
     def with_entry(self, name: str, entry: Entry) -> Contents:
         """Add or replace a map; LightFieldError if its size is not that of the views."""
@@ -107,22 +168,48 @@ class Contents:
         return replace(self, entries={**self.entries, name: entry})
 
     def map(self, name: str, kind: str, stage: str = FINAL) -> NDArray[np.float32] | None:
-        """A map of one of the kinds `frames.LOOKS`; None if there is none."""
+        """A map of one of the `QUANTITIES`; None if there is none."""
         entry = self.all_entries().get(name)
         if entry is None:
             return None
-        disparity = entry.stage(stage)
         match kind:
             case "confidence":
                 return entry.confidence
+            case "uncertainty":
+                return entry.map.uncertainty
             case "depth":
-                return None if self.geometry is None else self.geometry.depth(disparity).astype(np.float32)
+                return None if self.geometry is None else self.geometry.depth(entry.stage(stage)).astype(np.float32)
             case "error":
-                return None if self.truth is None else disparity - self.truth
-        return disparity
+                return entry.stage(stage) - self.truth if self.is_scored(name) and self.truth is not None else None
+        return entry.stage(stage)
+
+    def kinds(self, name: str) -> tuple[str, ...]:
+        """The quantities that a map has."""
+        entry = self.all_entries()[name]
+        missing = {
+            "depth": self.geometry is None,
+            "confidence": entry.confidence is None,
+            "uncertainty": entry.map.uncertainty is None,
+            "error": not self.is_scored(name),
+        }
+        return tuple(kind for kind in QUANTITIES if not missing.get(kind, False))
+
+    def is_scored(self, name: str) -> bool:
+        """Whether the truth belongs to the same frame as a map."""
+        return self.truth is not None and name in self.entries and self.entries[name].frame == self.frame
+
+    def scores(self, name: str) -> Metrics | None:
+        """The scores of a map; None without a truth of its frame, or where nothing can be scored."""
+        truth = None if self.lf is None else self.lf.reference_truth()
+        if truth is None or not self.is_scored(name):
+            return None
+        entry = self.entries[name]
+        if entry not in _scores or _scores[entry][0] is not truth:
+            _scores[entry] = truth, _scored(entry, truth)
+        return _scores[entry][1]
 
     def limits(self, kind: str) -> tuple[float, float]:
-        """The scale (low, high) of a kind of maps, the same for all maps that may be compared."""
+        """The scale (low, high) of a quantity, the same for all maps that may be compared."""
         if kind == "confidence":
             return 0.0, 1.0
         if kind == "error":
@@ -131,8 +218,35 @@ class Contents:
             return -reach, reach
         known = self.truth if self.truth is not None and kind == "disparity" else None
         maps = [known] if known is not None else [self.map(name, kind) for name in self.all_entries()]
-        spans = [scale_limits(values) for values in maps if values is not None]
+        spans = [scale_limits(values) for values in maps if values is not None and np.isfinite(values).any()]
         return min((low for low, _ in spans), default=0.0), max((high for _, high in spans), default=1.0)
+
+    def extent(self, kind: str) -> tuple[float, float] | None:
+        """The smallest and the largest value of a quantity over all maps; None if there is none."""
+        maps = [values for name in self.all_entries() if (values := self.map(name, kind)) is not None]
+        ends = [(defined.min(), defined.max()) for v in maps if (defined := v[np.isfinite(v)]).size]
+        return (float(min(low for low, _ in ends)), float(max(high for _, high in ends))) if ends else None
+
+    def with_frame(self, entry: Entry, views: NDArray[Any] | None) -> Contents:
+        """Take the newest frame of a stream: its map, and its views if they are given.
+
+        The truth goes with the views that it belongs to. A map without its views belongs to an unknown frame.
+
+        Raises
+        ------
+        LightFieldError
+            If sizes or types are not those of what is shown.
+        """
+        if views is None or self.lf is None:
+            return self.with_entry(LIVE, replace(entry, frame=None))
+        if views.shape != self.lf.views.shape or views.dtype != self.lf.views.dtype:
+            raise LightFieldError(
+                f"views must be {self.lf.views.dtype} {self.lf.views.shape} as those that are shown, "
+                f"found {views.dtype} {views.shape}."
+            )
+        frame = self.frame + 1
+        newer = replace(self, lf=replace(self.lf, views=views, truth=None), frame=frame)
+        return newer.with_entry(LIVE, replace(entry, frame=frame))
 
     def free_name(self, wanted: str) -> str:
         """`wanted`, with a number if that name is taken."""

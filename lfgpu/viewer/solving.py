@@ -23,6 +23,8 @@ class Request:
     config: Config
     disparity_range: tuple[float, float] | None = None
     name: str = "result"
+    frame: int = 0
+    """Number of the frame of a stream, as `Contents.frame`."""
 
 
 @dataclass(frozen=True)

@@ -22,17 +22,54 @@ from lfgpu.comparison import Scene, error_map
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_write
 from lfgpu.metrics import Sparsification
+from lfgpu.viz.scales import error_reach as error_reach  # those of figures are for others, too
+from lfgpu.viz.scales import scale_limits as scale_limits
 
 _DISPARITY = "disparity (px per view step)\nlarger is nearer"
 _UNDEFINED = "0.62"  # a grey that occurs in none of the colour maps
-_TAIL = 0.002  # share of outliers at each end that lie beyond the scale; pointed ends of the colour bar show them
-_LEAST_ERROR = 0.07  # smallest end of an error scale: the coarsest threshold of the benchmark
 _LONG_SIDE = 6.0  # inches: the longer side of a map
 _LEAST_PIXELS = 900  # pixels at least: the longer side of a map in the picture
 _BAR, _GAP, _TICKS, _MARGIN, _TITLE = 0.2, 0.15, 1.05, 0.15, 0.42  # inches
 _LEAST_HEIGHT, _LEAST_WIDTH = 2.4, 4.2  # inches: space for the label of a colour bar and the title
-_CELL = 2.2  # inches: the width of a map in a comparison
+_CELL, _BETWEEN, _BELOW = 2.2, 0.06, 0.42  # inches: the width of a map in a comparison, and the space around it
 _LONGEST_NAME = 34  # characters of a name that fit above a map
+
+
+def map_figure(
+    values: ArrayLike,
+    *,
+    title: str,
+    label: str,
+    colours: str = "viridis",
+    limits: tuple[float, float] | None = None,
+) -> Figure:
+    """Draw a map with a colour bar.
+
+    Parameters
+    ----------
+    values
+        [y, x]; NaN and infinite pixels are grey.
+    title
+        The title.
+    label
+        What the colour bar shows, with its unit.
+    colours
+        The name of a colour map of matplotlib. Default "viridis".
+    limits
+        (low, high) of the scale. Default None: the range of the map without a few outliers.
+
+    Raises
+    ------
+    LightFieldError
+        If the map is not [y, x].
+    """
+    drawn = _map(values)
+    layout = _Layout(drawn.shape, rows=1, columns=1)
+    axes, bar = layout.axes(0, 0), layout.bar(0)
+    image = _show(axes, drawn, colours, limits or scale_limits(drawn))
+    _scale(layout.figure, image, bar, label, drawn)
+    axes.set_title(title, parse_math=False)  # a name may hold dollar signs
+    return layout.figure
 
 
 def disparity_figure(
@@ -54,13 +91,7 @@ def disparity_figure(
     LightFieldError
         If the map is not [y, x].
     """
-    values = _map(disparity)
-    layout = _Layout(values.shape, rows=1, columns=1)
-    axes, bar = layout.axes(0, 0), layout.bar(0)
-    image = _show(axes, values, "viridis", limits or scale_limits(values))
-    _scale(layout.figure, image, bar, _DISPARITY, values)
-    axes.set_title(f"{_short(name)}: disparity", parse_math=False)  # a name may hold dollar signs
-    return layout.figure
+    return map_figure(disparity, title=f"{_short(name)}: disparity", label=_DISPARITY, limits=limits)
 
 
 def confidence_figure(confidence: ArrayLike, *, name: str = "light field") -> Figure:
@@ -78,13 +109,13 @@ def confidence_figure(confidence: ArrayLike, *, name: str = "light field") -> Fi
     LightFieldError
         If the map is not [y, x].
     """
-    values = _map(confidence)
-    layout = _Layout(values.shape, rows=1, columns=1)
-    axes, bar = layout.axes(0, 0), layout.bar(0)
-    image = _show(axes, values, "cividis", (0.0, 1.0))
-    _scale(layout.figure, image, bar, "confidence\nlarger is surer", values)
-    axes.set_title(f"{_short(name)}: confidence", parse_math=False)
-    return layout.figure
+    return map_figure(
+        confidence,
+        title=f"{_short(name)}: confidence",
+        label="confidence\nlarger is surer",
+        colours="cividis",
+        limits=(0.0, 1.0),
+    )
 
 
 def sparsification_figure(curve: Sparsification, *, name: str = "light field") -> Figure:
@@ -193,15 +224,13 @@ def comparison_figure(scenes: Sequence[Scene]) -> Figure:
         raise LightFieldError("there is nothing to compare; give at least one scene with the map of one method.")
     errors = {(s.name, m): error_map(values, s.truth) for s in scenes for m, values in s.maps.items()}
     reach = max(error_reach(error) for error in errors.values())
-    heights = [scene.truth.shape[0] / scene.truth.shape[1] for scene in scenes]
+    heights = [_CELL * scene.truth.shape[0] / scene.truth.shape[1] for scene in scenes]
     columns, rows = 2 + len(methods), len(scenes)
-    size = columns * _CELL + 0.35, sum(heights) * _CELL + rows * 0.42 + 1.0
+    left, top, foot = 0.35, 0.35, 0.95  # inches: names of scenes, of methods, and the scale
+    size = left + columns * (_CELL + _BETWEEN), top + sum(heights) + rows * _BELOW + foot
     figure = Figure(size, dpi=150, facecolor="white")
     FigureCanvasAgg(figure)
-    places = figure.add_gridspec(
-        rows, columns, height_ratios=heights, left=0.35 / size[0], right=0.995, top=1 - 0.35 / size[1],
-        bottom=0.9 / size[1], wspace=0.03, hspace=0.42 / (size[1] - 1.0) * rows,
-    )  # fmt: skip
+    tops = size[1] - top - np.cumsum([0.0, *(height + _BELOW for height in heights)])
     for row, scene in enumerate(scenes):
         scores = scene.scores()
         picture = scene.view[..., 0] if scene.view.shape[2] == 1 else scene.view
@@ -209,7 +238,8 @@ def comparison_figure(scenes: Sequence[Scene]) -> Figure:
         missing = np.full(scene.truth.shape, np.nan, np.float32)
         panels += [(errors.get((scene.name, method), missing), "RdBu_r", (-reach, reach)) for method in methods]
         for column, (values, colours, limits) in enumerate(panels):
-            axes = figure.add_subplot(places[row, column])
+            place = left + column * (_CELL + _BETWEEN), tops[row] - heights[row], _CELL, heights[row]
+            axes = figure.add_axes(_shares(place, size))
             axes.set_xticks([])
             axes.set_yticks([])
             shown = axes.imshow(
@@ -224,7 +254,7 @@ def comparison_figure(scenes: Sequence[Scene]) -> Figure:
                 axes.set_title(["view", "truth", *methods][column], fontsize=11, parse_math=False)
             if column == 0:
                 axes.set_ylabel(_short(scene.name), fontsize=11, parse_math=False)
-    bar = figure.add_axes((0.25, 0.5 / size[1], 0.5, 0.12 / size[1]))
+    bar = figure.add_axes(_shares((0.25 * size[0], 0.5, 0.5 * size[0], 0.12), size))
     figure.colorbar(shown, cax=bar, orientation="horizontal", extend="both", extendfrac=0.02)
     bar.set_xlabel("error, px per view step; red is too near; grey: undefined or not scored", fontsize=9)
     return figure
@@ -285,8 +315,13 @@ class _Layout:
         return self._cell_height - _TITLE - self._height
 
     def _add(self, left: float, bottom: float, width: float, height: float) -> Axes:
-        across, up = self._size
-        return self.figure.add_axes((left / across, bottom / up, width / across, height / up))
+        return self.figure.add_axes(_shares((left, bottom, width, height), self._size))
+
+
+def _shares(place: tuple[float, ...], size: tuple[float, float]) -> tuple[float, float, float, float]:
+    """A rectangle (left, bottom, width, height) in inches as shares of a figure of that size."""
+    left, bottom, width, height = place
+    return left / size[0], bottom / size[1], width / size[0], height / size[1]
 
 
 def _map(values: ArrayLike) -> NDArray[np.float32]:
@@ -294,23 +329,6 @@ def _map(values: ArrayLike) -> NDArray[np.float32]:
     if array.ndim != 2 or 0 in array.shape:
         raise LightFieldError(f"a map must be [y, x]; found shape {array.shape}.")
     return np.where(np.isfinite(array), array, np.float32(np.nan))
-
-
-def scale_limits(values: NDArray[np.float32]) -> tuple[float, float]:
-    """The ends of the scale of a map: its range without a few outliers; (0, 1) if it is undefined everywhere."""
-    defined = values[np.isfinite(values)]
-    if defined.size == 0:
-        return 0.0, 1.0
-    low, high = (float(value) for value in np.quantile(defined, (_TAIL, 1 - _TAIL)))
-    return (low, high) if high > low else (low - 0.5, high + 0.5)
-
-
-def error_reach(error: NDArray[np.float32]) -> float:
-    """The end of a symmetric error scale: the 95 % quantile of the absolute error, rounded up to one digit."""
-    defined = np.abs(error[np.isfinite(error)])
-    reach = max(float(np.quantile(defined, 0.95)) if defined.size else 0.0, _LEAST_ERROR)
-    digit = 10.0 ** math.floor(math.log10(reach))
-    return round(math.ceil(reach / digit - 1e-9) * digit, 12)
 
 
 def _show(axes: Axes, values: NDArray[np.float32], colours: str, limits: tuple[float, float]) -> AxesImage:

@@ -1,28 +1,34 @@
-"""The HTML of light fields and results in notebooks."""
+"""The HTML of light fields and results in notebooks. Its text has the colours of the notebook, light or dark."""
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Iterable
-from html import escape
+import secrets
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lfgpu.viz import panels as frames
-from lfgpu.viz.figures import scale_limits
+from lfgpu.viz.cards import Card, drawn_card, map_card, view_card
+from lfgpu.viz.pages import rendered
+from lfgpu.viz.panels import epi_of_column, epi_of_row, rgb
 
 if TYPE_CHECKING:
     from lfgpu.data.lightfield import LightField
-    from lfgpu.data.result import DepthResult
+    from lfgpu.data.result import DepthResult, DisparityMap
+    from lfgpu.data.views_result import ViewsResult
 
-_WIDE, _TALL = 640, 420  # pixels of a picture
+_WIDE = 640  # pixels: the width of an EPI
 
 
 def light_field_html(lf: LightField) -> str:
-    """The reference view with the EPIs through its middle, and a table of facts."""
+    """The reference view, the EPIs through its middle, and a table of facts."""
     height, width = lf.size
-    picture = frames.view_with_epis(lf, lf.reference_index, width // 2, height // 2, None, wide=_WIDE, tall=_TALL)
+    x, y = width // 2, height // 2
+    cards = [view_card("Reference view", rgb(lf.views[lf.reference_index], lf.scale))]
+    if len(lf.row()) > 1:
+        cards.append(drawn_card(f"EPI of row {y}", epi_of_row(lf, x, y, None, wide=_WIDE)))
+    if len(lf.column()) > 1:
+        cards.append(drawn_card(f"EPI of column {x}", epi_of_column(lf, x, y, None, wide=_WIDE)))
     u, v = lf.positions[lf.reference_index]
     grid = "not in a grid" if lf.grid_shape is None else f"in a grid of {lf.grid_shape[0]} × {lf.grid_shape[1]}"
     truth = "none" if lf.truth is None else "known" if lf.reference_truth() is not None else "of another view"
@@ -34,41 +40,52 @@ def light_field_html(lf: LightField) -> str:
         ("ground truth", truth),
         *(("note", note) for note in lf.notes),
     ]
-    return _page(lf.name, [picture], rows)
+    return notebook_page(lf.name, cards, rows)
 
 
 def result_html(result: DepthResult) -> str:
-    """Disparity and confidence with their scales, and a table of facts."""
-    pictures = [
-        frames.map_picture(frames.Shown(values, kind), kind, limits, wide=_WIDE, tall=_TALL)
-        for kind, values, limits in (
-            ("disparity", result.disparity, scale_limits(result.disparity)),
-            ("confidence", result.confidence, (0.0, 1.0)),
-        )
-    ]
-    height, width = result.disparity.shape
-    known = result.disparity[np.isfinite(result.disparity)]
-    extent = f"{known.min():.3f} to {known.max():.3f} px per view step, larger is nearer" if known.size else "undefined"
+    """Disparity, confidence and uncertainty with their scales, and a table of facts."""
     rows = [
-        ("size", f"{width} × {height} px"),
-        ("disparity", extent),
+        *_facts(result.map),
         ("computed by", f"{result.config.method}, {result.backend} on {result.device}"),
         ("time", f"{result.timings.get('total', float('nan')):.2f} s"),
         ("status", result.status),
+        *(("note", note) for note in result.notes),
         *(("cameras", sentence) for sentence in result.remarks),
     ]
-    return _page(result.name, pictures, rows)
+    return notebook_page(result.name, _cards(result.map), rows)
 
 
-def _page(title: str, pictures: Iterable[frames.Picture], rows: Iterable[tuple[str, str]]) -> str:
-    images = "".join(
-        f'<img style="max-width:100%;margin:0 8px 8px 0;background:#fff" alt="" '
-        f'src="data:image/png;base64,{base64.b64encode(frames.encoded(picture)).decode()}">'
-        for picture in pictures
-    )
-    lines = "".join(
-        f'<tr><td style="text-align:left;opacity:.7">{escape(label)}</td>'
-        f'<td style="text-align:left">{escape(text)}</td></tr>'
-        for label, text in rows
-    )
-    return f"<div><b>{escape(title)}</b><br>{images}<table>{lines}</table></div>"
+def map_html(map_: DisparityMap) -> str:
+    """The map of a view, with what is known of it."""
+    return notebook_page(map_.name, _cards(map_), _facts(map_))
+
+
+def views_html(result: ViewsResult) -> str:
+    """The map of the reference view, as one of all views."""
+    map_ = result.map(result.keys[0])
+    rows = [("maps", f"of {len(result.disparities)} views; shown is that of the reference"), *_facts(map_)]
+    return notebook_page(map_.name, _cards(map_), rows)
+
+
+def _cards(map_: DisparityMap) -> list[Card]:
+    known = np.isfinite(map_.disparity)
+    cards = [map_card("Disparity", map_.disparity, "disparity")]
+    if map_.confidence is not None:
+        cards.append(map_card("Confidence", np.where(known, map_.confidence, np.float32(np.nan)), "confidence"))
+    if map_.uncertainty is not None:
+        cards.append(map_card("Uncertainty", map_.uncertainty, "uncertainty"))
+    return cards
+
+
+def _facts(map_: DisparityMap) -> list[tuple[str, str]]:
+    height, width = map_.disparity.shape
+    found = map_.disparity[np.isfinite(map_.disparity)]
+    extent = f"{found.min():.3f} to {found.max():.3f} px per view step, larger is nearer" if found.size else "undefined"
+    return [("size", f"{width} × {height} px"), ("disparity", extent)]
+
+
+def notebook_page(title: str, cards: Sequence[Card], rows: Sequence[tuple[str, str]]) -> str:
+    """Cards and a table of facts as HTML for a notebook."""
+    # Gradients have names, which all outputs of a notebook share.
+    return rendered("notebook.html", title=title, cards=cards, facts=rows, id=f"lfgpu-{secrets.token_hex(4)}-")

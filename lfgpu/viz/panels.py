@@ -24,7 +24,7 @@ _WIDE, _TALL = 960, 620  # pixels: the largest panel
 _GAP = 8
 _EPI = 120  # pixels, roughly: the height of an EPI
 _PAPER, _INK, _MUTED = (255, 255, 255), (33, 37, 41), (134, 142, 150)
-_UNDEFINED = (158, 158, 158)
+UNDEFINED = (158, 158, 158)
 _CURSOR, SLOPE = (255, 255, 255), (255, 64, 129)
 _BAR, _LABELS = 22, 96
 _TEXT = 18
@@ -43,6 +43,9 @@ LOOKS = {
     "depth": Look("viridis_r", "depth, m"),
     "confidence": Look("cividis", "confidence (larger is surer)"),
     "error": Look("RdBu_r", "error, px per view step (red: too near, blue: too far)"),
+    "uncertainty": Look("magma", "expected error, px per view step (standard deviation)"),
+    "unexplained": Look("magma", "difference between views, share of full intensity (rms)"),
+    "predicted": Look("viridis", "predicted views: PSNR, dB (larger is better)"),
 }
 
 
@@ -176,7 +179,7 @@ def colour(values: NDArray[np.float32], colours: str, limits: tuple[float, float
     defined = np.isfinite(values)
     places = np.clip((np.where(defined, values, low) - low) * (255 / max(high - low, 1e-12)) + 0.5, 0, 255)
     picture = table[places.astype(np.uint8)]
-    picture[~defined] = _UNDEFINED
+    picture[~defined] = UNDEFINED
     return picture
 
 

@@ -17,19 +17,29 @@ from lfgpu.viz.splines import CUBIC, LINEAR, colours, shifted, spline, valid_at
 _HIDDEN = 0.6  # pixels in the farthest view: a surface hides only points that are farther by more
 _UNLIKE = 0.05  # intensity: scale of the robust weight of colour differences
 _LARGEST = 1e4  # px per view step
+_SAME_CAMERA = 1e-6  # view steps
 
 
 def refocus(
-    lf: LightField, disparity: float, *, step: int = 1, most_views: int | None = None, order: int = CUBIC
+    lf: LightField,
+    disparity: float,
+    *,
+    aperture: float | None = None,
+    step: int = 1,
+    most_views: int | None = None,
+    order: int = CUBIC,
 ) -> Float32Array:
     """Refocus on one disparity by shift and add: the image of a lens as wide as the camera array.
 
     Parameters
     ----------
     lf
-        The light field. `lf.subset` gives a smaller lens.
+        The light field.
     disparity
         The disparity that is in focus, pixels per view step, within ±10000.
+    aperture
+        Radius of the lens, view steps, >= 0: views whose cameras are farther from the reference camera are left out.
+        Default None: all views.
     step
         Only every `step`-th pixel of each row and column is computed, >= 1, for previews. Default 1.
     most_views
@@ -55,7 +65,7 @@ def refocus(
     _check_preview(step, most_views, order)
     height, width = (len(range(0, side, step)) for side in lf.size)
     total, count = np.zeros((height, width, lf.channels), np.float32), np.zeros((height, width), np.float32)
-    for n in _spread(lf, most_views):
+    for n in spread(lf, most_views, within(lf, aperture)):
         move = tuple(-disparity * lf.offsets[n, axis] for axis in (1, 0))
         picture = lf.views[n] if order == LINEAR else np.moveaxis(spline(lf.image(n)), 0, 2)
         where, colour = shifted(picture, move, step, order)
@@ -122,7 +132,7 @@ def all_in_focus(
     kernels = load(backend)
     place = pick_device(kernels, device)
     disparity = np.where(np.isfinite(result.disparity), result.disparity, 0).astype(np.float32)
-    chosen = _spread(lf, most_views)
+    chosen = spread(lf, most_views)
     with kernels.asking(place):
         visible = kernels.zeros((len(chosen), *lf.size), place)
         kernels.visible(
@@ -154,12 +164,22 @@ def all_in_focus(
     return np.clip(total / np.maximum(weights, 1e-12)[..., None], 0, 1).astype(np.float32)
 
 
-def _spread(lf: LightField, most: int | None) -> NDArray[np.intp]:
+def within(lf: LightField, aperture: float | None) -> NDArray[np.intp]:
+    """Indices of the views of a lens of a radius in view steps, None for all; the reference is one."""
+    if aperture is None:
+        return np.arange(len(lf.views))
+    if not aperture >= 0:
+        raise LightFieldError(f"aperture must be a number of view steps from 0 on, not {aperture}.")
+    return np.flatnonzero(np.hypot(*lf.offsets.T) <= aperture + _SAME_CAMERA)
+
+
+def spread(lf: LightField, most: int | None, among: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
     """Indices of at most so many views, spread evenly over the order in which they are stored; the reference is one."""
-    count = len(lf.views)
-    if most is None or count <= most:
-        return np.arange(count)
-    return np.unique(np.append(np.linspace(0, count - 1, most - 1).round().astype(np.intp), lf.reference_index))
+    among = np.arange(len(lf.views)) if among is None else among
+    if most is None or len(among) <= most:
+        return among
+    chosen = among[np.linspace(0, len(among) - 1, most - 1).round().astype(np.intp)]
+    return np.unique(np.append(chosen, lf.reference_index))
 
 
 def _check_preview(step: int, most_views: int | None, order: int) -> None:

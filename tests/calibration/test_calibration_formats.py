@@ -4,77 +4,30 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lfgpu.calibration import Camera, read_calibration, write_cameras
+from lfgpu.calibration import Camera, read_calibration
 from lfgpu.calibration.cameras import turned
-from lfgpu.calibration.rig import matched
+from lfgpu.calibration.rig import fit_rig, matched
 from lfgpu.errors import LightFieldError
-
-LENS = (-0.2, 0.05, 0.001, -0.002)
-
-
-def rig(*, lens: tuple[float, ...] = LENS, model: str = "pinhole", alike: bool = False) -> list[Camera]:
-    """Four cameras that look about the same way; `alike` have square pixels and their axes in the middle."""
-    rng = np.random.default_rng(5)
-    cameras = []
-    for n in range(4):
-        rotation = turned(rng.normal(0, 0.05, 3))
-        centre = np.array([0.1 * n, 0.02 * (n % 2), 0.0]) + rng.normal(0, 1e-3, 3)
-        focal = (500.0, 500.0) if alike else (500.0 + n, 505.0 - n)
-        principal = ((640 - 1) / 2, (480 - 1) / 2) if alike else (320.3 + n, 238.8)
-        cameras.append(
-            Camera((480, 640), focal, principal, lens, model, rotation, -rotation @ centre, name=f"shot_{n}.png")
-        )
-    return cameras
+from lfgpu.printable import printable
+from tests.calibration.rigs import (
+    WRITERS,
+    Write,
+    as_colmap_binary,
+    as_colmap_text,
+    as_kalibr,
+    as_llff,
+    quaternion,
+    rig,
+)
 
 
-def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """(w, x, y, z) of a rotation by less than a half turn."""
-    w = np.sqrt(1 + np.trace(rotation)) / 2
-    odd = rotation - rotation.T
-    return np.array([w, odd[2, 1] / (4 * w), odd[0, 2] / (4 * w), odd[1, 0] / (4 * w)])
-
-
-def as_opencv(cameras: list[Camera], folder: Path) -> Path:
-    text = ["%YAML:1.0", "---", "cameras:"]
-    for camera in cameras:
-        text += [f"  - name: {camera.name}", "    image_width: 640", "    image_height: 480"]
-        for key, matrix in (
-            ("camera_matrix", camera.matrix),
-            ("distortion_coefficients", np.array([camera.distortion])),
-            ("R", np.asarray(camera.rotation)),
-            ("T", np.asarray(camera.translation)[:, None]),
-        ):
-            text += [f"    {key}: !!opencv-matrix", f"      rows: {len(matrix)}", f"      cols: {matrix.shape[1]}"]
-            text += ["      dt: d", f"      data: {[float(value) for value in matrix.ravel()]}"]
-        text += ["    fisheye: 1"] if camera.model == "fisheye" else []
-    (folder / "rig.yaml").write_text("\n".join(text) + "\n")
-    return folder / "rig.yaml"
-
-
-def as_opencv_json(cameras: list[Camera], folder: Path) -> Path:
-    entries = {
-        camera.name: {
-            "K": camera.matrix.tolist(),
-            "D": list(camera.distortion),
-            "R": np.asarray(camera.rotation).tolist(),
-            "t": np.asarray(camera.translation).tolist(),
-            "image_size": [640, 480],
-            "fisheye": camera.model == "fisheye",
-        }
-        for camera in cameras
-    }
-    (folder / "rig.json").write_text(json.dumps(entries))
-    return folder / "rig.json"
-
-
-def as_multiview(cameras: list[Camera], folder: Path) -> Path:
+def as_multiview_of_opencv(cameras: list[Camera], folder: Path) -> Path:
     """What OpenCV's multiview_calibration.py writes, by OpenCV itself."""
     cv2 = pytest.importorskip("cv2")
     storage = cv2.FileStorage(str(folder / "multi.yaml"), cv2.FILE_STORAGE_WRITE)
@@ -89,106 +42,9 @@ def as_multiview(cameras: list[Camera], folder: Path) -> Path:
     return folder / "multi.yaml"
 
 
-def as_kalibr(cameras: list[Camera], folder: Path) -> Path:
-    lines, before = [], np.eye(4)
-    for n, camera in enumerate(cameras):
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = camera.rotation, camera.translation
-        (fx, fy), (cx, cy) = camera.focal_length, camera.principal_point
-        lines += [
-            f"cam{n}:",
-            "  camera_model: pinhole",
-            f"  intrinsics: {[fx, fy, cx, cy]}",
-            f"  distortion_model: {'equidistant' if camera.model == 'fisheye' else 'radtan'}",
-            f"  distortion_coeffs: {list(camera.distortion)}",
-            "  resolution: [640, 480]",
-        ]
-        if n:
-            lines += [f"  T_cn_cnm1: {(pose @ np.linalg.inv(before)).tolist()}"]
-        before = pose
-    (folder / "camchain.yaml").write_text("\n".join(lines) + "\n")
-    return folder / "camchain.yaml"
-
-
-def colmap_values(camera: Camera) -> tuple[str, int, list[float]]:
-    (fx, fy), (cx, cy) = camera.focal_length, camera.principal_point
-    name, number = ("OPENCV_FISHEYE", 5) if camera.model == "fisheye" else ("OPENCV", 4)
-    return name, number, [fx, fy, cx + 0.5, cy + 0.5, *camera.distortion]
-
-
-def as_colmap_text(cameras: list[Camera], folder: Path) -> Path:
-    lenses, poses = ["# Camera list"], ["# Image list"]
-    for n, camera in enumerate(cameras):
-        name, _, values = colmap_values(camera)
-        lenses.append(f"{n + 1} {name} 640 480 {' '.join(map(repr, values))}")
-        numbers = [*quaternion(np.asarray(camera.rotation)), *np.asarray(camera.translation)]
-        poses += [f"{n + 7} {' '.join(repr(float(v)) for v in numbers)} {n + 1} {camera.name}", "1.0 2.0 -1"]
-    (folder / "cameras.txt").write_text("\n".join(lenses) + "\n")
-    (folder / "images.txt").write_text("\n".join(poses) + "\n")
-    return folder
-
-
-def as_colmap_binary(cameras: list[Camera], folder: Path) -> Path:
-    lenses, poses = [struct.pack("<Q", len(cameras))], [struct.pack("<Q", len(cameras))]
-    for n, camera in enumerate(cameras):
-        _, number, values = colmap_values(camera)
-        lenses.append(struct.pack(f"<iiQQ{len(values)}d", n + 1, number, 640, 480, *values))
-        numbers = [*quaternion(np.asarray(camera.rotation)), *np.asarray(camera.translation)]
-        poses.append(struct.pack("<I7dI", n + 7, *numbers, n + 1) + camera.name.encode() + b"\0")
-        poses.append(struct.pack("<Qddq", 1, 1.0, 2.0, -1))
-    (folder / "cameras.bin").write_bytes(b"".join(lenses))
-    (folder / "images.bin").write_bytes(b"".join(poses))
-    return folder
-
-
-def as_nerfstudio(cameras: list[Camera], folder: Path) -> Path:
-    frames = []
-    for camera in cameras:
-        pose = np.eye(4)
-        pose[:3, :3] = np.asarray(camera.rotation).T * (1, -1, -1)
-        pose[:3, 3] = camera.centre
-        (fx, fy), (cx, cy) = camera.focal_length, camera.principal_point
-        names = ("k1", "k2", "k3", "k4") if camera.model == "fisheye" else ("k1", "k2", "p1", "p2")
-        lens = dict(zip(names, camera.distortion, strict=False))
-        frames.append(
-            {"file_path": f"images/{camera.name}", "transform_matrix": pose.tolist(), "fl_x": fx, "fl_y": fy}
-            | {"cx": cx + 0.5, "cy": cy + 0.5, **lens}
-        )
-    model = "OPENCV_FISHEYE" if cameras[0].model == "fisheye" else "OPENCV"
-    (folder / "transforms.json").write_text(json.dumps({"w": 640, "h": 480, "camera_model": model, "frames": frames}))
-    return folder / "transforms.json"
-
-
-def as_llff(cameras: list[Camera], folder: Path) -> Path:
-    rows = []
-    for camera in cameras:
-        right, down, forward = np.asarray(camera.rotation)
-        pose = np.stack([down, right, -forward, camera.centre, np.array([480, 640, camera.focal_length[0]])], axis=1)
-        rows.append([*pose.ravel(), 2.0, 9.0])
-    np.save(folder / "poses_bounds.npy", np.array(rows))
-    return folder / "poses_bounds.npy"
-
-
-def as_toml(cameras: list[Camera], folder: Path) -> Path:
-    write_cameras(cameras, folder / "cameras.toml")
-    return folder / "cameras.toml"
-
-
-WRITERS = [
-    as_toml,
-    as_opencv,
-    as_opencv_json,
-    as_multiview,
-    as_kalibr,
-    as_colmap_text,
-    as_colmap_binary,
-    as_nerfstudio,
-]
-
-
 @pytest.mark.parametrize("model", ["pinhole", "fisheye"])
-@pytest.mark.parametrize("write", WRITERS)
-def test_rays_come_back(write: Callable[[list[Camera], Path], Path], model: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("write", [*(w for w in WRITERS.values() if w is not as_llff), as_multiview_of_opencv])
+def test_rays_come_back(write: Write, model: str, tmp_path: Path) -> None:
     cameras = rig(model=model)
     _same(cameras, read_calibration(write(cameras, tmp_path)).cameras, of_first=write is as_kalibr)
 
@@ -307,3 +163,153 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(LightFieldError, match="left: the rotation mirrors"):
         read_calibration(tmp_path / "m.json")
+
+
+def refused(path: Path) -> str:
+    """The sentence with which a calibration is refused; it names the file."""
+    with pytest.raises(LightFieldError) as error:
+        read_calibration(path)
+    text = str(error.value)
+    assert path.name in text
+    assert text.endswith(".")
+    assert printable(text) == text
+    return text
+
+
+LAUGHS = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9) if n else '1'}]\n" for n in range(12))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (LAUGHS + "left: {K: *a11, image_size: [4, 4]}", "unfold to more than any calibration has"),
+        ("left: &a [*a]", "an alias of something that it is in"),
+        ("[" * 5000, "not valid YAML"),
+        ("left: {K: 2001-01-01, image_size: [4, 4]}", "numbers were expected, found datetime"),
+        ("left: {K: !!opencv-matrix {rows: 3}, image_size: [4, 4]}", "a matrix without data"),
+        ("left: {K: !!opencv-matrix {rows: 99999999, cols: 9, data: [1]}, image_size: [4, 4]}", "99999999 x 9"),
+        ("left: {K: [1, 2], image_size: [4, 4]}", "9 numbers were expected, found 2"),
+        ("left: {K: [" + "1" * 400 + ", 0, 0, 0, 0, 0, 0, 0, 0], image_size: [4, 4]}", "numbers were expected, found"),
+        ("left: !!python/object/apply:os.getcwd []", "not valid YAML"),
+        ("Ks: []\nRs: []", "there are none"),
+        ("Ks: 5", "9 numbers were expected, found 1"),
+        ("cam0: {camera_model: pinhole, distortion_model: radtan, intrinsics: [1, 1, 1e300, 1]}", "numbers up to"),
+        ("cam0: {camera_model: pinhole, distortion_model: [], intrinsics: []}", "wrong entries"),
+    ],
+)
+def test_yaml_that_is_no_calibration(tmp_path: Path, content: str, words: str) -> None:
+    (tmp_path / "rig.yaml").write_text(content)
+    assert words in refused(tmp_path / "rig.yaml")
+
+
+def test_numbers_of_yaml_without_a_point(tmp_path: Path) -> None:
+    (tmp_path / "rig.yaml").write_text(
+        "left: {K: [1e1, 0, 2, 0, 10, 2, 0, 0, 1], D: [1e-5, 0, 0, 0], image_size: [4, 4]}"
+    )
+    camera = read_calibration(tmp_path / "rig.yaml").cameras[0]
+    assert (camera.focal_length, camera.distortion[0]) == ((10.0, 10.0), 1e-5)
+
+
+def test_aliases_of_yaml_that_stay_small_are_read(tmp_path: Path) -> None:
+    """As programs write them that use one list twice."""
+    path = as_kalibr(rig(), tmp_path)
+    text = path.read_text().replace("resolution: [640, 480]", "resolution: &size [640, 480]", 1)
+    path.write_text(text.replace("resolution: [640, 480]", "resolution: *size"))
+    assert "*size" in path.read_text()
+    assert [camera.size for camera in read_calibration(path).cameras] == [(480, 640)] * 4
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("[" * 100_000, "not valid JSON"),
+        ('{"frames": [{"w": 1e999, "h": 4}]}', "numbers up to 1e+12 were expected, found inf"),
+        ('{"frames": [{"w": 4, "h": 4, "camera_angle_x": 0}]}', "angle between 0 and pi"),
+        ('{"frames": [{"w": 4, "h": 4, "fl_x": 4, "transform_matrix": [[1, 0, 0, 0]]}]}', "3 or 4 rows"),
+        ('{"frames": []}', "has no cameras"),
+        ('{"frames": 5}', "no transforms.json"),
+        (
+            '{"left": {"K": {"type_id": "opencv-matrix", "rows": -1, "cols": 3, "data": []}, "image_size": [4, 4]}}',
+            "-1",
+        ),
+        ('{"left": {"K": [[5, 0, 2], [0, 5, 2], [0, 0, 1]], "image_size": [1e9, 4]}}', "no camera has pictures of"),
+    ],
+)
+def test_json_that_is_no_calibration(tmp_path: Path, content: str, words: str) -> None:
+    (tmp_path / "rig.json").write_text(content)
+    assert words in refused(tmp_path / "rig.json")
+
+
+def test_arrays_that_are_no_poses(tmp_path: Path) -> None:
+    path = tmp_path / "poses_bounds.npy"
+    for rows, words in (
+        (np.zeros((0, 17)), "found shape (0, 17)"),
+        (np.full((2, 17), np.nan), "found nan"),
+        (np.full((2, 17), 1e300), "found 1e+300"),
+        (np.full((2, 17), "x"), "numbers were expected"),
+        (np.zeros((2, 17)), "positive"),
+    ):
+        np.save(path, rows)
+        assert words in refused(path)
+    np.save(path, np.array([{}] * 17, object), allow_pickle=True)
+    assert "Python objects" in refused(path)
+    header = np.lib.format.header_data_from_array_1_0(np.zeros(1)) | {"shape": (1 << 31, 17)}
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+    assert "cannot hold" in refused(path)
+
+
+def test_models_of_colmap_that_are_damaged(tmp_path: Path) -> None:
+    as_colmap_binary(rig(), tmp_path)
+    whole = (tmp_path / "images.bin").read_bytes()
+    (tmp_path / "images.bin").write_bytes(whole[:-1])
+    assert "it ends too early" in refused(tmp_path)
+    (tmp_path / "images.bin").write_bytes(whole[:12] + bytes(32) + whole[44:])
+    assert "the quaternion of no rotation" in refused(tmp_path)
+    (tmp_path / "images.bin").write_bytes(whole[:68] + b"\xff" + whole[69:])
+    assert "which is not among the cameras" in refused(tmp_path)
+    with (tmp_path / "images.bin").open("wb") as file:  # a name without an end
+        file.write(whole[:72])
+        file.truncate(1 << 33)
+        file.seek(72)
+        file.write(b"a" * 10_000)
+    assert "does not end" in refused(tmp_path)
+    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 0))
+    assert "has no cameras" in refused(tmp_path)
+
+
+def test_rigs_of_colmap_that_are_damaged(tmp_path: Path) -> None:
+    as_colmap_binary(rig(), tmp_path)
+    head, still = struct.pack("<QIIiI", 1, 1, 2, 0, 1), struct.pack("<4d3d", 1, 0, 0, 0, 1, 0, 0)
+    for data, words in (
+        (struct.pack("<Q", 1 << 60), "it ends too early"),
+        (struct.pack("<QII", 1, 1, 1 << 31), "it ends too early"),
+        (head + struct.pack("<iIB", 0, 2, 1) + still[:-1], "it ends too early"),
+        (head + struct.pack("<iIB", 0, 77, 1) + still, "the rig names camera 77, which is not among the cameras"),
+        (head + struct.pack("<iIB", 0, 2, 1) + bytes(56), "the quaternion of no rotation"),
+    ):
+        (tmp_path / "rigs.bin").write_bytes(data)
+        assert words in refused(tmp_path)
+    (tmp_path / "rigs.bin").unlink()
+    for text, words in (
+        ("1 2 CAMERA 1 CAMERA 2 1 1 0 0", "4 numbers were expected, found 3"),
+        ("1 2 CAMERA 1 CAMERA 2", "damaged rig"),
+        ("1 2 CAMERA 1 CAMERA 2 1 1 0 0 0 nan 0 0", "found nan"),
+    ):
+        (tmp_path / "rigs.txt").write_text(text)
+        assert words in refused(tmp_path)
+
+
+def test_a_lens_that_cannot_be_undone_and_depths_that_are_none(tmp_path: Path) -> None:
+    cameras = rig(lens=(0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0))  # its picture ends half a focal length from the middle
+    assert np.isnan(cameras[0].rays((0.0, 0.0))[:2]).all()
+    assert np.isfinite(cameras[0].rays((310.0, 240.0))).all()
+    wild = [replace(camera, principal_point=(9e4, 9e4)) for camera in cameras]
+    with pytest.raises(LightFieldError, match="its distortion cannot be undone"):
+        fit_rig(wild)
+    with pytest.raises(LightFieldError, match="0 < near < far"):
+        fit_rig(rig(), depths=(0.0, 1.0))
+    same = [replace(camera, translation=np.asarray(rig()[n // 2 * 3].translation)) for n, camera in enumerate(rig())]
+    straight = [replace(camera, rotation=np.eye(3), name=f"{n}") for n, camera in enumerate(same)]
+    with pytest.raises(LightFieldError, match="stand where others do"):
+        fit_rig(straight)

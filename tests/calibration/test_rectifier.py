@@ -21,6 +21,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map
 from lfgpu.pipelines.rectifier import Rectifier
+from lfgpu.pipelines.sources import Options, open_source, recorded
 
 RANGE = (-2.0, 2.0)
 WRONG = Misalignment(shift=2, roll=0.5, scale=0.01, distortion=0.2, gain=0.1, vignetting=0.1)
@@ -149,6 +150,36 @@ def test_wrong_pictures_and_rectifiers_are_refused(tmp_path: Path) -> None:
         stream.set_tones(rectifier().tones)
 
 
+def test_sources_of_raw_pictures(tmp_path: Path) -> None:
+    """Folders of pictures, one of each camera, and frames that were kept, in which a camera may be missing."""
+    for frame, count in enumerate((9, 9, 8)):
+        folder = tmp_path / "frames" / f"frame_{frame}"
+        folder.mkdir(parents=True)
+        for n, view in enumerate(raw().views[:count]):
+            Image.fromarray(view).save(folder / f"camera_{n}.png")
+    opened = open_source(str(tmp_path / "frames"), Options(rectifier=rectifier()))
+    np.testing.assert_array_equal(opened.first.positions, rectifier().positions)
+    np.testing.assert_array_equal(opened.first.views, raw().views)
+    next(opened.frames)
+    np.testing.assert_array_equal(next(opened.frames).views, raw().views)
+    with pytest.raises(LightFieldError, match=r"frame_2 holds 8 pictures, but .* has 9 cameras"):
+        next(opened.frames)
+    there = np.arange(9) != 7
+    list(recorded(iter([raw().views, (raw().views, there)]), opened.first, tmp_path / "kept"))
+    again = open_source(str(tmp_path / "kept"), Options(rectifier=rectifier()))
+    np.testing.assert_array_equal(again.first.views, raw().views)
+    _, (views, valid) = again.frames
+    np.testing.assert_array_equal(valid, there)
+    np.testing.assert_array_equal(views[there], raw().views[there])
+
+
+def test_tones_of_a_closed_stream() -> None:
+    """A watch may still look when a stream ends and its memory is returned."""
+    stream = lfgpu.DepthStream(raw(), rectifier=rectifier(), config="fast", disparity_range=RANGE, device="cpu")
+    stream.close()
+    stream.set_tones(rectifier().tones)
+
+
 def test_live_takes_raw_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_rectified(rectified(), tmp_path / "rig")
     for frame in range(2):
@@ -176,3 +207,6 @@ def test_live_takes_raw_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     outcome = CliRunner().invoke(app, ["live", "frames", "--rectify", "frames", "--device=cpu"])
     assert outcome.exit_code == 1
     assert "rectified.npz" in outcome.output
+    outcome = CliRunner().invoke(app, ["live", "frames", "--rectify", "rig", "--like", "rig", "--device=cpu"])
+    assert outcome.exit_code == 2
+    assert "--like" in outcome.output

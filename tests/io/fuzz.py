@@ -1,18 +1,19 @@
 """Damaged files of every format, thousands of them: each is read, or refused with one sentence.
 
-    python -m tests.io.fuzz --examples 30000 [--seed 1] [--format npy] [--jobs 2]
+    python -m tests.io.fuzz --examples 30000 --seed 1 [--processes 2] [--summary counts.json]
 
-Each example takes a small light field in one format, or what lfgpu writes (maps, results, the manifest of a batch),
-damages some of its files and reads it. Damage is blind (cut short, bytes changed, sizes blown up, parts of other files
-put in, files lost, doubled, renamed, linked in circles) or knows the format (`mutations.py`). Anything but what was to
-be read or a LightFieldError of one printable line is a failure, as are more memory than `MEMORY`, more than `SECONDS`
-and a crash: examples run in processes of their own, whose address space is limited. Everything happens in a temporary
-folder, many folders deep, so that no link and no "../.." leads out of it.
+Each example takes something that is read (`targets.py`: a small light field in one format, a raw capture, what lfgpu
+writes, calibrated cameras), damages some of its files and reads it. Damage is blind (cut short, bytes changed, sizes
+blown up, parts of other files put in, files lost, doubled, renamed, linked in circles) or knows the format
+(`mutations.py`). Anything but what was to be read or a LightFieldError of one printable line is a failure, as are more
+memory than `MEMORY`, more than `SECONDS` and a crash: examples run in processes of their own, whose address space is
+limited. Everything happens in a temporary folder, many folders deep, so that no link and no "../.." leads out of it.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import multiprocessing
 import os
 import resource
@@ -20,29 +21,31 @@ import shutil
 import signal
 import sys
 import tempfile
+import time
 import traceback
 import warnings
-from collections import Counter
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from multiprocessing.connection import wait
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
-from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io import read
 from lfgpu.printable import printable
 from tests.io import mutations
-from tests.io.fields import SAMPLES, scene
-from tests.io.outputs import OUTPUTS
+from tests.io.targets import TARGETS
 
 MEMORY = 256 << 20  # bytes on top of what Python and the libraries take; the samples are far below a megabyte
 SPACE = 2 << 30  # of addresses: an allocation beyond it fails rather than being found out later
-SECONDS = 20
+SECONDS, WAITING = 20, 120  # of work; and on the clock, where others may be at work, too
 BATCH = 100  # examples for each process
-TARGETS = sorted({*SAMPLES, *OUTPUTS})
+PATIENCE = 900  # seconds for each process
+_TIMERS = ((signal.ITIMER_PROF, signal.SIGPROF, SECONDS), (signal.ITIMER_REAL, signal.SIGALRM, WAITING))
 _DEEP = "a/b/c/d/e/f/g/h"  # more folders than any name in `_WORDS` leads up
 _KNOWING = 0.5  # share of the damage that knows the format
 _LONGEST = 1200  # characters of a sentence
@@ -59,10 +62,20 @@ class Tally:
     refused: int = 0
     failures: list[str] = field(default_factory=list)
     most_memory: int = 0
+    inputs: Counter[str] = field(default_factory=Counter)
+    """Of each kind of file."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Kinds of files that cannot be tried here, and why."""
 
     @property
     def tried(self) -> int:
-        return self.read + self.refused + len(self.failures)
+        return sum(self.inputs.values())
+
+    def summary(self) -> dict[str, Any]:
+        """All of it, for JSON."""
+        counts = {"inputs": self.tried, "read": self.read, "refused": self.refused, "failures": len(self.failures)}
+        each = {"inputs_of_each": dict(sorted(self.inputs.items())), "left_out": self.left_out}
+        return {**counts, "most_memory_mib": self.most_memory >> 20, **each, "what_failed": self.failures}
 
 
 # --- damage ---
@@ -198,12 +211,13 @@ def one(name: str, source: Path, seed: int) -> str:
         else:
             shutil.copy(source, place)
         damage(place, rng)
-        signal.signal(signal.SIGALRM, _too_long)
-        signal.alarm(SECONDS)
+        for timer, sign, seconds in _TIMERS:
+            signal.signal(sign, _too_long)
+            signal.setitimer(timer, seconds)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error", RuntimeWarning)
-                found = OUTPUTS[name].read(place) if name in OUTPUTS else _light_field(name, place, rng)
+                found = TARGETS[name].read(place, rng)
         except LightFieldError as error:
             text = str(error)
             if printable(text) != text or not text.endswith(".") or len(text) > _LONGEST:
@@ -217,91 +231,119 @@ def one(name: str, source: Path, seed: int) -> str:
                 return "views that are not finite"
             result = "read"
         finally:
-            signal.alarm(0)
+            for timer, _, _ in _TIMERS:
+                signal.setitimer(timer, 0)
         return result
 
 
-def _light_field(name: str, place: Path, rng: np.random.Generator) -> LightField:
-    sample = SAMPLES[name]
-    options = dict(sample.options) if rng.random() < 0.8 else {}
-    told = sample.format if rng.random() < 0.7 or options else None
-    return read(place, format=told, allow_missing=bool(rng.random() < 0.5), **options)
-
-
 def _too_long(*_: object) -> None:
-    raise TimeoutError(f"more than {SECONDS} seconds")
+    raise TimeoutError(f"more than {SECONDS} seconds of work, or {WAITING} on the clock")
 
 
-def _batch(names: list[str], sources: dict[str, Path], seeds: range, log: Path) -> None:
+def _batch(names: list[str], sources: dict[str, Path], seeds: range, log: Path, core: int) -> None:
+    os.sched_setaffinity(0, {core})  # one thread each, of ffmpeg as well: addresses do not depend on the machine
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + SPACE, used + SPACE))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with log.open("a", buffering=1) as file, Path(os.devnull).open("w") as nowhere:
+    with threadpool_limits(1), log.open("a") as file, Path(os.devnull).open("w") as nowhere:
         os.dup2(nowhere.fileno(), 2)
         for seed in seeds:
             name = names[seed % len(names)]
             file.write(f"{seed}\t{name}\t")
+            file.flush()  # before a crash
             file.write(repr(one(name, sources[name], seed)) + "\n")
         file.write(f"memory\t\t{1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)}\n")
+
+
+@dataclass
+class _Running:
+    """A process that tries a batch."""
+
+    process: multiprocessing.process.BaseProcess
+    seeds: range
+    log: Path
+    core: int
+    until: float = field(default_factory=lambda: time.monotonic() + PATIENCE)
 
 
 def run(
     examples: int,
     seed: int = 0,
-    names: list[str] | None = None,
-    jobs: int = 1,
+    names: Sequence[str] | None = None,
+    processes: int = 1,
     show: Callable[[Tally], None] = lambda tally: None,
 ) -> Tally:
-    """Try so many examples, from a seed on, and count what became of them; `show` sees the count now and then."""
-    chosen = sorted(names or TARGETS)
+    """Try so many examples, from a seed on, and count what became of them; `show` sees the count now and then.
+
+    What an example is depends on its seed and the names, not on the number of processes. Kinds of files whose
+    libraries are missing are left out, and counted as such.
+    """
     tally = Tally()
     fork = multiprocessing.get_context("fork")
     with tempfile.TemporaryDirectory() as folder:
         sources = {}
-        for name in chosen:
+        for name in sorted(names or TARGETS):
             place = Path(folder) / name
             place.mkdir()
-            if name in OUTPUTS:
-                sources[name] = OUTPUTS[name].write(place)
-                OUTPUTS[name].read(sources[name])
+            try:  # whole ones first: libraries are loaded before memory is counted
+                source = TARGETS[name].write(place)
+                TARGETS[name].read(source, np.random.default_rng(0))
+            except (ImportError, LightFieldError) as error:
+                if not isinstance(error, ImportError) and "install" not in str(error):
+                    raise
+                tally.left_out[name] = str(error)
                 continue
-            sources[name] = SAMPLES[name].write(scene((3, 3), (36, 34)), place)
-            if SAMPLES[name].options:
-                SAMPLES[name].options["grid"] = (3, 3)
-            read(sources[name], **SAMPLES[name].options)  # libraries are loaded before memory is counted
-        starts = list(range(seed, seed + examples, BATCH))
-        running: list[tuple[multiprocessing.process.BaseProcess, Path]] = []
-        while starts or running:
-            while starts and len(running) < jobs:
-                start = starts.pop(0)
-                log = Path(folder) / f"{start}.log"
-                seeds = range(start, min(start + BATCH, seed + examples))
-                process = fork.Process(target=_batch, args=(chosen, sources, seeds, log))
+            sources[name] = source
+        chosen = list(sources)
+        waiting = deque(
+            range(start, min(start + BATCH, seed + examples)) for start in range(seed, seed + examples, BATCH)
+        )
+        cores = sorted(os.sched_getaffinity(0))
+        free = deque(cores[slot % len(cores)] for slot in range(processes))
+        running: list[_Running] = []
+        while chosen and (waiting or running):
+            while waiting and free:
+                seeds, core = waiting.popleft(), free.popleft()
+                log = Path(folder) / f"{seeds.start}.log"
+                process = fork.Process(target=_batch, args=(chosen, sources, seeds, log, core))
                 process.start()
-                running.append((process, log))
-            process, log = running.pop(0)
-            process.join(60 + 2 * BATCH)
-            if process.is_alive():
-                process.kill()
-                process.join()
-            _count(tally, log, process.exitcode)
-            show(tally)
+                running.append(_Running(process, seeds, log, core))
+            wait([batch.process.sentinel for batch in running], timeout=1)
+            for batch in list(running):
+                if batch.process.is_alive() and time.monotonic() < batch.until:
+                    continue
+                if batch.process.is_alive():
+                    batch.process.kill()
+                batch.process.join()
+                running.remove(batch)
+                free.append(batch.core)
+                tried = _count(tally, batch.log, batch.process.exitcode)
+                if rest := batch.seeds[max(1, tried) :]:  # it ended at an example, or before the first
+                    waiting.appendleft(rest)
+                batch.log.unlink(missing_ok=True)
+                show(tally)
     return tally
 
 
-def _count(tally: Tally, log: Path, exit_code: int | None) -> None:
-    for line in log.read_text().splitlines():
+def _count(tally: Tally, log: Path, exit_code: int | None) -> int:
+    """Count what the log of a batch says; how many examples it is about."""
+    tried = 0
+    for line in log.read_text().splitlines() if log.exists() else []:
         seed, name, result = line.split("\t", 2)
         if seed == "memory":
             tally.most_memory = max(tally.most_memory, int(result))
             if int(result) > MEMORY:
                 tally.failures.append(f"{log.stem} and {BATCH} more: {int(result) >> 20} MiB")
-        elif result == "'read'":
+            continue
+        tried += 1
+        tally.inputs[name] += 1
+        if result == "'read'":
             tally.read += 1
         elif result == "'refused'":
             tally.refused += 1
         else:
             tally.failures.append(f"seed {seed}, {name}: {result or f'the process ended with {exit_code}'}")
+    return tried
 
 
 def _progress(tally: Tally) -> None:
@@ -312,18 +354,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--examples", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--format", action="append", choices=TARGETS)
-    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--format", action="append", choices=sorted(TARGETS))
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--summary", type=Path, help="write what was counted to this file, as JSON")
     arguments = parser.parse_args()
-    tally = run(arguments.examples, arguments.seed, arguments.format, arguments.jobs, show=_progress)
+    began = time.monotonic()
+    tally = run(arguments.examples, arguments.seed, arguments.format, arguments.processes, show=_progress)
     print(file=sys.stderr)
-    for failure, count in Counter(tally.failures).items():
-        print(failure.replace("\\n", "\n"), f"({count} times)" if count > 1 else "")
+    for failure in tally.failures:
+        print(failure.replace("\\n", "\n"))
+    for name, reason in tally.left_out.items():
+        print(f"{name} is left out: {reason}")
     print(
         f"{tally.tried} inputs: {tally.read} read, {tally.refused} refused, {len(tally.failures)} failures; "
         f"at most {tally.most_memory >> 20} MiB"
     )
-    sys.exit(bool(tally.failures))
+    if arguments.summary:
+        given = {key: getattr(arguments, key) for key in ("examples", "seed", "processes")}
+        done = {**given, "seconds": round(time.monotonic() - began, 1), **tally.summary()}
+        arguments.summary.write_text(json.dumps(done, indent=1) + "\n")
+    sys.exit(bool(tally.failures) or tally.tried < arguments.examples)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import io
 import json
 import re
 import struct
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -84,6 +85,85 @@ def png(data: bytes, rng: np.random.Generator) -> bytes:
         struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
         for kind, content in chunks
     )
+
+
+def jpeg(data: bytes, rng: np.random.Generator) -> bytes:
+    """A segment before the pixels changed, lost, doubled, or with a wrong length."""
+    pieces, at = [], 2
+    while data[at + 1] != 0xDA:
+        (length,) = struct.unpack(">H", data[at + 2 : at + 4])
+        pieces.append(data[at : at + 2 + length])
+        at += 2 + length
+    index = int(rng.integers(len(pieces)))
+    match int(rng.integers(4)):
+        case 0:
+            del pieces[index]
+        case 1:
+            pieces.insert(int(rng.integers(len(pieces) + 1)), pieces[index])
+        case 2:
+            pieces[index] = pieces[index][:4] + flipped(pieces[index][4:], rng)
+        case 3:
+            pieces[index] = pieces[index][:2] + struct.pack(">H", pick(rng, EXTREMES) % 0x10000) + pieces[index][4:]
+    return data[:2] + b"".join(pieces) + data[at:]
+
+
+def webp(data: bytes, rng: np.random.Generator) -> bytes:
+    """A chunk of another kind, size or content, or one more before it: an extended header, an animation, a profile."""
+    kind, content = data[12:16], data[20:]
+    side = struct.pack("<I", pick(rng, EXTREMES) % (1 << 32))[:3]
+    more = {
+        b"VP8X": bytes([int(rng.integers(256)), 0, 0, 0]) + side + side,
+        b"ANIM": bytes(6),
+        b"ANMF": bytes(6) + side + side + bytes(4) + data[12:],
+        b"ICCP": b"x" * int(rng.integers(300)),
+    }
+    chunks = [(kind, content)]
+    match int(rng.integers(4)):
+        case 0:
+            chunks[0] = pick(rng, (b"VP8 ", b"VP8L", b"ALPH", b"EXIF")), content
+        case 1:
+            chunks[0] = kind, flipped(content[:20], rng) + content[20:]
+        case _:
+            chosen = pick(rng, list(more))
+            chunks.insert(0, (chosen, more[chosen]))
+    body = b"WEBP" + b"".join(
+        name + struct.pack("<I", len(inside)) + inside + bytes(len(inside) % 2) for name, inside in chunks
+    )
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+def exr(data: bytes, rng: np.random.Generator) -> bytes:
+    """An attribute of the header with another content, size, type or name, or the table of offsets changed."""
+    attributes, at = [], 8
+    while data[at]:
+        name, kind = data[at:].split(b"\0", 2)[:2]
+        start = at + len(name) + len(kind) + 2
+        (length,) = struct.unpack("<I", data[start : start + 4])
+        attributes.append((name, kind, data[start + 4 : start + 4 + length]))
+        at = start + 4 + length
+    index = int(rng.integers(len(attributes)))
+    name, kind, content = attributes[index]
+    match int(rng.integers(6)):
+        case 0:
+            del attributes[index]
+        case 1:
+            attributes.append(attributes[index])
+        case 2:
+            attributes[index] = name, pick(rng, [other for _, other, _ in attributes]), content
+        case 3:
+            attributes[index] = pick(rng, (b"", b"\x1b[2J", b"x" * 300, b"tiles", b"channels")), kind, content
+        case 4:
+            return data[:at] + word(data[at:], rng, "<", 64)
+        case 5:
+            attributes[index] = name, kind, word(content, rng, "<") if len(content) > 2 else flipped(content, rng)
+    head = b"".join(name + b"\0" + kind + b"\0" + struct.pack("<I", len(inside)) + inside
+                    for name, kind, inside in attributes)  # fmt: skip
+    return data[:8] + head + data[at:]
+
+
+def bmp(data: bytes, rng: np.random.Generator) -> bytes:
+    """A number of the header changed."""
+    return word(data, rng, "<", 54)
 
 
 def tiff(data: bytes, rng: np.random.Generator) -> bytes:
@@ -161,7 +241,8 @@ def npz(data: bytes, rng: np.random.Generator) -> bytes:
             case 4:
                 members[index] = name, flipped(content, rng, 20)
     made = io.BytesIO()
-    with zipfile.ZipFile(made, "w", pick(rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
+    packing = pick(rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
+    with warnings.catch_warnings(action="ignore"), zipfile.ZipFile(made, "w", packing) as archive:  # names twice
         for name, content in members:
             archive.writestr(name, content)
     return made.getvalue()
@@ -215,6 +296,47 @@ def hdf5(path: Path, rng: np.random.Generator) -> None:
                 file.create_group(name)
 
 
+def binary(data: bytes, rng: np.random.Generator) -> bytes:
+    """One of its numbers changed, as COLMAP's binary models and plain arrays have them."""
+    return word(data, rng, "<", 600)
+
+
+# --- containers ---
+
+
+def lytro(data: bytes, rng: np.random.Generator) -> bytes:
+    """A Lytro container: JSON of a section changed, a section lost, doubled, renamed, emptied or with other content."""
+    sections, at = [], 16
+    while at + 16 <= len(data):
+        (length,) = struct.unpack(">I", data[at + 12 : at + 16])
+        start = at + 16 + 80
+        sections.append((data[at : at + 12], data[at + 16 : start], data[start : start + length]))
+        at = -(-(start + length) // 16) * 16
+    texts = [place for place, (_, _, content) in enumerate(sections) if content[:1] == b"{" and len(content) > 2]
+    index = pick(rng, texts) if rng.random() < 0.8 else int(rng.integers(len(sections)))
+    head, name, content = sections[index]
+    match int(rng.integers(10)):
+        case 0:
+            del sections[index]
+        case 1:
+            sections.insert(int(rng.integers(len(sections) + 1)), sections[index])
+        case 2:
+            sections[index] = head, pick(rng, sections)[1], content
+        case 3:
+            sections[index] = head, name, b""
+        case 4:
+            sections[index] = head, name, pick(rng, sections)[2]
+        case 5:
+            sections[index] = head, name, flipped(content, rng, 20)
+        case _:
+            sections[index] = head, name, tree(content, rng)
+    made = data[:16]
+    for head, name, content in sections:
+        made += head + struct.pack(">I", len(content)) + (name + content if content else b"")
+        made += bytes(-len(made) % 16)
+    return made
+
+
 # --- texts ---
 
 
@@ -249,7 +371,7 @@ def lines(data: bytes, rng: np.random.Generator) -> bytes:
     """A text of `key = value` with a value replaced, a line lost, doubled or moved, or a key of many parts."""
     found = data.decode(errors="replace").splitlines()
     index = int(rng.integers(len(found)))
-    key, sign, _ = found[index].partition("=")
+    key, sign, value = found[index].partition("=")
     match int(rng.integers(6)):
         case 0:
             del found[index]
@@ -262,7 +384,67 @@ def lines(data: bytes, rng: np.random.Generator) -> bytes:
         case _ if sign:
             values = ("nan", "inf", "-1", "0", "1e999", "9" * 400, "0x" + "f" * 5000, '""', "[]", "[0, 0]", "true",
                       "1979-05-27", '"../x.png"', '"."', "[" * 2000, '"\\u0000"', "{a = 1}")  # fmt: skip
-            found[index] = f"{key}= {pick(rng, values)}"
+            found[index] = f"{key}= {_renumbered(value, rng) if rng.random() < 0.5 else pick(rng, values)}"
+    return "\n".join(found).encode()
+
+
+def _renumbered(text: str, rng: np.random.Generator) -> str:
+    """A text with one of its numbers replaced."""
+    places = list(re.finditer(r"-?\d[\d.e+-]*", text))
+    if not places:
+        return text
+    match = pick(rng, places)
+    value = pick(rng, ("", "0", "1", "-1", "1e300", "1e-300", "9" * 30, "nan", "x", "[]", "2, 3", "1.5"))
+    return text[: match.start()] + value + text[match.end() :]
+
+
+def yaml(data: bytes, rng: np.random.Generator) -> bytes:
+    """YAML with a value replaced, also by aliases and tags, or with a line lost, doubled, moved or deeper."""
+    found = data.decode(errors="replace").splitlines()
+    index = int(rng.integers(len(found)))
+    key, sign, value = found[index].partition(": ")
+    match int(rng.integers(6)):
+        case 0:
+            del found[index]
+        case 1:
+            found.insert(int(rng.integers(len(found) + 1)), found[index])
+        case 2:
+            found[index] = " " * int(rng.integers(1, 9)) + found[index]
+        case 3:
+            laughs = [f"y{n}: &y{n} [{', '.join([f'*y{n - 1}'] * 9) if n else '1'}]" for n in range(9)]
+            found += [*laughs, f"{key.strip() or 'x'}: *y8"]
+        case _ if sign:
+            value = _renumbered(value, rng) if rng.random() < 0.5 else pick(rng, _YAML_VALUES)
+            found[index] = f"{key}: {value}"
+    return "\n".join(found).encode()
+
+
+_YAML_VALUES = (
+    *("~", "0", "-1", ".nan", "-.inf", "1e999", "9" * 400, "[]", "{}", "[[]]", "true", "2001-01-01", "1:60:61", "0o8"),
+    *("&a [*a]", "*nowhere", "? x", "[" * 3000, '"\\ud800"', "!x y", "!!binary x", "!!set {1, 2}"),
+    *("!!python/object/apply:os.getcwd []", "!!opencv-matrix 5", "!!opencv-matrix {rows: 3, cols: 3, dt: d, data: []}"),
+    "!!opencv-matrix {rows: 99999999, cols: 99999999, dt: d, data: [1]}",
+)
+
+
+def words(data: bytes, rng: np.random.Generator) -> bytes:
+    """A table of words, as COLMAP's texts are, with a word replaced, lost or doubled, or a line lost or doubled."""
+    found = data.decode(errors="replace").splitlines()
+    index = int(rng.integers(len(found)))
+    parts = found[index].split(" ")
+    place = int(rng.integers(len(parts)))
+    match int(rng.integers(5)):
+        case 0:
+            del found[index]
+        case 1:
+            found.insert(int(rng.integers(len(found) + 1)), found[index])
+        case 2:
+            found[index] = " ".join(parts[:place])
+        case _:
+            parts[place] = pick(
+                rng, ("", "0", "1", "-1", "nan", "inf", "1e999", "9" * 400, "x", "PINHOLE", "FOV", "\x1b")
+            )
+            found[index] = " ".join(parts)
     return "\n".join(found).encode()
 
 
@@ -284,5 +466,7 @@ def header(data: bytes, rng: np.random.Generator) -> bytes:
 
 BY_SUFFIX: dict[str, Mutation] = {
     **{".png": png, ".tif": tiff, ".npy": npy, ".npz": npz, ".mat": matlab, ".json": tree, ".toml": lines},
-    **{".cfg": lines, ".dat": lines, ".jsonl": table, ".pfm": header, ".ply": header},
+    **{".cfg": lines, ".dat": lines, ".jsonl": table, ".pfm": header, ".ply": header, ".ppm": header},
+    **{".jpg": jpeg, ".webp": webp, ".exr": exr, ".bmp": bmp, ".lfp": lytro},
+    **{".yaml": yaml, ".txt": words, ".bin": binary},
 }

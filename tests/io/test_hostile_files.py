@@ -137,6 +137,13 @@ def test_a_map_that_is_mostly_not_there_takes_no_memory(tmp_path: Path) -> None:
     assert "refused" in in_little_memory("lfgpu.load(sys.argv[1])", file)
 
 
+@pytest.mark.parametrize("size", [(32, 6000), (6000, 33), (8, 9), (40, 170)])
+def test_views_of_odd_shapes_are_read(tmp_path: Path, size: tuple[int, int]) -> None:
+    """Also those that are nothing any more when they are shrunk to look at how they move."""
+    np.save(tmp_path / "a.npy", np.random.default_rng(0).integers(0, 255, (3, 3, *size), np.uint8))
+    assert read(tmp_path / "a.npy").size == size
+
+
 # --- what is shown ---
 
 _ESCAPE = "a\x1b[2J\x1b]0;owned\x07\u202egnp\udcff\ud800\nb"

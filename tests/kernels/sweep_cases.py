@@ -27,7 +27,7 @@ class SweepCase:
     gradient_weight: float = 2.0
     preference: float = 0.1
     least: int = 2
-    rise: float = 0.0625
+    penalty: float = 0.0625
 
     def __str__(self) -> str:
         return self.name.replace(" ", "-")
@@ -67,7 +67,7 @@ SWEEP_CASES = (
     SweepCase("more view_sets than views", directions=31, offsets=cases.IRREGULAR),
     SweepCase("colours alone", gradient_weight=0.0, masked=True),
     SweepCase("no preference", preference=0.0, masked=True),
-    SweepCase("no rise", rise=0.0, masked=True),
+    SweepCase("no penalty", penalty=0.0, masked=True),
     SweepCase("wide", size=(5, 150)),
     SweepCase("high", size=(300, 3), channels=1, offsets=cases.IRREGULAR, masked=True, count=2),
     SweepCase("work for several threads", size=(53, 67), offsets=cases.grid(3, 4), masked=True, count=4),
@@ -101,7 +101,7 @@ def sweep_inputs(case: SweepCase, rng: np.random.Generator) -> SimpleNamespace:
             "preference": case.preference,
             "tolerance": tolerance,
             "least": case.least,
-            "rise": case.rise,
+            "penalty": case.penalty,
         },
     )
 

@@ -60,7 +60,7 @@ def check_masked_view_is_a_missing_view(kernels: KernelSet, device: str, i: Simp
 
 
 def check_nothing_valid_costs_the_most(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
-    options = {**i.options, "rise": 0.0}
+    options = {**i.options, "penalty": 0.0}
     unseen = changed(i, valid=np.zeros(i.recorded.shape[:3]), options=options)
     for name, volume in compute(kernels, device, SWEEP, unseen).items():
         np.testing.assert_allclose(volume, most(i), rtol=1e-6, atol=0, err_msg=f"{name} without a valid pixel")
@@ -81,7 +81,7 @@ def check_a_side_that_sees_is_enough(kernels: KernelSet, device: str, i: SimpleN
     recorded[hidden] += 0.7
     near[hidden] = 3.0
     options = {**i.options, "first": 0.0, "step": 1.0, "count": 4, "scale": 1.0, "least": 1, "tolerance": 0.5}
-    options["rise"] = 0.0
+    options["penalty"] = 0.0
     values = {"image": image, "recorded": recorded, "valid": None, "offsets": offsets, "nearest": near, "certain": near}
     got = compute(kernels, device, SWEEP, changed(i, **values, view_sets=sides(offsets, 8), options=options))
     inner = np.s_[:, 3:-3, 3:-3]  # where all views take part, and see the neighbours too
@@ -115,7 +115,7 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
         preference=0.2,
         tolerance=0.1003,
         least=1,
-        rise=0.03125,
+        penalty=0.03125,
     )
     shape = (5, *views.shape[1:3])
     volumes = {name: kernels.zeros(shape, device) for name in ("view_sets", "seen")}

@@ -21,6 +21,10 @@ try:
     image = kernels.zeros_image((8, 8, 3), "cpu")
     kernels.intensities(views, 0, None, scale=1 / 255, fill=0.0, image_out=image)
     print("done", float(kernels.numpy(image).mean()))
+    residuals = kernels.residuals("cpu", tolerance=0.5, most=3)  # these are not loaded before they are launched
+    residuals.begin(kernels.scalar(4.0, "cpu"))
+    residuals.add(kernels.scalar(1.0, "cpu"))
+    print("left", residuals.report())
 except BackendError as error:
     print("refused:", error)
 """
@@ -42,6 +46,13 @@ def test_a_cache_that_a_crash_cut_short_is_made_again(tmp_path: Path) -> None:
         file.write_bytes(file.read_bytes()[:300])
     assert run(tmp_path) == first
     assert first.startswith("done 0.2")
+    assert first.endswith("left [0.5]\n")
+
+
+def test_all_kernels_are_launched_such_that_they_are_made_again() -> None:
+    for file in (Path(__file__).parents[2] / "kernels" / "warp").glob("*.py"):
+        if file.name != "threads.py":
+            assert "wp.launch" not in file.read_text(), file
 
 
 def test_a_cache_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:

@@ -157,7 +157,7 @@ FAULTS = (
     Fault("tolerance ignored", NAME, option("tolerance", lambda _: 0.0), VALUE),
     Fault("one is enough", NAME, option("least", lambda _: 1), VALUE),
     Fault("one more is needed", NAME, option("least", lambda least: least + 1), VALUE),
-    Fault("all disparities cost the same", NAME, option("rise", lambda _: 0.0), VALUE),
+    Fault("what is certain costs no more", NAME, option("penalty", lambda _: 0.0), VALUE),
     Fault("what is certain ignored", NAME, seeing(lambda nearest, certain: (nearest, nearest)), VALUE),
     Fault("nearest surfaces ignored", NAME, seeing(lambda nearest, certain: (certain, certain)), VALUE),
     Fault("seen past both surfaces", NAME, seeing(past_both), VALUE),

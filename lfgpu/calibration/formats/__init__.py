@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.formats.colmap import holds_colmap, read_colmap, read_rig
-from lfgpu.calibration.formats.kalibr import is_kalibr, read_kalibr
+from lfgpu.calibration.formats.entries import read_yaml
+from lfgpu.calibration.formats.kalibr import is_kalibr, kalibr_cameras
 from lfgpu.calibration.formats.llff import read_llff
-from lfgpu.calibration.formats.nerfstudio import read_nerfstudio
-from lfgpu.calibration.formats.opencv import read_opencv, yaml_or_json
+from lfgpu.calibration.formats.nerfstudio import nerfstudio_cameras
+from lfgpu.calibration.formats.opencv import opencv_cameras
 from lfgpu.calibration.formats.toml import read_toml, write_cameras
 from lfgpu.errors import LightFieldError
+from lfgpu.io.texts import read_json_or_toml
 
 __all__ = ["BESIDE", "Calibration", "read_calibration", "read_toml", "write_cameras"]
 
@@ -72,14 +75,18 @@ def read_calibration(path: str | Path) -> Calibration:
         cameras, name = read_toml(file), "lfgpu"
     elif suffix == ".npy":
         (cameras, depths), name = read_llff(file), "LLFF"
-    elif suffix == ".json" and '"frames"' in file.read_text(encoding="utf-8", errors="replace"):
-        cameras, name = read_nerfstudio(file), "nerfstudio"
-    elif suffix in (".yaml", ".yml") and is_kalibr(yaml_or_json(file)):
-        cameras, name = read_kalibr(file), "Kalibr"
     elif suffix in (".yaml", ".yml", ".json"):
-        cameras, name = read_opencv(file), "OpenCV"
+        table = read_json_or_toml(file) if suffix == ".json" else read_yaml(file)
+        if suffix == ".json" and isinstance(table, Mapping) and "frames" in table:
+            cameras, name = nerfstudio_cameras(file, table), "nerfstudio"
+        elif suffix != ".json" and is_kalibr(table):
+            cameras, name = kalibr_cameras(file, table), "Kalibr"
+        else:
+            cameras, name = opencv_cameras(file, table), "OpenCV"
     else:
         raise LightFieldError(
             f"{file} is no calibration that is known: give a .toml, .yaml, .json or .npy file, or a folder of COLMAP."
         )
+    if not cameras:
+        raise LightFieldError(f"{file} has no cameras.")
     return Calibration(tuple(cameras), str(file), name, depths, tuple(rig))

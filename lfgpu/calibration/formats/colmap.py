@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import os
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lfgpu.calibration.cameras import Camera, of_quaternion
+from lfgpu.calibration.formats.entries import numbers
 from lfgpu.errors import LightFieldError
+from lfgpu.io.texts import read_text
 
 _MODELS = {  # number, count of parameters, indices of fx, fy, cx, cy, then those of the distortion; -1 is 0
     "SIMPLE_PINHOLE": (0, 3, (0, 0, 1, 2), ()),
@@ -26,8 +31,16 @@ _MODELS = {  # number, count of parameters, indices of fx, fy, cx, cy, then thos
 }
 _NUMBERED = {model[0]: name for name, model in _MODELS.items()}
 
+_LARGEST_TEXT = 1 << 30  # bytes: the points that images show stand in it, too
+_LONGEST_NAME = 4096  # bytes
+
 Lens = tuple[str, int, int, tuple[float, ...]]
 Pose = tuple[tuple[float, ...], tuple[float, ...], int, str]
+RigPoses = dict[int, tuple[float, ...]]
+"""Of a rig the poses of its cameras (quaternion, translation; rig to camera), by the number of the camera."""
+
+_STILL = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_IS_CAMERA = 0  # among COLMAP's kinds of sensors
 
 
 def holds_colmap(folder: Path) -> bool:
@@ -40,18 +53,10 @@ def holds_colmap(folder: Path) -> bool:
 
 def read_colmap(folder: Path) -> list[Camera]:
     """The cameras of all images of a model, in the order of their names."""
-    try:
-        if (folder / "cameras.bin").is_file():
-            lenses = dict(_binary_cameras((folder / "cameras.bin").read_bytes()))
-            poses = list(_binary_images((folder / "images.bin").read_bytes()))
-        else:
-            lenses = dict(_text_cameras((folder / "cameras.txt").read_text(encoding="utf-8")))
-            poses = list(_text_images((folder / "images.txt").read_text(encoding="utf-8")))
+    with _sentences(folder, "model"):
+        lenses, poses = _lenses(folder), _poses(folder)
+        _check_known({key for _, _, key, _ in poses}, lenses, "images name")
         return sorted((_camera(lenses[key], q, t, name) for q, t, key, name in poses), key=lambda camera: camera.name)
-    except LightFieldError as error:
-        raise LightFieldError(f"{folder}: {error}") from error
-    except (KeyError, ValueError, IndexError, struct.error) as error:
-        raise LightFieldError(f"{folder} holds a damaged model of COLMAP ({type(error).__name__}: {error}).") from error
 
 
 def read_rig(folder: Path) -> list[Camera]:
@@ -59,74 +64,68 @@ def read_rig(folder: Path) -> list[Camera]:
 
     Of several rigs it is the one with the most cameras. Rigs are those of COLMAP 3.12 and later (rigs.bin, rigs.txt).
     """
-    try:
+    with _sentences(folder, "rig"):
         if (folder / "rigs.bin").is_file():
-            rigs = list(_binary_rigs((folder / "rigs.bin").read_bytes()))
-            lenses = dict(_binary_cameras((folder / "cameras.bin").read_bytes()))
-            poses = list(_binary_images((folder / "images.bin").read_bytes()))
+            with (folder / "rigs.bin").open("rb") as file:
+                largest = max(_binary_rigs(file), key=len, default={})
         elif (folder / "rigs.txt").is_file():
-            rigs = list(_text_rigs((folder / "rigs.txt").read_text(encoding="utf-8")))
-            lenses = dict(_text_cameras((folder / "cameras.txt").read_text(encoding="utf-8")))
-            poses = list(_text_images((folder / "images.txt").read_text(encoding="utf-8")))
+            largest = max(_text_rigs(read_text(folder / "rigs.txt")), key=len, default={})
         else:
             return []
-        largest = max(rigs, key=len, default={})
         if len(largest) < 2:
             return []
-        names = {key: _folder_of([name for _, _, of, name in poses if of == key], key) for key in largest}
-        return [_camera(lenses[key], pose[:4], pose[4:], names[key]) for key, pose in sorted(largest.items())]
+        lenses, names = _lenses(folder), _folders(_poses(folder))
+        _check_known(set(largest), lenses, "the rig names")
+        return [
+            _camera(lenses[key], pose[:4], pose[4:], names.get(key, f"camera {key}"))
+            for key, pose in sorted(largest.items())
+        ]
+
+
+@contextmanager
+def _sentences(folder: Path, what: str) -> Iterator[None]:
+    """Errors of reading become sentences about the folder."""
+    try:
+        yield
+    except OSError as error:
+        raise LightFieldError(f"{folder} cannot be read: {error.strerror or error}.") from error
     except LightFieldError as error:
         raise LightFieldError(f"{folder}: {error}") from error
-    except (KeyError, ValueError, IndexError, struct.error) as error:
-        raise LightFieldError(f"{folder} holds a damaged rig of COLMAP ({type(error).__name__}: {error}).") from error
+    except (ValueError, IndexError) as error:
+        raise LightFieldError(f"{folder} holds a damaged {what} of COLMAP: {error}.") from error
 
 
-def _folder_of(names: list[str], key: int) -> str:
-    """The folder that all images of a camera lie in, else "camera" and its number."""
-    folders = {name.replace("\\", "/").rsplit("/", 1)[0] for name in names if "/" in name.replace("\\", "/")}
-    return folders.pop().rsplit("/", 1)[-1] if len(folders) == 1 else f"camera {key}"
+def _lenses(folder: Path) -> dict[int, Lens]:
+    if not _is_binary(folder):
+        return dict(_text_cameras(read_text(folder / "cameras.txt")))
+    with (folder / "cameras.bin").open("rb") as file:
+        return dict(_binary_cameras(file))
 
 
-_STILL = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_IS_CAMERA = 0  # among COLMAP's kinds of sensors
+def _poses(folder: Path) -> list[Pose]:
+    if not _is_binary(folder):
+        return list(_text_images(read_text(folder / "images.txt", largest=_LARGEST_TEXT)))
+    with (folder / "images.bin").open("rb") as file:
+        return list(_binary_images(file))
 
 
-def _text_rigs(text: str) -> Iterator[dict[int, tuple[float, ...]]]:
-    """Of each rig the poses of its cameras (quaternion, translation; rig to camera), by the number of the camera."""
-    for line in _rows(text):
-        parts = line.split()
-        if len(parts) < 4:
-            continue
-        found: dict[int, tuple[float, ...]] = {int(parts[3]): _STILL} if parts[2] == "CAMERA" else {}
-        at = 4
-        while at < len(parts):
-            kind, key, has_pose = parts[at], int(parts[at + 1]), parts[at + 2] == "1"
-            if has_pose and kind == "CAMERA":
-                found[key] = tuple(map(float, parts[at + 3 : at + 10]))
-            at += 10 if has_pose else 3
-        yield found
+def _is_binary(folder: Path) -> bool:
+    return (folder / "cameras.bin").is_file()
 
 
-def _binary_rigs(data: bytes) -> Iterator[dict[int, tuple[float, ...]]]:
-    (count,), at = struct.unpack_from("<Q", data), 8
-    for _ in range(count):
-        _, sensors = struct.unpack_from("<II", data, at)
-        at += 8
-        found: dict[int, tuple[float, ...]] = {}
-        for sensor in range(sensors):
-            kind, key = struct.unpack_from("<iI", data, at)
-            at += 8
-            pose = _STILL
-            if sensor > 0:  # the first one is the rig's own frame
-                (has_pose,) = struct.unpack_from("<B", data, at)
-                at += 1
-                if not has_pose:
-                    continue
-                pose = struct.unpack_from("<7d", data, at)
-                at += 56
-            if kind == _IS_CAMERA:
-                found[key] = pose
-        yield found
+def _check_known(keys: set[int], lenses: Mapping[int, Lens], who: str) -> None:
+    if lost := sorted(keys - set(lenses)):
+        raise LightFieldError(f"{who} camera {lost[0]}, which is not among the cameras.")
+
+
+def _folders(poses: list[Pose]) -> dict[int, str]:
+    """The folder that all images of a camera lie in, by the number of the camera, where there is one."""
+    found: dict[int, set[str]] = {}
+    for _, _, key, name in poses:
+        parent, slash, _name = name.replace("\\", "/").rpartition("/")
+        if slash:
+            found.setdefault(key, set()).add(parent)
+    return {key: next(iter(parents)).rsplit("/", 1)[-1] for key, parents in found.items() if len(parents) == 1}
 
 
 def _camera(lens: Lens, q: tuple[float, ...], t: tuple[float, ...], name: str) -> Camera:
@@ -136,6 +135,7 @@ def _camera(lens: Lens, q: tuple[float, ...], t: tuple[float, ...], name: str) -
     _, count, places, lens_places = _MODELS[model]
     if len(values) != count:
         raise LightFieldError(f"{model} has {count} parameters, found {len(values)}.")
+    values = tuple(numbers(values, count).tolist())
     fx, fy, cx, cy = (values[k] for k in places)
     return Camera(
         size=(height, width),
@@ -143,8 +143,8 @@ def _camera(lens: Lens, q: tuple[float, ...], t: tuple[float, ...], name: str) -
         principal_point=(cx - 0.5, cy - 0.5),
         distortion=tuple(values[k] if k >= 0 else 0.0 for k in lens_places),
         model="fisheye" if "FISHEYE" in model else "pinhole",
-        rotation=of_quaternion(*q),
-        translation=t,
+        rotation=of_quaternion(*numbers(q, 4).tolist()),
+        translation=numbers(t, 3),
         name=name,
     )
 
@@ -165,34 +165,74 @@ def _text_images(text: str) -> Iterator[Pose]:
         if not line.strip():
             continue
         parts = line.split(maxsplit=9)
-        numbers = tuple(map(float, parts[1:8]))
-        yield numbers[:4], numbers[4:], int(parts[8]), parts[9].strip()
+        values = tuple(map(float, parts[1:8]))
+        yield values[:4], values[4:], int(parts[8]), parts[9].strip()
         next(rows, "")  # its points
 
 
-def _binary_cameras(data: bytes) -> Iterator[tuple[int, Lens]]:
-    (count,), at = struct.unpack_from("<Q", data), 8
+def _text_rigs(text: str) -> Iterator[RigPoses]:
+    for line in _rows(text):
+        parts = line.split()
+        if len(parts) < 4:  # a rig without sensors
+            continue
+        key = int(parts[3])
+        found: RigPoses = {key: _STILL} if parts[2] == "CAMERA" else {}
+        at = 4
+        while at < len(parts):
+            kind, key, has_pose = parts[at], int(parts[at + 1]), parts[at + 2] == "1"
+            if has_pose and kind == "CAMERA":
+                found[key] = tuple(map(float, parts[at + 3 : at + 10]))
+            at += 10 if has_pose else 3
+        yield found
+
+
+def _binary_cameras(file: BinaryIO) -> Iterator[tuple[int, Lens]]:
+    (count,) = _unpacked(file, "<Q")
     for _ in range(count):
-        key, model, width, height = struct.unpack_from("<iiQQ", data, at)
-        at += 24
+        key, model, width, height = _unpacked(file, "<iiQQ")
         name = _NUMBERED.get(model, f"number {model}")
         if name not in _MODELS:
             raise LightFieldError(f"the lens model {name} is not known; known are {', '.join(_MODELS)}.")
-        values = struct.unpack_from(f"<{_MODELS[name][1]}d", data, at)
-        at += 8 * len(values)
-        yield key, (name, width, height, values)
+        yield key, (name, width, height, _unpacked(file, f"<{_MODELS[name][1]}d"))
 
 
-def _binary_images(data: bytes) -> Iterator[Pose]:
-    (count,), at = struct.unpack_from("<Q", data), 8
+def _binary_images(file: BinaryIO) -> Iterator[Pose]:
+    (count,) = _unpacked(file, "<Q")
     for _ in range(count):
-        _, *numbers, key = struct.unpack_from("<I7dI", data, at)
-        at += 64
-        end = data.index(b"\0", at)
-        name = data[at:end].decode("utf-8", "replace")
-        (points,) = struct.unpack_from("<Q", data, end + 1)
-        at = end + 9 + 24 * points
-        yield tuple(numbers[:4]), tuple(numbers[4:]), key, name
+        _, *values, key = _unpacked(file, "<I7dI")
+        name = bytearray()
+        while (letter := _unpacked(file, "<c")[0]) != b"\0":
+            name += letter
+            if len(name) > _LONGEST_NAME:
+                raise ValueError("the name of an image does not end")
+        (points,) = _unpacked(file, "<Q")
+        if 24 * points > os.fstat(file.fileno()).st_size - file.tell():
+            raise ValueError("it ends too early")
+        file.seek(24 * points, os.SEEK_CUR)
+        yield tuple(values[:4]), tuple(values[4:]), key, name.decode("utf-8", "replace")
+
+
+def _binary_rigs(file: BinaryIO) -> Iterator[RigPoses]:
+    (count,) = _unpacked(file, "<Q")
+    for _ in range(count):
+        _, sensors = _unpacked(file, "<II")
+        found: RigPoses = {}
+        for sensor in range(sensors):
+            kind, key = _unpacked(file, "<iI")
+            pose: tuple[float, ...] | None = _STILL  # the first one is the rig's own frame
+            if sensor > 0:
+                (has_pose,) = _unpacked(file, "<B")
+                pose = _unpacked(file, "<7d") if has_pose else None
+            if pose is not None and kind == _IS_CAMERA:
+                found[key] = pose
+        yield found
+
+
+def _unpacked(file: BinaryIO, form: str) -> tuple[Any, ...]:
+    data = file.read(struct.calcsize(form))
+    if len(data) < struct.calcsize(form):
+        raise ValueError("it ends too early")
+    return struct.unpack(form, data)
 
 
 def write_colmap(

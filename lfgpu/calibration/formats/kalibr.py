@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from lfgpu.calibration.cameras import Camera
-from lfgpu.calibration.formats.opencv import yaml_or_json
+from lfgpu.calibration.formats.entries import numbers, whole
 from lfgpu.errors import LightFieldError
 
 _LENSES = {"radtan": "pinhole", "equidistant": "fisheye", "none": "pinhole"}
 
 
-def read_kalibr(path: Path) -> list[Camera]:
+def kalibr_cameras(path: Path, table: Mapping[Any, Any]) -> list[Camera]:
     """The cameras of a camchain; the first one's frame is the world."""
-    table = yaml_or_json(path)
-    names = sorted((name for name in table if name.startswith("cam")), key=lambda name: (len(name), name))
+    names = [name for name in table if isinstance(name, str) and name.startswith("cam")]
+    names.sort(key=lambda name: (len(name), name))
     found: list[Camera] = []
     pose = np.eye(4)
     for name in names:
@@ -29,10 +30,11 @@ def read_kalibr(path: Path) -> list[Camera]:
                     "known are pinhole with radtan, equidistant or none."
                 )
             if found:
-                pose = np.array(entry["T_cn_cnm1"], np.float64).reshape(4, 4) @ pose
-            fx, fy, cx, cy = (float(value) for value in entry["intrinsics"])
-            width, height = (int(side) for side in entry["resolution"])
-            lens = tuple(float(value) for value in entry.get("distortion_coeffs", ()))
+                with np.errstate(all="ignore"):  # a camera is asked for numbers that are finite
+                    pose = numbers(entry["T_cn_cnm1"], 4, 4) @ pose
+            fx, fy, cx, cy = numbers(entry["intrinsics"], 4).tolist()
+            width, height = (whole(side) for side in numbers(entry["resolution"], 2))
+            lens = tuple(numbers(entry.get("distortion_coeffs", ()), -1).tolist())
             found.append(
                 Camera(
                     size=(height, width),
@@ -45,11 +47,11 @@ def read_kalibr(path: Path) -> list[Camera]:
                     name=name,
                 )
             )
+        except LightFieldError as error:
+            raise LightFieldError(f"{path}: {error}") from error
         except KeyError as error:
             raise LightFieldError(f"{path}: {name} has no {error.args[0]}.") from error
-        except (TypeError, ValueError) as error:
-            if isinstance(error, LightFieldError):
-                raise
+        except (TypeError, ValueError, AttributeError) as error:
             raise LightFieldError(f"{path}: {name} has wrong entries: {error}.") from error
     if not found:
         raise LightFieldError(f"{path} has no cam0, cam1, ...")

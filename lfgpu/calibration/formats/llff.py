@@ -11,29 +11,35 @@ from pathlib import Path
 import numpy as np
 
 from lfgpu.calibration.cameras import Camera
+from lfgpu.calibration.formats.entries import numbers
 from lfgpu.errors import LightFieldError
+from lfgpu.io.numpy_arrays import load_arrays
 
 
 def read_llff(path: Path) -> tuple[list[Camera], tuple[float, float]]:
     """The cameras, and the nearest and farthest depth of the scene."""
+    rows = load_arrays(path, ("poses",))["poses"]
+    if rows.ndim != 2 or rows.shape[1] != 17 or not len(rows):
+        raise LightFieldError(f"{path} must hold 17 numbers for each picture, found shape {rows.shape}.")
     try:
-        rows = np.load(path, allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise LightFieldError(f"{path} cannot be read: {error}.") from error
-    if rows.ndim != 2 or rows.shape[1] != 17 or not np.isfinite(rows).all():
-        raise LightFieldError(f"{path} must hold 17 finite numbers for each picture, found shape {rows.shape}.")
+        rows = numbers(rows)
+    except ValueError as error:
+        raise LightFieldError(f"{path} has wrong entries: {error}.") from error
     cameras = []
     for index, row in enumerate(rows):
         down, right, back, centre, (height, width, focal) = row[:15].reshape(3, 5).T
         rotation = np.stack([right, down, -back])
-        cameras.append(
-            Camera(
-                size=(round(height), round(width)),
-                focal_length=(float(focal), float(focal)),
-                principal_point=((width - 1) / 2, (height - 1) / 2),
-                rotation=rotation,
-                translation=-rotation @ centre,
-                name=f"picture {index}",
+        try:
+            cameras.append(
+                Camera(
+                    size=(round(height), round(width)),
+                    focal_length=(float(focal), float(focal)),
+                    principal_point=((width - 1) / 2, (height - 1) / 2),
+                    rotation=rotation,
+                    translation=-rotation @ centre,
+                    name=f"picture {index}",
+                )
             )
-        )
+        except LightFieldError as error:
+            raise LightFieldError(f"{path}: {error}") from error
     return cameras, (float(rows[:, 15].min()), float(rows[:, 16].max()))

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from lfgpu.calibration.cameras import Camera
+from lfgpu.calibration.formats.entries import numbers, whole
 from lfgpu.errors import LightFieldError
 
 _LENS = {"pinhole": ("k1", "k2", "p1", "p2", "k3"), "fisheye": ("k1", "k2", "k3", "k4")}
 
 
-def read_nerfstudio(path: Path) -> list[Camera]:
+def nerfstudio_cameras(path: Path, table: Mapping[str, Any]) -> list[Camera]:
     """The cameras of all frames, in their order."""
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
         return [_camera({**table, **frame}) for frame in table["frames"]]
     except LightFieldError as error:
         raise LightFieldError(f"{path}: {error}") from error
@@ -32,17 +32,28 @@ def read_nerfstudio(path: Path) -> list[Camera]:
         raise LightFieldError(f"{path} is no transforms.json: {error}.") from error
 
 
-def _camera(entry: dict[str, Any]) -> Camera:
-    width, height = int(entry["w"]), int(entry["h"])
-    fx = float(entry["fl_x"]) if "fl_x" in entry else width / 2 / math.tan(float(entry["camera_angle_x"]) / 2)
+def _camera(entry: Mapping[str, Any]) -> Camera:
+    def number(key: str, default: float | None = None) -> float:
+        return float(numbers(entry[key] if default is None else entry.get(key, default), 1)[0])
+
+    width, height = whole(entry["w"]), whole(entry["h"])
+    if "fl_x" in entry:
+        fx = number("fl_x")
+    else:
+        half = number("camera_angle_x") / 2
+        if not 0 < half < math.pi / 2:
+            raise ValueError("camera_angle_x must be an angle between 0 and pi")
+        fx = width / 2 / math.tan(half)
     model = "fisheye" if "FISHEYE" in str(entry.get("camera_model", "")) else "pinhole"
-    lens = tuple(float(entry.get(name, 0.0)) for name in _LENS[model])
-    pose = np.array(entry["transform_matrix"], np.float64)[:3]
+    lens = tuple(number(name, 0.0) for name in _LENS[model])
+    pose = numbers(entry["transform_matrix"], -1, 4)[:3]
+    if len(pose) != 3:
+        raise ValueError("transform_matrix must have 3 or 4 rows of 4 numbers")
     rotation = (pose[:, :3] * (1, -1, -1)).T
     return Camera(
         size=(height, width),
-        focal_length=(fx, float(entry.get("fl_y", fx))),
-        principal_point=(float(entry.get("cx", width / 2)) - 0.5, float(entry.get("cy", height / 2)) - 0.5),
+        focal_length=(fx, number("fl_y", fx)),
+        principal_point=(number("cx", width / 2) - 0.5, number("cy", height / 2) - 0.5),
         distortion=lens if any(lens) else (),
         model=model,
         rotation=rotation,

@@ -13,14 +13,15 @@ translation = [0.1, 0.0, 0.0]     # world to camera
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from lfgpu.calibration.cameras import Camera
+from lfgpu.calibration.formats.entries import numbers, whole
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_write
+from lfgpu.io.texts import read_json_or_toml
 
 _NEEDED = ("size", "focal_length", "principal_point", "rotation", "translation")
 _KNOWN = {*_NEEDED, "name", "model", "distortion"}
@@ -28,11 +29,7 @@ _KNOWN = {*_NEEDED, "name", "model", "distortion"}
 
 def read_toml(path: Path) -> list[Camera]:
     """The cameras of a cameras.toml; LightFieldError if it is none."""
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise LightFieldError(f"{path} is not valid TOML: {error}.") from error
-    listed = table.get("cameras")
+    listed = read_json_or_toml(path).get("cameras")
     if not isinstance(listed, list) or not listed:
         raise LightFieldError(f"{path} has no cameras; list them as [[cameras]], one table each.")
     return [_camera(path, index, entry) for index, entry in enumerate(listed)]
@@ -47,23 +44,23 @@ def _camera(path: Path, index: int, entry: Any) -> Camera:
     if unknown := sorted(set(entry) - _KNOWN):
         raise LightFieldError(f"{what} has an unknown entry {unknown[0]!r}; known are {', '.join(sorted(_KNOWN))}.")
     try:
-        height, width = (int(side) for side in entry["size"])
-        fx, fy = (float(length) for length in entry["focal_length"])
-        cx, cy = (float(place) for place in entry["principal_point"])
+        height, width = (whole(side) for side in numbers(entry["size"], 2))
+        fx, fy = numbers(entry["focal_length"], 2).tolist()
+        cx, cy = numbers(entry["principal_point"], 2).tolist()
         return Camera(
             size=(height, width),
             focal_length=(fx, fy),
             principal_point=(cx, cy),
-            distortion=tuple(float(k) for k in entry.get("distortion", ())),
+            distortion=tuple(numbers(entry.get("distortion", ()), -1).tolist()),
             model=str(entry.get("model", "pinhole")),
-            rotation=entry["rotation"],
-            translation=entry["translation"],
+            rotation=numbers(entry["rotation"], 3, 3),
+            translation=numbers(entry["translation"], 3),
             name=str(entry.get("name", f"camera {index}")),
         )
     except LightFieldError as error:
         raise LightFieldError(f"{path}: {error}") from error
-    except (TypeError, ValueError) as error:
-        raise LightFieldError(f"{what} has entries that are no numbers of the right count: {error}.") from error
+    except ValueError as error:
+        raise LightFieldError(f"{what} has wrong entries: {error}.") from error
 
 
 def write_cameras(cameras: Sequence[Camera], path: Path) -> None:

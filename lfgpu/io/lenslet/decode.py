@@ -20,6 +20,7 @@ from lfgpu.io.lenslet.lattice import Microlenses
 from lfgpu.io.lenslet.microlenses import find_microlenses, is_upright
 from lfgpu.io.lenslet.resampling import sample_views, view_grid
 from lfgpu.io.lenslet.vignetting import Float32Array, MeanMicrolens, field_gains, from_white_image
+from lfgpu.io.reporting import say
 
 STEP = 1.0
 """Pixels of the sensor between neighbouring views."""
@@ -47,7 +48,7 @@ def decode(
     bayer: str | None = None,
     white: str | os.PathLike[str] | None = None,
     views: int | None = None,
-    progress: Callable[[str], None] = lambda stage: None,
+    progress: Callable[[str], None] = say,
 ) -> Decoded:
     """Make views of the raw capture of a lenslet camera.
 
@@ -71,7 +72,7 @@ def decode(
         Views along each side of the grid, 2 to 31, one pixel of the sensor apart. None takes the largest odd number
         for which those in the corners still lie under the microlens. Views that do not are left out.
     progress
-        Called with what begins, in a few words; by default nobody is told.
+        Called with what begins, in a few words. Default: `lfgpu.io.reporting.say`.
 
     Returns
     -------

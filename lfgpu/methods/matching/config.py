@@ -47,9 +47,8 @@ class SweepConfig(Section):
         0.15, 0.0, 100.0, "a surface that could lie farther away at costs higher by at most this hides for certain "
         "only from there, units of the noise"
     )  # fmt: skip
-    far_preference: float = number(
-        0.1, 0.0, 100.0, "how much more the nearest disparity costs than the farthest in the second sweep, units of "
-        "the noise"
+    certain_penalty: float = number(
+        0.02, 0.0, 100.0, "what is seen only past what certainly hides costs this much more, units of the noise"
     )  # fmt: skip
 
 

@@ -33,7 +33,7 @@ def planned_sweep(
         preference=config.view_set_penalty,
         tolerance=config.tolerance / farthest(lf.offsets),
         least=max(1, math.ceil(config.min_share * (len(lf.views) - 1))),
-        rise=config.far_preference * config.noise / (count - 1),
+        penalty=config.certain_penalty * config.noise,
     )
 
 

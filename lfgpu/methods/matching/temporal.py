@@ -1,16 +1,18 @@
-"""What one frame of a stream leaves for the next: where surfaces were, for how long, and what they looked like.
+"""What one frame of a stream leaves for the next: where surfaces were, how they moved, and what they looked like.
 
-Three things come from the last map. The views that saw its surfaces are those that are compared, which spares the first
-sweep. Costs get strength * same * confidence * min(|d - past|, reach) / reach on top, so that what looks alike at
-several disparities does not jump between them. And the new map is averaged with the old one, pixel by pixel: with the
-number of frames that went into a pixel so far,
+First the motion of the reference view is found, and what is known of each surface moves along: its disparity, which is
+then past + rate, the rate at which that changes, and the number of frames that it rests on. Three things come from it.
+The views that should see these surfaces are those that are compared, which spares the first sweep. Costs get
+strength * same * confidence * min(|d - past|, reach) / reach on top, so that what looks alike at several disparities
+does not jump between them. And the new map is averaged with the expected one, pixel by pixel, as by a Kalman filter
+whose measurements are all as good as each other: with the number of frames that went into a pixel so far,
 
     before = persistence * same * frames / (1 + ((past - d) / support)^4),   d <- (d + before past) / (1 + before),
-    frames <- 1 + before,
+    frames <- 1 + before.
 
-which is a Kalman filter whose measurements are all as good as each other. `same` is 1 where the reference view looks
-as it did, 0 where it does not. The past is mixed in after the last average over the image, so that nothing is blurred
-again and again.
+`same` is 1 where the reference view looks along the motion as it did, and 0 where it does not. The rate is a mean over
+the surface around each pixel, because all of that moves together. The past is mixed in after the last average over the
+image, so that the map is not blurred again and again.
 """
 
 from __future__ import annotations
@@ -23,6 +25,9 @@ from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior
+
+_RATE_GAIN = 0.1  # share of the difference from the expected map that goes into its rate of change
+_NO_RATE = 0.05  # weight of a rate of 0 in the mean over a surface
 
 
 class TemporalMatching(MatchingPlan):
@@ -57,8 +62,11 @@ class TemporalMatching(MatchingPlan):
         shape = (*self._nearest.shape, lf.channels)
         self._past_hiding = self._hiding or kernels.z_buffer(shape, self._offsets, reach=0)
         self._temporal, self._streaming, self._is_warm = prior, streaming, False
-        self._past, self._frames, self._same, self._believed = (kernels.zeros(lf.size, device) for _ in range(4))
+        self._past, self._frames, self._rate = (kernels.zeros(lf.size, device) for _ in range(3))
+        self._expected, self._frames_before, self._rate_before = (kernels.zeros(lf.size, device) for _ in range(3))
+        self._same, self._believed = (kernels.zeros(lf.size, device) for _ in range(2))
         self._last_image = kernels.zeros_image((*lf.size, lf.channels), device)
+        self._motion = streaming.motion(self._last_image)
 
     @property
     def noise(self) -> float:
@@ -69,6 +77,17 @@ class TemporalMatching(MatchingPlan):
     def numbers(self) -> tuple[Scalar, Scalar]:
         """How much texture there was, 0 if none; and the size of the first step, NaN if something was not finite."""
         return self._trust, self._moves[0]
+
+    @property
+    def state(self) -> dict[str, Array]:
+        """What a frame leaves for the next one, by name."""
+        return {
+            "past": self._past,
+            "frames": self._frames,
+            "rate": self._rate,
+            "confidence": self.confidence,
+            "last_image": self._last_image,
+        }
 
     def mask(self, valid: Array | None) -> None:
         """Which pixels of the used views count from now on, a field [n, y, x]; None if all do."""
@@ -106,9 +125,21 @@ class TemporalMatching(MatchingPlan):
         self._is_warm, self._steps = True, steps
         self._load(views)
         tolerance = self._temporal.tolerance * self.noise
-        self._streaming.sameness(self._image, self._last_image, tolerance=tolerance, same_out=self._same)
-        kernels.multiply(self._same, self.confidence, self._believed)
-        self._past_hiding(self._past, self._nearest)
+        self._motion.find(self._image, self._last_image, tolerance=tolerance, same_out=self._same)
+        self._motion.carry(
+            self._past,
+            self._frames,
+            self._rate,
+            self.confidence,
+            support=self._temporal.support / self._farthest,
+            past_out=self._expected,
+            frames_out=self._frames_before,
+            rate_out=self._rate_before,
+            confidence_out=self._believed,
+        )
+        kernels.clamp(self._expected, *self._bounds, self._expected)
+        kernels.multiply(self._same, self._believed, self._believed)
+        self._past_hiding(self._expected, self._nearest)
         self._sweep.by_visibility(self._nearest, self._nearest, self._volume)
         self._find_surface(self._swept)
         if self._twice:
@@ -127,7 +158,7 @@ class TemporalMatching(MatchingPlan):
         strength = self._temporal.strength * self._config.semi_global.large_penalty
         if self._is_warm and strength > 0:
             self._streaming.bias(
-                self._past,
+                self._expected,
                 self._believed,
                 costs,
                 first=self._first,
@@ -138,14 +169,23 @@ class TemporalMatching(MatchingPlan):
 
     def _judge(self) -> None:
         if self._is_warm and self._temporal.persistence > 0:
+            support = self._temporal.support / self._farthest
+            rates, weights = self._slope, self._curvature  # which are not needed any more
             self._streaming.blend(
-                self._past,
+                self._expected,
                 self._same,
-                self._frames,
+                self._frames_before,
+                self._rate_before,
                 self.disparity,
                 persistence=self._temporal.persistence,
-                support=self._temporal.support / self._farthest,
+                support=support,
+                rate_gain=_RATE_GAIN,
+                frames_out=self._frames,
+                rates_out=rates,
+                weights_out=weights,
             )
+            self._prior.ratio(self.disparity, rates, weights, support=support, floor=_NO_RATE, ratio_out=self._rate)
         else:
             self._kernels.fill(1.0, self._frames)
+            self._kernels.fill(0.0, self._rate)
         super()._judge()

@@ -72,7 +72,7 @@ class SynthesisConfig(Config):
 
 
 PRESETS = {"paper": SynthesisConfig()}
-"""`paper` is the method of Sajjadi et al. 2016 with three changes, which the README explains: views are compared after
-local contrast normalisation, weights have a floor, and pixels near the border of a view that the reference view does
-not see are left out. With `refinement.detail_scale` 0 the data term is the paper's.
+"""`paper` is the method of Sajjadi et al. 2016 with three changes, which docs/how/synthesis.md explains: views are
+compared after local contrast normalisation, weights have a floor, and pixels near the border of a view that the
+reference view does not see are left out. With `refinement.detail_scale` 0 the data term is the paper's.
 """

@@ -1,0 +1,278 @@
+"""What `lfgpu doctor` finds out: versions, devices, kernel caches, memory, optional parts, a self-test."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import re
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+from lfgpu.errors import LfgpuError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from lfgpu._backends import BackendInfo, BackendName
+    from lfgpu.data.lightfield import LightField
+
+PARTS = {
+    "batch": "many light fields with `lfgpu batch`",
+    "calibration": "calibrations of OpenCV and Kalibr as YAML",
+    "exr": "maps as OpenEXR, light fields of Blender",
+    "hdf5": "old HCI light fields, MATLAB 7.3 files",
+    "opencv": "cameras of OpenCV as live sources",
+    "png": "PNG files, faster",
+    "taichi": "a second backend",
+    "tiff": "TIFF files",
+    "video": "videos as input, films as MP4",
+    "viewer": "the viewer in the browser",
+}
+"""What the extras of the package are for. Those of developers are left out."""
+
+_SCENE, _GRID, _SIZE, _RANGE = "relief", (5, 5), (64, 80), (-1.5, 1.5)
+_FROM_TRUTH = 0.03  # px per view step: three times the median error that a working backend has on the scene
+_FROM_REFERENCE = 1e-3  # px per view step, in the median
+
+
+@dataclass(frozen=True)
+class Device:
+    """A device that a backend can use."""
+
+    backend: str
+    device: str
+    name: str | None
+    memory_bytes: int | None
+
+
+@dataclass(frozen=True)
+class Cache:
+    """The folder in which a backend keeps compiled kernels."""
+
+    backend: str
+    folder: str
+    bytes: int
+    writable: bool
+
+
+@dataclass(frozen=True)
+class Part:
+    """An optional part of the package."""
+
+    extra: str
+    purpose: str
+    missing: tuple[str, ...]
+    """The packages that it needs and that are not installed."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One step of the self-test."""
+
+    what: str
+    seconds: float
+    from_truth: float | None = None
+    """Median distance of the map from the ground truth, px per view step."""
+    from_reference: float | None = None
+    """Median distance of the map from that of the reference backend, px per view step."""
+    problem: str | None = None
+
+
+@dataclass(frozen=True)
+class Checkup:
+    """All that was found, and a sentence for each problem."""
+
+    versions: dict[str, str]
+    devices: tuple[Device, ...]
+    caches: tuple[Cache, ...]
+    memory: dict[str, int | None]
+    """Bytes of the machine, of it those that are free, and the room for temporary files; None if unknown."""
+    threads: int
+    parts: tuple[Part, ...]
+    trials: tuple[Trial, ...]
+    problems: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it in dictionaries, lists, texts and numbers."""
+        return asdict(self)
+
+
+def examine() -> Checkup:
+    """Examine the installation and run the self-test."""
+    from lfgpu._backends import describe_backends
+    from lfgpu.threads import get_threads
+
+    backends = describe_backends()
+    caches = tuple(_caches(backends))
+    trials = tuple(_trials(backends))
+    return Checkup(
+        _versions(),
+        tuple(_devices(backends)),
+        caches,
+        _memory(),
+        get_threads(),
+        tuple(_parts()),
+        trials,
+        (
+            *_of_backends(backends),
+            *(_of_cache(cache) for cache in caches if not cache.writable),
+            *(trial.problem for trial in trials if trial.problem),
+        ),
+    )
+
+
+# --- what is there ---
+
+
+def _versions() -> dict[str, str]:
+    """Of lfgpu, Python, the system, and the packages that lfgpu cannot do without."""
+    needed = sorted({name for name, extra in _requirements() if extra is None})
+    return {
+        "lfgpu": importlib.metadata.version("lfgpu"),
+        "python": platform.python_version(),
+        "system": platform.platform(),
+        **{name: _version(name) or "not installed" for name in needed},
+    }
+
+
+def _requirements() -> Iterator[tuple[str, str | None]]:
+    """The packages that lfgpu asks for, each with the extra that it belongs to."""
+    for line in importlib.metadata.requires("lfgpu") or ():
+        name, extra = re.match(r"[\w.-]+", line), re.search(r"extra == ['\"](\w+)['\"]", line)
+        if name and name[0] != "lfgpu":
+            yield name[0], extra[1] if extra else None
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _parts() -> Iterator[Part]:
+    for extra, purpose in PARTS.items():
+        needed = sorted({name for name, of in _requirements() if of == extra})
+        yield Part(extra, purpose, tuple(name for name in needed if _version(name) is None))
+
+
+def _devices(backends: tuple[BackendInfo, ...]) -> Iterator[Device]:
+    from lfgpu.machine import device_memory, device_name
+
+    for info in backends:
+        for device in info.devices:
+            yield Device(info.name, device, device_name(device), device_memory(device))
+
+
+def _caches(backends: tuple[BackendInfo, ...]) -> Iterator[Cache]:
+    from lfgpu._backends import load
+
+    for info in backends:
+        folder = load(info.name).kernel_cache() if info.problem is None else None
+        if folder is not None:
+            files = [path for path in Path(folder).rglob("*") if path.is_file()]
+            yield Cache(info.name, folder, sum(path.stat().st_size for path in files), _writable(Path(folder)))
+
+
+def _writable(folder: Path) -> bool:
+    """Whether files can be written in a folder, or the folder be made if it is not there."""
+    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
+
+
+def _memory() -> dict[str, int | None]:
+    import shutil
+
+    from lfgpu.io.limits import physical_memory
+    from lfgpu.machine import free_memory
+
+    return {
+        "machine": physical_memory() or None,
+        "free": free_memory(),
+        "temporary files": shutil.disk_usage(tempfile.gettempdir()).free,
+    }
+
+
+# --- what is wrong ---
+
+
+def _of_backends(backends: tuple[BackendInfo, ...]) -> Iterator[str]:
+    """A backend that is not installed is no problem, but for the default one."""
+    from lfgpu._backends import DEFAULT
+
+    for info in backends:
+        if info.problem is not None and (info.version is not None or info.name == DEFAULT):
+            remedy = f"; run: {info.remedy}" if info.remedy else ""
+            yield f"The backend {info.name} {info.problem.rstrip('.')}{remedy}."
+
+
+def _of_cache(cache: Cache) -> str:
+    return (
+        f"The backend {cache.backend} cannot keep compiled kernels in {cache.folder}: make this folder writable, or "
+        "name another one (WARP_CACHE_PATH for Warp, TI_OFFLINE_CACHE_FILE_PATH for Taichi)."
+    )
+
+
+# --- whether it works ---
+
+
+def _trials(backends: tuple[BackendInfo, ...]) -> Iterator[Trial]:
+    """A light field and a map through files, then an estimate on each device, the reference first."""
+    from lfgpu._backends import backend_named
+    from lfgpu.scenes import make
+
+    lf = make(_SCENE, grid=_GRID, size=_SIZE, disparity_range=_RANGE)
+    yield _files(lf)
+    expected: NDArray[Any] | None = None
+    for info in sorted(backends, key=lambda info: info.name != "reference"):
+        # Taichi runs on one device per process, the first that is asked for.
+        for device in info.devices if info.name != "taichi" else info.devices[:1]:
+            trial, found = _estimate(lf, backend_named(info.name), device, expected)
+            expected = found if expected is None else expected
+            yield trial
+
+
+def _files(lf: LightField) -> Trial:
+    import numpy as np
+
+    from lfgpu.io import read, write_hci
+
+    start = perf_counter()
+    problem = None
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            write_hci(lf, Path(folder) / "views")
+            found = read(Path(folder) / "views")
+        if np.abs(found.views * found.scale - lf.views * lf.scale).max() > 1 / 255:
+            problem = "A light field that was written and read again has other pixels."
+    except (LfgpuError, OSError) as error:
+        problem = f"A light field cannot be written to {tempfile.gettempdir()} and read again ({error})."
+    return Trial("files", perf_counter() - start, problem=problem)
+
+
+def _estimate(
+    lf: LightField, backend: BackendName, device: str, expected: NDArray[Any] | None
+) -> tuple[Trial, NDArray[Any] | None]:
+    import numpy as np
+
+    from lfgpu.pipelines.estimate import estimate_depth
+
+    what, start = f"{backend} on {device}", perf_counter()
+    try:
+        found = estimate_depth(lf, config="fast", backend=backend, device=device, disparity_range=_RANGE).disparity
+    except Exception as error:  # what a broken driver or compiler raises is anything
+        said = " ".join(str(error).split()) or type(error).__name__
+        return Trial(what, perf_counter() - start, problem=f"The estimate by {what} failed: {said.rstrip('.')}."), None
+    seconds = perf_counter() - start
+    truth = lf.reference_truth()
+    assert truth is not None  # synthetic scenes have it
+    errors = [float(np.median(np.abs(found - truth.disparity)))]
+    errors += [] if expected is None else [float(np.median(np.abs(found - expected)))]
+    wrong = [error for error, most in zip(errors, (_FROM_TRUTH, _FROM_REFERENCE), strict=False) if not error <= most]
+    problem = f"The map by {what} is wrong by {max(errors):.3g} px in the median." if wrong else None
+    return Trial(what, seconds, errors[0], errors[1] if expected is not None else None, problem), found

@@ -1,0 +1,138 @@
+"""Sources of frames of `lfgpu live`: one table, a file and an entry each. The first that recognises a text opens it."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lfgpu.data import interop
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.pipelines.rectifier import Rectifier
+from lfgpu.pipelines.sources import devices, folder, grabber, scene, shared_memory, videos
+from lfgpu.pipelines.sources.base import Frames, Options, Source
+from lfgpu.pipelines.sources.feeding import feed
+from lfgpu.pipelines.sources.recording import recorded
+
+__all__ = ["SOURCES", "Frames", "Opened", "Options", "Source", "feed", "open_source", "recorded"]
+
+SOURCES: tuple[Source, ...] = (
+    # Those with a prefix come first; the last one takes what is left with a colon.
+    Source(
+        form="growing:FOLDER",
+        description="a folder to which light fields are added, each taken once it is whole",
+        recognise=folder.recognise_growing,
+        open=folder.growing_frames,
+        is_live=True,
+    ),
+    Source(
+        form="ring:FILE",
+        description="a ring buffer in shared memory, which another program fills (docs/live.md)",
+        recognise=shared_memory.recognise,
+        open=shared_memory.frames,
+        is_live=True,
+    ),
+    Source(
+        form="opencv:N,N,...",
+        description="cameras by their numbers, or addresses, that OpenCV opens",
+        recognise=devices.recognise,
+        open=devices.frames,
+        is_live=True,
+    ),
+    Source(
+        form="VIDEO",
+        description="a video whose frames are grids of views (--grid)",
+        recognise=videos.recognise,
+        open=videos.tiled_frames,
+    ),
+    Source(
+        form="FOLDER of videos",
+        description="one video for each camera, in the order of their names",
+        recognise=videos.recognise_folder,
+        open=videos.frames_of_cameras,
+    ),
+    Source(
+        form="FOLDER",
+        description="a folder that holds a light field folder for each frame",
+        recognise=folder.recognise,
+        open=folder.frames,
+    ),
+    Source(
+        form="SCENE",
+        description="a synthetic scene; moving goes round, the others stand still",
+        recognise=scene.recognise,
+        open=scene.frames,
+    ),
+    Source(
+        form="MODULE:FUNCTION",
+        description="a Python function that yields a LightField, then frames",
+        recognise=grabber.recognise,
+        open=grabber.frames,
+        is_live=True,
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A source that was opened.
+
+    Parameters
+    ----------
+    first
+        The first frame.
+    frames
+        All frames, the first one included.
+    is_live
+        Whether frames come by themselves.
+    """
+
+    first: LightField
+    frames: Frames
+    is_live: bool
+
+
+def open_source(text: str, options: Options | None = None) -> Opened:
+    """Open a source of frames and wait for the first one.
+
+    Parameters
+    ----------
+    text
+        One of the forms in `SOURCES`.
+    options
+        What else is said about it; None for nothing.
+
+    Raises
+    ------
+    LightFieldError
+        If there is no such source, it is empty, or its first frame is wrong.
+    """
+    source = next((source for source in SOURCES if source.recognise(text)), None)
+    if source is None:
+        what = "is a file, but no video" if Path(text).exists() else "does not exist"
+        raise LightFieldError(f"{text} {what}; give one of {', '.join(source.form for source in SOURCES)}.")
+    options = options or Options()
+    frames = source.open(text, options)
+    try:
+        first = next(frames)
+    except StopIteration:
+        raise LightFieldError(f"{text} yielded no frame; give a source with at least one.") from None
+    coming = itertools.chain([first], frames)
+    if options.rectifier is not None:
+        return Opened(_raw(first, options.rectifier), coming, source.is_live)
+    if not isinstance(first, LightField):
+        raise LightFieldError(
+            f"{text} must yield a LightField first, because it gives the camera positions; found "
+            f"{type(first).__name__}."
+        )
+    return Opened(first, coming, source.is_live)
+
+
+def _raw(frame: Any, rectifier: Rectifier) -> LightField:
+    """The first frame of raw pictures as what a stream takes."""
+    views = frame[0] if isinstance(frame, tuple) else frame
+    if isinstance(views, LightField):
+        return rectifier.pictures(views.views, white=views.white)
+    return rectifier.pictures(interop.on_host("views", views))

@@ -1,0 +1,69 @@
+"""The loop that feeds a stream from a source."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from lfgpu.data.lightfield import LightField
+from lfgpu.pipelines.sources.base import Frames
+from lfgpu.pipelines.stream import DepthStream, StreamResult
+
+
+def feed(
+    stream: DepthStream,
+    frames: Frames,
+    *,
+    max_fps: float | None = None,
+    most: int | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    tag: Callable[[int, Any], Any] = lambda index, _: index,
+    on_done: Callable[[StreamResult], None] | None = None,
+) -> None:
+    """Push frames into a stream until they end, and wait for the last map.
+
+    Parameters
+    ----------
+    stream
+        Where they go.
+    frames
+        As from `open_source`. A wrong frame becomes a failed result of the stream.
+    max_fps
+        Most frames per second. The next frame is asked for when its time has come; of a live source it is then the
+        newest one. Default None: as frames come.
+    most
+        Largest number of frames; None (default) takes all.
+    stop
+        Asked before each frame; when it returns True, no more are taken. Default: never.
+    tag
+        Called as tag(index, views) for the `tag` of each result. Default: the index.
+    on_done
+        Called with each result in order, also failed and dropped ones, in the thread that feeds.
+    """
+    pending: deque[StreamResult] = deque()
+
+    def look(*, wait: bool) -> None:
+        while pending and (wait or pending[0].done):
+            result = pending.popleft()
+            result.wait()
+            if on_done is not None:
+                on_done(result)
+
+    next_time = time.perf_counter()
+    index = 0
+    while (most is None or index < most) and not stop():
+        if max_fps is not None:
+            time.sleep(max(0.0, next_time - time.perf_counter()))
+            next_time = max(next_time, time.perf_counter()) + 1 / max_fps
+        try:
+            frame = next(frames)
+        except StopIteration:
+            break
+        views, valid = frame if isinstance(frame, tuple) and len(frame) == 2 else (frame, None)
+        views = views.views if isinstance(views, LightField) else views
+        pending.append(stream.push(views, valid=valid, tag=tag(index, views)))
+        look(wait=False)
+        index += 1
+    look(wait=True)

@@ -1,0 +1,120 @@
+"""A folder of light fields as a source: one sub-folder for each frame, all there or still coming."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.io.folders import natural_order, sub_folders
+from lfgpu.pipelines.rectifier import Rectifier
+from lfgpu.pipelines.sources.base import Frames, Options
+from lfgpu.pipelines.sources.recording import VIEWS_FILE
+
+GROWING = "growing:"
+
+_LOOK = 0.1  # seconds between two looks at a folder that grows; what has not changed between two is whole
+
+
+def recognise(source: str) -> bool:
+    return Path(source).is_dir()
+
+
+def recognise_growing(source: str) -> bool:
+    return source.startswith(GROWING)
+
+
+def frames(source: str, options: Options) -> Frames:
+    """The light fields of a folder, or raw pictures for a rectifier, in the natural order of their names."""
+    path = Path(source)
+    folders = _ordered(path)
+    if not folders:
+        raise LightFieldError(
+            f"{path} holds no folders; give a folder that holds one light field folder for each frame, or one video "
+            f"for each camera; if frames are still to come, give {GROWING}{path}."
+        )
+    first: LightField | None = None
+    for folder in folders:
+        lf = _read(folder, options.rectifier)
+        yield lf if first is None else _like(first, lf, folder)
+        first = first or lf
+
+
+def growing_frames(source: str, options: Options) -> Frames:
+    """The light fields of a folder as they come, for ever; those that cannot be read are left out with a sentence."""
+    path = Path(source.removeprefix(GROWING))
+    if not path.is_dir():
+        raise LightFieldError(f"{path} is no folder; make it before frames come.")
+    first: LightField | None = None
+    for folder in _whole(path, options):
+        try:
+            lf = _read(folder, options.rectifier)
+            frame = lf if first is None else _like(first, lf, folder)
+        except LightFieldError as error:
+            options.say(f"Left out: {error}")
+            continue
+        yield frame
+        first = first or lf
+
+
+def _whole(path: Path, options: Options) -> Iterator[Path]:
+    """Each new folder once its files have not changed between two looks."""
+    done, seen = set[Path](), dict[Path, Any]()
+    while not options.stop():
+        for folder in _ordered(path):
+            if folder in done:
+                continue
+            state = _state(folder)
+            if state and seen.get(folder) == state:
+                done.add(folder)
+                yield folder
+            seen[folder] = state
+        time.sleep(_LOOK)
+
+
+def _state(folder: Path) -> tuple[Any, ...]:
+    """Names, sizes and times of the files in a folder; empty if there are none, or if they vanish meanwhile."""
+    try:
+        files = [(str(file), file.stat()) for file in sorted(folder.rglob("*")) if file.is_file()]
+    except OSError:
+        return ()
+    return tuple((name, stat.st_size, stat.st_mtime_ns) for name, stat in files)
+
+
+def _ordered(path: Path) -> list[Path]:
+    return sorted(sub_folders(path), key=lambda folder: natural_order(folder.name))
+
+
+def _read(folder: Path, rectifier: Rectifier | None) -> LightField:
+    from lfgpu.io import read
+    from lfgpu.io.pictures import load_pictures
+
+    if rectifier is None or (folder / VIEWS_FILE).is_file():  # recorded frames say themselves which cameras are there
+        return read(folder)
+    lf, count = load_pictures(folder), len(rectifier.places)
+    if len(lf.views) != count:
+        raise LightFieldError(
+            f"{folder} holds {len(lf.views)} pictures, but {rectifier.name} has {count} cameras; give one of each."
+        )
+    return lf
+
+
+def _like(first: LightField, lf: LightField, folder: Path) -> Any:
+    """The views of a later frame in the order of the first one, and which cameras have a picture in it."""
+    if np.array_equal(lf.positions, first.positions):
+        return lf
+    places = {tuple(position): index for index, position in enumerate(first.positions.tolist())}
+    indices = [places.get(tuple(position), -1) for position in lf.positions.tolist()]
+    if min(indices) < 0 or lf.views.shape[1:] != first.views.shape[1:] or lf.views.dtype != first.views.dtype:
+        raise LightFieldError(
+            f"{folder} has other camera positions than the first frame, {first.name}, or views of another kind; all "
+            "frames of a stream must come from the same cameras."
+        )
+    views, valid = np.zeros_like(first.views), np.zeros(len(first.views), bool)
+    views[indices], valid[indices] = lf.views, True
+    return views, valid

@@ -1,0 +1,31 @@
+"""A grabber as a source: a Python function that yields frames."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+from lfgpu.errors import LightFieldError
+from lfgpu.pipelines.sources.base import Frames, Options
+
+
+def recognise(source: str) -> bool:
+    return ":" in source and not Path(source).exists()
+
+
+def frames(source: str, _: Options) -> Frames:
+    """What module:function yields. The module may be in the current folder."""
+    module_name, _colon, function_name = source.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        grabber = getattr(importlib.import_module(module_name), function_name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise LightFieldError(f"{source} cannot be imported: {error}.") from error
+    found = grabber() if callable(grabber) else None
+    if not isinstance(found, Iterable):
+        raise LightFieldError(f"{source} must be a function without arguments that yields frames.")
+    return iter(found)

@@ -1,0 +1,1 @@
+"""Reports: what was found, as pages that can be sent and printed."""

@@ -1,0 +1,115 @@
+"""Facts about light fields and results, one line of text each."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from datetime import datetime
+
+    from lfgpu.config import Config
+    from lfgpu.data.geometry import Geometry
+    from lfgpu.data.lightfield import LightField
+
+_NAMED = 8  # missing views that are named
+
+
+def views(lf: LightField) -> str:
+    """The number and arrangement of the views: "81 of 81 in a 9 x 9 grid"."""
+    if lf.grid_shape is None:
+        return f"{len(lf.views)}, not in a grid"
+    rows, columns = lf.grid_shape
+    made = pattern(lf)
+    of = f", a {made}" if made else ""
+    return f"{len(lf.views)} of {rows * columns} in a {rows} x {columns} grid (rows x columns){of}"
+
+
+def missing(lf: LightField) -> str:
+    """The empty places of the grid, the first few by name; "" if there are none, or if they are meant to be empty.
+
+    A cross, a star, a row and a column are meant, as is any choice of at most half of the places.
+    """
+    if not lf.missing or pattern(lf) or len(lf.missing) >= len(lf.views):
+        return ""
+    named = "; ".join(f"row {row}, column {column}" for row, column in lf.missing[:_NAMED])
+    more = "; ..." if len(lf.missing) > _NAMED else ""
+    return f"{len(lf.missing)}: {named}{more} (counted from 0)"
+
+
+def pattern(lf: LightField) -> str:
+    """ "cross", "star", "row" or "column" if some places of the grid are meant to be empty; else ""."""
+    from lfgpu.io.grid import pattern_of
+
+    if lf.grid_shape is None or not lf.missing:
+        return ""
+    return pattern_of([(round(v), round(u)) for u, v in lf.positions], lf.grid_shape) or ""
+
+
+def size(lf: LightField) -> str:
+    """Width, height, colour and dtype of the views."""
+    height, width = lf.size
+    return f"{width} x {height} px (width x height), {'grey' if lf.channels == 1 else 'colour'}, {lf.views.dtype}"
+
+
+def reference(lf: LightField) -> str:
+    """The position of the reference view."""
+    return place(*lf.positions[lf.reference_index])
+
+
+def place(u: float, v: float) -> str:
+    """A position (u, v) in words: "row 4, column 4"."""
+    return f"row {v:g}, column {u:g}"
+
+
+def offsets(lf: LightField) -> str:
+    """The range of the offsets from the reference view."""
+    (left, top), (right, bottom) = lf.offsets.min(axis=0), lf.offsets.max(axis=0)
+    return f"{left:g} to {right:g} view steps across (du), {top:g} to {bottom:g} down (dv), from the reference view"
+
+
+def geometry(known: Geometry | None) -> str:
+    """Baseline, focal length and focus distance."""
+    if known is None:
+        return "unknown: disparity only, no metric depth"
+    focus = "at infinity" if math.isinf(known.focus_distance_m) else f"at {known.focus_distance_m:.4g} m"
+    return (
+        f"baseline {1000 * known.baseline_m:.4g} mm, focal length {known.focal_length_px:.5g} px, "
+        f"plane of disparity 0 {focus}"
+    )
+
+
+def truth(lf: LightField) -> str:
+    """The view whose ground truth is known, its range, and the share of it that is scored."""
+    import numpy as np
+
+    if lf.truth is None:
+        return "none"
+    known = np.isfinite(lf.truth.disparity)
+    if not known.any():
+        return f"of the view at {place(*lf.truth.position)}, but undefined everywhere"
+    low, high = lf.truth.disparity[known].min(), lf.truth.disparity[known].max()
+    scored = known if lf.truth.mask is None else known & lf.truth.mask
+    mask = "no mask" if lf.truth.mask is None else "within the mask"
+    return (
+        f"of the view at {place(*lf.truth.position)}, {low:.3f} to {high:.3f} px per view step, "
+        f"{100 * scored.mean():.1f} % of it scored ({mask})"
+    )
+
+
+def preset(config: Config) -> str:
+    """The preset that parameters are nearest to, and how many differ: "fast with 2 parameters changed"."""
+    from lfgpu.methods import nearest_preset
+
+    name, different = nearest_preset(config)
+    return name if not different else f"{name} with {len(different)} parameter{'s' * (len(different) > 1)} changed"
+
+
+def device(name: str, product: str | None) -> str:
+    """A device and its product name, if that is known: "cuda:0 (NVIDIA H200)"."""
+    return f"{name} ({product})" if product else name
+
+
+def date(moment: datetime) -> str:
+    """A date in words: "22 November 2026, 09:30 UTC"."""
+    return f"{moment.day} {moment:%B %Y, %H:%M %Z}".rstrip()

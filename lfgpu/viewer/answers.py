@@ -1,0 +1,193 @@
+"""What pages ask for, as functions of what is shown and the words of a request. It knows nothing of the web."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.methods import preset
+from lfgpu.viewer import pictures, saving
+from lfgpu.viewer.board import Board
+from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents
+from lfgpu.viewer.facts import COLOURS, fixed
+from lfgpu.viewer.solving import Request
+
+_LONGEST = 200  # characters of the name of a result
+
+
+class Query:
+    """The words of a request, of their types; LightFieldError for what is missing or no number."""
+
+    def __init__(self, words: Mapping[str, str]) -> None:
+        self._words = words
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """A word as it is."""
+        found = self._words.get(name, default)
+        if found is None:
+            raise LightFieldError(f"the argument {name} is missing.")
+        return found
+
+    def number(self, name: str) -> float:
+        """A finite number."""
+        try:
+            found = float(self.text(name))
+        except ValueError:
+            found = float("nan")
+        if not np.isfinite(found):
+            raise LightFieldError(f"{name} must be a number, not {self.text(name)!r}.")
+        return found
+
+    def whole(self, name: str) -> int:
+        """A whole number."""
+        return int(np.clip(self.number(name), -(2**31), 2**31))
+
+
+# --- what is drawn ---
+
+
+def _lf(contents: Contents) -> LightField:
+    if contents.lf is None:
+        raise LightFieldError("there is no light field.")
+    return contents.lf
+
+
+def _view(contents: Contents, query: Query) -> Any:
+    at = (query.whole(name) for name in ("index", "level", "column", "row"))
+    return pictures.view_tile(_lf(contents), *at)
+
+
+def _map(contents: Contents, query: Query) -> Any:
+    name, kind = query.text("result"), query.text("kind")
+    values = contents.map(name, kind, query.text("stage", FINAL))
+    if values is None:
+        raise LightFieldError(f"there is no {kind} of {name!r}.")
+    return pictures.map_tile(values, *(query.whole(name) for name in ("level", "column", "row")))
+
+
+def _epi(contents: Contents, query: Query) -> Any:
+    return pictures.epi(_lf(contents), query.text("along"), query.whole("at"))
+
+
+def _thumbnails(contents: Contents, _: Query) -> Any:
+    return pictures.thumbnails(_lf(contents))
+
+
+def _refocused(contents: Contents, query: Query) -> Any:
+    level = min(max(query.whole("level"), 0), 8)
+    return pictures.refocused(_lf(contents), query.number("disparity"), query.number("aperture"), level)
+
+
+def _sharp(contents: Contents, query: Query) -> Any:
+    level = min(max(query.whole("level"), 0), 8)
+    return pictures.sharp(contents, query.text("result"), query.text("stage", FINAL), level)
+
+
+def _at(contents: Contents, query: Query) -> Any:
+    """The pixel of the reference view that a pixel of a view shows, and the values of two maps there."""
+    if contents.size is None:
+        return {"pixel": None, "values": {}, "other": {}}
+    name, stage = query.text("result", ""), query.text("stage", FINAL)
+    x, y = query.number("x"), query.number("y")
+    index = query.whole("index")
+    if index >= 0:
+        found = pictures.in_reference(contents, name, stage, index, x, y)
+    else:
+        height, width = contents.size
+        found = int(np.clip(x, 0, width - 1)), int(np.clip(y, 0, height - 1))
+    if found is None:
+        return {"pixel": None, "values": {}, "other": {}}
+    return {
+        "pixel": found,
+        "values": pictures.values_at(contents, name, stage, *found),
+        "other": pictures.values_at(contents, query.text("other", ""), FINAL, *found),
+    }
+
+
+DATA: dict[str, Callable[[Contents, Query], Any]] = {
+    "view": _view,
+    "map": _map,
+    "epi": _epi,
+    "thumbnails": _thumbnails,
+    "refocused": _refocused,
+    "sharp": _sharp,
+    "at": _at,
+    "fixed": lambda *_: fixed(),
+}
+"""Arrays to draw, and values for JSON, by what is asked for."""
+
+
+# --- files ---
+
+
+def _saved(contents: Contents, query: Query) -> tuple[bytes, str]:
+    suffix = query.text("suffix")
+    return saving.saved(contents, query.text("result"), query.text("stage", FINAL), suffix), suffix
+
+
+def _figure(contents: Contents, query: Query) -> tuple[bytes, str]:
+    kind, colours = query.text("kind"), query.text("colours")
+    if kind not in QUANTITIES or colours not in COLOURS:
+        raise LightFieldError(f"there is no {kind!r}, or no colours {colours!r}.")
+    limits = query.number("low"), query.number("high")
+    name, stage = query.text("result"), query.text("stage", FINAL)
+    return saving.figure(contents, name, kind, stage, colours=colours, limits=limits), ".png"
+
+
+FILES: dict[str, Callable[[Contents, Query], tuple[bytes, str]]] = {"result": _saved, "figure": _figure}
+"""Files to download, with their suffix."""
+
+
+# --- what is done ---
+
+
+def _open(board: Board, wish: Mapping[str, Any]) -> None:
+    path = str(wish.get("path", "")).strip()
+    if not path:
+        raise LightFieldError("type the path of a light field, or of what lfgpu depth wrote.")
+    try:
+        board.open_from_page(Path(path).expanduser())
+    except (OSError, RuntimeError, ValueError) as error:
+        raise LightFieldError(f"{path} cannot be opened: {error}.") from None
+
+
+def _estimate(board: Board, wish: Mapping[str, Any]) -> None:
+    contents, values, bounds = board.contents, wish.get("values") or {}, wish.get("range")
+    if contents.lf is None:
+        raise LightFieldError("a map alone cannot be estimated again: open the light field that it is of.")
+    if not isinstance(values, dict) or not (bounds is None or _are_two_numbers(bounds)):
+        raise LightFieldError("the range must be two numbers, from small to large.")
+    chosen = str(wish.get("preset", ""))
+    config = preset(chosen).with_values({str(key): value for key, value in values.items()})
+    name = str(wish.get("name") or "").strip()[:_LONGEST] or chosen
+    found = None if bounds is None else (float(bounds[0]), float(bounds[1]))
+    if not board.solver.start(Request(contents.lf, config, found, name, contents.frame)):
+        raise LightFieldError("an estimate is being made already; wait for it, or press Stop.")
+
+
+def _are_two_numbers(values: object) -> bool:
+    if not isinstance(values, list) or len(values) != 2:
+        return False
+    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+
+
+def _stop(board: Board, _: Mapping[str, Any]) -> None:
+    board.solver.stop()
+
+
+def _switch(board: Board, wish: Mapping[str, Any]) -> None:
+    board.switch(str(wish.get("name")), bool(wish.get("on")))
+
+
+ACTIONS: dict[str, Callable[[Board, Mapping[str, Any]], None]] = {
+    "open": _open,
+    "estimate": _estimate,
+    "stop": _stop,
+    "switch": _switch,
+}
+"""What is done for a page."""

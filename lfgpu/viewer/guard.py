@@ -1,0 +1,92 @@
+"""Who is answered: those who know the token, by a name of this machine, and no pages of other sites."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+from collections.abc import Awaitable, Callable
+from typing import Any, Protocol, TypeVar
+from urllib.parse import urlsplit
+
+from tornado.web import HTTPError, RequestHandler
+from tornado.websocket import WebSocketClosedError
+
+from lfgpu.errors import LfgpuError
+from lfgpu.printable import message
+from lfgpu.viewer.board import Board
+from lfgpu.viewer.facts import Facts
+
+_HOSTS = ("127.0.0.1", "localhost", "::1")
+_NO_TOKEN = "The address of the page has a token; see lfgpu view"
+_T = TypeVar("_T")
+
+
+class Site(Protocol):
+    """What all handlers share."""
+
+    token: str
+    """The first part of every path."""
+    board: Board
+    facts: Facts
+    tabs: dict[str, Any]
+    """The tabs by their names."""
+
+    async def apart(self, work: Callable[..., _T], *arguments: Any) -> _T:
+        """Do work in another thread, so that the server goes on answering."""
+
+    def call_soon(self, work: Callable[..., Any], *arguments: Any) -> None:
+        """Call something in the thread of the server; from any thread."""
+
+
+class Guarded(RequestHandler):
+    """Answers only who knows the token, by a name of this machine, and no pages of other sites."""
+
+    site: Site
+
+    def initialize(self, site: Site) -> None:
+        self.site = site
+
+    async def prepare(self) -> None:
+        given = (self.path_args or [""])[0] or ""
+        if not secrets.compare_digest(given.encode(), self.site.token.encode()):
+            raise HTTPError(403, reason=_NO_TOKEN)
+        if urlsplit(f"//{self.request.host}").hostname not in _HOSTS:
+            raise HTTPError(403, reason="The viewer answers to localhost only")
+        origin = self.request.headers.get("Origin")
+        if origin is not None and urlsplit(origin).netloc != self.request.host:
+            raise HTTPError(403, reason="Pages of other sites are not answered")
+
+    def set_default_headers(self) -> None:
+        self.set_header("Server", "lfgpu")
+        self.set_header("Referrer-Policy", "no-referrer")
+        self.set_header("X-Content-Type-Options", "nosniff")
+        self.set_header("Cache-Control", "no-store")
+
+    def write_error(self, status_code: int, **options: Any) -> None:
+        error = options.get("exc_info", (None, None, None))[1]
+        sentence = f"{self._reason}."
+        if isinstance(error, LfgpuError):
+            sentence = message(str(error))
+        elif status_code == 500:
+            sentence = f"this failed, which is a bug: {type(error).__name__}: {error}"
+        self.finish({"error": sentence})
+
+    def log_exception(self, typ: Any, value: Any, tb: Any) -> None:
+        if not isinstance(value, LfgpuError | HTTPError | WebSocketClosedError):
+            logging.getLogger("lfgpu.viewer").error("a page could not be answered", exc_info=(typ, value, tb))
+
+    async def or_sentence(self, work: Awaitable[_T]) -> _T | None:
+        """The result of some work; None if it failed with a sentence, which was sent."""
+        try:
+            return await work
+        except LfgpuError as error:
+            self.set_status(400)
+            self.write_error(400, exc_info=(type(error), error, None))
+            return None
+
+
+class Nothing(Guarded):
+    """Everything without a token."""
+
+    async def prepare(self) -> None:
+        raise HTTPError(403, reason=_NO_TOKEN)

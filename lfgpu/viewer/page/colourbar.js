@@ -1,0 +1,44 @@
+// The scale of a map: its colours with numbers; a pointed end means that values lie beyond it.
+
+import { css } from "./colours.js";
+
+export function drawScale(canvas, { colours, low, high, extent }) {
+  const ratio = window.devicePixelRatio;
+  canvas.width = Math.max(1, Math.round(canvas.clientWidth * ratio));
+  canvas.height = Math.max(1, Math.round(canvas.clientHeight * ratio));
+  const context = canvas.getContext("2d"), styles = getComputedStyle(document.documentElement);
+  context.scale(ratio, ratio);
+  const wide = 18, left = 4, tip = 13, height = canvas.clientHeight, top = 16, bottom = height - 16;
+  if (bottom - top < 20 || !(high > low)) return;
+  for (let y = top; y < bottom; y++) {
+    context.fillStyle = css(colours, (bottom - y - 0.5) / (bottom - top));
+    context.fillRect(left, y, wide, 1.5);
+  }
+  const span = high - low, slack = 1e-6 * span;
+  const point = (y, up, share) => {
+    context.fillStyle = css(colours, share);
+    context.beginPath();
+    context.moveTo(left, y);
+    context.lineTo(left + wide / 2, y + up * tip);
+    context.lineTo(left + wide, y);
+    context.fill();
+  };
+  const beyond = [extent && extent[0] < low - slack, extent && extent[1] > high + slack];
+  if (beyond[1]) point(top + 0.5, -1, 1);
+  if (beyond[0]) point(bottom - 0.5, 1, 0);
+  canvas.dataset.beyond = `${Boolean(beyond[0])} ${Boolean(beyond[1])}`;
+  context.fillStyle = context.strokeStyle = styles.getPropertyValue("--ink").trim();
+  context.font = "12px system-ui, sans-serif";
+  context.textBaseline = "middle";
+  const step = niceStep(span / Math.max(2, (bottom - top) / 56)), digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + slack; k++) {
+    const y = bottom - ((k * step - low) / span) * (bottom - top);
+    context.fillRect(left + wide, y - 0.5, 4, 1);
+    context.fillText((k * step).toFixed(Math.min(digits, 8)).replace("-", "−"), left + wide + 8, y);
+  }
+}
+
+function niceStep(least) {
+  const power = 10 ** Math.floor(Math.log10(least));
+  return power * [1, 2, 5, 10].find((factor) => factor * power >= least * 0.999);
+}

@@ -1,0 +1,83 @@
+// The form for estimates: only the parameters of the method that is chosen, and what was typed counts.
+
+import { $, element, orTell } from "./elements.js";
+import { act } from "./server.js";
+
+export class Estimate {
+  #changes = {};
+
+  constructor(presets) {
+    this.presets = presets;
+    $("preset").replaceChildren(...presets.map(({ name }) => element("option", { value: name, textContent: name })));
+    $("preset").onchange = () => this.#show();
+    $("find-range").onchange = () => ($("range-row").hidden = $("find-range").checked);
+    $("reset").onclick = () => {
+      this.#changes = {};
+      this.#show();
+    };
+    $("stop").onclick = () => orTell(() => act("stop"));
+    $("estimate").onsubmit = (event) => {
+      event.preventDefault();
+      this.#start();
+    };
+    this.#show();
+  }
+
+  #preset() {
+    return this.presets.find(({ name }) => name === $("preset").value);
+  }
+
+  #show() {
+    const { about, method, sections } = this.#preset();
+    $("preset-about").textContent = `${method}: ${about}`;
+    const known = new Set(sections.flatMap(({ name, parameters }) => parameters.map((one) => `${name}.${one.name}`)));
+    this.#changes = Object.fromEntries(Object.entries(this.#changes).filter(([name]) => known.has(name)));
+    $("parameter-list").replaceChildren(...sections.flatMap(({ name, parameters }) => [
+      element("h4", { textContent: name.replaceAll("_", " ") }), ...parameters.map((one) => this.#row(name, one)),
+    ]));
+    this.#count();
+  }
+
+  #row(section, one) {
+    const name = `${section}.${one.name}`, value = this.#changes[name] ?? String(one.value);
+    const row = element("label", { title: `${one.about}${one.choices ? "" : `; ${one.low} to ${one.high}`}` });
+    row.dataset.name = name;
+    const field = one.choices
+      ? element("select", {}, ...one.choices.map((choice) => element("option", { value: choice, textContent: choice })))
+      : element("input", { type: "text", inputMode: "decimal" });
+    field.value = value;
+    row.classList.toggle("changed", name in this.#changes);
+    field.oninput = () => {
+      if (field.value.trim() === String(one.value)) delete this.#changes[name];
+      else this.#changes[name] = field.value.trim();
+      row.classList.toggle("changed", name in this.#changes);
+      this.#count();
+    };
+    row.append(element("span", { textContent: one.name.replaceAll("_", " ") }), field);
+    return row;
+  }
+
+  #count() {
+    const changes = Object.entries(this.#changes);
+    $("changed").textContent = changes.length ? `(${changes.length} changed)` : "";
+    $("estimate-name").placeholder = [$("preset").value, ...changes.map(([name, value]) => `${name.split(".")[1]} ${value}`)].join(", ");
+  }
+
+  #start() {
+    const range = $("find-range").checked ? null : [$("from").valueAsNumber, $("to").valueAsNumber];
+    orTell(() => act("estimate", {
+      preset: $("preset").value, values: this.#changes, range, name: $("estimate-name").value.trim() || $("estimate-name").placeholder,
+    }));
+  }
+
+  /** Show how far the estimate is, and offer what can be done. */
+  progress({ text, share, busy, failed }, canEstimate) {
+    $("estimate").hidden = !canEstimate;
+    $("no-estimate").hidden = canEstimate;
+    $("run").disabled = busy;
+    $("stop").hidden = $("progress").hidden = !busy;
+    $("progress").value = share;
+    $("progress-text").textContent = text;
+    $("progress-text").classList.toggle("bad", failed);
+  }
+}

@@ -1,0 +1,638 @@
+// The page of the viewer: what is shown follows from the state of the server and from what was chosen in this tab.
+
+import { drawScale } from "./colourbar.js";
+import { learn, paintMap, paintView } from "./colours.js";
+import { $, element, fill, number, orTell, tell } from "./elements.js";
+import { Epi } from "./epi.js";
+import { Estimate } from "./estimate.js";
+import { setUpFiles } from "./files.js";
+import { Picture, drawCross } from "./picture.js";
+import { act, connect, newest, values } from "./server.js";
+import { Space } from "./space.js";
+import { Store } from "./store.js";
+import { Thumbnails, neighbour } from "./thumbnails.js";
+import { onArrival } from "./tiles.js";
+import { Viewport } from "./viewport.js";
+
+const NOTHING = "", FINAL = "final", PICTURE = "picture";
+const phone = matchMedia("(max-width: 760px)"), dark = matchMedia("(prefers-color-scheme: dark)");
+
+const fixed = await values("fixed");
+learn(fixed.colours);
+
+let state = null; // of the server
+const ui = new Store({
+  view: 0, pixel: null, found: null, hover: null, // found: the values at the pixel
+  quantity: "disparity", result: NOTHING, stage: FINAL, other: NOTHING, compare: "wipe", flipped: false,
+  colourMaps: {}, ranges: {}, // of each quantity, where they were changed
+  exposure: 0, gamma: 1, left: "view", right: "map", focus: 0, aperture: 0,
+  mesh: false, paint: PICTURE, metric: true, least: 0, size: 1.3, background: "page", cameras: false,
+});
+
+// --- what is shown ---
+
+const lf = () => state?.lightField ?? null;
+const entry = (name) => state?.results.find((one) => one.name === name) ?? null;
+const look = () => ({ exposure: ui.exposure, gamma: ui.gamma });
+
+function scale(kind = ui.quantity) {
+  const known = state?.scales[kind], [low, high] = ui.ranges[kind] ?? known?.limits ?? [0, 1];
+  return { colours: ui.colourMaps[kind] ?? fixed.quantities[kind].colours, low, high, extent: known?.extent };
+}
+
+function mapSource(name, kind = ui.quantity, stage = FINAL) {
+  const one = entry(name);
+  if (!one?.kinds.includes(kind)) return null;
+  const { colours, low, high } = scale(kind);
+  return {
+    key: `map ${one.identity} ${kind} ${stage}${kind === "error" ? ` ${state.views}` : ""}`, size: state.size, what: "map", isMap: true,
+    query: { result: name, kind, stage }, look: `${colours} ${low} ${high}`,
+    paint: (data, shape) => paintMap(data, shape, { colours, low, high }),
+  };
+}
+
+function viewSource(index = ui.view) {
+  if (!lf()) return null;
+  const { exposure, gamma } = look();
+  const common = { size: state.size, look: `${exposure} ${gamma}`, paint: (data, shape) => paintView(data, shape, { exposure, gamma }) };
+  const one = entry(ui.result);
+  if (ui.left === "refocused") {
+    const query = { disparity: ui.focus, aperture: ui.aperture };
+    return { ...common, key: `refocused ${state.views} ${ui.focus} ${ui.aperture}`, what: "refocused", query, whole: true };
+  }
+  if (ui.left === "sharp") {
+    if (!one) return null;
+    const query = { result: ui.result, stage: ui.stage };
+    return { ...common, key: `sharp ${state.views} ${one.identity} ${ui.stage}`, what: "sharp", query, whole: true };
+  }
+  return { ...common, key: `view ${state.views} ${index}`, what: "view", query: { index } };
+}
+
+/** Where the pixel is in a view; null where that is not known. */
+function pixelIn(view) {
+  if (!ui.pixel || !lf()) return ui.pixel;
+  const [du, dv] = lf().offsets[view];
+  if (!du && !dv) return ui.pixel;
+  const disparity = ui.found?.values.disparity;
+  return Number.isFinite(disparity) ? [ui.pixel[0] - disparity * du, ui.pixel[1] - disparity * dv] : null;
+}
+
+// --- pictures ---
+
+const viewport = new Viewport();
+const isOfReference = () => ui.left !== "view";
+
+const view = new Picture($("view"), viewport, {
+  point: (x, y) => point("left", x, y),
+  choose: (x, y) => choose(x, y, isOfReference() ? -1 : ui.view).then((found) => {
+    const disparity = found?.values.disparity;
+    if (ui.left === "refocused" && Number.isFinite(disparity)) ui.set({ focus: disparity });
+  }),
+  overlay: (context, place) => {
+    const at = isOfReference() ? ui.pixel : pixelIn(ui.view);
+    if (at) drawCross(context, place, ...at);
+  },
+  complete: () => takeLater(),
+  next: () => state.frame ? [] : Object.values(ARROWS).map((arrow) => neighbour(lf(), ui.view, ...arrow)).filter((index) => index !== ui.view).map(viewSource),
+});
+const onMap = {
+  point: (x, y) => point("right", x, y),
+  choose: (x, y) => choose(x, y, -1),
+  wipe: (share) => {
+    map.wipe = share;
+    map.draw();
+  },
+  overlay: (context, place) => ui.pixel && drawCross(context, place, ...ui.pixel),
+  complete: () => takeLater(),
+};
+const map = new Picture($("map"), viewport, onMap), otherMap = new Picture($("other-map"), viewport, onMap);
+onArrival(() => [view, map, otherMap].forEach((one) => one.draw()));
+
+const epiState = () => ({ lf: lf(), pixel: ui.pixel, disparity: ui.found?.values.disparity, look: look(), current: ui.left === "view" ? ui.view : -1 });
+const epis = [
+  new Epi($("epi-row"), "row", view, epiState, (index, x) => choose(x, ui.pixel[1], index, 1)),
+  new Epi($("epi-column"), "column", view, epiState, (index, y) => choose(ui.pixel[0], y, index, 0)),
+];
+const thumbnails = new Thumbnails($("thumbnails"), () => ({ lf: lf(), current: ui.view, look: look() }), (index) => ui.set({ view: index, left: "view" }));
+
+const here = (x, y, index) => ({ x, y, index, result: ui.result, stage: ui.stage, other: ui.other });
+
+/** Choose the point that a pixel of a view shows; `keep` is the coordinate that stays as it is (an EPI has only one). */
+async function choose(x, y, index, keep = -1) {
+  return orTell(async () => {
+    const found = await values("at", here(x, y, index));
+    if (!found.pixel) {
+      tell("No pixel of the map is seen there: choose another place, or choose it in the reference view.");
+      return found;
+    }
+    const pixel = keep < 0 ? found.pixel : found.pixel.map((value, axis) => (axis === keep ? ui.pixel[keep] : value));
+    ui.set({ pixel });
+    return found;
+  });
+}
+
+const askHover = newest((query) => values("at", query), (found, { pane, shown }) => {
+  if (ui.hover?.pane === pane) ui.set({ hover: { pane, shown, ...found } });
+});
+
+function point(pane, x, y) {
+  if (x === null) return ui.set({ hover: null });
+  if (!ui.hover) ui.set({ hover: { pane, shown: [x, y], pixel: null, values: null } });
+  const index = pane === "left" && !isOfReference() ? ui.view : -1;
+  return askHover({ ...here(x, y, index), pane, shown: [x, y] });
+}
+
+const askFound = newest((query) => values("at", query), (found) => ui.set({ found }));
+
+function findPixel() {
+  if (!state?.size || !ui.pixel) return;
+  askFound(here(...ui.pixel, -1));
+}
+
+// --- where things stand ---
+
+const GAP = 6, BAR = 68; // pixels
+
+/** The view as large as it can be, the EPIs directly under and beside it. */
+function layoutViews() {
+  const light = lf(), box = $("cross").parentElement;
+  if (!light || !box.offsetParent) return;
+  const [height, width] = state.size, style = getComputedStyle($("cross"));
+  const least = Math.min(96, Math.max(56, box.clientHeight / 8));
+  const thickness = (count) => (count < 2 ? 0 : least + GAP);
+  const across = box.clientWidth - parseFloat(style.marginLeft) - parseFloat(style.marginRight);
+  const taken = [...box.children].filter((child) => child !== $("cross")).reduce((sum, child) => sum + child.offsetHeight, 0);
+  const down = box.clientHeight - taken - parseFloat(style.marginBottom);
+  const row = thickness(light.row.length), column = thickness(light.column.length);
+  const scale = Math.max(0.01, Math.min((across - column) / width, (down - row) / height));
+  const [wide, high] = [Math.floor(width * scale), Math.floor(height * scale)];
+  const rest = (room, count) => {
+    const side = Math.min(count * 24, 264, room - GAP);
+    return side > count ? count * Math.floor(side / count) : Math.floor(side);
+  };
+  $("epi-row").hidden = !row;
+  $("epi-column").hidden = !column;
+  $("cross").style.gridTemplate = [high, ...(row ? [rest(down - high, light.row.length)] : [])].map((side) => `${side}px`).join(" ")
+    + ` / ${[wide, ...(column ? [rest(across - wide, light.column.length)] : [])].map((side) => `${side}px`).join(" ")}`;
+}
+
+/** One map or two as large as they can be, with the scale beside them. */
+function layoutMaps(count) {
+  const box = $("maps"), pane = box.parentElement;
+  if (!box.offsetParent || !state?.size) return;
+  const others = [...pane.children].filter((child) => child !== box).reduce((sum, child) => sum + child.offsetHeight, 0);
+  const [height, width] = state.size, across = box.clientWidth - BAR - GAP, down = pane.clientHeight - others - 2 * GAP;
+  const fit = (columns, rows) => Math.min((across - (columns - 1) * GAP) / columns / width, (down - (rows - 1) * GAP) / rows / height);
+  const isBeside = count > 1 && fit(2, 1) >= fit(1, 2), [columns, rows] = count === 1 ? [1, 1] : isBeside ? [2, 1] : [1, 2];
+  const scale = Math.max(0.01, fit(columns, rows)), repeat = (times, side) => `repeat(${times}, ${Math.floor(side * scale)}px)`;
+  box.style.gridTemplate = `${repeat(rows, height)} / ${repeat(columns, width)} ${BAR}px`;
+  $("colour-bar").style.gridArea = `1 / ${columns + 1} / ${rows + 1} / ${columns + 2}`;
+}
+
+// --- drawing what has changed ---
+
+function showLeft() {
+  const source = viewSource();
+  view.show(source);
+  $("focus-bar").hidden = ui.left !== "refocused";
+  $("focus").value = ui.focus;
+  $("aperture").value = ui.aperture;
+  $("focus").nextElementSibling.textContent = `${short(ui.focus)} px`;
+  $("aperture").nextElementSibling.textContent = `${short(ui.aperture)} steps`;
+  select("left-tabs", ui.left);
+  layoutViews();
+  const title = $("left-title");
+  if (!lf()) title.textContent = state ? "No light field" : "";
+  else if (ui.left === "refocused") title.textContent = "Click to focus there";
+  else if (ui.left === "sharp") title.textContent = source ? `All views, by the map “${ui.result}”` : "This needs a map: press Estimate";
+  else title.replaceChildren(...viewName());
+}
+
+/** Where the camera of the view stands, and how far that is to the right of and below the reference camera. */
+function viewName() {
+  const { positions, offsets, reference } = lf(), [u, v] = positions[ui.view], [du, dv] = offsets[ui.view];
+  const place = element("b", { textContent: `Row ${short(v)}, column ${short(u)}` });
+  return [place, ui.view === reference ? ", reference" : ` (${signed(du)}, ${signed(dv)})`];
+}
+
+const short = (value) => String(Number(value.toFixed(2))).replace("-", "−");
+const signed = (value) => (value > 0 ? "+" : "") + short(value);
+
+function showEpis() {
+  const light = lf();
+  if (!light || !ui.pixel) return;
+  if (light.row.length > 1) epis[0].fetch(ui.pixel[1], state.views);
+  if (light.column.length > 1) epis[1].fetch(ui.pixel[0], state.views);
+}
+
+let thumbnailsAt = -Infinity; // those of a stream are asked for once a second
+
+function showThumbnails() {
+  $("thumbnails-box").hidden = !lf();
+  if (!lf()) return;
+  const isDue = !state.frame || performance.now() - thumbnailsAt > 1000;
+  if (isDue) thumbnailsAt = performance.now();
+  thumbnails.fetch(isDue ? state.views : thumbnails.key);
+  $("view-name").replaceChildren(...viewName());
+}
+
+const named = (name, stage = FINAL) => `${entry(name)?.isTruth ? "ground truth" : name}${stage === FINAL ? "" : `, after ${stage}`}`;
+
+function showMaps() {
+  const one = entry(ui.result), other = entry(ui.other), quantity = fixed.quantities[ui.quantity];
+  const first = mapSource(ui.result, ui.quantity, ui.stage), second = other && mapSource(ui.other);
+  const mode = second ? ui.compare : "one";
+  const isSide = mode === "side";
+  $("other-box").hidden = !isSide;
+  layoutMaps(isSide ? 2 : 1);
+  if (mode === "wipe") map.show(first, second);
+  else map.show(mode === "flip" && ui.flipped ? second : first);
+  otherMap.show(isSide ? second : null);
+  const firstName = mode === "flip" && ui.flipped ? named(ui.other) : one && named(ui.result, ui.stage);
+  label("map-label", one && (mode === "wipe" ? `◀ ${firstName}` : firstName));
+  label("wipe-label", mode === "wipe" ? `${named(ui.other)} ▶` : other && !second && `${named(ui.other)}: no ${quantity.label.toLowerCase()}`);
+  label("other-label", isSide && named(ui.other));
+  label("map-note", !one && "No map yet: press Estimate.");
+  const unit = quantity.unit && ` (${quantity.unit})`, hint = [quantity.hint, "grey: undefined"].filter(Boolean).join("; ");
+  if (ui.right === "space" && one) {
+    $("right-title").replaceChildren(element("b", { textContent: ui.mesh ? "Surface" : "Points" }), ` of ${named(ui.result, ui.stage)}`);
+  } else if (!one) $("right-title").textContent = "";
+  else {
+    const what = first ? element("b", { textContent: quantity.label }) : element("b", { textContent: `No ${quantity.label.toLowerCase()}` });
+    $("right-title").replaceChildren(what, ` of ${named(ui.result, ui.stage)}${unit}`);
+    if (one.isTruth && !state.results.some((each) => !each.isTruth)) $("right-title").append("; no estimate yet");
+    else if (one.earlier) $("right-title").append("; of an earlier frame");
+  }
+  $("right-title").title = hint;
+  const { colours, low, high } = scale();
+  drawScale($("colour-bar"), first || second ? scale() : { low: 0, high: 0 });
+  fill($("colours"), Object.keys(fixed.colours).map((name) => [name, name]), colours);
+  for (const [id, value] of [["low", low], ["high", high]]) {
+    if (document.activeElement !== $(id)) $(id).value = Number(value.toPrecision(5));
+  }
+  $("auto").disabled = !ui.ranges[ui.quantity];
+}
+
+function label(id, text) {
+  $(id).hidden = !text;
+  $(id).textContent = text || "";
+}
+
+function showChoices() {
+  if (!state) return;
+  const quantities = Object.entries(fixed.quantities).filter(([name]) => state.results.some((one) => one.kinds.includes(name)));
+  $("quantity").disabled = $("result").disabled = $("other").disabled = !state.results.length;
+  fill($("quantity"), quantities.map(([name, { label }]) => [name, label]), ui.quantity);
+  const names = state.results.map(({ name, isTruth, earlier }) => [name, isTruth ? "ground truth" : earlier ? `${name} (earlier frame)` : name]);
+  fill($("result"), names.length ? names : [[NOTHING, "none yet"]], ui.result);
+  fill($("other"), [[NOTHING, "nothing"], ...names.filter(([name]) => name !== ui.result)], ui.other);
+  const one = entry(ui.result);
+  fill($("stage"), [[FINAL, FINAL], ...(one?.stages ?? []).map((stage) => [stage, `after ${stage}`])], ui.stage);
+  $("stage").parentElement.hidden = !one?.stages.length;
+  $("compare").hidden = !ui.other;
+  select("compare", ui.compare, "aria-checked");
+  $("about").textContent = one?.isTruth
+    ? "The ground truth: it is not an estimate." : [one?.about, one?.earlier && "It belongs to an earlier frame."].filter(Boolean).join(" ");
+  const scored = state.results.filter(({ scores }) => scores);
+  $("scores").hidden = !scored.length;
+  const cell = (value, digits) => element("td", { textContent: value === null ? "–" : value.toFixed(digits) });
+  $("scores").tBodies[0].replaceChildren(...scored.map(({ name, scores: { mse, bad07, bad01, q25 } }) => element(
+    "tr", { className: name === ui.result ? "chosen" : "" }, element("td", { textContent: name, title: name }),
+    cell(mse, 2), element("td", { textContent: bad07 === null ? "–" : `${bad07.toFixed(2)} %` }),
+    element("td", { textContent: bad01 === null ? "–" : `${bad01.toFixed(1)} %` }), cell(q25, 2),
+  )));
+  const paints = [...(lf() ? [[PICTURE, "picture"]] : []), ...quantities.map(([name, { label }]) => [name, label.toLowerCase()])];
+  if (!paints.some(([name]) => name === ui.paint)) ui.paint = paints[0]?.[0] ?? PICTURE;
+  fill($("space-paint"), paints, ui.paint);
+  $("space-metric").disabled = !state.metric;
+  $("space-metric").value = ui.metric && state.metric ? "1" : "";
+  $("space-cameras").disabled = !(state.metric && ui.metric && lf());
+  $("space-cameras").parentElement.title = state.metric ? "" : "The place of cameras needs a geometry";
+}
+
+const output = (id, text) => ($(id).nextElementSibling.textContent = text);
+
+function showSliders() {
+  $("exposure").value = ui.exposure;
+  $("gamma").value = ui.gamma;
+  output("exposure", signed(ui.exposure));
+  output("gamma", ui.gamma.toFixed(2));
+  output("space-least", ui.least.toFixed(2));
+  output("space-size", ui.size.toFixed(1));
+}
+
+function showParts() {
+  const isSpace = ui.right === "space";
+  select("right-tabs", ui.right);
+  $("maps").hidden = isSpace;
+  $("space").hidden = !isSpace;
+  $("space-section").hidden = !isSpace;
+  const part = document.body.dataset.show;
+  for (const button of document.querySelectorAll("nav button")) button.setAttribute("aria-current", button.dataset.value === part);
+}
+
+function showReadout() {
+  const at = ui.hover?.values ? ui.hover : ui.found && { ...ui.found, pane: null };
+  const said = [];
+  if (at) {
+    const inView = at.pane === "left" && !isOfReference() && lf() && ui.view !== lf().reference;
+    if (inView) said.push(part("in the view", `${at.shown[0]}, ${at.shown[1]}`, ""));
+    const pixel = at.pixel ? `${at.pixel[0]}, ${at.pixel[1]}` : "not in the map";
+    said.push(part(at.pane ? (inView ? "in the reference" : "x, y") : "chosen x, y", pixel, ""));
+    for (const [kind, value] of Object.entries(at.values)) {
+      const { label, unit } = fixed.quantities[kind];
+      const other = at.other[kind];
+      said.push(part(label.toLowerCase(), number(value), value === null ? "" : unit.replace(" per view step", "")));
+      if (ui.other && other !== undefined && kind === ui.quantity) said.push(part(named(ui.other), number(other), "", "dim"));
+    }
+  }
+  $("readout").replaceChildren(...said);
+}
+
+const part = (name, value, unit, className = "") => element(
+  "span", { className }, element("span", { className: "dim", textContent: `${name} ` }), element("b", { textContent: value }), unit && ` ${unit}`,
+);
+
+function select(id, chosen, attribute = "aria-selected") {
+  for (const button of $(id).querySelectorAll("button")) {
+    button.setAttribute(attribute, button.dataset.value === chosen);
+    button.setAttribute("role", attribute === "aria-checked" ? "radio" : "tab");
+  }
+}
+
+ui.on("view left result stage focus aperture exposure gamma", showLeft);
+ui.on("view exposure gamma", showThumbnails);
+ui.on("pixel exposure gamma", showEpis);
+ui.on("pixel result stage other", findPixel);
+ui.on("found view left", () => {
+  [view, map, otherMap].forEach((one) => one.draw());
+  epis.forEach((one) => one.draw());
+});
+ui.on("quantity result stage other compare flipped colourMaps ranges right mesh", showMaps);
+ui.on("quantity result stage other compare metric paint", showChoices);
+ui.on("exposure gamma least size", showSliders);
+ui.on("right", showParts);
+ui.on("hover found other quantity", showReadout);
+
+// --- the state of the server ---
+
+const estimate = new Estimate(fixed.presets);
+
+const PATIENCE = 500; // milliseconds that pictures have to come before the next state is taken
+
+let later = null, takenAt = 0;
+
+/** Take the state of the server, a stream's when what is shown of the last one is there: else nothing would ever be. */
+function take(next) {
+  const isStream = state && next.revision !== state.revision && next.results.some(({ name }) => name === fixed.live);
+  if (isStream && performance.now() - takenAt < PATIENCE && ![view, map, otherMap].every((one) => one.isComplete)) {
+    if (!later) setTimeout(takeLater, PATIENCE);
+    later = next;
+    return;
+  }
+  later = null;
+  takenAt = performance.now();
+  takeNow(next);
+}
+
+function takeLater() {
+  if (later) take(later);
+}
+
+function takeNow(next) {
+  const before = state;
+  state = next;
+  const other = !before || before.lightField?.name !== state.lightField?.name || String(before.size) !== String(state.size)
+    || before.lightField?.views !== state.lightField?.views;
+  chooseMaps(before, other);
+  if (other && state.size) {
+    const [height, width] = state.size, light = lf();
+    ui.set({
+      view: light?.reference ?? 0, pixel: [Math.floor(width / 2), Math.floor(height / 2)], hover: null, found: null,
+      aperture: light?.aperture ?? 0, ranges: {}, metric: true, ...(light ? {} : { left: "view" }),
+    });
+    $("aperture").max = light?.aperture ?? 1;
+    viewport.fit(state.size);
+  }
+  if (lf()) ui.set({ view: Math.min(ui.view, lf().views - 1) });
+  const span = state.scales.disparity?.limits ?? [-3, 3], margin = 0.2 * (span[1] - span[0]);
+  [$("focus").min, $("focus").max] = [span[0] - margin, span[1] + margin];
+  $("left").hidden = !lf();
+  document.querySelector("main").hidden = $("readout").hidden = !state.size;
+  $("nothing").hidden = Boolean(state.size || state.loading);
+  $("views-section").hidden = !lf();
+  document.querySelector("main").classList.toggle("maps-only", !lf());
+  document.querySelector("nav [data-value=view]").disabled = !lf();
+  if (!lf() && document.body.dataset.show === "view") showPart("map");
+  if (!before || other || state.revision !== before.revision) {
+    document.title = [lf()?.name, "lfgpu"].filter(Boolean).join(" – ");
+    $("name").textContent = lf()?.name ?? "";
+    $("facts").textContent = facts();
+    showChoices();
+    showLeft();
+    layoutViews();
+    showThumbnails();
+    showEpis();
+    showMaps();
+    findPixel();
+  }
+  showLoading();
+  showStream();
+  estimate.progress(state.progress, Boolean(lf()));
+  space.refresh();
+}
+
+function facts() {
+  const light = lf();
+  if (!light) return state.size ? `${state.size[1]} × ${state.size[0]} pixels` : "";
+  const [rows, columns] = light.grid ?? [1, light.views], isWhole = rows * columns === light.views;
+  const views = light.grid ? `${isWhole ? "" : `${light.views} of `}${rows} × ${columns} views` : `${light.views} views`;
+  return `${views}, ${state.size[1]} × ${state.size[0]} pixels, ${light.stored}${light.channels === 1 ? ", grey" : ""}`;
+}
+
+/** Choose among the maps that there are now: the newest one, or the one that was chosen, or the first estimate. */
+function chooseMaps(before, other) {
+  const names = state.results.map(({ name }) => name), known = new Set((other ? null : before)?.results.map(({ name }) => name));
+  let { result, stage, other: beside, quantity } = ui;
+  const isNew = state.newest !== null && names.includes(state.newest) && !known.has(state.newest);
+  if (isNew) {
+    if (known.has(result) && !entry(result)?.isTruth && !beside && state.newest !== fixed.live) beside = result;
+    result = state.newest;
+  } else if (!names.includes(result)) {
+    result = state.results.find(({ isTruth }) => !isTruth)?.name ?? names[0] ?? NOTHING;
+  }
+  if (!names.includes(beside) || beside === result) beside = NOTHING;
+  if (!entry(result)?.stages.includes(stage)) stage = FINAL;
+  if (result && !entry(result).kinds.includes(quantity)) quantity = "disparity";
+  ui.set({ result, stage, other: beside, quantity });
+}
+
+let loadingSince = 0;
+
+function showLoading() {
+  $("loading").hidden = !state.loading;
+  if (!state.loading) return;
+  loadingSince = performance.now() / 1000 - state.loading.seconds;
+  tick();
+}
+
+function tick() {
+  if (!state?.loading) return;
+  $("loading-text").textContent = `${state.loading.text} (${Math.floor(performance.now() / 1000 - loadingSince)} s)`;
+}
+setInterval(tick, 500);
+
+function showStream() {
+  const { rate, latency, dropped, paused, recording, switches } = state.stream;
+  const said = [
+    paused ? "paused" : "", recording ? "recording" : "",
+    rate === null ? "" : `${rate.toFixed(1)} frames/s`,
+    latency === null ? "" : `${(1000 * latency).toFixed(0)} ms latency`,
+    dropped === null ? "" : `${dropped} dropped`,
+  ].filter(Boolean);
+  $("stream").hidden = !said.length && !switches.length;
+  $("stream-facts").textContent = said.join(" · ");
+  for (const [id, on, words] of [["pause", paused, ["Pause", "Go on"]], ["record", recording, ["Record", "Stop recording"]]]) {
+    $(id).hidden = !switches.includes(id);
+    $(id).textContent = words[Number(on)];
+    $(id).onclick = () => orTell(() => act("switch", { name: id, on: !on }));
+  }
+}
+
+// --- what people do ---
+
+const pick = (id, name, turn = (value) => value) => ($(id).onchange = () => ui.set({ [name]: turn($(id).value) }));
+const slide = (id, name) => ($(id).oninput = () => ui.set({ [name]: $(id).valueAsNumber }));
+pick("quantity", "quantity");
+pick("result", "result");
+pick("stage", "stage");
+pick("other", "other");
+pick("space-paint", "paint");
+pick("space-background", "background");
+pick("space-mesh", "mesh", Boolean);
+pick("space-metric", "metric", Boolean);
+for (const name of ["exposure", "gamma", "focus", "aperture"]) slide(name, name);
+slide("space-least", "least");
+slide("space-size", "size");
+$("space-cameras").onchange = () => ui.set({ cameras: $("space-cameras").checked });
+$("space-start").onclick = () => space.startOver();
+$("as-stored").onclick = () => ui.set({ exposure: 0, gamma: 1 });
+$("colours").onchange = () => ui.set({ colourMaps: { ...ui.colourMaps, [ui.quantity]: $("colours").value } });
+$("auto").onclick = () => ui.set({ ranges: { ...ui.ranges, [ui.quantity]: null } });
+for (const id of ["low", "high"]) {
+  $(id).onchange = () => {
+    const [low, high] = [$("low").valueAsNumber, $("high").valueAsNumber];
+    if (low < high) ui.set({ ranges: { ...ui.ranges, [ui.quantity]: [low, high] } });
+    else tell("The range must go from a smaller to a larger number.");
+  };
+}
+const press = (id, act) => ($(id).onclick = (event) => event.target.dataset.value && act(event.target.dataset.value));
+press("left-tabs", (value) => ui.set({ left: value, hover: null }));
+press("right-tabs", (value) => ui.set({ right: value }));
+press("compare", (value) => ui.set({ compare: value, flipped: value === "flip" && !ui.flipped }));
+document.querySelector("nav").onclick = (event) => event.target.dataset.value && showPart(event.target.dataset.value);
+
+function showPart(value) {
+  document.body.dataset.show = value;
+  if (value === "map" || value === "space") ui.set({ right: value });
+  showParts();
+  requestAnimationFrame(() => viewport.changed());
+}
+
+function walk(list, chosen, by) {
+  const at = list.indexOf(chosen);
+  return list[(at + by + list.length) % list.length] ?? chosen;
+}
+
+const KEYS = {
+  r: () => lf() && ui.set({ view: lf().reference, left: "view" }),
+  f: () => viewport.fit(),
+  "+": () => viewport.enlarge(map.canvas.offsetParent ? map : view, ...middle(), 1.5),
+  "=": () => KEYS["+"](),
+  "-": () => viewport.enlarge(map.canvas.offsetParent ? map : view, ...middle(), 1 / 1.5),
+  "[": () => state.results.length && ui.set({ result: walk(state.results.map(({ name }) => name), ui.result, -1) }),
+  "]": () => state.results.length && ui.set({ result: walk(state.results.map(({ name }) => name), ui.result, 1) }),
+  t: () => ui.other && ui.set({ compare: "flip", flipped: ui.compare === "flip" ? !ui.flipped : true }),
+  v: () => ui.set({ left: "view" }),
+  o: () => lf() && ui.set({ left: "refocused" }),
+  a: () => lf() && ui.set({ left: "sharp" }),
+  m: () => showPart("map"),
+  d: () => showPart("space"),
+  s: () => $("save-files").click(),
+  "?": () => $("help").showModal(),
+};
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+const middle = () => {
+  const { canvas } = map.canvas.offsetParent ? map : view;
+  return [canvas.width / 2, canvas.height / 2];
+};
+
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
+  if (event.target.closest("input, select, textarea")) return;
+  const arrow = ARROWS[event.key], number = Number(event.key);
+  if (arrow && state?.size) {
+    event.preventDefault();
+    if (event.shiftKey) {
+      const inside = (value, side) => Math.min(Math.max(value, 0), side - 1);
+      ui.set({ pixel: [inside(ui.pixel[0] + arrow[0], state.size[1]), inside(ui.pixel[1] + arrow[1], state.size[0])] });
+    } else if (lf()) ui.set({ view: neighbour(lf(), ui.view, ...arrow), left: "view" });
+  } else if (number >= 1 && number <= $("quantity").options.length) {
+    ui.set({ quantity: $("quantity").options[number - 1].value });
+  } else if (KEYS[event.key.toLowerCase()]) {
+    event.preventDefault();
+    KEYS[event.key.toLowerCase()]();
+  }
+});
+$("open-help").onclick = () => $("help").showModal();
+
+function placeThumbnails() {
+  $(phone.matches ? "thumbnails-phone" : "thumbnails-home").append($("thumbnails-box"));
+  thumbnails.draw();
+}
+phone.addEventListener("change", placeThumbnails);
+placeThumbnails();
+const roomForMaps = new ResizeObserver(() => state && showMaps());
+roomForMaps.observe($("right"));
+roomForMaps.observe($("results"));
+new ResizeObserver(layoutViews).observe($("left"));
+dark.addEventListener("change", () => {
+  showMaps();
+  space.refresh();
+});
+
+setUpFiles(fixed.formats, () => ({
+  state, ui, mapSource: mapSource(ui.result, ui.quantity, ui.stage), viewSource: viewSource(), scale: scale(), tab: space.tab,
+}));
+
+// --- points in space ---
+
+let wasShown = false;
+
+function scene() {
+  if (!state?.size || (ui.right !== "space" && !wasShown)) return null;
+  wasShown = true;
+  const kind = ui.paint === PICTURE ? "disparity" : ui.paint, { colours, low, high } = scale(kind), box = $("space").getBoundingClientRect();
+  const page = dark.matches ? "dark" : "light";
+  return {
+    result: ui.result, stage: ui.stage, metric: ui.metric && state.metric, paint: ui.paint, colours, low, high,
+    exposure: ui.exposure, gamma: ui.gamma, least: ui.least, size: ui.size, mesh: ui.mesh, cameras: ui.cameras, background: ui.background === "page" ? page : ui.background,
+    dark: dark.matches, aspect: box.height ? box.width / box.height : 1, x: ui.pixel?.[0] ?? 0, y: ui.pixel?.[1] ?? 0,
+  };
+}
+
+const send = connect((words) => {
+  if (words.tab) space.belong(words.tab);
+  if (words.state) take(words.state);
+  if (words.space) space.ready();
+  if (words.picked) ui.set({ pixel: words.picked });
+  if (words.message) tell(words.message);
+}, (isThere) => {
+  $("gone").hidden = isThere;
+  document.body.classList.toggle("gone", !isThere);
+});
+const space = new Space(send, scene);
+ui.on("right result stage metric paint exposure gamma least size mesh cameras background pixel colourMaps ranges", () => space.refresh());
+showParts();
+showSliders();

@@ -1,0 +1,317 @@
+// A canvas that shows a picture of tiles, moves and enlarges it, and tells where somebody points.
+
+import { SIDE, tile, want } from "./tiles.js";
+
+const CLICK = 5; // pixels: who moves less has clicked
+const GRIP = 14; // pixels beside the line of a wipe where it can be taken
+const QUICK = 360; // pixels of the longer side of what is computed first
+
+export class Picture {
+  #sources = []; // one, or two that a wipe divides
+  #before = null; // what was drawn last, until the next one has come
+  #pointers = new Map();
+  #sharpen = 0;
+  #complete = true;
+
+  /**
+   * @param canvas
+   * @param viewport  shared by all pictures that move together
+   * @param on  { point(x, y or null), choose(x, y), wipe(share), overlay(context, place), complete(), next() }; `next`
+   *   gives the sources that are probably looked at next
+   */
+  constructor(canvas, viewport, on) {
+    Object.assign(this, { canvas, viewport, on, wipe: 0.5, isSharp: false });
+    viewport.onChange(() => this.draw());
+    new ResizeObserver(() => this.#resized()).observe(canvas);
+    this.#listen();
+  }
+
+  /** Show one source, or two beside each other. */
+  show(...sources) {
+    if (sources[0]?.key !== this.#sources[0]?.key) {
+      this.isSharp = false;
+      clearTimeout(this.#sharpen);
+    }
+    this.#sources = sources.filter(Boolean);
+    this.#complete = !this.#sources.length;
+    this.draw();
+  }
+
+  /** Whether all that is wanted is drawn, as far as it can be seen. */
+  get isComplete() {
+    return this.#complete || !this.canvas.offsetParent;
+  }
+
+  draw() {
+    if (this.drawing) return;
+    this.drawing = requestAnimationFrame(() => {
+      this.drawing = 0;
+      this.#drawNow();
+    });
+  }
+
+  #resized() {
+    const ratio = window.devicePixelRatio, { clientWidth, clientHeight } = this.canvas;
+    this.canvas.width = Math.max(1, Math.round(clientWidth * ratio));
+    this.canvas.height = Math.max(1, Math.round(clientHeight * ratio));
+    this.viewport.changed();
+  }
+
+  #drawNow() {
+    const { canvas } = this, context = canvas.getContext("2d");
+    context.clearRect(0, 0, canvas.width, canvas.height);
+    if (!this.#sources.length || canvas.width < 2) {
+      want(this, []);
+      canvas.dataset.drawn = "";
+      return;
+    }
+    const place = this.viewport.place(this), wishes = [];
+    const [first, second] = this.#sources;
+    const edge = second ? Math.round(place.left + this.wipe * first.size[1] * place.scale) : canvas.width;
+    let complete = this.#drawPart(context, place, first, 0, edge, wishes);
+    if (second) complete = this.#drawPart(context, place, second, edge, canvas.width, wishes) && complete;
+    if (complete && !first.whole) {
+      const next = this.on.next?.() ?? [];
+      wishes.push(...next.flatMap((source) => wishes.slice().map(([, ...place]) => [source, ...place])));
+    }
+    want(this, wishes);
+    if (complete) this.#before = first;
+    this.#complete = complete;
+    canvas.dataset.drawn = complete ? this.#sources.map(({ key, look }) => `${key} ${look}`).join(" / ") : "";
+    Object.assign(canvas.dataset, { left: place.left, top: place.top, scale: place.scale });
+    this.on.overlay?.(context, place);
+    if (!complete && first.whole) drawNote(context, "Computing …");
+    if (second) this.#drawWipe(context, edge);
+    if (complete) this.on.complete?.();
+  }
+
+  /** Draw a source between two columns of the canvas; returns whether all of it has come. */
+  #drawPart(context, place, source, from, to, wishes) {
+    context.save();
+    context.beginPath();
+    context.rect(from, 0, to - from, context.canvas.height);
+    context.clip();
+    const complete = source.whole ? this.#drawWhole(context, place, source, wishes) : this.#drawTiles(context, place, source, wishes);
+    context.restore();
+    return complete;
+  }
+
+  #drawTiles(context, place, source, wishes) {
+    const [height, width] = source.size, most = Math.max(0, Math.ceil(Math.log2(Math.max(height, width) / SIDE)));
+    const level = Math.min(most, Math.max(0, Math.floor(Math.log2(1 / place.scale) + 1e-6)));
+    const drawLevel = (source, level, wished) => {
+      let complete = true;
+      const step = SIDE * 2 ** level;
+      const range = (start, room, side) => [
+        Math.max(0, Math.floor(-start / place.scale / step)),
+        Math.min(Math.ceil(side / step), Math.ceil((room - start) / place.scale / step)),
+      ];
+      const [left, right] = range(place.left, context.canvas.width, width);
+      const [top, bottom] = range(place.top, context.canvas.height, height);
+      for (let row = top; row < bottom; row++) {
+        for (let column = left; column < right; column++) {
+          const found = tile(source, level, column, row);
+          if (found) this.#put(context, place, source, found, column * step, row * step, 2 ** level);
+          else complete = false;
+          wished?.push([source, level, column, row]);
+        }
+      }
+      return complete;
+    };
+    const overview = tile(source, most, 0, 0);
+    if (!overview && this.#before && this.#before.size.join() === source.size.join()) {
+      if (this.#before.whole) this.#drawWhole(context, place, this.#before, null);
+      else drawLevel(this.#before, level, null) || drawLevel(this.#before, most, null);
+    }
+    if (overview && level < most) this.#put(context, place, source, overview, 0, 0, 2 ** most);
+    const own = [];
+    const complete = drawLevel(source, level, own);
+    if (!complete && level < most) wishes.push([source, most, 0, 0]);
+    wishes.push(...own);
+    return complete;
+  }
+
+  /** What the server computes comes coarse first, and as fine as the screen when nothing has changed for a while. */
+  #drawWhole(context, place, source, wishes) {
+    const quick = Math.max(0, Math.ceil(Math.log2(Math.max(...source.size) / QUICK)));
+    const fine = Math.min(quick, Math.max(0, Math.floor(Math.log2(1 / place.scale) + 1e-6)));
+    let best = null;
+    for (let level = 0; level <= quick && !best; level++) {
+      const found = tile(source, level, 0, 0);
+      if (found) best = [found, level];
+    }
+    if (best) this.#put(context, place, source, best[0], 0, 0, 2 ** best[1]);
+    else if (this.#before && wishes) {
+      if (this.#before.whole) this.#drawWhole(context, place, this.#before, null);
+      else if (tile(this.#before, 0, 0, 0)) this.#put(context, place, this.#before, tile(this.#before, 0, 0, 0), 0, 0, 1);
+    }
+    wishes?.push([source, quick, 0, 0]);
+    if (wishes && best && best[1] > fine) {
+      if (this.isSharp) wishes.push([source, fine, 0, 0]);
+      else {
+        clearTimeout(this.#sharpen);
+        this.#sharpen = setTimeout(() => {
+          this.isSharp = true;
+          this.draw();
+        }, 400);
+      }
+    }
+    return best !== null;
+  }
+
+  #put(context, place, source, image, x, y, step) {
+    const at = (start, value) => Math.round(start + value * place.scale);
+    const left = at(place.left, x), top = at(place.top, y);
+    const right = at(place.left, Math.min(x + image.width * step, source.size[1]));
+    const bottom = at(place.top, Math.min(y + image.height * step, source.size[0]));
+    const enlargement = place.scale * step;
+    context.imageSmoothingEnabled = !source.isMap && enlargement < 2 && !Number.isInteger(enlargement);
+    context.imageSmoothingQuality = "high";
+    const [seenX, seenY] = [(source.size[1] - x) / step, (source.size[0] - y) / step];
+    context.drawImage(
+      image, 0, 0, Math.min(image.width, seenX), Math.min(image.height, seenY), left, top, right - left, bottom - top,
+    );
+  }
+
+  #drawWipe(context, edge) {
+    const ratio = window.devicePixelRatio, { height } = context.canvas;
+    context.fillStyle = "rgb(0 0 0 / 55%)";
+    context.fillRect(edge - 2 * ratio, 0, 4 * ratio, height);
+    context.fillStyle = "#fff";
+    context.fillRect(edge - ratio, 0, 2 * ratio, height);
+    context.beginPath();
+    context.arc(edge, height / 2, 11 * ratio, 0, 7);
+    context.fill();
+    context.fillStyle = "#333";
+    for (const side of [-1, 1]) {
+      context.beginPath();
+      context.moveTo(edge + side * 3 * ratio, height / 2 - 4 * ratio);
+      context.lineTo(edge + side * 7 * ratio, height / 2);
+      context.lineTo(edge + side * 3 * ratio, height / 2 + 4 * ratio);
+      context.fill();
+    }
+  }
+
+  // --- pointing ---
+
+  /** The place of a pointer on the canvas, in its pixels. */
+  #spot(event) {
+    const box = this.canvas.getBoundingClientRect(), ratio = this.canvas.width / box.width;
+    return [(event.clientX - box.left) * ratio, (event.clientY - box.top) * ratio];
+  }
+
+  /** The pixel of the picture at a place of the canvas; null beside the picture. */
+  pixel([x, y]) {
+    if (!this.#sources.length) return null;
+    const place = this.viewport.place(this), [height, width] = this.#sources[0].size;
+    const at = [Math.floor((x - place.left) / place.scale), Math.floor((y - place.top) / place.scale)];
+    return at[0] >= 0 && at[1] >= 0 && at[0] < width && at[1] < height ? at : null;
+  }
+
+  #onWipe([x]) {
+    if (this.#sources.length < 2) return false;
+    const place = this.viewport.place(this);
+    return Math.abs(x - place.left - this.wipe * this.#sources[0].size[1] * place.scale) < GRIP * window.devicePixelRatio;
+  }
+
+  #listen() {
+    const { canvas } = this;
+    canvas.addEventListener("pointerdown", (event) => {
+      if (event.button > 0) return;
+      canvas.setPointerCapture(event.pointerId);
+      const spot = this.#spot(event);
+      this.#pointers.set(event.pointerId, spot);
+      this.gesture = this.#pointers.size > 1 ? "pinch" : this.#onWipe(spot) ? "wipe" : "click";
+      this.begin = spot;
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      const spot = this.#spot(event), before = this.#pointers.get(event.pointerId);
+      if (!before) {
+        canvas.style.cursor = this.#onWipe(spot) ? "ew-resize" : "";
+        const at = this.pixel(spot);
+        this.on.point?.(at && at[0], at && at[1]);
+        return;
+      }
+      if (this.gesture === "wipe") {
+        const place = this.viewport.place(this), wide = this.#sources[0].size[1] * place.scale;
+        this.on.wipe?.(Math.min(1, Math.max(0, (spot[0] - place.left) / wide)));
+      } else if (this.gesture === "pinch") {
+        this.#pinch(event.pointerId, spot);
+      } else {
+        const far = Math.hypot(spot[0] - this.begin[0], spot[1] - this.begin[1]);
+        if (this.gesture === "click" && far > CLICK * window.devicePixelRatio) this.gesture = "move";
+        if (this.gesture === "move") this.viewport.move(this, spot[0] - before[0], spot[1] - before[1]);
+      }
+      this.#pointers.set(event.pointerId, spot);
+    });
+    const up = (event) => {
+      if (!this.#pointers.delete(event.pointerId)) return;
+      const at = this.pixel(this.#spot(event));
+      if (event.type === "pointerup" && this.gesture === "click" && at) this.on.choose?.(...at);
+      if (this.gesture !== "pinch" || !this.#pointers.size) this.gesture = null;
+    };
+    canvas.addEventListener("pointerup", up);
+    canvas.addEventListener("pointercancel", up);
+    canvas.addEventListener("pointerleave", () => this.on.point?.(null, null));
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      const lines = event.deltaMode === 1 ? 30 : 1;
+      this.viewport.enlarge(this, ...this.#spot(event), Math.exp(-0.0022 * lines * event.deltaY));
+    }, { passive: false });
+    canvas.addEventListener("dblclick", () => this.viewport.fit());
+  }
+
+  #pinch(moved, spot) {
+    const other = [...this.#pointers].find(([id]) => id !== moved)?.[1], before = this.#pointers.get(moved);
+    if (!other) return;
+    const apart = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+    const middle = (a, b) => [(a[0] + b[0]) / 2, (a[1] + b[1]) / 2];
+    const [from, to] = [middle(before, other), middle(spot, other)];
+    this.viewport.move(this, to[0] - from[0], to[1] - from[1]);
+    this.viewport.enlarge(this, ...to, apart(spot, other) / Math.max(1, apart(before, other)));
+  }
+}
+
+/** Lines through a pixel of a picture, and a ring around it. */
+export function drawCross(context, place, x, y) {
+  const ratio = window.devicePixelRatio, { width, height } = context.canvas;
+  const at = [place.left + (x + 0.5) * place.scale, place.top + (y + 0.5) * place.scale];
+  const ring = Math.max(7 * ratio, place.scale * 0.75);
+  context.save();
+  context.beginPath();
+  context.rect(place.left, place.top, place.width, place.height);
+  context.clip();
+  for (const [style, wide] of [["rgb(0 0 0 / 45%)", 3 * ratio], ["rgb(255 255 255 / 85%)", ratio]]) {
+    context.strokeStyle = style;
+    context.lineWidth = wide;
+    context.beginPath();
+    for (const [from, to] of [[0, at[0] - ring], [at[0] + ring, width]]) {
+      if (to > from) context.moveTo(from, at[1]), context.lineTo(to, at[1]);
+    }
+    for (const [from, to] of [[0, at[1] - ring], [at[1] + ring, height]]) {
+      if (to > from) context.moveTo(at[0], from), context.lineTo(at[0], to);
+    }
+    context.stroke();
+  }
+  for (const [style, wide] of [["rgb(0 0 0 / 60%)", 4 * ratio], [mark(), 2 * ratio]]) {
+    context.strokeStyle = style;
+    context.lineWidth = wide;
+    context.beginPath();
+    context.arc(...at, ring, 0, 7);
+    context.stroke();
+  }
+  context.restore();
+}
+
+function drawNote(context, text) {
+  const ratio = window.devicePixelRatio;
+  context.font = `${13 * ratio}px system-ui, sans-serif`;
+  const wide = context.measureText(text).width;
+  context.fillStyle = "rgb(0 0 0 / 62%)";
+  context.fillRect(8 * ratio, 8 * ratio, wide + 16 * ratio, 24 * ratio);
+  context.fillStyle = "#fff";
+  context.textBaseline = "middle";
+  context.fillText(text, 16 * ratio, 20 * ratio);
+}
+
+export const mark = () => getComputedStyle(document.documentElement).getPropertyValue("--mark").trim();

@@ -1,0 +1,96 @@
+// Pieces of pictures: asked for when they are looked at, kept while there is room.
+
+import { tell } from "./elements.js";
+import { array } from "./server.js";
+
+export const SIDE = 512; // pixels of a tile
+const ROOM = 256 * 2 ** 20; // bytes that are kept
+const AT_ONCE = 5;
+
+// A source of tiles: { key, size: [height, width], what, query, paint(data, shape), look, whole, isMap }.
+// `look` changes with what `paint` draws. A source that is `whole` has one tile, of the whole picture, at each level.
+
+const known = new Map(); // tiles by key, the least recently used first
+let waiting = []; // { key, source, level, column, row, asker }
+let busy = 0, bytes = 0;
+const under = new Set();
+const listeners = new Set();
+
+export const onArrival = (listener) => listeners.add(listener);
+
+export const keyOf = (source, level, column, row) => `${source.key}|${level}|${column}|${row}`;
+
+/** A tile as a canvas in its present look; null if it has not come yet. */
+export function tile(source, level, column, row) {
+  const key = keyOf(source, level, column, row), found = known.get(key);
+  if (!found?.data) return null;
+  known.delete(key);
+  known.set(key, found);
+  if (found.look !== source.look) {
+    const [height, width] = found.shape;
+    found.canvas ??= Object.assign(document.createElement("canvas"), { width, height });
+    found.canvas.getContext("2d").putImageData(source.paint(found.data, found.shape), 0, 0);
+    found.look = source.look;
+  }
+  return found.canvas;
+}
+
+/** Tell which tiles somebody wants now, the most urgent first; what it wanted before and has not begun is dropped. */
+export function want(asker, wishes) {
+  waiting = waiting.filter((wish) => wish.asker !== asker);
+  for (const [source, level, column, row] of wishes) {
+    const key = keyOf(source, level, column, row);
+    if (!known.has(key) && !under.has(key)) waiting.push({ key, source, level, column, row, asker });
+  }
+  work();
+}
+
+/** All tiles of a source at full size, for saving. */
+export async function wholePicture(source) {
+  const [height, width] = source.size;
+  const canvas = Object.assign(document.createElement("canvas"), { width, height });
+  const context = canvas.getContext("2d");
+  const side = source.whole ? Infinity : SIDE;
+  for (let row = 0; row === 0 || row * side < height; row++) {
+    for (let column = 0; column === 0 || column * side < width; column++) {
+      const { data, shape } = await array(source.what, { ...source.query, level: 0, column, row });
+      context.putImageData(source.paint(data, shape), column ? column * side : 0, row ? row * side : 0);
+    }
+  }
+  return canvas;
+}
+
+function work() {
+  while (busy < AT_ONCE && waiting.length) {
+    const { key, source, level, column, row } = waiting.shift();
+    if (known.has(key) || under.has(key)) continue;
+    busy++;
+    under.add(key);
+    array(source.what, { ...source.query, level, column, row })
+      .then((found) => keep(key, found), (error) => fail(key, source, error))
+      .finally(() => {
+        busy--;
+        under.delete(key);
+        work();
+        for (const listener of listeners) listener();
+      });
+  }
+}
+
+/** One that fails is not asked for again; a tile of what has been replaced meanwhile is no news. */
+function fail(key, source, error) {
+  known.set(key, {});
+  if (source.whole) tell(error.message);
+}
+
+function keep(key, { data, shape }) {
+  known.set(key, { data, shape });
+  bytes += weight(data, shape);
+  for (const [old, found] of known) {
+    if (bytes <= ROOM) break;
+    if (found.data) bytes -= weight(found.data, found.shape);
+    known.delete(old);
+  }
+}
+
+const weight = (data, shape) => data.byteLength + 4 * shape[0] * shape[1];

@@ -1,0 +1,237 @@
+"""What pages draw, as arrays: tiles of views and maps, EPIs, thumbnails, refocused views. It knows nothing of the web.
+
+Views come as intensities in the whole range of uint8, or of uint16 where they are stored with more than 8 bits. Maps
+come as float32, so that pages colour them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
+from lfgpu.errors import LightFieldError
+from lfgpu.viewer.contents import QUANTITIES, Contents
+from lfgpu.viz.refocusing import all_in_focus, refocus, spread, within
+from lfgpu.viz.splines import LINEAR
+
+TILE = 512
+"""Pixels along each side of a tile; those at the right and the lower end are smaller."""
+
+_FOCUS_VIEWS = 49  # of a refocused picture, so that it follows its slider
+_SHARP_VIEWS = 25  # of a picture that is in focus everywhere
+_MET = 0.75  # pixels: a point that is not farther from a place is seen there
+_THUMBNAILS = 640  # pixels: the sides of all thumbnails together, about
+_LARGEST_THUMBNAIL = 96
+
+
+_small = WeakKeyDictionary[LightField, dict[tuple[int, int], tuple[NDArray[Any], NDArray[np.bool_]]]]()
+
+
+def wire_type(lf: LightField) -> type[np.uint8] | type[np.uint16]:
+    """The type in which intensities of views are sent."""
+    return np.uint8 if lf.views.dtype == np.uint8 else np.uint16
+
+
+def intensities(pixels: NDArray[Any], lf: LightField) -> NDArray[Any]:
+    """Stored values of views as intensities in the whole range of `wire_type`."""
+    kind = wire_type(lf)
+    factor = lf.scale * np.iinfo(kind).max
+    if pixels.dtype == kind and abs(factor - 1) < 1e-9:
+        return np.ascontiguousarray(pixels)
+    return np.clip(pixels * np.float32(factor) + 0.5, 0, np.iinfo(kind).max).astype(kind)
+
+
+def view_tile(lf: LightField, index: int, level: int, column: int, row: int) -> NDArray[Any]:
+    """A tile [y, x, c] of a view, in which each pixel is the mean over 2**level x 2**level pixels.
+
+    Raises
+    ------
+    LightFieldError
+        If there is no such view or tile.
+    """
+    if not 0 <= index < len(lf.views):
+        raise LightFieldError(f"there is no view {index}; there are {len(lf.views)}.")
+    y, x = _window(lf.size, level, column, row)
+    return intensities(_reduced(lf.views[index, y, x], 2**level), lf)
+
+
+def map_tile(values: NDArray[np.float32], level: int, column: int, row: int) -> NDArray[np.float32]:
+    """A tile [y, x] of every 2**level-th row and column of a map; LightFieldError if there is no such tile."""
+    height, width = values.shape
+    y, x = _window((height, width), level, column, row)
+    return np.ascontiguousarray(values[y, x][:: 2**level, :: 2**level], np.float32)
+
+
+def epi(lf: LightField, along: str, at: int) -> NDArray[Any]:
+    """The EPI [view, pixel, c] of an image row ("row") or column ("column"); LightFieldError if there is none."""
+    height, width = lf.size
+    if along == "row" and 0 <= at < height:
+        return intensities(lf.epi_horizontal(at), lf)
+    if along == "column" and 0 <= at < width:
+        return intensities(lf.epi_vertical(at), lf)
+    raise LightFieldError(f"there is no EPI of {along} {at}.")
+
+
+def thumbnails(lf: LightField) -> NDArray[np.uint8]:
+    """All views, small: uint8 [n, y, x, 3]."""
+    u, v = np.ptp(lf.positions, axis=0) + 1
+    side = min(_LARGEST_THUMBNAIL, max(12, math.floor(_THUMBNAILS / max(float(u), float(v)))))
+    step = max(1, math.floor(max(lf.size) / side))
+    few = lf.views[:, step // 2 :: step, step // 2 :: step]
+    grey = np.clip(few * np.float32(255 * lf.scale) + 0.5, 0, 255).astype(np.uint8)
+    return np.ascontiguousarray(np.broadcast_to(grey, (*grey.shape[:3], 3)))
+
+
+def refocused(lf: LightField, disparity: float, aperture: float | None, level: int) -> NDArray[Any]:
+    """The view [y, x, c] of a lens focused on a disparity, 2**level times smaller. See `lfgpu.refocus`."""
+    chosen = spread(lf, _FOCUS_VIEWS, within(lf, aperture))
+    if len(chosen) == 1:
+        return _small_view(lf, level, lf.reference_index)[0]
+    few = _smaller(lf, level, chosen)
+    return _encoded(refocus(few, disparity / 2**level, order=LINEAR), lf)
+
+
+def sharp(contents: Contents, name: str, stage: str, level: int) -> NDArray[Any]:
+    """The reference view [y, x, c] from all views, in focus everywhere, 2**level times smaller.
+
+    Raises
+    ------
+    LightFieldError
+        If there is no map.
+    """
+    lf, entry = contents.lf, contents.all_entries().get(name)
+    if lf is None or entry is None:
+        raise LightFieldError("a picture that is in focus everywhere needs a map; press Estimate.")
+    few = _smaller(lf, level, spread(lf, _SHARP_VIEWS))
+    step = 2**level
+    values = DisparityMap(np.ascontiguousarray(entry.stage(stage)[::step, ::step]) / np.float32(step))
+    return _encoded(all_in_focus(few, values, order=LINEAR), lf)
+
+
+def values_at(contents: Contents, name: str, stage: str, x: int, y: int) -> dict[str, float | None]:
+    """The values of a map at a pixel of the reference view, by quantity; None where they are undefined."""
+    if name not in contents.all_entries() or contents.size is None:
+        return {}
+    height, width = contents.size
+    if not (0 <= x < width and 0 <= y < height):
+        raise LightFieldError(f"there is no pixel ({x}, {y}) in {width} x {height} pixels.")
+    found: dict[str, float | None] = {}
+    for kind in QUANTITIES:
+        value = _value(contents, name, kind, stage, x, y)
+        if value is not None:
+            found[kind] = value if math.isfinite(value) else None
+    return found
+
+
+def _value(contents: Contents, name: str, kind: str, stage: str, x: int, y: int) -> float | None:
+    """One value of a map; None if it has none of this quantity."""
+    entry, geometry = contents.all_entries()[name], contents.geometry
+    disparity = float(entry.stage(stage)[y, x])
+    match kind:
+        case "disparity":
+            return disparity
+        case "depth":
+            return None if geometry is None else float(geometry.depth(disparity))
+        case "error":
+            return (
+                disparity - float(contents.truth[y, x])
+                if contents.is_scored(name) and contents.truth is not None
+                else None
+            )
+    values = contents.map(name, kind, stage)
+    return None if values is None else float(values[y, x])
+
+
+def in_reference(contents: Contents, name: str, stage: str, index: int, x: float, y: float) -> tuple[int, int] | None:
+    """The pixel of the reference view that shows what pixel (x, y) of a view shows, by a map.
+
+    Of several surfaces that lie behind each other it is the nearest one. None if no pixel of the map is seen there.
+    """
+    lf = contents.lf
+    if lf is None or not 0 <= index < len(lf.views):
+        raise LightFieldError(f"there is no view {index}.")
+    height, width = lf.size
+    if index == lf.reference_index:
+        return int(np.clip(x, 0, width - 1)), int(np.clip(y, 0, height - 1))
+    entry = contents.all_entries().get(name)
+    if entry is None:
+        return None
+    du, dv = lf.offsets[index]
+    disparity = entry.stage(stage)
+    low, high = entry.ends(stage)
+    rows, columns = _between(y, dv, low, high, height), _between(x, du, low, high, width)
+    if not (len(rows) and len(columns)):
+        return None
+    near = disparity[rows.start : rows.stop, columns.start : columns.stop]
+    away = np.maximum(np.abs(np.array(columns) - near * du - x), np.abs(np.array(rows)[:, None] - near * dv - y))
+    met = away <= _MET  # NaN is not
+    if not met.any():
+        return None
+    front = met & (near >= near[met].max() - 0.5 / max(abs(du), abs(dv)))
+    down, right = np.unravel_index(np.argmin(np.where(front, away, np.inf)), away.shape)
+    return columns[int(right)], rows[int(down)]
+
+
+def _between(at: float, step: float, low: float, high: float, side: int) -> range:
+    """Where the points that a view shows at `at` can be in the reference view, along one axis."""
+    ends = sorted((at + low * step, at + high * step))
+    return range(max(0, math.floor(ends[0] - 1)), min(side, math.ceil(ends[1] + 2)))
+
+
+def _smaller(lf: LightField, level: int, chosen: NDArray[np.intp]) -> LightField:
+    """Some views of a light field, 2**level times smaller; what was made is kept as long as the light field is."""
+    known = _small.setdefault(lf, {}) if level else {}
+    for n in map(int, chosen):
+        if (level, n) not in known:
+            known[level, n] = _small_view(lf, level, n)
+    found = [known[level, int(n)] for n in chosen]
+    return LightField(
+        np.stack([views for views, _ in found]),
+        lf.positions[chosen],
+        reference=int(np.flatnonzero(chosen == lf.reference_index)[0]),
+        valid=None if lf.valid is None else np.stack([valid for _, valid in found]),
+    )
+
+
+def _small_view(lf: LightField, level: int, index: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """A view [y, x, c], 2**level times smaller, and which of its pixels are valid."""
+    if lf.valid is None:
+        valid = np.ones((1, 1), np.bool_)  # is not asked for
+    else:
+        valid = _reduced(lf.valid[index][..., None].astype(np.float32), 2**level)[..., 0] > 1 - 1e-3
+    return intensities(_reduced(lf.views[index], 2**level), lf), valid
+
+
+def _window(size: tuple[int, int], level: int, column: int, row: int) -> tuple[slice, slice]:
+    side = TILE * 2**level if 0 <= level <= 16 else 0
+    height, width = size
+    if not (side and 0 <= row * side < height and 0 <= column * side < width):
+        raise LightFieldError(f"there is no tile ({column}, {row}) at level {level}.")
+    return slice(row * side, (row + 1) * side), slice(column * side, (column + 1) * side)
+
+
+def _reduced(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
+    """Means over squares of pixels; those at the right and the lower end are of fewer."""
+    if factor == 1:
+        return pixels
+    height, width = (-(-side // factor) * factor for side in pixels.shape[:2])
+    if (height, width) != pixels.shape[:2]:
+        pixels = np.pad(
+            pixels, ((0, height - pixels.shape[0]), (0, width - pixels.shape[1]), (0, 0)), mode="edge"
+        )  # fmt: skip
+    total = np.zeros((height // factor, width // factor, pixels.shape[2]), np.float32)
+    for down in range(factor):
+        for right in range(factor):
+            total += pixels[down::factor, right::factor]
+    return total * np.float32(1 / factor**2)
+
+
+def _encoded(picture: NDArray[np.float32], lf: LightField) -> NDArray[Any]:
+    kind = wire_type(lf)
+    return (picture * np.float32(np.iinfo(kind).max) + 0.5).astype(kind)

@@ -1,0 +1,62 @@
+"""Results and maps as files that pages offer for download."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.errors import LightFieldError
+from lfgpu.io import MAP_FORMATS, save
+from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents
+
+
+def saved(contents: Contents, name: str, stage: str, suffix: str) -> bytes:
+    """A result as a file of one of the formats of `lfgpu.save`.
+
+    Parameters
+    ----------
+    contents
+        What is shown.
+    name, stage
+        The map. With the final stage of a result, .npz holds the whole result.
+    suffix
+        Such as ".npz"; LightFieldError if there is no such format.
+    """
+    entry = contents.all_entries().get(name)
+    if entry is None:
+        raise LightFieldError(f"there is no result {name!r} to save.")
+    if not any(suffix in known.suffixes for known in MAP_FORMATS):
+        raise LightFieldError(f"a file {suffix!r} cannot be written: there is no such format of maps.")
+    values: DepthResult | DisparityMap
+    if entry.result is not None and stage == FINAL:
+        values = entry.result
+    else:
+        position, geometry = entry.map.position or contents.position, entry.map.geometry or contents.geometry
+        values = replace(entry.map, disparity=entry.stage(stage), position=position, geometry=geometry)
+        if stage != FINAL:  # those of the final map
+            values = replace(values, confidence=None, uncertainty=None)
+    lf = contents.lf
+    image = None if lf is None else lf.image(lf.reference_index)
+    with tempfile.TemporaryDirectory(prefix="lfgpu-") as folder:
+        path = Path(folder) / f"result{suffix}"
+        save(values, path, image=image)
+        return path.read_bytes()
+
+
+def figure(contents: Contents, name: str, kind: str, stage: str, *, colours: str, limits: tuple[float, float]) -> bytes:
+    """A map with its scale as a PNG, each pixel a square of whole pixels; LightFieldError if there is no such map."""
+    from lfgpu.viz.figures import map_figure, save_png
+
+    values = contents.map(name, kind, stage)
+    if values is None:
+        raise LightFieldError(f"{name!r} has no {kind} to save.")
+    quantity = QUANTITIES[kind]
+    unit = f" ({quantity.unit})" if quantity.unit else ""
+    label = f"{quantity.label.lower()}{unit}" + (f"\n{quantity.hint}" if quantity.hint else "")
+    title = f"{name}{'' if stage == FINAL else f', {stage}'}: {quantity.label.lower()}"
+    with tempfile.TemporaryDirectory(prefix="lfgpu-") as folder:
+        path = Path(folder) / "figure.png"
+        save_png(map_figure(values, title=title, label=label, colours=colours, limits=limits), path)
+        return path.read_bytes()

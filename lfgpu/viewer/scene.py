@@ -1,0 +1,51 @@
+"""What a page wants to see in space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from lfgpu.errors import LightFieldError
+from lfgpu.viewer.contents import FINAL
+
+HOST = "127.0.0.1"
+"""The viewer is reachable from this machine only."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What a page wants to see in space."""
+
+    result: str = ""
+    stage: str = FINAL
+    metric: bool = True
+    """Whether points are in metres; else their depth is the disparity."""
+    paint: str = "picture"
+    """What colours the points: "picture", or one of the `QUANTITIES`."""
+    colours: str = "viridis"
+    low: float = 0.0
+    high: float = 1.0
+    exposure: float = 0.0
+    gamma: float = 1.0
+    """The picture is brighter by 2**exposure, then to the power of 1 / gamma."""
+    least: float = 0.0
+    """Points of a smaller confidence are left out."""
+    size: float = 1.3
+    """Size of the points, distances of neighbours."""
+    mesh: bool = False
+    cameras: bool = False
+    background: str = "light"
+    dark: bool = False
+    aspect: float = 1.0
+    """Width over height of the frame."""
+    x: int = 0
+    y: int = 0
+    """The pixel that is marked."""
+
+    @classmethod
+    def of(cls, values: dict[str, Any]) -> Scene:
+        """From plain values; LightFieldError if one is missing its type."""
+        try:
+            return cls(**{name: type(getattr(cls, name))(value) for name, value in values.items()})
+        except (AttributeError, TypeError, ValueError) as error:
+            raise LightFieldError(f"this cannot be shown in space: {error}.") from None

@@ -1,0 +1,345 @@
+"""The points or the surface of a map in space, for one tab: a scene of viser that a page shows in a frame."""
+
+from __future__ import annotations
+
+import logging
+import math
+import secrets
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from http import HTTPStatus
+from time import monotonic
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+from lfgpu.viewer.board import Board
+from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud, surface
+from lfgpu.viewer.contents import QUANTITIES, Contents
+from lfgpu.viewer.scene import HOST, Scene
+from lfgpu.viz.panels import SLOPE, colour, encoded, rgb
+
+_LIVE_CLOUD = 0.5  # seconds between two point clouds of a stream
+_MESH_POINTS = 120_000  # of a surface
+_PAGES = {"light": (255, 255, 255), "dark": (20, 23, 28), "white": (255, 255, 255), "black": (0, 0, 0)}
+_CAMERAS = {False: (130, 138, 148), True: SLOPE}  # the reference camera stands out
+_BESIDE = (0.22, -0.14, 0.02)  # where the first eye stands, in distances of the cloud from the reference camera
+_BEHIND = (0.12, -0.09, -0.3)  # the same where the cameras are to be seen, too
+
+_starting = threading.Lock()  # one server at a time is guarded while it starts
+
+
+class Space:
+    """A scene of viser and the thread that draws it. Only the newest wish is drawn.
+
+    Parameters
+    ----------
+    board
+        What is shown.
+    picked
+        Called with (x, y) of the pixel whose point somebody clicked.
+    """
+
+    def __init__(self, board: Board, picked: Callable[[int, int], None]) -> None:
+        import viser
+
+        self._board, self._picked = board, picked
+        self._wake = threading.Condition()
+        self._stale: set[str] = set()
+        self._closed = False
+        self._scene, self._shown = Scene(), Scene()
+        self._serial: object = None
+        self._cloud: Cloud | None = None
+        self._cloud_at = 0.0
+        self._centres: NDArray[np.float64] | None = None
+        self.token = secrets.token_urlsafe(24)
+        with _guarded(self.token), _silent():
+            self._server = viser.ViserServer(host=HOST, port=0, verbose=False)
+        self._server.request_share_url = _refuse_to_share  # type: ignore[method-assign]  # pages can ask for it
+        self._server.scene.set_up_direction("-y")
+        self._server.scene.on_click()(self._clicked)
+        self._server.on_client_connect(self._place)
+        threading.Thread(target=self._draw_forever, name="lfgpu-space", daemon=True).start()
+
+    @property
+    def port(self) -> int:
+        """The port of 127.0.0.1 at which viser answers those who know the token."""
+        return self._server.get_port()
+
+    def show(self, scene: Scene) -> None:
+        """Show something else."""
+        with self._wake:
+            self._scene = scene
+            self._ask("scene")
+
+    def refresh(self) -> None:
+        """Draw again if what is shown has changed."""
+        self._ask("scene")
+
+    def start_over(self) -> None:
+        """Put the eye back to where it began."""
+        self._ask("eye")
+
+    def picture(self) -> bytes:
+        """What the frame shows, as a PNG: without marks, before the background of the page."""
+        clients = list(self._server.get_clients().values())
+        if not clients:
+            raise LightFieldError("there is no picture of the points in space yet: open the tab 3D.")
+        client = clients[-1]
+        self._mark(visible=False)
+        try:
+            height, width = client.camera.image_height or 900, client.camera.image_width or 1200
+            found = client.get_render(height=height, width=width, transport_format="png", timeout=30.0)
+        except (TimeoutError, RuntimeError):
+            raise LightFieldError("the browser did not draw the points in space; open the tab 3D.") from None
+        finally:
+            self._mark(visible=True)
+        alpha = found[..., 3:].astype(np.float32) / 255
+        behind = np.array(_PAGES.get(self._scene.background, _PAGES["white"]), np.float32)
+        return encoded((found[..., :3] * alpha + behind * (1 - alpha) + 0.5).astype(np.uint8))
+
+    def close(self) -> None:
+        """End the scene and free its port."""
+        with self._wake:
+            self._closed = True
+            self._wake.notify()
+        with _silent():
+            self._server.stop()
+
+    # --- drawing ---
+
+    def _ask(self, what: str) -> None:
+        with self._wake:
+            self._stale.add(what)
+            self._wake.notify()
+
+    def _draw_forever(self) -> None:
+        late = False
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._closed or bool(self._stale), _LIVE_CLOUD if late else None)
+                if self._closed:
+                    return
+                stale, self._stale = self._stale, set()
+                scene = self._scene
+            try:
+                late = self._draw(scene, self._board.contents, stale)
+            except Exception:
+                if not self._closed:  # a scene that is gone takes no more messages
+                    logging.getLogger("lfgpu.viewer").exception("the points in space could not be drawn")
+
+    def _draw(self, scene: Scene, contents: Contents, stale: set[str]) -> bool:
+        """Draw what has changed; returns whether a cloud is still to be drawn."""
+        shown, first = self._shown, self._cloud is None
+        entry = contents.all_entries().get(scene.result)
+        serial = (None if entry is None else entry.serial, id(contents.lf))
+        moved = replace(scene, x=shown.x, y=shown.y, aspect=shown.aspect) != shown
+        late = serial != self._serial and not moved and monotonic() - self._cloud_at < _LIVE_CLOUD
+        if late:
+            return True
+        if serial != self._serial or moved or first:
+            other_frame = (scene.metric, scene.cameras) != (shown.metric, shown.cameras)
+            self._draw_cloud(scene, contents)
+            self._draw_cameras(scene, contents)
+            if scene.dark != shown.dark or scene.background != shown.background or first:
+                self._draw_background(scene)
+            self._serial, self._cloud_at = serial, monotonic()
+            if first or other_frame:
+                stale = stale | {"eye"}
+        self._shown = scene
+        self._draw_mark(scene)
+        if "eye" in stale:
+            for client in self._server.get_clients().values():
+                self._place(client)
+        return False
+
+    def _draw_background(self, scene: Scene) -> None:
+        self._server.gui.configure_theme(dark_mode=scene.dark, show_logo=False, show_share_button=False)
+        behind = np.array(_PAGES.get(scene.background, _PAGES["white"]), np.uint8)
+        self._server.scene.set_background_image(np.broadcast_to(behind, (8, 8, 3)), format="png")
+
+    def _draw_cloud(self, scene: Scene, contents: Contents) -> None:
+        entry, scenery = contents.all_entries().get(scene.result), self._server.scene
+        if entry is None:
+            for name in ("/cloud", "/surface", "/mark"):
+                scenery.remove_by_name(name)
+            self._cloud = None
+            return
+        values = replace(
+            entry.map,
+            disparity=entry.stage(scene.stage),
+            position=contents.position,
+            geometry=contents.geometry if scene.metric else None,
+        )
+        painted = _painted(scene, contents)
+        options: dict[str, Any] = {"most_points": _MESH_POINTS} if scene.mesh else {}
+        cloud = self._cloud = shown_cloud(values, painted, least_confidence=scene.least, **options)
+        scenery.remove_by_name("/cloud" if scene.mesh else "/surface")
+        if scene.mesh and len(cloud.points):
+            scenery.add_mesh_trimesh(
+                "/surface", _mesh(cloud, values.disparity), cast_shadow=False, receive_shadow=False
+            )
+        else:
+            scenery.add_point_cloud(
+                "/cloud",
+                cloud.points,
+                cloud.colours,
+                point_size=float(cloud.spacing * scene.size),
+                point_shape="square",
+                point_shading="flat",
+                precision="float32",
+            )
+
+    def _draw_cameras(self, scene: Scene, contents: Contents) -> None:
+        """The frustums of the cameras, their size a part of their distance; they need a geometry."""
+        lf, geometry = contents.lf, contents.geometry
+        if not (scene.cameras and scene.metric and lf is not None and geometry is not None):
+            self._server.scene.remove_by_name("/cameras")
+            self._centres = None
+            return
+        height, width = lf.size
+        deep = 0.8 * geometry.baseline_m
+        half = deep / geometry.focal_length_px * np.array([width / 2, height / 2 / geometry.pixel_aspect])
+        half *= min(1.0, 0.45 * geometry.baseline_m / float(half.max()))
+        corners = np.array([(*half * sign, deep) for sign in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+        lines = np.array(
+            [(corners[k], corners[(k + 1) % 4]) for k in range(4)] + [(np.zeros(3), corner) for corner in corners]
+        )
+        centres = np.stack([geometry.camera((float(u), float(v))) for u, v in lf.positions])
+        if geometry.unshifted_at is None:  # all maps are in the frame of their own camera
+            centres[:, :2] = geometry.centres(lf.offsets)
+        self._centres = centres
+        segments = (centres[:, None, None] + lines).reshape(-1, 2, 3).astype(np.float32)
+        shades = np.array([_CAMERAS[n == lf.reference_index] for n in range(len(centres))], np.uint8)
+        colours = np.repeat(np.repeat(shades, len(lines), axis=0)[:, None], 2, axis=1)
+        self._server.scene.add_line_segments(
+            "/cameras", segments, colours, thickness=1.5, thickness_units="screen"
+        )  # fmt: skip
+
+    def _draw_mark(self, scene: Scene) -> None:
+        cloud = self._cloud
+        if cloud is None or not len(cloud.pixels):
+            self._server.scene.remove_by_name("/mark")
+            return
+        there = np.abs(cloud.pixels - (scene.x, scene.y)).sum(axis=1)
+        place = cloud.points[int(np.argmin(there))].astype(np.float64)
+        self._server.scene.add_icosphere(
+            "/mark", radius=4 * cloud.spacing, color=SLOPE, position=place, cast_shadow=False, receive_shadow=False
+        )
+
+    def _mark(self, *, visible: bool) -> None:
+        mark = self._server.scene.get_handle_by_name("/mark")
+        if mark is not None:
+            mark.visible = visible
+            self._server.flush()
+
+    def _place(self, client: Any) -> None:
+        """Put the eye of a browser a little beside the reference camera, such that the cloud fills the frame."""
+        cloud = self._cloud
+        if cloud is None or not len(cloud.points):
+            return
+        eye, target, fov = framed(cloud, self._scene.aspect, self._centres)
+        camera, away = client.camera, float(np.linalg.norm(target - eye))
+        camera.up_direction = (0.0, -1.0, 0.0)
+        camera.position, camera.look_at, camera.fov = eye, target, fov
+        camera.near, camera.far = away / 1000, away * 100
+
+    def _clicked(self, event: Any) -> None:
+        if self._cloud is not None and (pixel := nearest_to_ray(self._cloud, event.ray_origin, event.ray_direction)):
+            self._picked(*pixel)
+
+
+def framed(
+    cloud: Cloud, aspect: float, cameras: NDArray[np.float64] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """A camera that sees a cloud: its place [3], what it looks at [3], and its vertical field of view in radians.
+
+    `cameras` [n, 3] are to be seen, too.
+    """
+    away = float(cloud.centre[2]) - float(cloud.eye[2])
+    eye = cloud.eye + away * np.array(_BESIDE if cameras is None else _BEHIND)
+    points = cloud.points[:: max(1, len(cloud.points) // 5000)].astype(np.float64)
+    if cameras is not None:
+        points = np.concatenate([points, np.repeat(cameras, -(-len(points) // (20 * len(cameras))), axis=0)])
+    target = cloud.centre
+    for _ in range(3):  # the middle of the picture is not that of the cloud
+        forward = (target - eye) / np.linalg.norm(target - eye)
+        right = np.cross([0.0, 1.0, 0.0], forward)
+        right /= np.linalg.norm(right)
+        down = np.cross(forward, right)
+        relative = points - eye
+        deep = np.maximum(relative @ forward, 1e-6 * away)
+        sides = np.stack([relative @ right, relative @ down]) / deep
+        low, high = np.quantile(sides, (0.005, 0.995), axis=1)
+        middle = (low + high) / 2
+        target = eye + (forward + middle[0] * right + middle[1] * down) * np.linalg.norm(target - eye)
+    half = (high - low) / 2
+    reach = 1.06 * max(float(half[1]), float(half[0]) / max(aspect, 0.1))
+    return eye, target, float(np.clip(2 * math.atan(reach), 0.05, 2.2))
+
+
+def _painted(scene: Scene, contents: Contents) -> NDArray[np.uint8]:
+    """The colours of the points: the view, or a map."""
+    lf = contents.lf
+    if scene.paint == "picture" and lf is not None:
+        picture = np.minimum(lf.image(lf.reference_index) * np.float32(2.0**scene.exposure), 1)
+        return rgb(picture ** np.float32(1 / max(scene.gamma, 0.01)), 1.0)
+    kind = scene.paint if scene.paint in QUANTITIES else "disparity"
+    values = contents.map(scene.result, kind, scene.stage)
+    if values is None:
+        assert contents.size is not None
+        values = np.full(contents.size, np.nan, np.float32)
+    return colour(values, scene.colours, (scene.low, scene.high))
+
+
+def _mesh(cloud: Cloud, disparity: NDArray[np.float32]) -> Any:
+    import trimesh
+
+    colours = np.concatenate([cloud.colours, np.full((len(cloud.colours), 1), 255, np.uint8)], axis=1)
+    return trimesh.Trimesh(cloud.points, surface(cloud, disparity), vertex_colors=colours, process=False)
+
+
+def _refuse_to_share(*_: object, **__: object) -> None:
+    """Prevent viser from opening a public tunnel through a server of its makers."""
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Suppress the messages of viser on the terminal."""
+    import rich
+
+    console = rich.get_console()
+    before, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = before
+
+
+@contextmanager
+def _guarded(token: str) -> Iterator[None]:
+    """Servers that start meanwhile answer nobody who does not know the token, the first part of the path."""
+    import websockets.asyncio.server as place
+
+    _starting.acquire()
+    serve = place.serve
+
+    def guarded(handler: Any, *arguments: Any, process_request: Any, **options: Any) -> Any:
+        def answer(connection: Any, request: Any) -> Any:
+            first, _, rest = request.path.removeprefix("/").partition("/")
+            if not secrets.compare_digest(first.partition("?")[0].encode(), token.encode()):
+                return connection.respond(HTTPStatus.FORBIDDEN, "This is a part of lfgpu view.\n")
+            return process_request(connection, replace(request, path=f"/{rest}"))
+
+        return serve(handler, *arguments, process_request=answer, origins=[None], **options)
+
+    place.serve = guarded  # type: ignore[misc,assignment]
+    try:
+        yield
+    finally:
+        place.serve = serve  # type: ignore[misc]
+        _starting.release()

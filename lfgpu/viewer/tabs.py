@@ -1,0 +1,172 @@
+"""The tabs of a browser: each is told of all changes, and has a scene in space of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import secrets
+import threading
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from tornado.httpclient import AsyncHTTPClient, HTTPRequest
+from tornado.web import HTTPError
+from tornado.websocket import WebSocketClosedError, WebSocketHandler, websocket_connect
+
+from lfgpu.errors import LfgpuError
+from lfgpu.viewer.guard import Guarded
+from lfgpu.viewer.scene import HOST, Scene
+
+if TYPE_CHECKING:
+    from lfgpu.viewer.space import Space
+
+LARGEST = 2**28
+"""Bytes of a message of the scene in space."""
+
+_PAUSE = 0.04  # seconds between two messages about the state
+
+
+class Tab(Guarded, WebSocketHandler):
+    """One tab of a browser: it is told of all changes, and has a scene in space of its own."""
+
+    space: Space | None = None
+
+    def check_origin(self, origin: str) -> bool:
+        return True  # `prepare` has checked it
+
+    async def open(self, *_: str, **__: str) -> None:
+        self.identity = secrets.token_urlsafe(12)
+        self._changed, self._gone = asyncio.Event(), False
+        self._starting: asyncio.Task[None] | None = None
+        self._scene: Scene | None = None
+        self.site.tabs[self.identity] = self
+        self._changed.set()
+        self._writing = asyncio.ensure_future(self._write_forever())
+
+    def wake(self) -> None:
+        """Tell the page what has changed, soon."""
+        self._changed.set()
+
+    async def _write_forever(self) -> None:
+        try:
+            await self.write_message({"tab": self.identity})
+            while not self._gone:
+                await self._changed.wait()
+                self._changed.clear()
+                state = await self.site.apart(self.site.facts.now)
+                await self.write_message({"state": state})
+                if self.space is not None:
+                    self.space.refresh()
+                await asyncio.sleep(_PAUSE)
+        except (WebSocketClosedError, RuntimeError):
+            return
+        except Exception:
+            logging.getLogger("lfgpu.viewer").exception("a page could not be told the state")
+
+    async def on_message(self, text: str | bytes) -> None:
+        """A scene that the page wants to see in space, or the wish to start over there."""
+        try:
+            wish = json.loads(text)
+            if wish.get("startOver") and self.space is not None:
+                self.space.start_over()
+            scene = wish.get("scene")
+            self._scene = Scene.of(scene) if scene is not None else self._scene
+        except (ValueError, AttributeError, LfgpuError):
+            return
+        if self._scene is None:
+            return
+        if self.space is not None:
+            self.space.show(self._scene)
+        elif self._starting is None:
+            self._starting = asyncio.ensure_future(self._start())
+
+    async def _start(self) -> None:
+        """Start the scene in space; viser takes a moment."""
+        try:
+            space = await self.site.apart(self._new_space)
+        except Exception as error:
+            logging.getLogger("lfgpu.viewer").exception("the scene in space could not be started")
+            await self.write_message({"message": f"The points in space cannot be shown: {error}."})
+            return
+        if self._gone:
+            space.close()
+            return
+        self.space = space
+        assert self._scene is not None
+        space.show(self._scene)
+        await self.write_message({"space": True})
+
+    def _new_space(self) -> Space:
+        from lfgpu.viewer.space import Space
+
+        return Space(self.site.board, self._picked)
+
+    def _picked(self, x: int, y: int) -> None:
+        self.site.call_soon(self._send, {"picked": [x, y]})
+
+    def _send(self, words: dict[str, Any]) -> None:
+        if not self._gone:
+            self.write_message(words)
+
+    def on_close(self) -> None:
+        if getattr(self, "_gone", True):
+            return
+        self._gone = True
+        self._changed.set()
+        self.site.tabs.pop(self.identity, None)
+        if self.space is not None:
+            threading.Thread(target=self.space.close, daemon=True).start()
+
+
+class InSpace(Guarded, WebSocketHandler):
+    """The page and the messages of viser, handed on, so that one address and one token hold for all."""
+
+    def check_origin(self, origin: str) -> bool:
+        return True  # `prepare` has checked it
+
+    def _address(self, scheme: str, tab: str, rest: str) -> str:
+        found = self.site.tabs.get(tab)
+        if found is None or found.space is None:
+            raise HTTPError(404)
+        return f"{scheme}://{HOST}:{found.space.port}/{found.space.token}/{rest}"
+
+    async def get(self, token: str, tab: str, rest: str) -> None:
+        if self.request.headers.get("Upgrade", "").lower() == "websocket":
+            await super().get(token, tab, rest)
+            return
+        answer = await AsyncHTTPClient().fetch(self._address("http", tab, quote(rest)), raise_error=False)
+        self.set_status(answer.code)
+        self.set_header("Content-Type", answer.headers.get("Content-Type", "application/octet-stream"))
+        await self.finish(answer.body)
+
+    def select_subprotocol(self, subprotocols: list[str]) -> str | None:
+        return next((offered for offered in subprotocols if offered.startswith("viser-")), None)
+
+    async def open(self, _: str, tab: str, rest: str) -> None:
+        offered = [self.selected_subprotocol] if self.selected_subprotocol else None
+        self._there = await websocket_connect(
+            HTTPRequest(self._address("ws", tab, rest)),
+            subprotocols=offered,
+            max_message_size=LARGEST,
+        )
+        self._reading = asyncio.ensure_future(self._read_forever())
+
+    async def _read_forever(self) -> None:
+        try:
+            while (words := await self._there.read_message()) is not None:
+                await self.write_message(words, binary=isinstance(words, bytes))
+        except WebSocketClosedError:
+            return
+        self.close()
+
+    async def on_message(self, words: str | bytes) -> None:
+        if hasattr(self, "_there"):
+            try:
+                await self._there.write_message(words, binary=isinstance(words, bytes))
+            except WebSocketClosedError:
+                self.close()
+
+    def on_close(self) -> None:
+        if hasattr(self, "_there"):
+            self._there.close()

@@ -1,0 +1,232 @@
+"""The web server of the viewer: the page, its data, and what it asks for. Everything lies behind the token."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import logging
+import secrets
+import socket
+import threading
+from collections.abc import Awaitable, Callable
+from concurrent.futures import Executor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, TypeVar
+from urllib.parse import quote
+
+import numpy as np
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
+from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
+
+from lfgpu.errors import LightFieldError
+from lfgpu.viewer.answers import ACTIONS, DATA, FILES, Query
+from lfgpu.viewer.board import Board
+from lfgpu.viewer.facts import Facts
+from lfgpu.viewer.guard import Guarded, Nothing, Site
+from lfgpu.viewer.scene import HOST
+from lfgpu.viewer.tabs import LARGEST, InSpace, Tab
+
+_PAGE = Path(__file__).parent / "page"
+_PORTS = 1000  # that are tried if the first one is taken
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; font-src 'self'; "
+    "connect-src 'self' ws:; frame-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors http://127.0.0.1:* http://localhost:*"  # notebooks
+)
+_T = TypeVar("_T")
+
+
+class Server:
+    """The web server of a board, in a thread of its own.
+
+    Parameters
+    ----------
+    board
+        What it shows.
+    port
+        Of 127.0.0.1; the next free one if it is taken. 0 takes any.
+    """
+
+    def __init__(self, board: Board, port: int) -> None:
+        self.board, self.facts = board, Facts(board)
+        self.token = secrets.token_urlsafe(24)
+        self.pool: Executor = ThreadPoolExecutor(4, "lfgpu-page")
+        self.tabs: dict[str, Tab] = {}
+        self._sockets = _bound(port)
+        self.port: int = self._sockets[0].getsockname()[1]
+        self._loop = asyncio.new_event_loop()
+        self._stop: asyncio.Event | None = None
+        self._ready = threading.Event()
+        logging.getLogger("tornado").addHandler(logging.NullHandler())  # else nonsense from others is on the terminal
+        self._thread = threading.Thread(target=self._run, name="lfgpu-viewer", daemon=True)
+        self._thread.start()
+        self._ready.wait()
+
+    def close(self) -> None:
+        """Close all tabs and free the port."""
+        if self._stop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(10.0)
+
+    def call_soon(self, work: Callable[..., Any], *arguments: Any) -> None:
+        """Call something in the thread of the server; from any thread."""
+        try:
+            self._loop.call_soon_threadsafe(work, *arguments)
+        except RuntimeError:
+            logging.getLogger("lfgpu.viewer").debug("the server has ended")
+
+    async def apart(self, work: Callable[..., _T], *arguments: Any) -> _T:
+        """Do work in another thread, so that the server goes on answering."""
+        return await asyncio.get_running_loop().run_in_executor(self.pool, work, *arguments)
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._serve())
+        finally:
+            self.pool.shutdown(wait=False, cancel_futures=True)
+            self._loop.close()
+
+    async def _serve(self) -> None:
+        self._stop = asyncio.Event()
+        options = {"site": self}
+        application = Application(
+            [
+                (r"/([^/?]+)/data/(\w+)", _Data, options),
+                (r"/([^/?]+)/file/(\w+)", _File, options),
+                (r"/([^/?]+)/do/(\w+)", _Do, options),
+                (r"/([^/?]+)/tab", Tab, options),
+                (r"/([^/?]+)/space/([\w-]+)/?(.*)", InSpace, options),
+                (r"/([^/?]+)/(.*)", _Page, {**options, "path": str(_PAGE), "default_filename": "index.html"}),
+            ],
+            default_handler_class=Nothing,
+            default_handler_args=options,
+            log_function=lambda _: None,
+            websocket_ping_interval=20,
+            websocket_max_message_size=LARGEST,
+        )
+        server = HTTPServer(application)
+        server.add_sockets(self._sockets)
+        end = self.board.listen(lambda: self.call_soon(self._tell))
+        self._ready.set()
+        await self._stop.wait()
+        end()
+        server.stop()
+        for tab in list(self.tabs.values()):
+            tab.close(1001, "the viewer has ended")
+            tab.on_close()
+        await asyncio.sleep(0.05)  # for the messages that say so
+        await server.close_all_connections()
+
+    def _tell(self) -> None:
+        for tab in self.tabs.values():
+            tab.wake()
+
+
+def _bound(port: int) -> list[socket.socket]:
+    for attempt in range(port, port + _PORTS):
+        try:
+            return bind_sockets(attempt, HOST, socket.AF_INET)
+        except OSError as error:
+            if error.errno not in (errno.EADDRINUSE, errno.EACCES) or attempt >= 65535:
+                raise LightFieldError(
+                    f"port {attempt} cannot be used: {error.strerror}; give another --port."
+                ) from None
+    raise LightFieldError(f"ports {port} to {port + _PORTS - 1} are taken; give another --port.")
+
+
+class _Page(Guarded, StaticFileHandler):
+    """The files of the page."""
+
+    def initialize(self, site: Site, path: str, default_filename: str) -> None:  # type: ignore[override]
+        Guarded.initialize(self, site)
+        StaticFileHandler.initialize(self, path, default_filename)
+
+    def set_default_headers(self) -> None:
+        super().set_default_headers()
+        self.set_header("Content-Security-Policy", _POLICY)
+
+    def set_extra_headers(self, path: str) -> None:
+        self.set_header("Cache-Control", "no-cache")
+
+    async def get(self, _: str, path: str, include_body: bool = True) -> None:  # type: ignore[override]
+        await StaticFileHandler.get(self, path, include_body)
+
+    async def head(self, _: str, path: str) -> None:  # type: ignore[override]
+        await StaticFileHandler.get(self, path, include_body=False)
+
+    def write_error(self, status_code: int, **options: Any) -> None:
+        RequestHandler.write_error(self, status_code, **options)
+
+
+def _words(handler: RequestHandler) -> Query:
+    return Query({name: handler.get_query_argument(name, strip=False) for name in handler.request.query_arguments})
+
+
+class _Data(Guarded):
+    """What the page draws: arrays as their bytes, with their shape and type as headers, or JSON."""
+
+    async def get(self, _: str, what: str) -> None:
+        if what not in DATA:
+            raise HTTPError(404)
+        found = await self.or_sentence(self.site.apart(DATA[what], self.site.board.contents, _words(self)))
+        if isinstance(found, np.ndarray):
+            self.set_header("Content-Type", "application/octet-stream")
+            self.set_header("X-Shape", ",".join(map(str, found.shape)))
+            self.set_header("X-Type", found.dtype.name)
+            await self.finish(np.ascontiguousarray(found).tobytes())
+        elif found is not None:
+            await self.finish(found)
+
+
+class _File(Guarded):
+    """Downloads: results, maps with their scale, the points in space."""
+
+    async def get(self, _: str, what: str) -> None:
+        query, site = _words(self), self.site
+        work: Awaitable[tuple[bytes, str]]
+        if what == "space":
+            work = site.apart(_picture_in_space, site, query)
+        elif what in FILES:
+            work = site.apart(FILES[what], site.board.contents, query)
+        else:
+            raise HTTPError(404)
+        found = await self.or_sentence(work)
+        if found is not None:
+            content, suffix = found
+            name = quote(f"{query.text('name', 'lfgpu')}{suffix}", safe="")
+            self.set_header("Content-Type", "image/png" if suffix == ".png" else "application/octet-stream")
+            self.set_header("Content-Disposition", f"attachment; filename*=UTF-8''{name}")
+            await self.finish(content)
+
+
+def _picture_in_space(site: Site, query: Query) -> tuple[bytes, str]:
+    tab = site.tabs.get(query.text("tab"))
+    if tab is None or tab.space is None:
+        raise LightFieldError("there are no points in space yet: open the tab 3D.")
+    return tab.space.picture(), ".png"
+
+
+class _Do(Guarded):
+    """What the page wants to be done."""
+
+    async def post(self, _: str, what: str) -> None:
+        if not self.request.headers.get("Content-Type", "").startswith("application/json"):
+            raise HTTPError(415)
+        try:
+            wish = json.loads(self.request.body)
+        except ValueError:
+            raise HTTPError(400) from None
+        if not isinstance(wish, dict):
+            raise HTTPError(400)
+        if what not in ACTIONS:
+            raise HTTPError(404)
+
+        def done() -> bool:
+            ACTIONS[what](self.site.board, wish)
+            return True
+
+        if await self.or_sentence(self.site.apart(done)):
+            await self.finish({})

@@ -1,0 +1,152 @@
+"""Figures in the pages are those of the committed result files; what a mark says, and which marks are errors."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from benchmarks import figures
+from benchmarks.cli import app
+from benchmarks.errors import BenchmarkError
+
+CONTENT = {
+    "date": "2026-01-02T03:04",
+    "rows": [{"name": "a b", "n": 1, "ms": 0.1234}, {"name": "a c", "n": 2, "ms": 5.0}],
+}
+MARKED = (
+    "MSE <!-- figure: run.json rows/name=a?b/ms 1000*.1f -->{}<!-- /figure --> of "
+    "<!-- figure: run.json date .10 -->2026-01-02<!-- /figure -->\n"
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder of results with one file."""
+    (tmp_path / "run.json").write_text(json.dumps(CONTENT), encoding="utf-8")
+    return tmp_path
+
+
+def page_of(folder: Path, text: str) -> Path:
+    page = folder / "README.md"
+    page.write_text(text, encoding="utf-8")
+    return page
+
+
+# --- the pages ---
+
+
+def test_every_figure_of_the_pages_is_that_of_its_file() -> None:
+    found = [mark for page in figures.pages() for mark in figures.marks(page)]
+    differing = figures.listing([mark for mark in found if mark.found != mark.wanted])
+    assert not differing, "run: python -m benchmarks figures"
+    assert {"README.md", "batch.md"} <= {mark.page.name for mark in found}
+
+
+def test_every_result_file_is_on_some_page() -> None:
+    sources = " ".join(mark.source for page in figures.pages() for mark in figures.marks(page))
+    named = sources + " accuracy-0.1.json"  # what `accuracy` compares with
+    assert [path.name for path in figures.RESULTS.glob("*.json") if path.name not in named] == []
+
+
+def test_the_accuracy_is_that_of_the_newest_version() -> None:
+    names = ["accuracy-0.2.json", "accuracy-0.10.json", "accuracy-0.1.json"]
+    assert figures.newest(names) == "accuracy-0.10.json"
+    assert figures.newest(path.name for path in figures.RESULTS.glob("accuracy-*.json")) == figures.ACCURACY
+
+
+def test_methods_stand_beside_each_other_and_the_machine_below() -> None:
+    table = figures.TABLES["compared"].make(figures.RESULTS)
+    run = json.loads((figures.RESULTS / figures.ACCURACY).read_text(encoding="utf-8"))
+    ours = {r["details"]["preset"] for r in run["records"]}
+    others = json.loads((figures.RESULTS / figures.PUBLISHED).read_text(encoding="utf-8"))["methods"]
+    assert len(re.findall(r"^\| ", table, re.MULTILINE)) == 2 + len(ours) + len(others)
+    assert all(method["source"] and f"| {method['name']} |" in table for method in others)
+    assert f"{run['machine']['cores']} cores" in table.splitlines()[-1]
+
+
+# --- a mark ---
+
+
+def test_a_figure_is_found_scaled_and_written(folder: Path) -> None:
+    page = page_of(folder, MARKED.format("0.5"))
+    first, second = figures.marks(page, folder)
+    assert (first.found, first.wanted, first.source) == ("0.5", "123.4", "run.json rows/name=a?b/ms")
+    assert second.found == second.wanted == "2026-01-02"
+    assert figures.write(folder, folder) == [page]
+    assert page.read_text(encoding="utf-8") == MARKED.format("123.4")
+    assert figures.write(folder, folder) == []
+
+
+def test_a_table_is_written(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = figures.Table(("run.json",), lambda where: f"| {figures.value(where, 'run.json', 'date')} |")
+    monkeypatch.setattr(figures, "TABLES", {"dates": table})
+    page = page_of(folder, "text\n\n<!-- table: dates -->\nold\n<!-- /table -->\n\nmore\n")
+    figures.write(folder, folder)
+    wanted = "text\n\n<!-- table: dates -->\n| 2026-01-02T03:04 |\n<!-- /table -->\n\nmore\n"
+    assert page.read_text(encoding="utf-8") == wanted
+
+
+@pytest.mark.parametrize(
+    ("mark", "message"),
+    [
+        ("run.json rows/name=a*/ms .1f", "2 entries match"),
+        ("run.json rows/name=z/ms .1f", "0 entries match"),
+        ("run.json rows/0/ms .1f", "names no entry"),
+        ("run.json rows/name=a?b/s .1f", "there is no 's'"),
+        ("run.json rows/name=a?b/ms/x .1f", "there is no 'x'"),
+        ("none.json date .10", "none.json is not there"),
+        ("run.json date .1f", "cannot be written as"),
+        ("run.json date x*.1f", "cannot be written as"),
+    ],
+)
+def test_a_mark_that_leads_nowhere_is_an_error_and_nothing_is_written(folder: Path, mark: str, message: str) -> None:
+    text = f"one <!-- figure: {mark} -->1<!-- /figure -->\n"
+    page = page_of(folder, text)
+    with pytest.raises(BenchmarkError, match=re.escape(message)):
+        figures.write(folder, folder)
+    assert page.read_text(encoding="utf-8") == text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a <!-- figure: run.json date .10 -->1\n", "line 1: .* is no whole mark"),
+        ("a\nb <!-- figure: run.json date -->1<!-- /figure -->\n", "line 2: .* is no whole mark"),
+        ("a <!-- /figure -->\n", "is no whole mark"),
+        ("a\n<!-- figure: run.json date .10 -->1<!-- /figure --> b\n", "line 2: a figure begins the line"),
+        ("<!-- table: nosuch -->\n<!-- /table -->\n", "unknown table 'nosuch'; there are ablation"),
+        ("<!-- table: ablation -->\n", "is no whole mark"),
+    ],
+)
+def test_a_mark_that_is_not_whole_is_an_error(folder: Path, text: str, message: str) -> None:
+    with pytest.raises(BenchmarkError, match=message):
+        figures.marks(page_of(folder, text), folder)
+
+
+def test_examples_of_marks_are_none(folder: Path) -> None:
+    page = page_of(folder, "    MSE <!-- figure: x y z -->1<!-- /figure -->\n\n`<!-- table: NAME -->` and so on\n")
+    assert figures.marks(page, folder) == []
+
+
+# --- the command ---
+
+
+def test_the_command_checks_and_lists(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    page = page_of(folder, MARKED.format("123.4"))
+    monkeypatch.setattr(figures, "pages", lambda: [page])
+    monkeypatch.setattr(figures, "RESULTS", folder)
+    monkeypatch.setattr(figures, "listing", lambda found: [f"{mark.found} < {mark.source}" for mark in found])
+    monkeypatch.setattr(figures, "marks", lambda page, marks=figures.marks: marks(page, folder))
+    runner = CliRunner()
+    assert runner.invoke(app, ["figures", "--check"]).exit_code == 0
+    assert "123.4 < run.json rows/name=a?b/ms" in runner.invoke(app, ["figures", "--list"]).output
+    page_of(folder, MARKED.format("99"))
+    done = runner.invoke(app, ["figures", "--check"])
+    assert done.exit_code == 1
+    assert "99 < run.json" in done.output
+    assert "2026-01-02 <" not in done.output
+    assert "1 figures differ" in done.output
