@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint docs figures bench clean
+.PHONY: demo test lint docs figures gpu-parity bench clean
 
 demo: .venv/use
 	$(BIN)/lfgpu demo
@@ -14,6 +14,9 @@ lint: .venv/develop
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+gpu-parity: .venv/develop
+	$(BIN)/python -m benchmarks gpu-parity
 
 docs: .venv/develop
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs build/site

@@ -25,6 +25,7 @@ from benchmarks import (
     files,
     flicker,
     gallery,
+    gpu_parity,
     live,
     live_stages,
     machine,
@@ -32,6 +33,7 @@ from benchmarks import (
     misalignment,
     moving,
     operations,
+    paper,
     pipelines,
     plot,
     population,
@@ -44,6 +46,7 @@ from benchmarks import (
     soak,
     suite,
     tables,
+    tile_differences,
     tiles,
 )
 from benchmarks.errors import BenchmarkError
@@ -305,8 +308,8 @@ def live_(
 def _live_stages(case_names: tuple[str, ...], presets: tuple[str, ...], device: str | None, out: Path | None) -> None:
     rows = []
     for name in case_names:
-        size = cases.parse(name)
-        film = moving.Film(size.grid, size.size, 1)
+        case = cases.parse(name)
+        film = moving.Film(case.grid, case.size, 1)
         rates, some = live_stages.run(name, film, presets, device, lambda what: typer.echo(what, err=True))
         rows += some
     found = [{**asdict(row), "limit": row.limit} for row in rows]
@@ -322,8 +325,8 @@ def ring_(
     out: Out = None,
 ) -> None:
     """Frames of a producer in another process through shared memory; exits with 1 if one is torn."""
-    size = cases.parse(case_name)
-    found = ring.run(size.grid, size.size, rate, seconds)
+    case = cases.parse(case_name)
+    found = ring.run(case.grid, case.size, rate, seconds)
     live.save(out, asdict(found))
     typer.echo(
         f"{found.read} frames of {found.frame_bytes / 1e6:.1f} MB read at {rate:g} a second, "
@@ -496,6 +499,20 @@ def tiles_(
             typer.echo(f"{name:<12} {value}")
 
 
+@app.command("tile-differences")
+def tile_differences_(
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = "fast,accurate",
+    out: Out = None,
+) -> None:
+    """How far maps in 2 x 2 tiles are from those in one piece, after each stage."""
+    if out is not None:
+        check_writable(out, folder=False)
+    rows = tile_differences.run(_names(presets))
+    live.save(out, {**tile_differences.about(), "rows": rows})
+    for row in rows:
+        typer.echo(", ".join(f"{name} {value}" for name, value in row.items()))
+
+
 @app.command()
 def table(files: Files) -> None:
     """Print results as Markdown, a section for each machine."""
@@ -541,6 +558,50 @@ def gallery_(
     check_writable(out, folder=False)
     for line in gallery.write(out):
         typer.echo(line)
+
+
+@app.command("gpu-parity")
+def gpu_parity_(
+    backend: Annotated[str, typer.Option(metavar="NAME")] = "warp",
+    device: Annotated[str, typer.Option(metavar="DEVICE")] = "cuda:0",
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = (
+        gpu_parity.RESULT
+    ),
+) -> None:
+    """Test every operation on a GPU against the reference; the file names the commit. Exits with 1 on failures."""
+    check_writable(out, folder=False)
+    found = gpu_parity.run(_known_backend(backend), device)
+    if not found["passed"]:
+        raise BenchmarkError(f"nothing could be tested on {backend} {device}: is the device there?")
+    gpu_parity.save(found, out)
+    typer.echo(f"{found['passed']} passed, {found['skipped']} skipped, {len(found['failed'])} failed: {out}")
+    if found["failed"]:
+        raise typer.Exit(1)
+
+
+@app.command("paper")
+def paper_(
+    names: Annotated[
+        str, typer.Option("--experiments", metavar="NAME,...", help=f"{', '.join(e.name for e in paper.EXPERIMENTS)}.")
+    ] = "",
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = ",".join(paper.PRESETS),
+    data: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="The real light fields; default: $LFGPU_DATA, or ../shared/data.")
+    ] = ablation.DATA,
+    pictures: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where pictures go: docs/paper.")] = None,
+    out: Out = None,
+) -> None:
+    """Repeat the paper's experiments, and hold the kernels against its printed equations."""
+    known = {experiment.name for experiment in paper.EXPERIMENTS}
+    if unknown := [name for name in _names(names) if name not in known]:
+        raise BenchmarkError(f"unknown experiment {unknown[0]!r}; there are {', '.join(sorted(known))}.")
+    if out is not None:
+        check_writable(out, folder=False)
+    found = paper.run(data, _names(names), pictures, lambda what: typer.echo(what, err=True), _names(presets))
+    if out is not None:
+        results.save(found, out)
+    for rows in (paper.forms(found), paper.experiments(found)):
+        show.table(tables.Table("", rows[0], 1, rows[1:]))
 
 
 @app.command("figures")

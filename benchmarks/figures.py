@@ -25,7 +25,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from benchmarks import merge, operations, pipelines, results, show, tables
+from benchmarks import merge, operations, paper, pipelines, results, show, tables
 from benchmarks.errors import BenchmarkError
 from lfgpu.io.atomic import atomic_write
 
@@ -189,7 +189,16 @@ def _ablation(folder: Path) -> str:
 
 def _accuracy(folder: Path) -> str:
     """MSE x 100 and the three BadPix of each scene and preset; the best of a row is bold."""
-    found = _range_found(folder)
+    return f"{_errors_by_preset(_range_found(folder))}\n\n{_where(folder)}\n"
+
+
+def _paper(folder: Path) -> str:
+    """The same of the preset `paper` beside the others."""
+    records = results.load(folder / "paper-accuracy.json").records
+    return _errors_by_preset([r for r in records if not r.failed])
+
+
+def _errors_by_preset(found: Sequence[results.Record]) -> str:
     presets = list(dict.fromkeys(r.details["preset"] for r in found))
     rows = []
     for scene in dict.fromkeys(r.case for r in found):
@@ -197,8 +206,8 @@ def _accuracy(folder: Path) -> str:
         cells = {name: [f"{errors[m]:{how}}" for m, how in _ERRORS.items()] for name, errors in of.items()}
         best = [min(float(cell[place]) for cell in cells.values()) for place in range(len(_ERRORS))]
         rows.append((f"`{scene}`", *(_bold(cells[name], best) if name in cells else tables.NONE for name in presets)))
-    table = tables.Table("", ("scene", *(f"`{name}`" for name in presets)), len(presets) + 1, rows)
-    return f"{show.markdown_table(table)}\n\n{_where(folder)}\n"
+    columns = ("scene", *(f"`{name}`" for name in presets))
+    return show.markdown_table(tables.Table("", columns, len(presets) + 1, rows))
 
 
 def _compared(folder: Path) -> str:
@@ -279,6 +288,26 @@ def _times(folder: Path) -> str:
     return show.markdown_table(tables.Table("", ("", *(f"`{name}`" for name in _PRESETS)), len(_PRESETS) + 1, rows))
 
 
+def _forms(folder: Path) -> str:
+    return _as_table(paper.forms(results.load(folder / "paper.json")), 1)
+
+
+def _experiments(folder: Path) -> str:
+    return _as_table(paper.experiments(results.load(folder / "paper.json")), 2)
+
+
+def _tiles(folder: Path) -> str:
+    rows = [("scene", "preset", "stage", "largest, px", "share above 0.001 px", "share above 0.01 px")]
+    for r in value(folder, "tiles.json", "rows"):
+        shares = (f"{r[name]:.2f} %" for name in ("above 0.001", "above 0.01"))
+        rows.append((f"`{r['scene']}`", f"`{r['preset']}`", r["stage"], f"{r['largest']:.2g}", *shares))
+    return _as_table(rows, 3)
+
+
+def _as_table(rows: Sequence[tuple[str, ...]], labels: int) -> str:
+    return show.markdown_table(tables.Table("", rows[0], labels, rows[1:]))
+
+
 def _resident(folder: Path) -> list[results.Record]:
     names = {_NAMES[preset] for preset in _PRESETS}
     runs = [results.load(folder / name) for name in H200]
@@ -309,9 +338,13 @@ TABLES: Mapping[str, Table] = {
     "ablation": Table(("ablation.json",), _ablation),
     "accuracy": Table((ACCURACY,), _accuracy),
     "compared": Table((ACCURACY, PUBLISHED), _compared),
+    "experiments": Table(("paper.json",), _experiments),
+    "paper": Table(("paper-accuracy.json",), _paper),
     "formulas": Table((), _formulas),
+    "forms": Table(("paper.json",), _forms),
     "pipelines": Table(H200, _pipelines),
     "runs": Table(RUNS, _runs),
+    "tiles": Table(("tiles.json",), _tiles),
     "times": Table(H200, _times),
 }
 

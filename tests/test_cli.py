@@ -710,10 +710,10 @@ def test_parameters_on_a_terminal_are_a_table(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("COLUMNS", "120")
     shown = re.sub(r"\x1b\[[0-9;]*m", "", lfgpu("parameters", "--preset", "paper").out)
     assert "\t" not in shown
-    assert "paper: Sajjadi et al. 2016." in shown
+    assert "paper: Sajjadi et al. 2016, for views with noise and occlusions." in shown
     for name, _ in parameters(PRESETS["paper"]):
         assert len(re.findall(rf"^  {re.escape(name)} ", shown, re.MULTILINE)) == 1
-    assert "[λ / (views · channels)]" in " ".join(shown.split())
+    assert "((views - 1) · channels)]" in " ".join(shown.split())
 
 
 def test_an_unknown_preset_has_no_parameters() -> None:

@@ -19,7 +19,12 @@ from lfgpu.methods.matching.config import (
     SweepConfig,
 )
 from lfgpu.methods.sections import LocalConfig, PriorConfig
-from lfgpu.methods.synthesis.config import PropagationConfig, RefinementConfig, SynthesisConfig
+from lfgpu.methods.synthesis.config import (
+    PropagationConfig,
+    RefinementConfig,
+    SynthesisConfig,
+    SynthesisPriorConfig,
+)
 
 SECTIONS = {
     MatchingConfig: {
@@ -30,7 +35,7 @@ SECTIONS = {
         BoundariesConfig,
         HoleFillingConfig,
     },
-    SynthesisConfig: {LocalConfig, PriorConfig, PropagationConfig, RefinementConfig},
+    SynthesisConfig: {LocalConfig, SynthesisPriorConfig, PropagationConfig, RefinementConfig},
 }
 OWNER = {name: kind() for kind in SECTIONS for name, _ in parameters(kind)}
 """A configuration that has a parameter of that name."""

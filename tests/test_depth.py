@@ -234,7 +234,8 @@ def test_disparities_lie_in_the_range() -> None:
 
 def test_maps_are_float32_of_the_views_size() -> None:
     result = estimate_depth(small(), disparity_range=RANGE, config=QUICK)
-    assert list(result.stages) == ["local", "propagate", "refine"]
+    lines = ["local_row", "coherence_row", "local_column", "coherence_column"]
+    assert list(result.stages) == [*lines, "local", "propagate", "refine"]
     for values in (result.disparity, result.confidence, result.depth, *result.stages.values()):
         assert values is not None
         assert (values.shape, values.dtype) == ((56, 64), np.float32)

@@ -22,7 +22,8 @@ CONVERGED = SynthesisConfig().with_values(
 )
 """Minima are compared, not the iterations at which minimisations happened to stop."""
 NEAR = 1e-3  # pixels per view step: the median of the differences between two maps
-SAME_CONFIDENCE = 1e-4  # the largest difference
+MOSTLY_NEAR = 1e-3  # their 95 % quantile
+SAME_CONFIDENCE = 0.03  # the largest difference: what hides what is decided by whole pixels
 DEFINED = 0.005  # the share of pixels whose coherence may lie on the other side of the threshold
 
 
@@ -69,6 +70,7 @@ def assert_same(one: DepthResult, other: DepthResult) -> None:
         assert (defined[0] != defined[1]).mean() <= DEFINED, stage
         difference = np.abs(one.stages[stage] - other.stages[stage])[defined[0] & defined[1]]
         assert np.median(difference) <= NEAR, stage
+        assert np.quantile(difference, 0.95) <= MOSTLY_NEAR, stage
     assert np.abs(one.confidence - other.confidence).max() <= SAME_CONFIDENCE
     assert reasons(one) == reasons(other)
     assert one.converged

@@ -153,6 +153,20 @@ def test_what_is_at_the_disparity_is_sharp_and_the_rest_is_not() -> None:
         assert error[distance < 0.1].mean() < 0.25 * error[distance > 1].mean()
 
 
+@pytest.mark.parametrize("axis", [0, 1], ids=["du", "dv"])
+def test_refocus_shifts_each_view_the_way_its_camera_moved(axis: int) -> None:
+    """Two views of a point, 3 px apart along one axis: both signs and both axes have their own."""
+    views = np.zeros((2, 20, 24, 1), np.float32)
+    views[0, 10, 12] = 1
+    moved = (10, 12 - 3) if axis == 0 else (10 - 3, 12)  # at (x - d du, y - d dv) in the view one step on, d = 3
+    views[(1, *moved)] = 1
+    positions = np.array([[0.0, 0.0], [1.0, 0.0] if axis == 0 else [0.0, 1.0]])
+    lf = LightField(views, positions, reference=0)
+    sharp = lfgpu.refocus(lf, 3.0)[..., 0]
+    assert sharp[10, 12] == pytest.approx(1, abs=1e-3)
+    assert lfgpu.refocus(lf, -3.0)[10, 12, 0] == pytest.approx(0.5, abs=1e-3)
+
+
 def test_refocus_leaves_out_what_lies_beyond_the_frame_or_is_masked() -> None:
     views = np.full((3, 3, 20, 24), 0.5, np.float32)
     valid = np.ones((9, 20, 24), np.bool_)

@@ -331,7 +331,7 @@ def test_lbfgs_remembers_nothing_of_the_function_before(target: Any, rng: np.ran
 # --- the refinement: its energy, on scenes with a known map ---
 
 RANGE, TIGHT = (-1.5, 1.5), (-0.5, 0.75)
-PARAMETERS = SynthesisConfig().with_values({"prior.window": 7})
+PARAMETERS = SynthesisConfig().with_values({"prior.window": 7, "refinement.smoothness": 0.2})
 SCENES = ("relief", "boxes")
 
 

@@ -17,7 +17,7 @@ figure, axes = plt.subplots(2, 4, figsize=(10, 4), layout="constrained")
 axes[0, 0].imshow(lf.image(lf.reference_index))
 axes[1, 0].imshow(truth, vmin=truth.min(), vmax=truth.max())
 axes[1, 0].set_title("truth")
-for column, preset in enumerate(lfgpu.PRESETS, 1):
+for column, preset in enumerate(("accurate", "fast", "paper"), 1):
     found = lfgpu.estimate_depth(lf, config=preset, disparity_range=(-1.6, 1.6)).disparity
     scores = lfgpu.evaluate(found, truth)
     axes[0, column].imshow(found, vmin=truth.min(), vmax=truth.max())

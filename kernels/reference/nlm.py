@@ -1,9 +1,9 @@
 """Non-local-means weights and the two linear operators that they make: NumPy, float64.
 
-w(p, q) = exp(-mean over the patch of [ΔI² / σ_color² + |Δ∇I|² / σ_gradient²]) but at least a floor, where Δ is the
-difference between the patch around p and the one around q, squares are means over the channels, and only patch pixels
-that both have count. The paper sums over the patch where this takes the mean: σ here is the paper's over √(patch
-pixels).
+w(p, q) = exp(-D), but at least a floor, where D is the mean or the sum over the patch of ΔI² / σ_color² +
+|Δ∇I|² / σ_gradient². Δ is the difference between the patch around p and the one around q, squares are means over the
+channels, and only patch pixels that both have count. ∇I is the central difference, or with `gradients` "patch", as in
+the paper (equation 2), the difference between the middle of the patch and the pixel.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import NlmWeights, half_window
+from lfgpu.contract import NlmWeights, OverPatch, PatchGradients, half_window
 
 Array = NDArray[np.float64]
 
@@ -53,17 +53,32 @@ def nlm_weights(
     sigma_color: float,
     sigma_gradient: float,
     floor: float,
+    over_patch: OverPatch = "mean",
+    gradients: PatchGradients = "central",
 ) -> NlmWeights:
-    def evaluate(image: Array, weights_out: Array) -> None:
+    def by_central_gradients(image: Array, here: tuple[slice, slice], there: tuple[slice, slice]) -> Array:
         described = features(image, sigma_color, sigma_gradient)
+        return box_sum(((described[here] - described[there]) ** 2).sum(2), patch // 2)
+
+    def by_patch_gradients(image: Array, here: tuple[slice, slice], there: tuple[slice, slice]) -> Array:
+        apart = image[here] - image[there]  # Δ∇ between patch pixel and middle is the difference of two of these
+        total = np.zeros(apart.shape[:2])
+        for step in np.ndindex(patch, patch):
+            middle, beside = overlap(apart.shape[:2], *(np.array(step) - patch // 2))
+            total[middle] += (apart[beside] ** 2).mean(2) / sigma_color**2
+            total[middle] += ((apart[middle] - apart[beside]) ** 2).mean(2) / sigma_gradient**2
+        return total
+
+    def evaluate(image: Array, weights_out: Array) -> None:
         height, width = image.shape[:2]
         for k, (dy, dx) in enumerate(half_window(window)):
             here, there = overlap((height, width), dy, dx)
             weights_out[k] = 0
-            distance = ((described[here] - described[there]) ** 2).sum(2)
-            if distance.size:
-                mean = box_sum(distance, patch // 2) / box_sum(np.ones_like(distance), patch // 2)
-                weights_out[k][here] = np.maximum(np.exp(-mean), floor)
+            if weights_out[k][here].size:
+                distance = (by_central_gradients if gradients == "central" else by_patch_gradients)(image, here, there)
+                if over_patch == "mean":
+                    distance = distance / box_sum(np.ones_like(distance), patch // 2)
+                weights_out[k][here] = np.maximum(np.exp(-distance), floor)
 
     return evaluate
 

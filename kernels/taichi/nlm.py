@@ -6,7 +6,7 @@ from typing import Any
 
 import taichi as ti
 
-from lfgpu.contract import NlmWeights, half_window
+from lfgpu.contract import NlmWeights, OverPatch, PatchGradients, half_window
 
 from .memory import DeviceArray, empty, flat
 from .runtime import TASK, on_cpu, once, run, start
@@ -66,14 +66,60 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
                 distance = (features[p] - features[p + step[1] * width + step[0]]).norm_sqr()
             distances_out[i] = distance
 
-    return SimpleNamespace(features=features_kernel, distance=distance_kernel)
+    @ti.kernel
+    def patch_weight_kernel(
+        image: flat(channels=channels),
+        height: int,
+        width: int,
+        radius: int,
+        patch_radius: int,
+        color: float,
+        gradient: float,
+        floor: float,
+        is_mean: int,
+        weights_out: flat(),
+    ):
+        """Weights whose gradients are the differences between the patch pixels and the middle of the patch."""
+        size = height * width
+        for i in range(weights_out.shape[0]):
+            k = i // size
+            p = i - k * size
+            x = p % width
+            y = p // width
+            step = step_of(k, radius)
+            weight = 0.0
+            if inside(x + step[0], y + step[1], height, width):
+                left = ti.max(x - patch_radius, 0, -step[0])
+                right = ti.min(x + patch_radius, width - 1, width - 1 - step[0])
+                top = ti.max(y - patch_radius, 0)
+                bottom = ti.min(y + patch_radius, height - 1 - step[1])
+                across = step[1] * width + step[0]
+                middle = image[p] - image[p + across]
+                total = 0.0
+                for py in range(top, bottom + 1):
+                    for px in range(left, right + 1):
+                        apart = image[py * width + px] - image[py * width + px + across]
+                        total += color * apart.norm_sqr() + gradient * (middle - apart).norm_sqr()
+                if is_mean == 1:
+                    total /= ti.cast((bottom - top + 1) * (right - left + 1), ti.f32)
+                weight = ti.max(ti.exp(-total), floor)
+            weights_out[i] = weight
+
+    return SimpleNamespace(features=features_kernel, distance=distance_kernel, patch_weight=patch_weight_kernel)
 
 
 @ti.kernel
 def _weight_kernel(
-    distances: flat(), height: int, width: int, radius: int, patch_radius: int, floor: float, weights_out: flat()
+    distances: flat(),
+    height: int,
+    width: int,
+    radius: int,
+    patch_radius: int,
+    floor: float,
+    is_mean: int,
+    weights_out: flat(),
 ):
-    """exp(-mean distance over the patch), over those patch pixels that both have; at least `floor`."""
+    """exp(-distance), the mean or the sum over those patch pixels that both have; at least `floor`."""
     size = height * width
     for i in range(weights_out.shape[0]):
         k = i // size
@@ -91,8 +137,9 @@ def _weight_kernel(
             for py in range(top, bottom + 1):
                 for px in range(left, right + 1):
                     total += distances[k * size + py * width + px]
-            mean = total / ti.cast((bottom - top + 1) * (right - left + 1), ti.f32)
-            weight = ti.max(ti.exp(-mean), floor)
+            if is_mean == 1:
+                total /= ti.cast((bottom - top + 1) * (right - left + 1), ti.f32)
+            weight = ti.max(ti.exp(-total), floor)
         weights_out[i] = weight
 
 
@@ -167,10 +214,20 @@ def nlm_weights(
     sigma_color: float,
     sigma_gradient: float,
     floor: float,
+    over_patch: OverPatch = "mean",
+    gradients: PatchGradients = "central",
 ) -> NlmWeights:
     start(device)
-    (height, width, channels), radius = shape, window // 2
+    (height, width, channels), radius, is_mean = shape, window // 2, int(over_patch == "mean")
     kernels = _feature_kernels(channels)
+    if gradients == "patch":
+        factors = [1 / (sigma**2 * channels) for sigma in (sigma_color, sigma_gradient)]
+
+        def evaluate_by_patches(image: DeviceArray, weights_out: DeviceArray) -> None:
+            options = (height, width, radius, patch // 2, *factors, floor, is_mean)
+            run(kernels.patch_weight, image.values, *options, weights_out.values)
+
+        return evaluate_by_patches
     features = empty((height, width), channels=3 * channels)
     distances = empty((len(half_window(window)), height, width))
     color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
@@ -178,7 +235,7 @@ def nlm_weights(
     def evaluate(image: DeviceArray, weights_out: DeviceArray) -> None:
         run(kernels.features, image.values, color, gradient, height, width, features.values)
         run(kernels.distance, features.values, height, width, radius, distances.values)
-        run(_weight_kernel, distances.values, height, width, radius, patch // 2, floor, weights_out.values)
+        run(_weight_kernel, distances.values, height, width, radius, patch // 2, floor, is_mean, weights_out.values)
 
     return evaluate
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lfgpu.contract import NlmWeights, half_window
+from lfgpu.contract import NlmWeights, OverPatch, PatchGradients, half_window
 
 from .memory import pixel_type
 from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once
@@ -66,7 +66,43 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
                 distance = wp.length_sq(features[y, x] - features[qy, qx])
             distances_out[k, y, x] = distance
 
-    return SimpleNamespace(features=features_kernel, distance=distance_kernel)
+    @wp.kernel(module=module, enable_backward=False)
+    def patch_weight_kernel(
+        image: wp.array2d(dtype=pixel),
+        half_window: wp.array(dtype=wp.vec2i),
+        radius: int,
+        color: float,
+        gradient: float,
+        floor: float,
+        is_mean: int,
+        lanes: int,
+        weights_out: wp.array3d(dtype=float),
+    ):
+        """Weights whose gradients are the differences between the patch pixels and the middle of the patch."""
+        k, y, lane = wp.tid()
+        height = image.shape[0]
+        width = image.shape[1]
+        step = half_window[k]
+        top = wp.max(y - radius, 0)
+        bottom = wp.min(y + radius, height - 1 - step[0])
+        for x in range(lane, width, lanes):
+            weight = float(0.0)
+            qx = x + step[1]
+            if y + step[0] < height and qx >= 0 and qx < width:
+                left = wp.max(x - radius, wp.max(0, -step[1]))
+                right = wp.min(x + radius, width - 1 - wp.max(0, step[1]))
+                middle = image[y, x] - image[y + step[0], qx]
+                total = float(0.0)
+                for py in range(top, bottom + 1):
+                    for px in range(left, right + 1):
+                        apart = image[py, px] - image[py + step[0], px + step[1]]
+                        total = total + color * wp.length_sq(apart) + gradient * wp.length_sq(middle - apart)
+                if is_mean == 1:
+                    total = total / float((bottom - top + 1) * (right - left + 1))
+                weight = wp.max(wp.exp(-total), floor)
+            weights_out[k, y, x] = weight
+
+    return SimpleNamespace(features=features_kernel, distance=distance_kernel, patch_weight=patch_weight_kernel)
 
 
 @wp.kernel
@@ -75,10 +111,11 @@ def _weight_kernel(
     half_window: wp.array(dtype=wp.vec2i),
     radius: int,
     floor: float,
+    is_mean: int,
     lanes: int,
     weights_out: wp.array3d(dtype=float),
 ):
-    """exp(-mean distance over the patch), over those patch pixels that both have; at least `floor`."""
+    """exp(-distance), the mean or the sum over those patch pixels that both have; at least `floor`."""
     k, y, lane = wp.tid()
     height = distances.shape[1]
     width = distances.shape[2]
@@ -95,7 +132,9 @@ def _weight_kernel(
             for py in range(top, bottom + 1):
                 for px in range(left, right + 1):
                     total = total + distances[k, py, px]
-            weight = wp.max(wp.exp(-total / float((bottom - top + 1) * (right - left + 1))), floor)
+            if is_mean == 1:
+                total = total / float((bottom - top + 1) * (right - left + 1))
+            weight = wp.max(wp.exp(-total), floor)
         weights_out[k, y, x] = weight
 
 
@@ -241,9 +280,26 @@ def nlm_weights(
     sigma_color: float,
     sigma_gradient: float,
     floor: float,
+    over_patch: OverPatch = "mean",
+    gradients: PatchGradients = "central",
 ) -> NlmWeights:
     (height, width, channels), place = shape, wp.get_device(device)
-    kernels, steps = _feature_kernels(channels), _half_window(window, device)
+    kernels, steps, is_mean = _feature_kernels(channels), _half_window(window, device), int(over_patch == "mean")
+    if gradients == "patch":
+        factors = [1 / (sigma**2 * channels) for sigma in (sigma_color, sigma_gradient)]
+
+        def weigh_by_patches(image: Any, weights_out: Any) -> None:
+            threads = lanes(image)
+            load(place, kernels.patch_weight)
+
+            def some_neighbors(_: int, first: int, last: int) -> None:
+                inputs = [image, steps[first:last], patch // 2, *factors, floor, is_mean, threads]
+                dim = (last - first, height, threads)
+                launch(kernels.patch_weight, dim, inputs, [weights_out[first:last]], device=place)
+
+            in_slices(place, len(steps), some_neighbors)
+
+        return weigh_by_patches
     features = wp.empty((height, width), dtype=pixel_type(3 * channels), device=place)
     distances = wp.empty((len(steps), height, width), dtype=float, device=place)
     color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
@@ -256,7 +312,7 @@ def nlm_weights(
         def some_neighbors(_: int, first: int, last: int) -> None:
             some, room, dim = steps[first:last], distances[first:last], (last - first, height, threads)
             launch(kernels.distance, dim, [features, some, threads], [room], device=place)
-            inputs = [room, some, patch // 2, floor, threads]
+            inputs = [room, some, patch // 2, floor, is_mean, threads]
             launch(_weight_kernel, dim, inputs, [weights_out[first:last]], device=place)
 
         in_slices(place, len(steps), some_neighbors)

@@ -165,7 +165,7 @@ def _maps(path: Path, truth: Path) -> tuple[dict[str, NDArray[np.float32]], Dept
     found = load(path)
     file = result_in(path) or path if path.is_dir() else path
     if isinstance(found, DepthResult):
-        return dict(found.stages), found
+        return found.disparity_stages, found
     if isinstance(found, ViewsResult):
         found = found.map(_true_view(found, truth))
     return {file.name: found.disparity}, None if found.position is None else found

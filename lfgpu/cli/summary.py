@@ -78,7 +78,8 @@ def show_scores(
     from lfgpu.metrics import BORDER, evaluate, sparsification
 
     try:
-        rows = {name: evaluate(values, truth.disparity, mask=truth.mask) for name, values in result.stages.items()}
+        maps = result.disparity_stages
+        rows = {name: evaluate(values, truth.disparity, mask=truth.mask) for name, values in maps.items()}
         curve = sparsification(result.disparity, result.confidence, truth.disparity, mask=truth.mask)
     except LightFieldError as error:
         shown.remark(console, f"The result cannot be scored: {error}")

@@ -14,7 +14,7 @@ from lfgpu.contract.arrays import Array, Float32Array, Float64Array, Scalar
 from lfgpu.contract.backend import KernelSet
 from lfgpu.contract.images import Normalization
 from lfgpu.contract.matching import REACH, Alignment, PlaneSweep, ZBuffer, sweep_shifts
-from lfgpu.contract.prior import NlmWeights, half_window
+from lfgpu.contract.prior import NlmWeights, OverPatch, PatchGradients, half_window
 from lfgpu.contract.recording import Recording
 from lfgpu.contract.solvers import Lbfgs, Residuals
 from lfgpu.contract.streaming import Lease, Maps, Slot, Streaming, Transport
@@ -36,6 +36,8 @@ __all__ = [
     "Maps",
     "NlmWeights",
     "Normalization",
+    "OverPatch",
+    "PatchGradients",
     "PlaneSweep",
     "Recording",
     "Residuals",

@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.contract.arrays import Array
 
+OverPatch: TypeAlias = Literal["mean", "sum"]
+"""How the differences of two patches are taken together."""
+
+PatchGradients: TypeAlias = Literal["central", "patch"]
+"""What the gradient of a patch pixel is: its central difference, or its difference from the middle of the patch."""
+
 
 class NlmWeights(Protocol):
     """Non-local-means weights of images of one shape, planned once."""
 
     def __call__(self, image: Array, weights_out: Array) -> None:
-        """Weights [k, y, x] of each pixel p with p + half_window(window)[k]; 0 where that lies outside, else >= floor.
+        """Weights [k, y, x] of each pixel p with q = p + half_window(window)[k]; 0 where q lies outside, else >= floor.
 
-        `image` is float32 [y, x, c].
+        w = exp(-D) with D the mean or the sum, over those pixels p' of the patch around p whose q' = p' + q - p lies in
+        the image, too, of |I(p') - I(q')|^2 / sigma_color^2 + |G(p') - G(q')|^2 / sigma_gradient^2. |.|^2 is the mean
+        of squares over the channels. G is the central difference in x and in y, the border pixel beyond the border, or
+        with `gradients` "patch" G(p') = I(p) - I(p') and G(q') = I(q) - I(q'). `image` is float32 [y, x, c].
         """
 
 
@@ -34,8 +43,10 @@ class Prior(Protocol):
         sigma_color: float,
         sigma_gradient: float,
         floor: float,
+        over_patch: OverPatch = "mean",
+        gradients: PatchGradients = "central",
     ) -> NlmWeights:
-        """Plan the weights of images of `shape` [y, x, c]."""
+        """Plan the weights of images of `shape` [y, x, c]; sigmas > 0, `floor` >= 0."""
 
     def nlm_neighbors(self, weights: Array, values: Array, *, window: int, sums_out: Array) -> None:
         """W v: the weighted sum [y, x] of `values` [y, x] over each pixel's window, itself (weight 1) included."""

@@ -33,11 +33,15 @@ class DepthResult:
         their noise (hidden, glossy or misregistered surfaces), and where several disparities are as good as the best
         one and nothing like it is near by. Where the disparity is NaN it is 0.
 
-        Synthesis (the preset "paper"): the coherence of the local estimates near a pixel, averaged in the same way. It
-        orders pixels but is not a probability. 0 means that the pixel was filled from elsewhere.
+        Synthesis (the preset "paper"): how surely the views that see a pixel fix its disparity, less where the map is
+        not smooth among like pixels. It tells better pixels from worse ones but is not a probability. With
+        `refinement.acceptance` "whole", as in "paper-exact", it is the mean coherence of the local estimates near a
+        pixel, which says little about the refined map.
     stages
         The map after each stage, by the name of the stage. Matching: `sweep`, `resweep` (if occlusions are handled in a
-        second sweep), `align` and `boundaries`. Synthesis: `local` (NaN where undefined), `propagate` and `refine`.
+        second sweep), `align` and `boundaries`. Synthesis: `local` (NaN where undefined), `propagate` and `refine`,
+        and before them what the row and the column of views say alone: `local_row` and `local_column`, disparities,
+        with their coherences 0 to 1, `coherence_row` and `coherence_column`.
     position
         (u, v) of the reference view, as in `LightField.positions`.
     disparity_range
@@ -96,6 +100,11 @@ class DepthResult:
     def depth(self) -> NDArray[np.float32] | None:
         """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""
         return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)
+
+    @property
+    def disparity_stages(self) -> dict[str, Float32Array]:
+        """Those of `stages` that are disparity maps: all but the coherences."""
+        return {name: map_ for name, map_ in self.stages.items() if not name.startswith("coherence")}
 
     def __repr__(self) -> str:
         notes = "".join(f"\n note: {note}" for note in self.notes)

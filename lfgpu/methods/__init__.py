@@ -30,7 +30,10 @@ METHODS: dict[str, Entry] = {
         _synthesis.PRESETS,
         "lfgpu.methods.synthesis.method:Synthesis",
         "finds the map that predicts all views best (Sajjadi et al. 2016)",
-        {"paper": "Sajjadi et al. 2016"},
+        {
+            "paper": "Sajjadi et al. 2016, for views with noise and occlusions",
+            "paper-exact": "Sajjadi et al. 2016 as printed",
+        },
     ),
 }
 """All methods by name. A new method is a package here and a row of this table."""
@@ -38,7 +41,7 @@ METHODS: dict[str, Entry] = {
 PRESETS: dict[str, Config] = {name: config for entry in METHODS.values() for name, config in entry.presets.items()}
 """Complete parameters by name, the default preset first."""
 
-PresetName: TypeAlias = Literal["accurate", "fast", "paper"]
+PresetName: TypeAlias = Literal["accurate", "fast", "paper", "paper-exact"]
 """The names of `PRESETS`, for type checkers."""
 
 

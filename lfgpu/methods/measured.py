@@ -21,10 +21,14 @@ class Measured:
     noise
         Root mean square difference between views that show the same point, intensity; None if the method does not use
         it.
+    spread
+        Standard deviations of the colours and of the gradients of the reference view, intensity; None if the method
+        does not use them.
     """
 
     disparity_range: tuple[float, float]
     noise: float | None = None
+    spread: tuple[float, float] | None = None
 
 
 def checked_range(disparity_range: tuple[float, float], lf: LightField) -> tuple[float, float]:

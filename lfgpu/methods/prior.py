@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lfgpu.contract import Array, KernelSet, Scalar, half_window
+from lfgpu.contract import Array, KernelSet, OverPatch, PatchGradients, Scalar, half_window
 from lfgpu.methods.sections import PriorConfig
 
 UNLIKE_ANY = 10.0
@@ -23,9 +23,20 @@ class NonLocalMeans:
     kernels, device
         The backend's kernels, and the name of the device. The weights and the workspace to compute them take window²
         floats per pixel.
+    over_patch, gradients
+        Forms of the weights, see `lfgpu.contract.NlmWeights`.
     """
 
-    def __init__(self, shape: Sequence[int], config: PriorConfig, kernels: KernelSet, device: str) -> None:
+    def __init__(
+        self,
+        shape: Sequence[int],
+        config: PriorConfig,
+        kernels: KernelSet,
+        device: str,
+        *,
+        over_patch: OverPatch = "mean",
+        gradients: PatchGradients = "central",
+    ) -> None:
         self.kernels, self.device, self.window = kernels, device, config.window
         self.weights = kernels.zeros((len(half_window(config.window)), *shape[:2]), device)
         """[k, y, x] in the order of `half_window`."""
@@ -37,6 +48,8 @@ class NonLocalMeans:
             sigma_color=config.sigma_color,
             sigma_gradient=config.sigma_gradient,
             floor=config.floor,
+            over_patch=over_patch,
+            gradients=gradients,
         )
         self.ones, self.degree = kernels.zeros(shape[:2], device), kernels.zeros(shape[:2], device)
         """Fields [y, x]: ones; and W 1, the sum of the weights in each pixel's window, its own weight 1 included."""

@@ -9,10 +9,7 @@ from lfgpu.config import Section, number
 
 @dataclass(frozen=True)
 class LocalConfig(Section):
-    """Local estimate: structure tensors on epipolar plane images (paper §5, Wanner and Goldluecke 2012).
-
-    It is the first stage of synthesis. Both methods also find the disparity range with it.
-    """
+    """Local estimate: structure tensors on epipolar plane images (paper §5, Wanner and Goldluecke 2012)."""
 
     inner_scale: float = number(
         1.0, 0.4, 4.0, "standard deviation of the Gaussian derivative filter, pixels and view steps", symbol="σ"

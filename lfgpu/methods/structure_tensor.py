@@ -12,6 +12,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.methods.sections import LocalConfig
 
 _NEGLIGIBLE = 1e-3  # filters are cut off where their Gaussian is below this
+_ANY = 1e30  # pixels per view step: no bound
 
 
 class LocalEstimator:
@@ -54,14 +55,32 @@ class LocalEstimator:
         ]
         self.disparity, self.coherence = kernels.zeros(lf.size, device), kernels.zeros(lf.size, device)
         """Fields [y, x]: the disparity, pixels per view step, and its coherence, 0 (undefined) to 1."""
+        self.by_line = {
+            line.name: (kernels.zeros(lf.size, device), kernels.zeros(lf.size, device)) for line in self._lines
+        }
+        """The same of the row and of the column of views alone, by "row" and "column"; before the threshold."""
 
     def run(self, views: Array) -> None:
         """Estimate disparity and coherence from views [n, y, x, c], as stored."""
         kernels = self._kernels
-        kernels.fill(0.0, self.disparity)
-        kernels.fill(0.0, self.coherence)
+        for field in (self.disparity, self.coherence, *(field for fields in self.by_line.values() for field in fields)):
+            kernels.fill(0.0, field)
         for line in self._lines:
-            line.keep_better(views, self.disparity, self.coherence)
+            disparity, coherence = self.by_line[line.name]
+            line.keep_better(views, disparity, coherence)
+            kernels.keep_more_coherent(
+                disparity,
+                coherence,
+                None,
+                shear=0.0,
+                reach=_ANY,
+                unit=1.0,
+                low=-_ANY,
+                high=_ANY,
+                vertical=False,
+                best_disparity_out=self.disparity,
+                best_coherence_out=self.coherence,
+            )
         kernels.threshold(self.coherence, self._threshold, self.coherence)
 
 
@@ -77,6 +96,7 @@ class _Line:
         kernels: KernelSet,
         device: str,
     ) -> None:
+        self.name = "column" if vertical else "row"
         self._kernels, self._vertical, self._range = kernels, vertical, disparity_range
         self._line = [int(index) for index in (lf.column() if vertical else lf.row())]
         offsets = lf.offsets[self._line, int(vertical)]

@@ -247,7 +247,8 @@ class _Scored:
             return None
         try:
             scores = {
-                name: evaluate(values, truth.disparity, mask=truth.mask) for name, values in result.stages.items()
+                name: evaluate(values, truth.disparity, mask=truth.mask)
+                for name, values in result.disparity_stages.items()
             }
             final = evaluate(result.disparity, truth.disparity, mask=truth.mask)
             curve = sparsification(result.disparity, result.confidence, truth.disparity, mask=truth.mask)

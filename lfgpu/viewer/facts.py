@@ -153,7 +153,7 @@ def _result(contents: Contents, name: str, entry: Entry) -> dict[str, Any]:
         "name": name,
         "isTruth": name == TRUTH and name not in contents.entries,
         "kinds": list(contents.kinds(name)),
-        "stages": [] if result is None else list(result.stages)[:-1],
+        "stages": [] if result is None else list(result.disparity_stages)[:-1],
         "identity": entry.serial,
         "earlier": entry.frame is not None and entry.frame != contents.frame and name != TRUTH,
         "about": about,

@@ -82,6 +82,7 @@ SPLAT_CASES = (
     SplatCase("arbitrary numbers", softness=0.1, exact=False, offsets=((0.31, -1.2), (1.7, 0.9))),
     SplatCase("grid with holes", offsets=tuple(grid(3, 3)[k] for k in (0, 1, 3, 5, 8)), dtype="uint8"),
     SplatCase("work for several threads", size=(61, 38), offsets=grid(5, 5), masked=True),
+    SplatCase("views of a benchmark", size=(5, 6), offsets=grid(9, 9), masked=True),
 )
 
 
@@ -206,6 +207,8 @@ class NlmCase:
     sigma_color: float = 0.25
     sigma_gradient: float = 0.15
     floor: float = 1e-3
+    over_patch: str = "mean"
+    gradients: str = "central"
     tolerance: float = 1e-5
 
     def __str__(self) -> str:
@@ -225,6 +228,10 @@ NLM_CASES = (
     NlmCase("weights at their floor", sigma_color=0.01, sigma_gradient=0.01, floor=0.05),
     NlmCase("alike everywhere", sigma_color=10.0, sigma_gradient=10.0),
     NlmCase("work for several threads", size=(61, 53), window=7),
+    NlmCase("sums over patches", over_patch="sum", sigma_color=0.75),
+    NlmCase("gradients from the middle", gradients="patch", window=7),
+    NlmCase("the paper's", over_patch="sum", gradients="patch", sigma_color=1.5, sigma_gradient=1.5, floor=0.0),
+    NlmCase("the paper's in grey", over_patch="sum", gradients="patch", floor=0.0, channels=1, patch=5, size=(4, 9)),
 )
 
 
@@ -246,6 +253,8 @@ def nlm_inputs(case: NlmCase, rng: np.random.Generator) -> SimpleNamespace:
             "sigma_color": case.sigma_color,
             "sigma_gradient": case.sigma_gradient,
             "floor": case.floor,
+            "over_patch": case.over_patch,
+            "gradients": case.gradients,
         },
         window=case.window,
     )
@@ -277,6 +286,7 @@ EPI_CASES = (
     EpiCase("grey uint16", channels=1, dtype="uint16", shear=2.0),
     EpiCase("colour float16", dtype="float16"),
     EpiCase("fractional shear", shear=-1.375),
+    EpiCase("shear of many digits", shear=-0.7310585),
     EpiCase("shear beyond the image", shear=16.0),
     EpiCase("reference at the left end", offsets=(0.0, 1.0, 2.0, 3.0, 4.0), shear=1.0),
     EpiCase("irregular offsets", offsets=(-2.25, -0.875, 0.0, 1.109375, 3.5), shear=0.5),

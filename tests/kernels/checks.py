@@ -926,6 +926,29 @@ def _same_outputs(what: str, got: dict[str, Values], want: dict[str, Values], to
 Quadratic = tuple[Values, Values]
 
 
+def check_sufficient_decrease(kernels: KernelSet, device: str) -> None:
+    """A trial is accepted from 1e-4 of the decrease on that the slope promises (Armijo), and no sooner.
+
+    The first step goes from 0 to -1 everywhere, against a gradient of 1: the slope promises 4.
+    """
+    for value, accepted in ((-0.9e-4 * 4, False), (-1.1e-4 * 4, True)):
+        memory = kernels.lbfgs(
+            (2, 2), device, memory=3, low=-9.0, high=9.0, first_step=1.0, tolerance=0.0, patience=5, most=5
+        )
+        x, gradient, trial, trial_gradient = (
+            kernels.field(np.full((2, 2), number, np.float32), device) for number in (0.0, 1.0, 0.0, 0.5)
+        )
+        held = kernels.scalar(0.0, device)
+        memory.begin(x, gradient, held)
+        memory.propose(x, trial)
+        np.testing.assert_allclose(kernels.numpy(trial), -1.0, rtol=1e-6)
+        memory.judge(held, kernels.scalar(value, device))
+        memory.learn(x, gradient, trial, trial_gradient)
+        trace, _, _ = memory.report()
+        assert trace == ([0.0, value] if accepted else [0.0]), f"a decrease of {-value} is judged wrongly: {trace}"
+        np.testing.assert_allclose(kernels.numpy(x), -1.0 if accepted else 0.0, rtol=1e-6)
+
+
 def check_lbfgs_converges(
     kernels: KernelSet, device: str, quadratic: Quadratic, start: Values, tolerance: float
 ) -> None:

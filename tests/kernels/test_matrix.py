@@ -270,6 +270,10 @@ def test_lbfgs_finds_the_minimum_within_bounds(target: Any, size: tuple[int, int
     checks.check_lbfgs_converges(target.kernels, target.device, quadratic, rng.normal(size=size), tolerance)
 
 
+def test_a_step_is_accepted_from_armijos_share_on(target: Any) -> None:
+    checks.check_sufficient_decrease(target.kernels, target.device)
+
+
 def test_devices_are_names_with_the_default_first(target: Any) -> None:
     devices = target.kernels.devices()
     assert target.device in devices

@@ -10,8 +10,30 @@ from lfgpu.methods.synthesis.data_terms import NAMES
 
 
 @dataclass(frozen=True)
+class SynthesisPriorConfig(PriorConfig):
+    """Prior: non-local-means weights, which say how likely two nearby pixels lie on the same surface (paper, eq. 2)."""
+
+    floor: float = number(
+        1e-4, 0.0, 1.0, "smallest weight between two pixels of a neighbourhood; above 0 it keeps every pixel "
+        "connected; 0, as in the paper"
+    )  # fmt: skip
+    over_patch: str = choice(
+        "mean", ("mean", "sum"), "how the differences of two patches are taken together; sum, as in the paper"
+    )  # fmt: skip
+    gradients: str = choice(
+        "central", ("central", "patch"), "gradients that are compared: central differences at each patch pixel; or the "
+        "differences between each patch pixel and the middle of its patch, as in the paper"
+    )  # fmt: skip
+    sigma_unit: str = choice(
+        "noise", ("noise", "intensity", "image"), "unit of sigma_color and sigma_gradient: intensity that grows with "
+        "the noise of the views, from 0.004 on; intensity; or the standard deviation of the colours and of the "
+        "gradients of the reference view, as in the paper"
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class PropagationConfig(Section):
-    """Propagation: gaps in the local estimate are filled by minimising a quadratic energy (paper §4.2)."""
+    """Propagation: gaps in the local estimate are filled by minimising a quadratic energy (paper §5)."""
 
     solver: str = choice("cg", ("cg", "lbfgsb"), "cg: conjugate gradients; lbfgsb: L-BFGS-B, as in the paper")
     tolerance: float = number(
@@ -28,9 +50,28 @@ class RefinementConfig(Section):
         "additive", NAMES, "prediction of a pixel on which several surfaces land: additive sums them, as in the paper; "
         "z-buffer keeps the nearest"
     )  # fmt: skip
+    error: str = choice(
+        "mean", ("mean", "sum"), "how the squared error is taken over views and channels; sum, as in the paper"
+    )  # fmt: skip
+    smooths: str = choice(
+        "change", ("change", "map"), "what the prior holds together: the change of the propagated map, so that "
+        "surfaces without texture stay as they were; or the map, as in the paper"
+    )  # fmt: skip
     smoothness: float = number(
-        0.2, 0.0, 1e6, "weight of the prior relative to the squared error, which is averaged over views and channels",
-        symbol="λ / (views · channels)",
+        2.0, 0.0, 1e6, "weight of the prior relative to the squared error; with error=mean that is averaged over the "
+        "channels and over the views but the reference", symbol="λ; λ / ((views - 1) · channels)",
+    )  # fmt: skip
+    rim: str = choice(
+        "masked", ("masked", "compared"), "pixels of the views that show what lies outside the reference view: masked "
+        "leaves them out; compared, as in the paper"
+    )  # fmt: skip
+    acceptance: str = choice(
+        "by-pixel", ("by-pixel", "whole"), "by-pixel: each pixel goes from the propagated map towards the refined one "
+        "as far as the views that see it agree better; whole: the refined map, as in the paper"
+    )  # fmt: skip
+    longest_change: float = number(
+        0.2, 1e-3, 100.0, "most by which by-pixel changes the propagated map, pixels in the farthest view; it grows "
+        "with the noise"
     )  # fmt: skip
     softness: float = number(
         0.1, 0.001, 0.5, "width of the rounded kinks of the triangle kernel, pixels", symbol="ε of Λ"
@@ -39,7 +80,9 @@ class RefinementConfig(Section):
         1.5, 0.0, 20.0, "standard deviation of the Gaussian window of local contrast normalisation, pixels; 0 compares "
         "raw intensities, as the paper does",
     )  # fmt: skip
-    contrast_floor: float = number(0.01, 1e-4, 1.0, "local contrast that is taken for noise, intensity")
+    contrast_floor: float = number(
+        0.01, 1e-4, 1.0, "local contrast that is taken for noise, intensity; it grows with the noise"
+    )  # fmt: skip
     solver: str = choice(
         "lbfgs", ("lbfgs", "lbfgsb"), "lbfgs: bounded L-BFGS on the device; lbfgsb: SciPy's L-BFGS-B on the host"
     )  # fmt: skip
@@ -66,13 +109,30 @@ class SynthesisConfig(Config):
     method = "synthesis"
 
     local: LocalConfig = LocalConfig()
-    prior: PriorConfig = PriorConfig()
+    prior: SynthesisPriorConfig = SynthesisPriorConfig()
     propagation: PropagationConfig = PropagationConfig()
     refinement: RefinementConfig = RefinementConfig()
 
 
-PRESETS = {"paper": SynthesisConfig()}
-"""`paper` is the method of Sajjadi et al. 2016 with three changes, which docs/how/synthesis.md explains: views are
-compared after local contrast normalisation, weights have a floor, and pixels near the border of a view that the
-reference view does not see are left out. With `refinement.detail_scale` 0 the data term is the paper's.
+PRESETS = {
+    "paper": SynthesisConfig(),
+    "paper-exact": SynthesisConfig(
+        local=LocalConfig(gradient_floor=1e-6),
+        prior=SynthesisPriorConfig(
+            sigma_color=1.0, sigma_gradient=1.0, floor=0.0, over_patch="sum", gradients="patch", sigma_unit="image"
+        ),
+        propagation=PropagationConfig(solver="lbfgsb"),
+        refinement=RefinementConfig(
+            error="sum",
+            smooths="map",
+            smoothness=0.01,
+            rim="compared",
+            acceptance="whole",
+            detail_scale=0.0,
+            solver="lbfgsb",
+        ),
+    ),
+}
+"""`paper-exact` is the method of Sajjadi et al. 2016 in the forms that are printed there. `paper` is the same method
+with changes that make it right on more light fields; docs/paper.md has them all.
 """

@@ -10,7 +10,7 @@ _EVENNESS = 0.75  # share of the mean in the curvature that the solver gets
 
 
 class Energy:
-    """E(d) = mean over views and channels of ‖L̃_d - L‖² + λ R(d) (paper, the refinement objective).
+    """E(d) = a ‖L̃_d - L‖² + λ R(d - s), with a of the model and s a map or 0 (paper §6: a = 1, s = 0).
 
     Parameters
     ----------
@@ -18,10 +18,15 @@ class Energy:
         The data term and the prior, on the same device.
     smoothness
         λ, >= 0.
+    start
+        The map s, a field [y, x], whose change the prior holds together. None: the prior holds the map itself together.
     """
 
-    def __init__(self, model: ForwardModel, prior: NonLocalMeans, smoothness: float) -> None:
-        self._model, self._prior, self._smoothness = model, prior, smoothness
+    def __init__(
+        self, model: ForwardModel, prior: NonLocalMeans, smoothness: float, start: Array | None = None
+    ) -> None:
+        self._model, self._prior, self._smoothness, self._start = model, prior, smoothness, start
+        self._change = None if start is None else prior.kernels.zeros(model.size, prior.device)
         self._laplacian = prior.kernels.zeros(model.size, prior.device)
         self._half, self._share = (prior.kernels.scalar(0.0, prior.device) for _ in range(2))
         self._even_share = prior.kernels.scalar((1.0 - _EVENNESS) * model.size[0] * model.size[1], prior.device)
@@ -47,6 +52,10 @@ class Energy:
         """The value and the gradient at a disparity map [y, x], pixels per view step."""
         kernels, mean = self._prior.kernels, self._model.mean
         self._model.squared_error(disparity, gradient_out, value_out)
-        self._prior.half(disparity, self._laplacian, self._half)
+        smoothed = disparity
+        if self._change is not None:
+            kernels.axpby(1.0, disparity, -1.0, self._start, self._change)
+            smoothed = self._change
+        self._prior.half(smoothed, self._laplacian, self._half)
         kernels.axpby(mean, value_out, 2.0 * self._smoothness, self._half, value_out)
         kernels.axpby(mean, gradient_out, 4.0 * self._smoothness, self._laplacian, gradient_out)

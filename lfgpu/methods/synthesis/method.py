@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,9 +11,12 @@ from lfgpu.contract import KernelSet
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
-from lfgpu.methods.measured import Measured
+from lfgpu.methods.matching.config import SweepConfig
+from lfgpu.methods.matching.noise import measured_noise
+from lfgpu.methods.measured import Measured, checked_range
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.methods.synthesis.plan import SynthesisPlan
+from lfgpu.methods.synthesis.units import spread
 
 _NORMALISED = 16  # views that are normalised at a time on a GPU
 _TENSORS = 3  # positions along a line of views over which a structure tensor is summed
@@ -41,6 +45,34 @@ class Synthesis(Method[SynthesisConfig]):
     def is_on_device(self) -> bool:
         return self.config.propagation.solver == "cg" and self.config.refinement.solver == "lbfgs"
 
+    def measure(
+        self,
+        lf: LightField,
+        kernels: KernelSet,
+        device: str,
+        *,
+        disparity_range: tuple[float, float] | None = None,
+    ) -> Measured:
+        measured = super().measure(lf, kernels, device, disparity_range=disparity_range)
+        if self.config.prior.sigma_unit != "image":
+            return measured
+        return replace(measured, spread=spread(lf, self.config.prior.patch))
+
+    def measure_noise(
+        self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str
+    ) -> float | None:
+        if self.config.prior.sigma_unit != "noise":
+            return None
+        return measured_noise(lf, bounds, SweepConfig(), kernels, device)
+
+    def given(
+        self, lf: LightField, disparity_range: tuple[float, float] | None, noise: float | None = None
+    ) -> Measured | None:
+        unit = self.config.prior.sigma_unit
+        if disparity_range is None or unit == "image" or (unit == "noise" and noise is None):
+            return None
+        return Measured(checked_range(disparity_range, lf), noise)
+
     def footprint(self, lf: LightField, measured: Measured, *, on_gpu: bool) -> Footprint:
         channels, stored, count = lf.channels, lf.views.dtype.itemsize, len(lf.views)
         views = count * channels * stored
@@ -56,6 +88,10 @@ class Synthesis(Method[SynthesisConfig]):
         else:
             details = 3 * count * 4 * channels
             batch, lines = 0, 2 * line * 4 * channels
+        judged = 0
+        if self.config.refinement.acceptance == "by-pixel":
+            judged = count * (channels + 1) * stored + 4 * count + 5 * 4
+        lines += 4 * 4 + judged
         per_pixel = host + views + details + 8 * count + batch + lines + weights + solvers + masks
         return Footprint(per_pixel, GPU_CONTEXT if on_gpu else PROCESS)
 
@@ -69,4 +105,4 @@ class Synthesis(Method[SynthesisConfig]):
         return reach[1] + windows + _EDGE, reach[0] + windows + _EDGE
 
     def plan(self, lf: LightField, measured: Measured, kernels: KernelSet, device: str) -> SynthesisPlan:
-        return SynthesisPlan(lf, measured.disparity_range, self.config, kernels, device)
+        return SynthesisPlan(lf, measured, self.config, kernels, device)

@@ -1,4 +1,4 @@
-"""The generative model: the reference view and a disparity map predict every view (paper §3)."""
+"""The generative model: the reference view and a disparity map predict every view (paper §6)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from lfgpu.methods.synthesis.config import RefinementConfig
 class ForwardModel:
     """Predicts views by splatting the reference view, and compares them with the recorded views.
 
-    Views are compared after local contrast normalisation: the local mean is subtracted, and the rest is divided by the
-    local contrast. Raw intensities would bend slanted surfaces, because there the coverage of the additive model is not
-    1 and changes its brightness. After normalisation weak texture counts as much as strong texture, and differences in
-    exposure between cameras cancel.
+    With `detail_scale` above 0, views are compared after local contrast normalisation: the local mean is subtracted,
+    and the rest is divided by the local contrast. Raw intensities would bend slanted surfaces, because there the
+    coverage of the additive model is not 1 and changes its brightness. After normalisation weak texture counts as much
+    as strong texture, and differences in exposure between cameras cancel.
 
     Parameters
     ----------
@@ -24,7 +24,8 @@ class ForwardModel:
         Gives the cameras, size, masks and reference view; its views are not used. The reference view is splatted. It
         predicts itself without error, whatever the disparity.
     config
-        `data_term`, and `softness` of its triangle kernel; `detail_scale` and `contrast_floor` of the normalisation.
+        `data_term`, and `softness` of its triangle kernel; `detail_scale` and `contrast_floor` of the normalisation;
+        `error` and `rim`.
     kernels, device
         Where the views live.
     """
@@ -32,8 +33,9 @@ class ForwardModel:
     def __init__(self, lf: LightField, config: RefinementConfig, kernels: KernelSet, device: str) -> None:
         self._kernels, self._device, self._softness = kernels, device, config.softness
         self._reference, self.size, self._scale = lf.reference_index, lf.size, lf.scale
-        self.mean = 1.0 / (max(len(lf.views) - 1, 1) * lf.channels)
-        """The factor that turns a sum over views and channels into a mean over the predicted views."""
+        self.mean = 1.0 / (max(len(lf.views) - 1, 1) * lf.channels) if config.error == "mean" else 1.0
+        """The factor of the squared error: 1, or what turns a sum into a mean over the predicted views and channels."""
+        self._masks_rim = config.rim == "masked"
         self._shape = shape = (len(lf.views), *lf.size, lf.channels)
         # Half precision on a GPU, where memory bandwidth is the limit; its rounding is far below the noise of a view.
         stored = np.float32 if device == "cpu" else np.float16
@@ -61,16 +63,18 @@ class ForwardModel:
             The views [n, y, x, c], as stored.
         start
             A first disparity map [y, x], pixels per view step. Pixels of the views that come from outside the reference
-            view, or from its masked pixels, according to this map, are not compared: nothing predicts them. None
-            compares all valid pixels.
+            view, or from its masked pixels, according to this map, are not compared: nothing predicts them. None, or
+            `rim` "compared", compares all valid pixels.
         """
         kernels = self._kernels
         kernels.intensities(views, self._reference, self._valid, scale=self._scale, fill=0.0, image_out=self._raw)
         self._normalize(views, self._valid, self._detail)
         kernels.intensities(self._detail, self._reference, self._valid, scale=1.0, fill=0.0, image_out=self._image)
-        if start is not None:
+        if start is not None and self._masks_rim:
             kernels.seen_by_reference(start, self._offsets, self._known, self._valid, seen_out=self._seen)
-        self._data_term.load(self._image, self._detail, self._valid if start is None else self._seen)
+        self._data_term.load(
+            self._image, self._detail, self._seen if start is not None and self._masks_rim else self._valid
+        )
 
     def predict(self, disparity: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Predict all views, the reference view included, with the additive model.
@@ -98,7 +102,7 @@ class ForwardModel:
         return k.numpy(views), k.numpy(coverage)
 
     def squared_error(self, disparity: Array, gradient_out: Array, value_out: Scalar) -> None:
-        """The squared error, summed over pixels, views and channels, and its gradient; times `mean` it is a mean."""
+        """The squared error, summed over pixels, views and channels, and its gradient; `mean` is its factor."""
         self._data_term(disparity, gradient_out, value_out)
 
     def curvature(self, curvature_out: Array) -> None:

@@ -2,7 +2,7 @@
 
 `local` estimates disparity by structure tensors on epipolar plane images, where these are coherent. `propagate` fills
 the gaps from similar pixels nearby. `refine` changes the map until it predicts all recorded views best, under the same
-prior.
+prior; with `refinement.acceptance` "by-pixel" each pixel takes of that what makes the views agree better.
 """
 
 from __future__ import annotations
@@ -11,16 +11,19 @@ import dataclasses
 
 import numpy as np
 
-from lfgpu.contract import Array, Float32Array, KernelSet
+from lfgpu.contract import Array, Float32Array, KernelSet, OverPatch, PatchGradients
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Callback, Work
+from lfgpu.methods.measured import Measured
 from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.methods.structure_tensor import LocalEstimator
-from lfgpu.methods.synthesis.config import SynthesisConfig
+from lfgpu.methods.synthesis.acceptance import Acceptance
+from lfgpu.methods.synthesis.config import SynthesisConfig, SynthesisPriorConfig
 from lfgpu.methods.synthesis.energy import Energy
 from lfgpu.methods.synthesis.model import ForwardModel
 from lfgpu.methods.synthesis.propagation import Propagation
+from lfgpu.methods.synthesis.units import in_units_of, noise_in_units
 from lfgpu.solvers.lbfgs import BoundedLbfgs
 from lfgpu.solvers.lbfgsb import ScipyLbfgsb
 from lfgpu.solvers.solution import Solution
@@ -28,15 +31,24 @@ from lfgpu.solvers.solution import Solution
 _SOLVERS: dict[str, type[BoundedLbfgs] | type[ScipyLbfgsb]] = {"lbfgs": BoundedLbfgs, "lbfgsb": ScipyLbfgsb}
 
 
+def planned_prior(
+    shape: tuple[int, int, int], config: SynthesisPriorConfig, kernels: KernelSet, device: str
+) -> NonLocalMeans:
+    """The prior in the forms that the parameters name, for images of `shape` [y, x, c]."""
+    over_patch: OverPatch = "sum" if config.over_patch == "sum" else "mean"
+    gradients: PatchGradients = "patch" if config.gradients == "patch" else "central"
+    return NonLocalMeans(shape, config, kernels, device, over_patch=over_patch, gradients=gradients)
+
+
 class SynthesisPlan:
-    """The method of the preset "paper", allocated for light fields of one kind.
+    """The method of the presets "paper" and "paper-exact", allocated for light fields of one kind.
 
     Parameters
     ----------
     lf
         Gives the cameras, size, stored type, masks and reference view; its views are not used.
-    bounds
-        (low, high) of the disparities, pixels per view step.
+    measured
+        The disparity range, and the noise or the spread that the parameters are in units of.
     config
         The parameters of all stages.
     kernels, device
@@ -51,8 +63,9 @@ class SynthesisPlan:
     decided = "propagate"
 
     def __init__(
-        self, lf: LightField, bounds: tuple[float, float], config: SynthesisConfig, kernels: KernelSet, device: str
+        self, lf: LightField, measured: Measured, config: SynthesisConfig, kernels: KernelSet, device: str
     ) -> None:
+        config, bounds = in_units_of(measured, config), measured.disparity_range
         where, shape = (kernels, device), (*lf.size, lf.channels)
         self._kernels, self._reference, self._scale = kernels, lf.reference_index, lf.scale
         self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
@@ -60,12 +73,17 @@ class SynthesisPlan:
         self._unknown = None if lf.valid is None else kernels.field(np.full(lf.size, np.nan), device)
         self._image = kernels.zeros_image(shape, device)
         self._local = LocalEstimator(lf, bounds, config.local, *where)
-        self._prior = NonLocalMeans(shape, config.prior, *where)
+        self._prior = planned_prior(shape, config.prior, *where)
         self._propagation = Propagation(lf.size, bounds, self._prior, config.propagation)
         self.disparity, self.confidence = (kernels.zeros(lf.size, device) for _ in range(2))
         """The results, fields [y, x]."""
         self._model = ForwardModel(lf, config.refinement, *where)
-        self._energy = Energy(self._model, self._prior, config.refinement.smoothness)
+        start = self._propagation.filled if config.refinement.smooths == "change" else None
+        self._energy = Energy(self._model, self._prior, config.refinement.smoothness, start)
+        self._acceptance = None
+        if config.refinement.acceptance == "by-pixel":
+            longest, noise = config.refinement.longest_change, noise_in_units(measured)
+            self._acceptance = Acceptance(lf, self._prior, longest, noise, *where)
         self._refinement = _SOLVERS[config.refinement.solver](
             lf.size,
             bounds,
@@ -95,14 +113,31 @@ class SynthesisPlan:
         return bool(np.isfinite(self._refinement.report().trace[0]))
 
     def maps(self) -> dict[str, Float32Array]:
-        """The map after each stage, float32 [y, x], NaN where it is undefined; waits for the device."""
-        local, coherence, filled, refined = (
-            self._kernels.numpy(field).astype(np.float32, copy=False)
-            for field in (self._local.disparity, self._local.coherence, self._propagation.filled, self.disparity)
-        )
-        if self._known is not None:
-            filled = np.where(self._kernels.numpy(self._known) > 0, filled, np.float32(np.nan))
-        return {"local": np.where(coherence > 0, local, np.float32(np.nan)), "propagate": filled, "refine": refined}
+        """The map after each stage, float32 [y, x], NaN where it is undefined; waits for the device.
+
+        Before them stand the local estimates from the row and from the column of views alone, each with its coherence,
+        0 to 1 (paper, figure 1).
+        """
+        found: dict[str, Float32Array] = {}
+        for line, fields in self._local.by_line.items():
+            disparity, coherence = (self._map(field) for field in fields)
+            found[f"local_{line}"] = np.where(coherence > 0, disparity, np.float32(np.nan))
+            found[f"coherence_{line}"] = self._where_known(coherence)
+        local, coherence = self._map(self._local.disparity), self._map(self._local.coherence)
+        return {
+            **found,
+            "local": np.where(coherence > 0, local, np.float32(np.nan)),
+            "propagate": self._where_known(self._map(self._propagation.filled)),
+            "refine": self._map(self.disparity),
+        }
+
+    def _map(self, field: Array) -> Float32Array:
+        return self._kernels.numpy(field).astype(np.float32, copy=False)
+
+    def _where_known(self, values: Float32Array) -> Float32Array:
+        if self._known is None:
+            return values
+        return np.where(self._kernels.numpy(self._known) > 0, values, np.float32(np.nan))
 
     def uncertainty(self) -> None:
         """None: the method does not tell."""
@@ -128,5 +163,10 @@ class SynthesisPlan:
         self._kernels.copy(self._propagation.filled, self.disparity)
         self._energy.load()
         self._refinement.minimize(self._energy, self.disparity, callback, curvature=self._energy.curvature)
+        if self._acceptance is not None:
+            self._acceptance.run(self._image, views, self._valid, self._propagation.filled, self.disparity)
+            self._acceptance.judge(self.disparity, self.confidence)
+            if self._known is not None:
+                self._kernels.multiply(self.confidence, self._known, self.confidence)
         if self._known is not None:  # what the reference did not record is not known
             self._kernels.select(self._known, self.disparity, self._unknown, self.disparity)

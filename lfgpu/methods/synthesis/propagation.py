@@ -1,4 +1,4 @@
-"""Propagation: the gaps of the local estimate are filled from similar pixels nearby (paper §4.2)."""
+"""Propagation: the gaps of the local estimate are filled from similar pixels nearby (paper §5)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from lfgpu.methods.synthesis.config import PropagationConfig
 from lfgpu.solvers.cg import ConjugateGradients
 from lfgpu.solvers.lbfgsb import ScipyLbfgsb
 from lfgpu.solvers.solution import Solution
+
+_LEAST_DIAGONAL, _MOST_DIAGONAL = 1e-6, 1e30  # of the preconditioner: without a floor, weights may all be 0
 
 
 class Propagation:
@@ -63,6 +65,7 @@ class Propagation:
             return
         k.axpby(2.0, prior.degree, 1.0, self._trust, inverse)
         k.axpby(1.0, inverse, -2.0, prior.ones, inverse)  # a pixel is not its own neighbour
+        k.clamp(inverse, _LEAST_DIAGONAL, _MOST_DIAGONAL, inverse)
         k.divide(prior.ones, inverse, inverse)
         self._linear.solve(self._apply, self._target, inverse, self.filled, callback)
 

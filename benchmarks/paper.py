@@ -1,0 +1,183 @@
+"""The experiments of Sajjadi et al. 2016: Lytro's raw captures, old HCI scenes, the time at 7 x 7 views of 375 x 375.
+
+And how far the kernels of every backend are from the printed equations (`benchmarks/printed.py`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.ndimage import median_filter
+
+from benchmarks import clock, machine, printed
+from benchmarks.results import Record, Run, Skipped
+from lfgpu import LightField, estimate_depth, evaluate, read, scenes
+from lfgpu._backends import list_backends, load
+from lfgpu.errors import LfgpuError
+from lfgpu.io.atomic import atomic_write
+from lfgpu.methods import preset as named
+from lfgpu.threads import get_threads
+
+KIND, FORMS = "paper", "forms"
+PRESETS = ("paper-exact", "paper", "accurate")
+_SPECKLE = 0.1  # pixels per view step from the median of 5 x 5: a speck
+_COLOURS = 128  # of a picture
+_WIDTH = 170  # pixels of a picture of a map
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A light field of the paper, or one like it."""
+
+    name: str
+    what: str
+    load: Callable[[Path], LightField]
+    unit: float = 1.0
+    """View steps of the original light field in one of this: errors are divided by it."""
+
+
+def _raw(number: int) -> Callable[[Path], LightField]:
+    return lambda data: read(data / f"tao2013_IMG_{number}" / f"IMG_{number}.jpg")
+
+
+EXPERIMENTS = (
+    Experiment("IMG_1", "Lytro, first generation, raw", _raw(1)),
+    Experiment("IMG_4", "Lytro, first generation, raw", _raw(4)),
+    Experiment("stillLife", "old HCI set, every fourth view", lambda data: read(data / "stillLife_3x3"), unit=4.0),
+    Experiment(
+        "boxes-7x7x375x375",
+        "the size that the paper's 270 s on 8 cores are of",
+        lambda _: scenes.make("boxes", grid=(7, 7), size=(375, 375)),
+    ),
+)
+
+
+def run(data: Path, names: Sequence[str], pictures: Path | None, say: Say, presets: Sequence[str] = PRESETS) -> Run:
+    """Run the experiments whose light fields lie in `data`; what is not there is skipped with a word.
+
+    `pictures` is the folder that gets a picture for each, or None.
+    """
+    load_average, date = machine.load_average(), datetime.now(UTC).isoformat(timespec="seconds")
+    records, skipped = [], []
+    for backend in list_backends():
+        say(f"printed equations: {backend}")
+        try:
+            found = printed.errors(load(backend), "cpu")
+        except LfgpuError as error:
+            skipped.append(Skipped(backend, "cpu", str(error)))
+            continue
+        records += [Record(FORMS, backend, "cpu", "", name, errors={"relative": e}) for name, e in found.items()]
+    for experiment in EXPERIMENTS:
+        if names and experiment.name not in names:
+            continue
+        try:
+            lf = experiment.load(data)
+        except LfgpuError as error:
+            records.append(Record(KIND, "", "", experiment.name, "all presets", failed=str(error)))
+            continue
+        records += _measured(experiment, lf, presets, pictures, say)
+    return Run(
+        date, machine.describe(), machine.versions(), machine.commit(), get_threads(), load_average, records, skipped
+    )
+
+
+def _measured(
+    experiment: Experiment, lf: LightField, presets: Sequence[str], pictures: Path | None, say: Say
+) -> list[Record]:
+    truth, records, maps = lf.reference_truth(), [], {}
+    for preset in presets:
+        say(f"{experiment.name}: {preset}")
+        begin = time.perf_counter()
+        try:
+            result = estimate_depth(lf, config=named(preset))
+        except LfgpuError as error:
+            records.append(Record(KIND, "", "", experiment.name, preset, failed=str(error)))
+            continue
+        seconds, errors = time.perf_counter() - begin, {}
+        for stage, values in result.disparity_stages.items():
+            errors[f"speckle {stage}"] = speckle(values)
+            if truth is not None:
+                found = evaluate(values, truth.disparity, mask=truth.mask)
+                errors[f"rmse {stage}"] = found.rmse / experiment.unit
+        maps[preset] = result.disparity
+        if preset == "paper":
+            maps = {"local": result.stages["local"], "propagated": result.stages["propagate"], **maps}
+        record = Record(
+            KIND,
+            result.backend,
+            result.device,
+            experiment.name,
+            preset,
+            clock.spread([seconds]),
+            errors=errors,
+            details={"what": experiment.what, "range": list(result.disparity_range)},
+        )
+        records.append(record)
+    if pictures is not None and maps:
+        _draw(lf, maps, pictures / f"{experiment.name}.png")
+    return records
+
+
+def speckle(disparity: NDArray[np.floating]) -> float:
+    """Percentage of the known pixels that are more than 0.1 px from the median of the 5 x 5 around them."""
+    known = np.isfinite(disparity)
+    filled = np.where(known, disparity, np.nanmedian(disparity) if known.any() else 0.0)
+    apart = np.abs(filled - median_filter(filled, 5)) > _SPECKLE
+    return float(100 * apart[known].mean()) if known.any() else float("nan")
+
+
+def _draw(lf: LightField, maps: dict[str, NDArray[np.float32]], path: Path) -> None:
+    """The reference view and the maps side by side, on one scale."""
+    low, high = np.nanquantile(maps["paper"], (0.01, 0.99))
+    height, width = lf.size
+    figure = Figure(figsize=((len(maps) + 1) * _WIDTH / 100, (_WIDTH * height / width + 18) / 100), dpi=100)
+    axes = figure.subplots(1, len(maps) + 1)
+    image = lf.image(lf.reference_index)
+    axes[0].imshow(image if image.shape[2] == 3 else image[..., 0], cmap="gray")
+    for place, (title, values) in zip(axes[1:], maps.items(), strict=True):
+        place.imshow(values, cmap="viridis", vmin=low, vmax=high)
+        place.set_title(title, fontsize=7, pad=2)
+    axes[0].set_title("reference view", fontsize=7, pad=2)
+    for place in axes:
+        place.set_axis_off()
+    figure.subplots_adjust(0, 0, 1, 0.88, 0.02, 0)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    drawn = BytesIO()
+    figure.savefig(drawn, format="png")
+    with atomic_write(path) as temporary:
+        Image.open(drawn).convert("RGB").quantize(_COLOURS).save(temporary, format="PNG", optimize=True)
+
+
+def forms(run: Run) -> list[tuple[str, ...]]:
+    """Rows of the table of exact forms: what is printed, then the error of each backend."""
+    found = [r for r in run.records if r.kind == FORMS]
+    backends = list(dict.fromkeys(r.backend for r in found))
+    errors = {(r.name, r.backend): f"{r.errors['relative']:.1g}" for r in found}
+    names = dict.fromkeys(r.name for r in found)
+    return [("printed", *backends), *((name, *(errors.get((name, b), "–") for b in backends)) for name in names)]
+
+
+def experiments(run: Run) -> list[tuple[str, ...]]:
+    """Rows of the table of experiments: scene and preset, time, specks and RMSE of each stage."""
+    rows: list[tuple[str, ...]] = [("light field", "preset", "time", "specks, %: stages", "RMSE, px: stages")]
+    for r in run.records:
+        if r.kind == KIND and r.failed:
+            rows.append((r.case, r.name, "–", r.failed.replace("|", "/"), "–"))
+        elif r.kind == KIND and r.seconds is not None:
+            cells = [
+                " → ".join(f"{e:.{digits}f}" for name, e in r.errors.items() if name.startswith(kind)) or "–"
+                for kind, digits in (("speckle", 1), ("rmse", 3))
+            ]
+            rows.append((f"`{r.case}`", f"`{r.name}`", f"{r.seconds.median:.0f} s", *cells))
+    return rows

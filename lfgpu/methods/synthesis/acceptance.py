@@ -1,0 +1,110 @@
+"""Acceptance: how much of the refinement each pixel takes, judged by the views that see it; and the confidence.
+
+The additive model of the refinement does not know what hides what, and moves pixels beside outlines away from the
+truth. The judge does: it compares the views where nothing nearer hides the pixel, each with their robust mean
+(`lfgpu.contract.Alignment`). Its derivative along the change of a pixel is known at both ends, so that the change is
+cut where the views agree best between them.
+"""
+
+from __future__ import annotations
+
+from lfgpu.contract import Array, KernelSet
+from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.methods.prior import NonLocalMeans
+
+_GRADIENT_WEIGHT = 2.0  # of image gradients against intensities
+_ROBUST = 0.005  # intensity at the usual noise: larger differences from the mean of the views count less
+_TOLERANCE = 1.2  # pixels in the farthest view: a surface hides only what lies behind it by more
+_REACH = 1  # pixels around a surface in another view that it hides, too: there both sides mix
+_STIFFNESS = 0.1  # 1 / pixel²: curvature over robust² at which the confidence is a half
+_NOTHING = 1e-30  # added to a denominator that may be 0; slopes are above 1e-12
+
+
+class Acceptance:
+    """Moves each pixel from one map towards another as far as the views agree better.
+
+    Parameters
+    ----------
+    lf
+        Gives the cameras, size, masks and reference view; its views are not used.
+    prior
+        Its weights: the views' agreement is that of the pixels around that look alike.
+    longest
+        Most by which a pixel is moved, pixels in the farthest view.
+    noise
+        In units of the usual noise, >= 1.
+    kernels, device
+        Where the views live.
+    """
+
+    def __init__(
+        self, lf: LightField, prior: NonLocalMeans, longest: float, noise: float, kernels: KernelSet, device: str
+    ) -> None:
+        self._kernels, self._prior = kernels, prior
+        shape, offsets, reach = (len(lf.views), *lf.size, lf.channels), kernels.field(lf.offsets, device), _REACH
+        self._longest = longest / farthest(lf.offsets)
+        self._no_texture = _STIFFNESS * (_ROBUST * noise) ** 2
+        self._apart = 2.0 * float(farthest(lf.offsets)) ** 2
+        self._nearest = kernels.zeros(shape[:3], device)
+        self._hiding = kernels.z_buffer(shape, offsets, reach=reach)
+        self._align = kernels.alignment(
+            shape,
+            offsets,
+            scale=lf.scale,
+            gradient_weight=_GRADIENT_WEIGHT,
+            robust=_ROBUST * noise,
+            tolerance=_TOLERANCE / farthest(lf.offsets),
+        )
+        self._change, self._slope, self._curvature, self._gain, self._loss = (
+            kernels.zeros(lf.size, device) for _ in range(5)
+        )
+
+    def run(self, image: Array, views: Array, valid: Array | None, start: Array, disparity: Array) -> None:
+        """Move `start` towards `disparity`, fields [y, x]; `disparity` becomes the result.
+
+        `image` [y, x, c] is the reference image, `views` [n, y, x, c] are the views as stored, `valid` [n, y, x]
+        or None is their mask.
+        """
+        k, change, gain, loss = self._kernels, self._change, self._gain, self._loss
+        self._align.load(image, views, valid)
+        self._hiding(start, self._nearest)
+        k.axpby(1.0, disparity, -1.0, start, change)
+        k.clamp(change, -self._longest, self._longest, change)
+        k.axpby(1.0, start, 1.0, change, disparity)
+        self._improvement(start, gain)
+        self._improvement(disparity, loss)
+        k.axpby(-1.0, loss, 0.0, loss, loss)
+        k.clamp(gain, 0.0, 1.0, gain)
+        k.clamp(loss, 0.0, 1.0, loss)
+        # The parabola through both derivatives has its minimum at gain / (gain + loss) of the way.
+        k.axpby(1.0, gain, 1.0, loss, loss)
+        k.axpby(1.0, loss, _NOTHING, self._prior.ones, loss)
+        k.divide(gain, loss, gain)
+        k.multiply(gain, change, change)
+        k.axpby(1.0, start, 1.0, change, disparity)
+
+    def judge(self, disparity: Array, confidence_out: Array) -> None:
+        """Confidence [y, x], 0 to 1, in a map [y, x]: how surely the views fix it, less where the map is not smooth.
+
+        It is c / (c + κ) / (1 + 2 s²). c is the curvature of the views' agreement, the mean over like pixels; it is
+        small where there is no texture and where few views agree. s² is the variance of the map among like pixels,
+        pixels² in the farthest view. The confidence tells better pixels from worse ones; it is no probability.
+        """
+        k, prior, mean, square = self._kernels, self._prior, self._gain, self._loss
+        self._hiding(disparity, self._nearest)
+        self._align(disparity, self._nearest, self._curvature, self._slope)
+        prior.mean(disparity, mean)
+        k.axpby(1.0, disparity, -1.0, mean, self._change)
+        k.multiply(self._change, self._change, self._slope)
+        prior.mean(self._slope, square)
+        prior.mean(self._curvature, mean)
+        k.axpby(self._no_texture, prior.ones, 1.0, mean, self._curvature)
+        k.divide(mean, self._curvature, mean)
+        k.axpby(self._apart, square, 1.0, prior.ones, square)
+        k.divide(mean, square, confidence_out)
+
+    def _improvement(self, disparity: Array, improvement_out: Array) -> None:
+        """How much better the views agree per share of the change, at a map; the mean over like pixels."""
+        self._align(disparity, self._nearest, self._curvature, self._slope)
+        self._kernels.multiply(self._slope, self._change, self._slope)
+        self._prior.mean(self._slope, improvement_out)

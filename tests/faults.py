@@ -1,0 +1,119 @@
+"""Faults that tests once did not notice, and the test that does now: `python tests/faults.py` injects each in a copy.
+
+It prints for each whether its test fails, and exits with 1 if one passes. It takes some minutes.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+_COPIED = ("lfgpu", "kernels", "benchmarks", "tests", "pyproject.toml", "README.md", "docs")
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A piece of a file, what it is changed to, and the tests that must fail."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+_PRINTED = "tests/test_printed_equations.py"
+_MATRIX = "tests/kernels/test_matrix.py"
+FAULTS = (
+    Fault(
+        "λ doubled",
+        "lfgpu/methods/synthesis/energy.py",
+        "self._model, self._prior, self._smoothness, self._start = model, prior, smoothness, start",
+        "self._model, self._prior, self._smoothness, self._start = model, prior, 2 * smoothness, start",
+        (_PRINTED, "-k", "lambda and reference"),
+    ),
+    Fault(
+        "one of 81 views dropped from the data term on a CPU",
+        "kernels/warp/splat.py",
+        "            for n in range(first, last):\n                pair",
+        "            for n in range(first, min(last, 80)):\n                pair",
+        (_MATRIX, "-k", "data_term-views-of-a-benchmark and warp and equals and not z_buffered"),
+    ),
+    Fault(
+        "τ ten times as large along the views",
+        "lfgpu/methods/structure_tensor.py",
+        "along = _gaussian(places, config.outer_scale)",
+        "along = _gaussian(places, 10 * config.outer_scale)",
+        (_PRINTED, "-k", "printed and reference"),
+    ),
+    Fault(
+        "the column's tensor with the row's spacing",
+        "lfgpu/methods/structure_tensor.py",
+        "self._spacing = _spacing(offsets)",
+        "self._spacing = _spacing(lf.offsets[[int(index) for index in lf.row()], 0])",
+        (_PRINTED, "-k", "printed and reference"),
+    ),
+    Fault(
+        "the share of a shear in half precision",
+        "kernels/warp/structure_tensor.py",
+        "share = shift - whole",
+        "share = float(wp.float16(shift - whole))",
+        (_MATRIX, "-k", "structure_tensor-shear-of-many and warp and equals"),
+    ),
+    Fault(
+        "Armijo's constant",
+        "kernels/warp/lbfgs.py",
+        "_DECREASE = 1e-4",
+        "_DECREASE = 2e-4",
+        (_MATRIX, "-k", "armijo and warp"),
+    ),
+    Fault(
+        "refocusing with the sign of dv turned",
+        "lfgpu/viz/refocusing.py",
+        "move = tuple(-disparity * lf.offsets[n, axis] for axis in (1, 0))",
+        "move = tuple((1 if axis else -1) * disparity * lf.offsets[n, axis] for axis in (1, 0))",
+        ("tests/test_render.py", "-k", "shifts_each_view"),
+    ),
+)
+
+
+def noticed(fault: Fault) -> bool:
+    """Whether its tests fail in a copy of the project with the fault."""
+    with tempfile.TemporaryDirectory() as folder:
+        for name in _COPIED:
+            source = ROOT / name
+            if source.is_dir():
+                shutil.copytree(source, Path(folder) / name, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy(source, folder)
+        broken = Path(folder) / fault.file
+        text = broken.read_text(encoding="utf-8")
+        broken.write_text(text.replace(fault.old, fault.new), encoding="utf-8")
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *fault.tests]
+        environment = {**os.environ, "PYTHONPATH": folder}
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+        if done.returncode not in (0, 1):
+            raise SystemExit(f"{fault.name}: pytest could not run.\n{done.stdout}{done.stderr}")
+        return done.returncode == 1
+
+
+def main() -> int:
+    """Inject every fault whose name holds the first argument, or all; 1 if one is not noticed."""
+    wanted = sys.argv[1] if len(sys.argv) > 1 else ""
+    missed = 0
+    for fault in FAULTS:
+        if wanted in fault.name:
+            found = noticed(fault)
+            missed += not found
+            print(f"{'noticed' if found else 'NOT NOTICED'}: {fault.name} ({fault.file})", flush=True)
+    return int(missed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
