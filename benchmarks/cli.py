@@ -1,8 +1,9 @@
 """The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found.
 
 `accuracy` scores a population of light fields, `ablation` leaves ingredients out, `rendering` renders views that were
-left out, `live`, `flicker` and `soak` are about streams, `scaling` takes several GPUs, `tiles` limits the memory,
-`gallery` draws the picture of the README, `figures` writes the figures of all pages from the committed results.
+left out, `misalignment` lines up cameras that were moved, `live`, `rectify`, `ring`, `flicker` and `soak` are about
+streams, `scaling` takes several GPUs, `tiles` limits the memory, `gallery` draws the picture of the README, `figures`
+writes the figures of all pages from the committed results.
 """
 
 from __future__ import annotations
@@ -27,13 +28,16 @@ from benchmarks import (
     gpu_parity,
     live,
     live_stages,
+    machine,
     merge,
+    misalignment,
     moving,
     operations,
     paper,
     pipelines,
     plot,
     population,
+    rectify,
     rendering,
     results,
     ring,
@@ -331,6 +335,74 @@ def ring_(
     )
     if found.torn:
         raise typer.Exit(1)
+
+
+@app.command("misalignment")
+def misalignment_(
+    scene_names: Annotated[
+        list[str],
+        typer.Argument(metavar="SCENE...", help="Folders of light fields with truth, or scenes of the package."),
+    ],
+    arrays: Annotated[str, typer.Option(metavar="NAME,...", help="Which views are used.")] = ",".join(
+        misalignment.ARRAYS
+    ),
+    disturbances: Annotated[
+        list[str] | None,
+        typer.Option("--misalign", metavar="WHAT", help="As of `lfgpu scene`; may be repeated. Default: five of them."),
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Draws of each disturbance.")] = 1,
+    crop: Annotated[int, typer.Option(min=64, help="Longest side of the middle of the views that is used.")] = 512,
+    preset: Annotated[str, typer.Option(metavar="NAME")] = "accurate",
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Errors of maps with cameras as they should be, misaligned, and lined up by `refine`, with the true range."""
+    if out is not None:
+        check_writable(out, folder=False)
+    chosen = tuple(disturbances or misalignment.DISTURBANCES)
+    plan = misalignment.Plan(tuple(scene_names), tuple(_names(arrays)), chosen, seeds, crop, preset, device)
+    about = {"machine": machine.describe(), "versions": machine.versions(), "commit": machine.commit()}
+    found = []
+    for row in misalignment.run(plan, lambda what: typer.echo(what, err=True)):
+        found.append(row)
+        live.save(out, {**about, "plan": asdict(plan), "rows": [asdict(row) for row in found]})  # as far as it is
+    misalignment.show(found)
+
+
+@app.command("rectify")
+def rectify_(
+    case_names: Annotated[str, typer.Option("--cases", metavar="NAME,...")] = "7x7x375x375,9x9x512x512",
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Of the frame that rectification is a part of.")] = (
+        "accurate"
+    ),
+    backends: Annotated[str, typer.Option(metavar="NAME,...", help="Default: warp.")] = "warp",
+    seconds: Annotated[float, typer.Option(min=0.01, help="For each measurement, at most.")] = 5.0,
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """What it costs to rectify raw frames on the device, by itself and as a part of a frame."""
+    if out is not None:
+        check_writable(out, folder=False)
+    chosen = tuple(_known_backend(name) for name in _names(backends))
+    found = rectify.run(
+        tuple(cases.find(name) for name in _names(case_names)),
+        preset,
+        chosen,
+        device,
+        lambda what: typer.echo(what, err=True),
+        seconds=seconds,
+    )
+    live.save(
+        out,
+        {
+            "machine": machine.describe(),
+            "versions": machine.versions(),
+            "commit": machine.commit(),
+            "rig": asdict(rectify.RIG),
+            "rows": [{**asdict(row), "added_ms": row.added_ms} for row in found],
+        },
+    )
+    rectify.show(found)
 
 
 @app.command("soak")

@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from lfgpu.pipelines.all_views import estimate_all_views
     from lfgpu.pipelines.estimate import estimate_depth
     from lfgpu.pipelines.export import export_pipeline
+    from lfgpu.pipelines.grouper import FrameGroup, FrameGrouper
     from lfgpu.pipelines.pipeline import DepthPipeline
+    from lfgpu.pipelines.rectifier import Rectifier
     from lfgpu.pipelines.stream import DepthStream, FrameDroppedError, StreamResult
     from lfgpu.reports.report import write_report
     from lfgpu.threads import get_threads, set_threads
@@ -54,6 +56,8 @@ _HOMES = {
     "DisparityMap": "data.result",
     "Explanation": "calibration",
     "FrameDroppedError": "pipelines.stream",
+    "FrameGroup": "pipelines.grouper",
+    "FrameGrouper": "pipelines.grouper",
     "Geometry": "data.geometry",
     "GroundTruth": "data.lightfield",
     "LfgpuError": "errors",
@@ -61,6 +65,7 @@ _HOMES = {
     "LightFieldError": "errors",
     "PRESETS": "methods",
     "PointCloud": "data.points",
+    "Rectifier": "pipelines.rectifier",
     "RenderedView": "viz.rendering",
     "Renderer": "viz.rendering",
     "StreamResult": "pipelines.stream",
@@ -98,12 +103,15 @@ __all__ = [
     "DisparityMap",
     "Explanation",
     "FrameDroppedError",
+    "FrameGroup",
+    "FrameGrouper",
     "Geometry",
     "GroundTruth",
     "LfgpuError",
     "LightField",
     "LightFieldError",
     "PointCloud",
+    "Rectifier",
     "RenderedView",
     "Renderer",
     "StreamResult",

@@ -25,6 +25,7 @@ def example(name: str) -> ModuleType:
 
 def test_every_example_is_tried() -> None:
     tried = {"first_depth_map", "own_camera_array", "live_stream", "compare_backends"}
+    tried |= {"checkerboard", "opencv_cameras", "gstreamer_appsink", "ros2_node"}  # in test_camera_examples.py
     tried |= {"ring_producer"}  # in tests/io/test_ring.py
     assert {path.stem for path in FOLDER.glob("*.py")} == tried
 

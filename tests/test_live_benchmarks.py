@@ -172,3 +172,16 @@ def test_soak_notices_another_map_at_the_end(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(DepthStream, "restart", lambda self: None)
     monkeypatch.setattr(soak, "_CUT", 0.0)
     assert any("another map" in problem for problem in soak.run(plan(40), quiet).problems)
+
+
+def test_what_rectification_adds_is_measured(tmp_path: Path) -> None:
+    out = tmp_path / "rectify.json"
+    options = ["--cases=3x3x48x48", "--preset=fast", "--seconds=0.05", "--device=cpu", "--out", str(out)]
+    outcome = CliRunner().invoke(app, ["rectify", *options])
+    assert outcome.exit_code == 0, outcome.output
+    found = json.loads(out.read_text())
+    (row,) = found["rows"]
+    assert (row["views"], row["backend"], row["device"]) == (9, "warp", "cpu")
+    assert row["error"] < 0.51  # whole numbers are stored
+    assert min(row["all_ms"], row["used_ms"], row["frame_ms"], row["rectified_ms"], row["host_ms"]) > 0
+    assert row["added_ms"] == pytest.approx(row["rectified_ms"] - row["frame_ms"])

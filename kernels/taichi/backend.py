@@ -12,6 +12,7 @@ from .memory import field, image, number, numpy, scalar, shared, upload, zeros, 
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_plane, nlm_ratio, nlm_weights
 from .occlusion import splat_z_buffered, visible, z_buffered_data_term
 from .plane_sweep import plane_sweep
+from .resampling import resample
 from .residuals import residuals
 from .runtime import devices
 from .semi_global import semi_global
@@ -70,6 +71,7 @@ __all__ = [
     "recording",
     "refine_boundaries",
     "repeat",
+    "resample",
     "residuals",
     "scalar",
     "seen_by_reference",

@@ -13,6 +13,7 @@ from .memory import devices, field, image, number, numpy, scalar, upload, zeros,
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_plane, nlm_ratio, nlm_weights
 from .occlusion import splat_z_buffered, visible, z_buffered_data_term
 from .plane_sweep import plane_sweep
+from .resampling import resample
 from .residuals import residuals
 from .semi_global import semi_global
 from .sharing import shared
@@ -68,6 +69,7 @@ __all__ = [
     "recording",
     "refine_boundaries",
     "repeat",
+    "resample",
     "residuals",
     "scalar",
     "seen_by_reference",

@@ -9,6 +9,7 @@ from lfgpu.contract import Float64Array
 
 _ROUNDS = 30
 _SOFT = 1e-4  # keeps weights of the least absolute deviations finite
+_TREND = 6  # parameters of the trend
 _MANY = 25  # views from which a smooth trend over the array is taken out before outliers are looked for
 
 
@@ -63,6 +64,15 @@ def smooth_rest(values: Float64Array, offsets: Float64Array) -> Float64Array:
     u, v = (offsets / max(float(np.abs(offsets).max()), 1e-9)).T
     basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
     return np.stack([_robust_rest(basis, column) for column in values.T], axis=1)
+
+
+def usual_rest(rest: Float64Array) -> float:
+    """How far values [n, k] usually are from the trend that `smooth_rest` took out (1.48 times the median).
+
+    A fit of least absolute deviations passes through as many values as it has parameters; these do not count.
+    """
+    through = rest.shape[1] * (_TREND if len(rest) >= _MANY else 1)
+    return 1.4826 * float(np.median(np.sort(np.abs(rest), axis=None)[through:]))
 
 
 def _robust_rest(basis: Float64Array, values: Float64Array) -> Float64Array:

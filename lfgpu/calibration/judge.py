@@ -181,7 +181,7 @@ def explain(
     BackendError
         If the backend or the device is not there.
     """
-    disparity = _checked(lf, result)
+    disparity = checked(lf, result)
     kernels = load(backend)
     device = pick_device(kernels, device)
     points = choose_points(lf, disparity, kernels, device, most=most_points(len(lf.views), 6))
@@ -229,16 +229,65 @@ def remarks(
 
     Arguments and errors are those of `explain`.
     """
-    disparity = _checked(lf, result)
+    disparity = checked(lf, result)
     kernels = load(backend)
-    device = pick_device(kernels, device)
-    points = choose_points(lf, disparity, kernels, device, most=_QUICK_POINTS)
-    if len(points.x) < _FEWEST:
-        return ()
-    wrong = _signs(lf, disparity, points, kernels, device)
-    if wrong is not None:
-        return (_SIGNS[wrong],)
-    return tuple(_sentences(lf, _cameras(lf, points, steps=_QUICK_STEPS, colours=False)))
+    found = look(lf, disparity, kernels, pick_device(kernels, device), colours=False)
+    return () if found is None else found.findings
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What a quick look at the cameras shows; n views, c colours.
+
+    Parameters
+    ----------
+    findings
+        What stands out, one sentence each.
+    moved
+        Those of them that say where cameras stand and look.
+    shift
+        float64 [n, 2], as in `Explanation`.
+    rotation
+        float64 [n], radians clockwise.
+    scale
+        float64 [n], as in `Explanation`.
+    gain, offset
+        float64 [n, c] (c = 1 without colours): a view shows gain * t + offset where the reference shows t.
+    """
+
+    findings: tuple[str, ...]
+    moved: tuple[str, ...]
+    shift: Float64Array
+    rotation: Float64Array
+    scale: Float64Array
+    gain: Float64Array
+    offset: Float64Array
+
+
+def look(
+    lf: LightField,
+    disparity: NDArray[np.float32],
+    kernels: KernelSet,
+    device: str,
+    *,
+    colours: bool = True,
+    axes: bool = True,
+) -> Look | None:
+    """A quick look at the cameras with the map of the reference view [y, x]; None where texture is too little.
+
+    `colours` says whether tones are told apart by colour, `axes` whether the signs of the axes are looked at, too.
+    While the device is asked for its part, others wait for it; without `axes` that is a small part.
+    """
+    with kernels.asking(device):
+        points = choose_points(lf, disparity, kernels, device, most=_QUICK_POINTS)
+        if len(points.x) < _FEWEST:
+            return None
+        wrong = _signs(lf, disparity, points, kernels, device) if axes else None
+    cameras = _cameras(lf, points, steps=_QUICK_STEPS, colours=colours)
+    moved = tuple(_placement(lf, cameras)) if wrong is None else ()
+    findings = (*moved, *_brightness(lf, cameras)) if wrong is None else (_SIGNS[wrong],)
+    turned = np.deg2rad(cameras["rotation"])
+    return Look(findings, moved, cameras["shift"], turned, cameras["scale"], cameras["gain"], cameras["offset"])
 
 
 def residual_pictures(
@@ -252,7 +301,7 @@ def residual_pictures(
 
     Arguments and errors are those of `explain`.
     """
-    disparity = _checked(lf, result)
+    disparity = checked(lf, result)
     kernels = load(backend)
     device = pick_device(kernels, device)
     others = np.array([n for n in range(len(lf.views)) if n != lf.reference_index])
@@ -306,7 +355,8 @@ def predict(
 # --- steps ---
 
 
-def _checked(lf: LightField, result: Any) -> NDArray[np.float32]:
+def checked(lf: LightField, result: Any) -> NDArray[np.float32]:
+    """The disparity of a result or map; LightFieldError if it is not one of the reference view, or says nothing."""
     disparity = np.asarray(getattr(result, "disparity", result), np.float32)
     position = getattr(result, "position", None)
     if disparity.shape != lf.size:
@@ -454,12 +504,17 @@ def measure_tones(
 
 def _sentences(lf: LightField, cameras: dict[str, Any]) -> list[str]:
     """What stands out, one sentence each."""
+    return [*_placement(lf, cameras), *_brightness(lf, cameras)]
+
+
+def _placement(lf: LightField, cameras: dict[str, Any]) -> list[str]:
+    """What stands out about where cameras stand and look."""
     offsets, radius = lf.offsets, float(np.hypot(*lf.size)) / 2
     said = []
     shift = cameras["shift"]
     rest = consensus.smooth_rest(shift, offsets)
     rms = float(np.sqrt((rest**2).mean()))
-    usual = 1.4826 * float(np.median(np.abs(rest)))
+    usual = consensus.usual_rest(rest)
     if usual > _OUT_OF_LINE:
         said.append(
             f"the views are out of line by {rms:.2g} px (rms along each axis); line them up with `lfgpu rectify "
@@ -474,7 +529,7 @@ def _sentences(lf: LightField, cameras: dict[str, Any]) -> list[str]:
     words = (("turned", "clockwise", "anticlockwise"), ("scaled", "larger", "smaller"))
     for k, (word, more, less) in enumerate(words):
         one = slice(k, k + 1)
-        if 1.4826 * float(np.median(np.abs(rest_shape[:, k]))) > _OUT_OF_SHAPE:
+        if consensus.usual_rest(rest_shape[:, one]) > _OUT_OF_SHAPE:
             size = float(np.sqrt((rest_shape[:, k] ** 2).mean())) / radius
             amount = f"{np.rad2deg(size):.2g} degrees" if k == 0 else f"{100 * size:.2g} %"
             said.append(
@@ -490,9 +545,15 @@ def _sentences(lf: LightField, cameras: dict[str, Any]) -> list[str]:
             return f"{size} {more if value > 0 else less}"
 
         said += _single(lf, out, amount_of, "line up")
+    return said
+
+
+def _brightness(lf: LightField, cameras: dict[str, Any]) -> list[str]:
+    """What stands out about how bright views are."""
+    offsets, said = lf.offsets, list[str]()
     bright = np.log(np.maximum(cameras["brightness"], 1e-3))[:, None]
     rest_bright = consensus.smooth_rest(bright, offsets)[:, 0]
-    if 1.4826 * float(np.median(np.abs(rest_bright))) > _UNEQUAL:
+    if consensus.usual_rest(rest_bright[:, None]) > _UNEQUAL:
         said.append(
             f"the views differ in brightness by {100 * float(np.sqrt((rest_bright**2).mean())):.2g} % (rms); equalise "
             "them with `lfgpu rectify --equalise`."

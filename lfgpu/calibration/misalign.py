@@ -12,6 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from lfgpu.calibration.cameras import Camera, turned
+from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.calibration.tones import squared_radius
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
@@ -163,29 +164,6 @@ def disturb(lf: LightField, how: Misalignment, *, seed: int = 0, moved: Float64A
         view = np.clip(view, 0, 1)
         views[n] = view if lf.views.dtype == np.float32 else np.rint(view / lf.scale)
     return Disturbed(replace(lf, views=views, files=()), cameras, calibrated, gain, offset)
-
-
-def ideal_cameras(lf: LightField, moved: Float64Array | None = None) -> tuple[Camera, ...]:
-    """The cameras that the geometry of a light field says: parallel, in a plane, their frames shifted (in metres)."""
-    geometry = lf.geometry
-    assert geometry is not None
-    height, width = lf.size
-    cx, cy = geometry.principal_point or ((width - 1) / 2, (height - 1) / 2)
-    here = geometry.unshifted_at or tuple(lf.positions[lf.reference_index])
-    places = lf.positions - here + (0 if moved is None else moved)
-    centres = geometry.centres(places)
-    focal = geometry.focal_length_px, geometry.focal_length_px * geometry.pixel_aspect
-    shift = places * geometry.baseline_m * geometry.focal_length_px / geometry.focus_distance_m
-    return tuple(
-        Camera(
-            size=lf.size,
-            focal_length=focal,
-            principal_point=(float(cx + step[0]), float(cy + step[1])),
-            translation=(-centre[0], -centre[1], 0.0),
-            name=lf.files[n] if lf.files else f"view_{n:03d}.png",
-        )
-        for n, (centre, step) in enumerate(zip(centres, shift, strict=True))
-    )
 
 
 def _worse(

@@ -11,16 +11,19 @@ import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName
 from lfgpu.calibration.formats import BESIDE, Calibration, read_calibration
+from lfgpu.calibration.rectifiers import NUMBERS, numbers, rectifier_of
 from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.resample import pixels, through
 from lfgpu.calibration.rig import Rig, fit_rig, matched
+from lfgpu.calibration.tones import squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable, read, write_description
-from lfgpu.io.folders import image_files
+from lfgpu.io.pictures import load_pictures
 from lfgpu.io.png import write_png
-from lfgpu.io.views import load_views
+from lfgpu.pipelines.rectifier import Rectifier
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,21 +47,48 @@ class Rectified:
     refinement: Refinement | None
     disparity_range: tuple[float, float] | None = None
 
+    def rectifier(self) -> Rectifier:
+        """The same for other pictures of these cameras: `lfgpu.DepthPipeline` and `lfgpu.DepthStream` take it.
 
-def load_pictures(folder: str | os.PathLike[str]) -> LightField:
-    """The pictures of a folder, or of its folder `images`, as views at positions that mean nothing yet.
+        LightFieldError if the common frame shows nothing of a camera.
+        """
+        return rectifier_of(self.light_field, self.rig, self.refinement)
 
-    LightFieldError if there are fewer than two, or they are not alike.
-    """
-    path = Path(folder)
-    if not path.is_dir():
-        raise LightFieldError(f"{path} is not a folder with pictures.")
-    files = image_files(path) or (image_files(path / "images") if (path / "images").is_dir() else [])
-    if len(files) < 2:
-        raise LightFieldError(f"{path} holds {len(files)} pictures; at least two are needed.")
-    views, notes = load_views(files)
-    where = np.stack([np.arange(len(files)), np.zeros(len(files))], axis=1).astype(np.float64)
-    return LightField(views, where, name=path.resolve().name, notes=notes, files=tuple(map(str, files)))
+    def original_depth(self, result: DepthResult | DisparityMap) -> Float32Array:
+        """Metric depth in the frame of a camera and in its original picture, lens and all, float32 [y, x].
+
+        Parameters
+        ----------
+        result
+            A map of one of the rectified views, whose camera is meant.
+
+        Returns
+        -------
+        Distance along the camera's own axis in the unit of the calibration; NaN where the map does not reach or is not
+        known, infinity beyond the horizon.
+
+        Raises
+        ------
+        LightFieldError
+            If there was no calibration, or the map is not of one of the views.
+        """
+        lf, rig = self.light_field, self.rig
+        if rig is None or len(lf.views) != len(rig.cameras):
+            raise LightFieldError(f"{lf.name} was not rectified with a calibration of all its cameras.")
+        u, v = result.position or lf.positions[lf.reference_index]
+        index = lf.index_of(v, u)
+        if result.disparity.shape != lf.size:
+            raise LightFieldError(f"the map must be of {lf.size}, found {result.disparity.shape}.")
+        height, width = lf.size
+        at, along = rig.back(index, pixels(height, width))
+        if self.refinement is not None and self.refinement.kept:
+            at = through(np.linalg.inv(self.refinement.homographies[index]), at)
+        with np.errstate(invalid="ignore"):
+            column, row = np.rint(np.nan_to_num(at, nan=-1e6)).clip(-1e6, 1e6).astype(np.intp).transpose(2, 0, 1)
+            inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+            disparity = result.disparity[row.clip(0, height - 1), column.clip(0, width - 1)]
+            depth = (rig.geometry.depth(disparity) - rig.ahead[index]) / along[..., 2]
+            return np.where(inside & (depth > 0), depth, np.nan).astype(np.float32)
 
 
 def calibration_beside(folder: Path) -> Path | None:
@@ -115,7 +145,7 @@ def rectify(
     rig, lf = None, pictures
     if calibration is not None:
         names = pictures.files or tuple(f"view_{n:03d}" for n in range(len(pictures.views)))
-        cameras = matched(calibration.cameras, names, pictures.size, calibration.source)
+        cameras = matched(calibration.cameras, names, pictures.size, calibration.source, rig=calibration.rig)
         told = isinstance(source, LightField) or pictures.truth is not None
         reference = pictures.reference if told else None
         depths = depths or calibration.depths
@@ -155,7 +185,7 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> tuple[
             write_png(file, view)
             files.append(str(file))
         left_out = write_description(replace(lf, files=tuple(files)), place / "lightfield.toml", source={})
-        np.savez_compressed(place / "rectified.npz", **_numbers(result))  # type: ignore[arg-type]
+        np.savez_compressed(place / NUMBERS, **numbers(lf, result.rig, result.refinement))  # type: ignore[arg-type]
     return left_out
 
 
@@ -196,41 +226,10 @@ def _with_truth(lf: LightField, pictures: LightField, rig: Rig) -> LightField:
 def _composed(pictures: LightField, lf: LightField, rig: Rig, found: Refinement) -> LightField:
     """The refined light field, resampled from the pictures in one go."""
     grid = pixels(*pictures.size)
-    height, width = pictures.size
 
     def tone(view: Float32Array, n: int, at: Float64Array | None) -> Float32Array:
-        place = through(found.homographies[n], grid)
-        x, y = place[..., 0] - (width - 1) / 2, place[..., 1] - (height - 1) / 2
-        radius2 = np.asarray((x**2 + y**2) / (height**2 + width**2) * 4, np.float32)
+        radius2 = squared_radius_at(through(found.homographies[n], grid), pictures.size)
         return found.tones.equalised(view, n, across=radius2)
 
     once = rig.light_field(pictures, homographies=found.homographies, tone=tone)
     return replace(found.light_field, views=once.views, valid=once.valid)
-
-
-def _numbers(result: Rectified) -> dict[str, Float64Array]:
-    lf, rig, found = result.light_field, result.rig, result.refinement
-    count = len(lf.views)
-    identity = np.tile(np.eye(3), (count, 1, 1))
-    numbers = {"homographies": found.homographies if found is not None and found.kept else identity}
-    if found is not None:
-        numbers |= {"gain": found.tones.gain, "offset": found.tones.offset, "vignetting": found.tones.vignetting}
-    if rig is not None:
-        geometry = rig.geometry
-        lenses = np.zeros((len(rig.cameras), 8))
-        for n, camera in enumerate(rig.cameras):
-            lenses[n, : len(camera.distortion)] = camera.distortion
-        numbers |= {
-            "rotation": rig.rotation,
-            "positions": rig.positions,
-            "ahead": rig.ahead,
-            "corrected_at": np.array(rig.corrected_at),
-            "focal_length_px": np.array(geometry.focal_length_px),
-            "principal_point": np.array(geometry.principal_point),
-            "matrices": np.stack([camera.matrix for camera in rig.cameras]),
-            "distortions": lenses,
-            "rotations": np.stack([np.asarray(camera.rotation) for camera in rig.cameras]),
-            "translations": np.stack([np.asarray(camera.translation) for camera in rig.cameras]),
-            "reference_centre": rig.cameras[rig.reference].centre,
-        }
-    return numbers

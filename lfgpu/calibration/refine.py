@@ -19,13 +19,14 @@ from lfgpu._backends import DEFAULT, BackendName, backend_named, load, pick_devi
 from lfgpu.calibration.bundle import MODELS, Bundle, choose_points, most_points
 from lfgpu.calibration.judge import explain, measure_tones
 from lfgpu.calibration.resample import pixels, resampled, through
-from lfgpu.calibration.tones import Tones, squared_radius
+from lfgpu.calibration.tones import Tones, squared_radius, squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array, KernelSet
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.estimate import estimate_depth
 
 _COARSE, _MIDDLE = 128, 256  # pixels: longer sides of the pictures that maps are made from
+_SMOOTH = 2.0  # pixels: standard deviation with which views are smoothed in the first round, at least
 _ROUNDS = 3
 _STEPS = 6
 _POINTS = 3000  # of the first round; later ones take twice as many
@@ -180,7 +181,9 @@ class _Search:
                 f"{lf.name}: only {len(points.x)} points of the reference have texture on smooth surfaces; "
                 f"{_FEWEST} are needed to line views up."
             )
-        bundle = Bundle(moved, points, model=self._model, free_positions=self._positions, smoothing=factor / 4)
+        # What is off by pixels is found in smooth pictures only, however small they are.
+        smoothing = max(factor / 4, _SMOOTH if coarseness == _COARSE else 0.0)
+        bundle = Bundle(moved, points, model=self._model, free_positions=self._positions, smoothing=smoothing)
         bundle.warps[:] = self.warps
         bundle.tones[:, 0], bundle.tones[:, 1] = self.tones.gain.mean(1), self.tones.offset.mean(1)
         bundle.tones[lf.reference_index] = 1, 0
@@ -241,6 +244,7 @@ class _Search:
         return replace(
             found,
             light_field=lined_up,
+            homographies=homographies if geometric else np.tile(np.eye(3), (len(lf.views), 1, 1)),
             psnr_before=before,
             psnr_after=after,
             kept=True,
@@ -261,7 +265,7 @@ class _Search:
             return through(homographies[n], grid)
 
         def tone(view: Float32Array, n: int, at: Float64Array | None) -> Float32Array:
-            radius2 = across if at is None else _squared_radius_at(at, lf.size)
+            radius2 = across if at is None else squared_radius_at(at, lf.size)
             return self.tones.equalised(view, n, across=radius2)
 
         views, valid = resampled(lf, places, tone)
@@ -350,9 +354,3 @@ def _enlarged(map_: Float32Array, factor: int, size: tuple[int, int]) -> Float32
     full = np.repeat(np.repeat(map_ * factor, factor, axis=0), factor, axis=1)
     beyond = [(0, size[axis] - full.shape[axis]) for axis in (0, 1)]
     return np.pad(full, beyond, mode="edge").astype(np.float32)
-
-
-def _squared_radius_at(at: Float64Array, size: tuple[int, int]) -> Float32Array:
-    height, width = size
-    x, y = at[..., 0] - (width - 1) / 2, at[..., 1] - (height - 1) / 2
-    return np.asarray((x**2 + y**2) / (height**2 + width**2) * 4, np.float32)

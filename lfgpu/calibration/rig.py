@@ -71,6 +71,20 @@ class Rig:
         camera = self.cameras[index]
         return camera.project(np.concatenate([plane, depth], axis=-1) @ self.rotation @ np.asarray(camera.rotation).T)
 
+    def back(self, index: int, at: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """The inverse of `places`: rectified pixels [..., 2] of pixels `at` [..., 2] of a picture, and directions.
+
+        The directions [..., 3] are those of the pixels' rays in the common frame, 1 long along the camera's own axis.
+        """
+        geometry, camera = self.geometry, self.cameras[index]
+        assert geometry.principal_point is not None
+        along = camera.rays(at) @ np.asarray(camera.rotation) @ self.rotation.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            plane = along[..., :2] / np.where(along[..., 2:] > 0, along[..., 2:], np.nan)
+        plane = plane * (1.0 - self.ahead[index] / self.corrected_at)
+        shift = self.positions[index] * geometry.baseline_m * geometry.focal_length_px / geometry.focus_distance_m
+        return plane * geometry.focal_length_px + geometry.principal_point + shift, along
+
     def light_field(
         self,
         pictures: LightField,
@@ -179,16 +193,30 @@ def fit_rig(
     )
 
 
-def matched(cameras: Sequence[Camera], names: Sequence[str], size: tuple[int, int], source: str) -> list[Camera]:
+def matched(
+    cameras: Sequence[Camera],
+    names: Sequence[str],
+    size: tuple[int, int],
+    source: str,
+    *,
+    rig: Sequence[Camera] = (),
+) -> list[Camera]:
     """The camera of each picture: by name where the calibration has names of pictures, else by order.
 
-    Cameras are scaled to the size of the pictures if these have the same shape. LightFieldError if a picture has no
-    camera, or the shapes differ.
+    If no picture is one that was calibrated, the cameras of the calibration's `rig` are taken, if it has one. Cameras
+    are scaled to the size of the pictures if these have the same shape. LightFieldError if a picture has no camera, or
+    the shapes differ.
     """
-    by_name: dict[str, Camera] = {}
-    for camera in cameras:
-        by_name.setdefault(_stem(camera.name), camera)
-    found = [by_name.get(_stem(name)) for name in names]
+
+    def named(known: Sequence[Camera]) -> list[Camera | None]:
+        by_name: dict[str, Camera] = {}
+        for camera in known:
+            by_name.setdefault(_stem(camera.name), camera)
+        return [by_name.get(_stem(name)) for name in names]
+
+    found = named(cameras)
+    if rig and not any(found):
+        cameras, found = rig, named(rig)
     if not any(found):
         if len(cameras) != len(names):
             raise LightFieldError(

@@ -51,6 +51,13 @@ def squared_radius(height: int, width: int) -> NDArray[np.float32]:
     return np.asarray(((x - (width - 1) / 2) ** 2 + (y - (height - 1) / 2) ** 2) / (height**2 + width**2) * 4)
 
 
+def squared_radius_at(at: Float64Array, size: tuple[int, int]) -> NDArray[np.float32]:
+    """float32 [...], the same at places (x, y) [..., 2] of a view of `size`."""
+    height, width = size
+    x, y = at[..., 0] - (width - 1) / 2, at[..., 1] - (height - 1) / 2
+    return np.asarray((x**2 + y**2) / (height**2 + width**2) * 4, np.float32)
+
+
 def match_tones(
     shown: Float64Array, weight: Float64Array, radius2: Float64Array, reference: int, *, vignetting: bool
 ) -> tuple[Float64Array, Float64Array, Float64Array]:

@@ -23,6 +23,7 @@ from lfgpu.cli import (
     doctor,
     evaluate,
     export,
+    export_scene,
     info,
     live,
     parameters,
@@ -65,6 +66,7 @@ _TASKS: dict[str, dict[str, tuple[Callable[..., Any], str]]] = {
         "view": (view.view, "lfgpu view my/light/field out"),
         "render": (render.render, "lfgpu render my/light/field --refocus 0.8 -o refocused.png"),
         "convert": (convert.convert, "lfgpu convert out -o cloud.ply --image my/light/field"),
+        "export-scene": (export_scene.export_scene, "lfgpu export-scene my/light/field -o scene"),
         "eval": (evaluate.evaluate, "lfgpu eval out truth.pfm"),
     },
     "Look up": {

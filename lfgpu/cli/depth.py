@@ -167,11 +167,13 @@ def depth(
     lf = _chosen(lf, place, pattern)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)
+    if max_memory is None:
+        result = _judged(lf, result, estimation)
     if fill:
         result = filled(result)
-        if views:
-            views = replace(views, disparities=fill_unknown(views.disparities), reference=result)
-    said = () if quiet or max_memory is not None else _remarks(lf, result, estimation)
+    if views:
+        disparities = fill_unknown(views.disparities) if fill else views.disparities
+        views = replace(views, disparities=disparities, reference=result)
     with atomic_folder(out) as folder:
         files = write_outputs(folder, result)
         if views:
@@ -187,18 +189,18 @@ def depth(
     for note in result.notes:
         remark(console, note)
     summary.show_scores(console, lf, result)
-    summary.show_remarks(console, said)
+    summary.show_remarks(console, result.remarks)
     summary.show_outputs(console, out, files)
 
 
-def _remarks(lf: LightField, result: DepthResult, estimation: Estimation) -> tuple[str, ...]:
-    """What stands out about the cameras; nothing where the map says nothing."""
-    from lfgpu.calibration import remarks
+def _judged(lf: LightField, result: DepthResult, estimation: Estimation) -> DepthResult:
+    """The result after a look at the cameras; as it is where the map says nothing of them."""
+    from lfgpu.calibration import judged
 
     try:
-        return remarks(lf, result, backend=estimation.backend, device=estimation.device)
+        return judged(lf, result, backend=estimation.backend, device=estimation.device)
     except LightFieldError:
-        return ()
+        return result
 
 
 def _write_report(

@@ -70,9 +70,13 @@ def live(
         str | None,
         typer.Option(metavar="TIME", help="Stop after a time (90s, 10m, 2h) or at a time of this day (18:30)."),
     ] = None,
-    view: Annotated[bool, typer.Option("--view", help="Show frames and maps in the browser, about ten a second.")] = (
-        False
-    ),
+    view: Annotated[
+        bool,
+        typer.Option(
+            "--view",
+            help="Show frames and maps in the browser, about ten a second; with --rectify frames as they were taken.",
+        ),
+    ] = False,
     recording: Annotated[
         Path | None,
         typer.Option(
@@ -102,6 +106,14 @@ def live(
     noise: Annotated[
         float, typer.Option(help="Noise of the views of a synthetic scene: standard deviation, intensities 0 to 1.")
     ] = 0.005,
+    rectify: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="What `lfgpu rectify` wrote for these cameras: frames are raw pictures, rectified on the device; the "
+            "cameras are watched.",
+        ),
+    ] = None,
     device: Device = None,
     threads: Threads = None,
     settings: Parameters = None,
@@ -116,8 +128,12 @@ def live(
     """Estimate the disparity of each frame of a stream. Ctrl-C ends it.
 
     With -o each map is written as soon as it is computed (disparity_000000.pfm, confidence_000000.pfm). At the end
-    live.json records what happened to every frame.
+    live.json records what happened to every frame. With --rectify the gains of the cameras are kept up to date, and a
+    sentence says if cameras have moved.
     """
+    from contextlib import nullcontext
+
+    from lfgpu import calibration
     from lfgpu.io import check_writable, read
     from lfgpu.methods.temporal_prior import TemporalPrior
     from lfgpu.pipelines.sources import Options, feed, open_source, recorded
@@ -130,15 +146,19 @@ def live(
         check_writable(metrics, folder=False)
     if max_fps is not None and not (max_fps > 0 and math.isfinite(max_fps)):
         raise typer.BadParameter("the rate must be a number above 0.", param_hint="--max-fps")
+    if like is not None and rectify is not None:
+        raise typer.BadParameter("leave it out: what --rectify names says where the cameras are.", param_hint="--like")
     stop = _never if until is None else _at(time.monotonic() + values.parse_until("--until", until))
     config = values.configured(preset, settings or ())
     bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
     chosen = None if policy is None else values.parse_policy("--policy", policy)
     values.use_threads("--threads", threads)
+    rectifier = None if rectify is None else calibration.read_rectifier(rectify)
     options = Options(
         grid=values.parse_grid(grid),
         like=None if like is None else read(like),
         scene={"size": values.parse_size("--size", size, "HEIGHTxWIDTH such as 192x256"), "noise": noise},
+        rectifier=rectifier,
         stop=stop,
         say=(lambda _: None) if quiet else _say,
     )
@@ -159,9 +179,11 @@ def live(
             policy=way,
             waiting=waiting,
             budget_ms=budget,
+            rectifier=rectifier,
         ) as stream,
     ):
-        with Display(stream, metrics, quiet=quiet) as display:
+        watch = nullcontext() if rectifier is None else calibration.RigWatch(stream, on_finding=record.moved)
+        with watch, Display(stream, metrics, quiet=quiet) as display:
             try:
                 feed(
                     stream,
@@ -185,6 +207,7 @@ class Record:
 
     def __init__(self, out: Path | None) -> None:
         self.out, self._frames, self.failed = out, [], []  # type: ignore[var-annotated]
+        self.findings: tuple[str, ...] = ()
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
 
@@ -214,6 +237,12 @@ class Record:
             }
         )
 
+    def moved(self, findings: tuple[str, ...]) -> None:
+        """Record that cameras have moved, and say it."""
+        self.findings = findings
+        for sentence in findings:
+            typer.echo(f"The cameras have moved: {sentence}", err=True)
+
     def finish(self, stream: DepthStream, stats: dict[str, Any]) -> None:
         """Write the log."""
         if self.out is None:
@@ -230,6 +259,7 @@ class Record:
             "config": asdict(stream.config),
             "warnings": list(stream.warnings),
             "stats": {name: None if math.isnan(value) else value for name, value in stats.items()},
+            "cameras": list(self.findings),
             "frames": self._frames,
         }
         with atomic_write(self.out / RECORD_FILE) as temporary:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from lfgpu.calibration import Rectified
 
-POINTS_FILE = "points.ply"
+POINTS_FILE, DEPTH_FILE = "points.ply", "original_depth.pfm"
 
 
 def rectify(
@@ -51,7 +51,11 @@ def rectify(
         ),
     ] = None,
     points: Annotated[
-        bool, typer.Option("--points", help=f"Also estimate a map and write {POINTS_FILE}, its coloured points.")
+        bool,
+        typer.Option(
+            "--points",
+            help=f"Also estimate a map; write {POINTS_FILE} and, in the reference's own picture, {DEPTH_FILE}.",
+        ),
     ] = False,
     disparity_range: DisparityRange = None,
     backend: Backend = DEFAULT,
@@ -67,7 +71,7 @@ def rectify(
     from lfgpu import calibration as cameras
     from lfgpu.cli.console import output
     from lfgpu.cli.depth import Estimation
-    from lfgpu.io import check_writable, save
+    from lfgpu.io import check_writable, save, write_pfm
 
     check_writable(out)
     if positions and not refine:
@@ -95,6 +99,8 @@ def rectify(
     cameras.write_rectified(result, out)
     if cloud is not None:
         save(cloud, out / POINTS_FILE, image=result.light_field.image(result.light_field.reference_index))
+        if result.rig is not None:
+            write_pfm(out / DEPTH_FILE, result.original_depth(cloud))
     if not quiet:
         _show(output(), result, out, points=points)
 
@@ -121,4 +127,6 @@ def _show(console: Console, result: Rectified, out: Path, *, points: bool) -> No
     ]
     if points:
         files.append((POINTS_FILE, "coloured points of the reference view's map"))
+        if rig is not None:
+            files.append((DEPTH_FILE, "depth in the original picture of the reference camera, NaN where unknown"))
     summary.show_outputs(console, out, files)

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from lfgpu.data.views_result import ViewsResult
 
 _SWEEPS = ("circle", "across", "down", "focus")
+_MOST_TILES = 200  # views of a quilt
 _REACH = 0.9  # share of the way from the middle of the cameras to the outermost ones
 
 
@@ -62,6 +63,16 @@ def render(
     sweep: Annotated[
         str | None, typer.Option(metavar="PATH", help=f"Render a video along a path: {', '.join(_SWEEPS)}.")
     ] = None,
+    quilt: Annotated[
+        str | None,
+        typer.Option(
+            metavar="COLUMNSxROWS",
+            help="Render so many views from left to right as one image for holographic displays (Looking Glass).",
+        ),
+    ] = None,
+    rgbd: Annotated[
+        bool, typer.Option("--rgbd", help="Write the reference view and, to its right, its map: white is near.")
+    ] = False,
     maps: Annotated[
         Path | None,
         typer.Option(
@@ -90,21 +101,24 @@ def render(
     allow_missing: AllowMissing = False,
     quiet: Quiet = False,
 ) -> None:
-    """Render a new view, a refocused image, an all-in-focus image, or a video of a light field.
+    """Render a new view, a refocused image, an all-in-focus image, a video, a quilt or colour and depth.
 
-    Give exactly one of --view, --refocus, --all-in-focus and --sweep.
+    Give exactly one of --view, --refocus, --all-in-focus, --sweep, --quilt and --rgbd.
     """
     from lfgpu.io import check_writable, read
     from lfgpu.io.frames import check_frames_path, check_image_path, write_frames, write_image
 
-    asked = [view is not None, focus is not None, in_focus, sweep is not None]
+    asked = [view is not None, focus is not None, in_focus, sweep is not None, quilt is not None, rgbd]
     if sum(asked) != 1:
-        raise LightFieldError("give one of --view, --refocus, --all-in-focus and --sweep.")
+        raise LightFieldError("give one of --view, --refocus, --all-in-focus, --sweep, --quilt and --rgbd.")
     if sweep is not None and sweep not in _SWEEPS:
         raise LightFieldError(f"--sweep must be one of {', '.join(_SWEEPS)}, not {sweep!r}.")
     (check_image_path if sweep is None else check_frames_path)(out)
     check_writable(out, folder=not out.suffix)
     place = None if view is None else values.parse_place("--view", view)
+    tiles = None if quilt is None else values.parse_size("--quilt", quilt, "COLUMNSxROWS such as 8x6")
+    if tiles is not None and not (min(tiles) >= 1 and 2 <= tiles[0] * tiles[1] <= _MOST_TILES):
+        raise LightFieldError(f"--quilt must be of 2 to {_MOST_TILES} views, such as 8x6, not {quilt}.")
     reference = None if reference_view is None else values.parse_place("--reference-view", reference_view)
     from lfgpu.methods import method_of
 
@@ -124,6 +138,10 @@ def render(
     dtype = "uint16" if lf.views.dtype == "uint16" else "uint8"
     if sweep is not None:
         write_frames(_film(lf, sweep, frames, maps, estimation, quiet=quiet), out, fps=fps, dtype=dtype)
+    elif tiles is not None:
+        out = _write_quilt(lf, tiles, maps, estimation, out, dtype=dtype, quiet=quiet)
+    elif rgbd:
+        write_image(_colour_and_depth(lf, maps, estimation, quiet=quiet), out, dtype=dtype)
     else:
         write_image(_picture(lf, place, focus, maps, estimation, quiet=quiet), out, dtype=dtype)
     if not quiet:
@@ -182,6 +200,60 @@ def _film(
         column = middle[0] + (0 if sweep == "down" else u * across)
         row = middle[1] + (0 if sweep == "across" else v * math.sin(turn))
         yield render(float(row), float(column)).image
+
+
+def _write_quilt(
+    lf: LightField,
+    tiles: tuple[int, int],
+    maps: Path | None,
+    estimation: Estimation,
+    out: Path,
+    *,
+    dtype: str,
+    quiet: bool,
+) -> Path:
+    """Write views on a line from the leftmost camera to the rightmost as one image, the first at the bottom left.
+
+    The file is named after the layout, as displays expect it: NAME_qsCOLUMNSxROWSaASPECT.png, unless NAME says it.
+    """
+    import numpy as np
+
+    from lfgpu.io import check_writable
+    from lfgpu.io.frames import write_image
+    from lfgpu.viz.rendering import Renderer
+
+    columns, rows = tiles
+    height, width = lf.size
+    if "_qs" not in out.stem:
+        out = out.with_name(f"{out.stem}_qs{columns}x{rows}a{width / height:.4g}{out.suffix}")
+        check_writable(out, folder=False)
+    left, right = lf.positions[:, 0].min(), lf.positions[:, 0].max()
+    if not right > left:
+        raise LightFieldError(f"{lf.name} has no cameras beside each other; a quilt needs views from left to right.")
+    middle = float(lf.positions[lf.reference_index][1])
+    render = Renderer(
+        lf, _maps(lf, maps, estimation, quiet=quiet), backend=estimation.backend, device=estimation.device
+    )
+    image = np.empty((rows * height, columns * width, lf.channels), np.float32)
+    for n, u in enumerate(np.linspace(left, right, columns * rows)):
+        row, column = rows - 1 - n // columns, n % columns
+        tile = render(middle, float(u)).image
+        image[row * height : (row + 1) * height, column * width : (column + 1) * width] = tile
+    write_image(image, out, dtype=dtype)
+    return out
+
+
+def _colour_and_depth(lf: LightField, maps: Path | None, estimation: Estimation, *, quiet: bool) -> Float32Array:
+    """The reference view and, beside it, its disparity from 0 (far) to 1 (near); what is not known is filled."""
+    import numpy as np
+
+    from lfgpu.data.filling import fill_unknown
+
+    disparity = fill_unknown(_map(lf, maps, estimation, quiet=quiet).disparity)
+    far, near = np.quantile(disparity, (0.001, 0.999))
+    grey = np.clip((disparity - far) / max(near - far, 1e-6), 0, 1)[..., None]
+    colour = lf.image(lf.reference_index)
+    return np.concatenate([colour, np.broadcast_to(grey, colour.shape)], axis=1).astype(np.float32)
 
 
 def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> ViewsResult:

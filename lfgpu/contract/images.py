@@ -37,3 +37,16 @@ class Images(Protocol):
         self, shape: Sequence[int], device: str, *, scale: float, sigma: float, floor: float
     ) -> Normalization:
         """Plan the local contrast normalisation of views of `shape` [n, y, x, c]."""
+
+    def resample(self, pictures: Array, places: Array, tones: Array, *, white: float, views_out: Array) -> None:
+        """Views [n, y, x, c] of pictures [n, h, w, c], looked up by cubic convolution; both as stored, of one type.
+
+        `places` [n, y, x, 3] holds for each pixel the place (x, y) in the picture and q, by which `tones` [n, 3, c]
+        = (gain, offset, falloff) counts there. With I the picture at (x, y), by the kernel of Keys (a = -1/2, pixels
+        beyond the border are those of the border), as stored,
+
+            view = min(max((I - offset) / max(gain + falloff q, 0.05), 0), white),
+
+        rounded to a nearest whole number where such are stored. It is 0 where (x, y) is NaN, or farther than half a
+        pixel outside of the picture's outermost centres; what is nearer is moved to them.
+        """

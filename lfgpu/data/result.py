@@ -72,6 +72,9 @@ class DepthResult:
     notes
         What may be wrong with the map although nothing went wrong, one sentence each: a given range that leaves out
         what the views show, or views that show nothing.
+    remarks
+        What stands out about the cameras, one sentence each, from `lfgpu.calibration.judged`, which lowers the
+        confidence accordingly; empty if nothing does, or if nobody looked.
     """
 
     disparity: Float32Array
@@ -91,6 +94,7 @@ class DepthResult:
     name: str = "light field"
     uncertainty: Float32Array | None = None
     notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def depth(self) -> NDArray[np.float32] | None:

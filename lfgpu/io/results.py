@@ -22,6 +22,7 @@ from lfgpu.io.atomic import atomic_write
 from lfgpu.io.folders import not_waited_for
 from lfgpu.io.numpy_arrays import check_archive
 from lfgpu.methods import METHODS
+from lfgpu.printable import printable
 
 ABOUT_KEY = "lfgpu"
 """The array of the .npz that holds the JSON text; other .npz files have none of that name."""
@@ -212,6 +213,7 @@ def _about(result: DepthResult) -> dict[str, Any]:
         "disparity_range": list(result.disparity_range),
         "status": result.status,
         "notes": list(result.notes),
+        "remarks": list(result.remarks),
         "converged": result.converged,
         "backend": result.backend,
         "device": result.device,
@@ -271,6 +273,7 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
         name=str(about["name"]),
         uncertainty=arrays.get("uncertainty"),
         notes=tuple(str(note) for note in about.get("notes", ())),
+        remarks=tuple(printable(str(sentence)) for sentence in about.get("remarks", [])),
     )
 
 

@@ -20,6 +20,7 @@ from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.measured import Measured
+from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.rehearsal import Rehearsal
 
 _NOT_FINITE = "views hold NaN or infinity; mask or replace these values."
@@ -48,11 +49,15 @@ class DepthPipeline:
     measured
         The disparity range and the noise, if they were measured before; then `disparity_range` is not used. Default
         None: measured on the views of `lf`.
+    rectifier
+        Rectifies raw pictures on the device before each estimate, in the same graph. Then `lf` and what is uploaded are
+        raw pictures in the order of its cameras (`Rectifier.pictures`); positions, reference view, masks and geometry
+        are those of the rectifier. Default None: views are as they should be.
 
     Raises
     ------
     LightFieldError, BackendError
-        As `estimate_depth`.
+        As `estimate_depth`; also if the pictures are not those of the rectifier's cameras.
     """
 
     def __init__(
@@ -65,6 +70,7 @@ class DepthPipeline:
         device: str | None = None,
         deterministic: bool = False,
         measured: Measured | None = None,
+        rectifier: Rectifier | None = None,
     ) -> None:
         check_light_field(lf)
         self.method, self.config = method_of(config), configured(config)
@@ -75,6 +81,9 @@ class DepthPipeline:
                 f"backend {backend!r} on {self.device} is not deterministic: its order of summation differs from run "
                 f"to run; use backend {DEFAULT!r}, or the CPU."
             )
+        pictures = lf
+        if rectifier is not None:
+            lf = rectifier.rectified(pictures, self.kernels, self.device)
         self._lf, self._backend = lf, backend
         self._timings: dict[str, float] = {}
         self._graph: Callable[[], None] | None = None
@@ -92,7 +101,12 @@ class DepthPipeline:
             with self._timed("compile"):
                 rehearsal.run(self.measured)
             with self._timed("measure"):
-                self._views = self.kernels.image(lf.views, self.device)
+                self._rectification = None
+                if rectifier is not None:
+                    self._rectification = Rectification(rectifier, pictures, self.kernels, self.device)
+                    self._input, self._views = self._rectification.pictures, self._rectification.views
+                else:
+                    self._input = self._views = self.kernels.image(lf.views, self.device)
                 self._waited_for = self.kernels.scalar(0.0, self.device)  # who reads it waits for all that was asked
                 self._plan: Plan = self.method.plan(lf, self.measured, self.kernels, self.device)
 
@@ -102,8 +116,9 @@ class DepthPipeline:
         Parameters
         ----------
         views
-            The new views [n, y, x, c], of the same shape and type as the light field's, with any strides: a NumPy
-            array, or an array with DLPack or `__cuda_array_interface__` (PyTorch, CuPy, JAX, Numba).
+            The new views [n, y, x, c] (raw pictures if there is a rectifier), of the same shape and type as the light
+            field's, with any strides: a NumPy array, or an array with DLPack or `__cuda_array_interface__` (PyTorch,
+            CuPy, JAX, Numba).
 
         Raises
         ------
@@ -140,7 +155,7 @@ class DepthPipeline:
             raise LightFieldError(f"views are on {place}, but the pipeline is on {self.device}; copy them there first.")
         try:
             with self.kernels.asking(self.device):
-                self.kernels.upload(views, self._views)
+                self.kernels.upload(views, self._input)
         except (BufferError, RuntimeError) as error:  # raised by the library of the array
             raise LightFieldError(f"views cannot be read: {' '.join(str(error).split())}") from error
         self._unseen = place != "cpu" and expected.dtype.kind == "f"
@@ -202,6 +217,11 @@ class DepthPipeline:
         before = self._timings if self._runs == 0 else {}  # what came before the first run is a part of it
         self._timings = dict(before)
         with self._timed("total"):
+            if self._rectification is not None:
+                with self._timed("rectify"):
+                    with self.kernels.asking(self.device):
+                        self._rectification.work()
+                    self.kernels.number(self._waited_for)
             for stage, work in stages.items():
                 with self._timed(stage):
                     if on_progress is not None:
@@ -243,7 +263,7 @@ class DepthPipeline:
         )
 
     def stages(self) -> dict[str, Work]:
-        """The work of each stage, by name and in order; each stage needs those before it.
+        """The work of each stage, by name and in order; each stage needs those before it, and rectified views.
 
         `method.stages` describes the stages. Call a stage with a callback(iteration, value), which it calls after each
         iteration, or with None; it can be captured only with None. `run` and `estimate` do all stages.
@@ -252,10 +272,12 @@ class DepthPipeline:
 
     def buffers(self) -> tuple[Array, dict[str, Array]]:
         """Input and outputs of `work`, for recording: the views, and the maps by name; arrays of the backend."""
-        return self._views, {"disparity": self._plan.disparity, "confidence": self._plan.confidence}
+        return self._input, {"disparity": self._plan.disparity, "confidence": self._plan.confidence}
 
     def work(self) -> None:
         """Start all stages, one operation after the other. `run` does this until it has captured them."""
+        if self._rectification is not None:
+            self._rectification.work()
         for stage in self.stages().values():
             stage(None)
 

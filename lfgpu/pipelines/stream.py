@@ -11,7 +11,7 @@ import threading
 import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Integral, Real
 from time import perf_counter
@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from lfgpu._backends import DEFAULT, load, pick_device
 from lfgpu.config import Config
-from lfgpu.contract import Float32Array, KernelSet
+from lfgpu.contract import Float32Array, Float64Array, KernelSet
 from lfgpu.data import interop
 from lfgpu.data.lightfield import LightField, check_scaled
 from lfgpu.errors import BackendError, LfgpuError, LightFieldError
@@ -32,6 +32,8 @@ from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.pipelines import stream_stats
 from lfgpu.pipelines.inbox import POLICIES, Inbox
 from lfgpu.pipelines.range_watch import RangeWatch
+from lfgpu.pipelines.rectifier import Rectification, Rectifier
+from lfgpu.pipelines.snapshots import Snapshots
 from lfgpu.threads import get_threads
 
 _USUAL_NOISE = 0.004  # intensity: the noise of cameras of which nothing is known
@@ -200,11 +202,16 @@ class DepthStream:
     measured
         The disparity range and the noise, if they were measured before; then `disparity_range` is not used. Default
         None: measured on the views of `lf`.
+    rectifier
+        Rectifies the raw pictures of each frame on the device, in the same graph as the estimate. Then `lf` and all
+        frames are raw pictures in the order of its cameras (`Rectifier.pictures`). Default None: views are as they
+        should be.
 
     Raises
     ------
     LightFieldError, BackendError
-        As `estimate_depth`; also if the method or the backend cannot run on streams.
+        As `estimate_depth`; also if the method or the backend cannot run on streams, or the pictures are not those of
+        the rectifier's cameras.
     """
 
     def __init__(
@@ -223,6 +230,7 @@ class DepthStream:
         on_result: OnResult | None = None,
         end_on_error: bool = False,
         measured: Measured | None = None,
+        rectifier: Rectifier | None = None,
     ) -> None:
         _check(cut, budget_ms)
         most = _waiting(policy, waiting)
@@ -231,6 +239,10 @@ class DepthStream:
         if streaming is None:
             raise BackendError(f"backend {backend!r} has no streams; use backend {DEFAULT!r}.")
         self.device = pick_device(kernels, device)
+        pictures = lf
+        if rectifier is not None:
+            lf = rectifier.rectified(pictures, kernels, self.device)
+        self._kernels, self._rectifier = kernels, rectifier
         self.config, self.geometry, self.name = configured(config), lf.geometry, lf.name
         self._expected, self._grid = (lf.views.shape, lf.views.dtype), lf.grid_shape
         self._used = method.used_views(lf)
@@ -239,12 +251,18 @@ class DepthStream:
         with kernels.asking(self.device):
             self.measured = measured or method.measure(lf, kernels, self.device, disparity_range=disparity_range)
             lf = lf if self._all else lf.subset(self._used)
-            self._views = kernels.image(lf.views, self.device)
+            self._rectification: Rectification | None = None
+            if rectifier is not None:
+                self._rectification = Rectification(rectifier, pictures, kernels, self.device, used=self._used)
+                frames, self._views = self._rectification.pictures, self._rectification.views
+            else:
+                frames = self._views = kernels.image(lf.views, self.device)
+            self._like = lf
             self._plan = method.live_plan(
                 lf, self.measured, kernels, self.device, streaming=streaming, prior=prior or TemporalPrior()
             )
             self._transport = streaming.transport(
-                self._views,
+                frames,
                 (self._plan.disparity, self._plan.confidence, *self._plan.numbers),
                 reference=lf.reference_index,
                 scale=lf.scale,
@@ -266,6 +284,7 @@ class DepthStream:
 
         self._counters = stream_stats.Counters()
         self._index, self._numbering = 0, threading.Lock()
+        self._asked_for: Snapshots[tuple[LightField, StreamResult]] = Snapshots()
         self._returned, self._buffers = False, 0
         slots = [self._transport.slot() for _ in range(most + 2)]
         self._copying = max(1, min(_MOST_COPIERS, get_threads(), len(self._used)))
@@ -390,6 +409,45 @@ class DepthStream:
         self._inbox.put(result, slot)
         return result
 
+    def snapshot(self, *, timeout: float | None = None) -> tuple[LightField, StreamResult] | None:
+        """The views of the next frame that is solved, rectified, and its result; for looks at the cameras now and then.
+
+        Waits for that frame; the stream waits while its views are copied to the host.
+
+        Parameters
+        ----------
+        timeout
+            Seconds to wait at most; default None: no limit.
+
+        Returns
+        -------
+        A light field of the views that are used, and the result, which may be pending; None if no frame came in time,
+        or the stream was closed.
+        """
+        return self._asked_for.get(timeout)
+
+    @property
+    def rectifier(self) -> Rectifier | None:
+        """What frames are rectified with; None if they are not."""
+        return self._rectifier
+
+    @property
+    def used_views(self) -> tuple[int, ...]:
+        """Indices of the views that maps are made from."""
+        return tuple(self._used)
+
+    def set_tones(self, tones: Float64Array) -> None:
+        """Equalise the next frames with other tones [n, 3, c] (`Rectifier.tones`), of all cameras.
+
+        LightFieldError without a rectifier, or if the shape is another one.
+        """
+        if self._rectifier is None:
+            raise LightFieldError("the stream has no rectifier, so it cannot equalise its cameras; give it one.")
+        with self._numbering:  # `close` returns the memory
+            self._rectifier = self._rectifier.with_tones(tones)
+            if self._rectification is not None:
+                self._rectification.set_tones(self._rectifier.tones)
+
     def restart(self) -> None:
         """Forget the previous map: the next frame starts without it."""
         self._fresh = True
@@ -438,6 +496,7 @@ class DepthStream:
                 self._returned, self._buffers = True, self._transport.made
                 self._cold, self._warm = [], []
                 self._inbox.forget_slots()
+                self._rectification = None
                 del self._plan, self._transport, self._views, self._base, self._mask
 
     def __enter__(self) -> DepthStream:
@@ -528,7 +587,7 @@ class DepthStream:
         views = self._views
 
         def bound(levels: Sequence[tuple[int, Callable[[Any], None]]]) -> list[_Level]:
-            return [_Level(steps, partial(work, views)) for steps, work in levels]
+            return [_Level(steps, partial(self._rectified, work, views)) for steps, work in levels]
 
         cold, levels = bound(self._plan.levels), bound(self._plan.warm_levels) if warm else []
         if self._budget is None:
@@ -544,6 +603,12 @@ class DepthStream:
             self._transport.synchronize()
             level.seconds = perf_counter() - start
         return cold, levels
+
+    def _rectified(self, work: Callable[[Any], None], views: Any) -> None:
+        """Work on views that are rectified before, if they must be."""
+        if self._rectification is not None:
+            self._rectification.work()
+        work(views)
 
     def _level(self, levels: list[_Level]) -> _Level:
         """The largest amount of work that fits into the budget."""
@@ -569,6 +634,7 @@ class DepthStream:
                 level = self._level(self._cold if result.cold else self._warm)
                 result.steps, self._fresh = level.steps, False
                 maps = self._transport.solve(level.work, self._masking(result.valid[self._used]))
+                self._show_views(result)
             except Exception as error:  # if the device fails, the result must not stay pending
                 if not read:
                     self._inbox.give_back(slot, filled=True)
@@ -577,6 +643,18 @@ class DepthStream:
                 continue
             self._under_way.put((result, maps, level))
         self._under_way.put(None)
+        self._asked_for.close()
+
+    def _show_views(self, result: StreamResult) -> None:
+        """Copy the views that the device works on now, if somebody asked for them."""
+        if self._asked_for.wanted:
+            views = self._kernels.numpy(self._views)
+            present = result.valid[self._used]
+            valid = self._like.valid
+            if not present.all():
+                there = np.ones(self._like.views.shape[:3], np.bool_) if valid is None else valid
+                valid = there & present[:, None, None]
+            self._asked_for.put((replace(self._like, views=views, valid=valid, truth=None, files=()), result))
 
     def _masking(self, present: NDArray[np.bool_]) -> Callable[[], None] | None:
         """The update of the mask, if other cameras are valid than in the last frame; else None."""

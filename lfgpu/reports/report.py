@@ -331,6 +331,7 @@ def _run(result: DepthResult, origin: Origin) -> list[tuple[str, str]]:
         ("preset", facts.preset(result.config)),
         ("searched range", f"{low:.3f} to {high:.3f} {UNIT}".replace("-", "\u2212")),
         *(("note", note) for note in result.notes),
+        *(("cameras", sentence) for sentence in result.remarks),
         ("computed by", f"{result.backend} on {facts.device(result.device, origin.product)}"),
         ("versions", ", ".join(f"{name} {version}" for name, version in result.versions.items())),
         ("converged", "yes" if result.converged else "no; more iterations may improve the map"),

@@ -51,6 +51,7 @@ def result_html(result: DepthResult) -> str:
         ("time", f"{result.timings.get('total', float('nan')):.2f} s"),
         ("status", result.status),
         *(("note", note) for note in result.notes),
+        *(("cameras", sentence) for sentence in result.remarks),
     ]
     return notebook_page(result.name, _cards(result.map), rows)
 

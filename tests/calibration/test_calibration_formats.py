@@ -11,10 +11,20 @@ import numpy as np
 import pytest
 
 from lfgpu.calibration import Camera, read_calibration
-from lfgpu.calibration.rig import fit_rig
+from lfgpu.calibration.cameras import turned
+from lfgpu.calibration.rig import fit_rig, matched
 from lfgpu.errors import LightFieldError
 from lfgpu.printable import printable
-from tests.calibration.rigs import WRITERS, Write, as_colmap_binary, as_kalibr, as_llff, rig
+from tests.calibration.rigs import (
+    WRITERS,
+    Write,
+    as_colmap_binary,
+    as_colmap_text,
+    as_kalibr,
+    as_llff,
+    quaternion,
+    rig,
+)
 
 
 def as_multiview_of_opencv(cameras: list[Camera], folder: Path) -> Path:
@@ -37,6 +47,66 @@ def as_multiview_of_opencv(cameras: list[Camera], folder: Path) -> Path:
 def test_rays_come_back(write: Write, model: str, tmp_path: Path) -> None:
     cameras = rig(model=model)
     _same(cameras, read_calibration(write(cameras, tmp_path)).cameras, of_first=write is as_kalibr)
+
+
+def moved(camera: Camera, rotation: np.ndarray, translation: np.ndarray, name: str) -> Camera:
+    """A camera after the rig, whose world was the camera's, has gone to a pose (world to rig)."""
+    turn = np.asarray(camera.rotation)
+    return replace(camera, rotation=turn @ rotation, translation=turn @ translation + camera.translation, name=name)
+
+
+@pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
+def test_the_rig_of_a_colmap_model(binary: bool, tmp_path: Path) -> None:
+    """Images that a rig took from two places calibrate pictures of other names, by folder or by order."""
+    cameras = rig()
+    first = cameras[0]
+    turn, shift = np.asarray(first.rotation), np.asarray(first.translation)
+    # In the frame of the first camera, as COLMAP has rigs.
+    own = [moved(camera, turn.T, -turn.T @ shift, f"left{n}") for n, camera in enumerate(cameras)]
+    poses = [(turned(np.array([0.1, 0.2, 0.3]) * k), np.array([1.0, 2.0, 3.0]) * k) for k in (0, 1)]
+    images = [moved(camera, *pose, f"rig/{camera.name}/shot{k}.png") for k, pose in enumerate(poses) for camera in own]
+    write = as_colmap_binary if binary else as_colmap_text
+    write(images, tmp_path)
+    write_lenses = as_colmap_binary if binary else as_colmap_text
+    (tmp_path / "lenses").mkdir()
+    write_lenses(own, tmp_path / "lenses")
+    # Two images share a lens: the model has four of them.
+    for name in ("cameras.bin", "cameras.txt"):
+        if (tmp_path / "lenses" / name).is_file():
+            (tmp_path / "lenses" / name).replace(tmp_path / name)
+    numbers = [[*quaternion(np.asarray(camera.rotation)), *np.asarray(camera.translation)] for camera in own]
+    if binary:
+        data = bytearray((tmp_path / "images.bin").read_bytes())
+        at = 8
+        for n in range(len(images)):
+            struct.pack_into("<I", data, at + 60, n % 4 + 1)
+            at = data.index(b"\0", at + 64) + 1 + 8 + 24
+        (tmp_path / "images.bin").write_bytes(data)
+        parts = [struct.pack("<QIIiI", 1, 1, 5, 0, 1)]
+        parts += [struct.pack("<iIB7d", 0, n + 1, 1, *numbers[n]) for n in (1, 2, 3)]
+        (tmp_path / "rigs.bin").write_bytes(b"".join(parts) + struct.pack("<iIB", 1, 9, 0))
+    else:
+        lines = (tmp_path / "images.txt").read_text().splitlines()
+        for n in range(len(images)):
+            parts = lines[1 + 2 * n].split(maxsplit=9)
+            lines[1 + 2 * n] = " ".join([*parts[:8], str(n % 4 + 1), parts[9]])
+        (tmp_path / "images.txt").write_text("\n".join(lines))
+        rows = [f"CAMERA {n + 1} 1 {' '.join(repr(float(v)) for v in numbers[n])}" for n in (1, 2, 3)]
+        (tmp_path / "rigs.txt").write_text(f"# rigs\n1 5 CAMERA 1 {' '.join(rows)} IMU 9 0\n")
+    found = read_calibration(tmp_path)
+    assert len(found.cameras) == 8
+    _same(own, found.rig)
+    assert [camera.name for camera in found.rig] == ["left0", "left1", "left2", "left3"]
+    size = (480, 640)
+    by_image = matched(found.cameras, ["shot0.png"], size, "rig", rig=found.rig)
+    assert by_image[0] is not found.rig[0]
+    by_folder = matched(found.cameras, ["left2.jpg", "left0.jpg"], size, "rig", rig=found.rig)
+    assert [camera.name for camera in by_folder] == ["left2", "left0"]
+    by_order = matched(found.cameras, ["a.png", "b.png", "c.png", "d.png"], size, "rig", rig=found.rig)
+    assert by_order == list(found.rig)
+    (tmp_path / ("rigs.bin" if binary else "rigs.txt")).write_bytes(struct.pack("<Q", 4) if binary else b"1 2 CAMERA x")
+    with pytest.raises(LightFieldError, match="damaged rig"):
+        read_calibration(tmp_path)
 
 
 def test_llff_rays_come_back_with_depths(tmp_path: Path) -> None:
@@ -206,6 +276,28 @@ def test_models_of_colmap_that_are_damaged(tmp_path: Path) -> None:
     assert "does not end" in refused(tmp_path)
     (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 0))
     assert "has no cameras" in refused(tmp_path)
+
+
+def test_rigs_of_colmap_that_are_damaged(tmp_path: Path) -> None:
+    as_colmap_binary(rig(), tmp_path)
+    head, still = struct.pack("<QIIiI", 1, 1, 2, 0, 1), struct.pack("<4d3d", 1, 0, 0, 0, 1, 0, 0)
+    for data, words in (
+        (struct.pack("<Q", 1 << 60), "it ends too early"),
+        (struct.pack("<QII", 1, 1, 1 << 31), "it ends too early"),
+        (head + struct.pack("<iIB", 0, 2, 1) + still[:-1], "it ends too early"),
+        (head + struct.pack("<iIB", 0, 77, 1) + still, "the rig names camera 77, which is not among the cameras"),
+        (head + struct.pack("<iIB", 0, 2, 1) + bytes(56), "the quaternion of no rotation"),
+    ):
+        (tmp_path / "rigs.bin").write_bytes(data)
+        assert words in refused(tmp_path)
+    (tmp_path / "rigs.bin").unlink()
+    for text, words in (
+        ("1 2 CAMERA 1 CAMERA 2 1 1 0 0", "4 numbers were expected, found 3"),
+        ("1 2 CAMERA 1 CAMERA 2", "damaged rig"),
+        ("1 2 CAMERA 1 CAMERA 2 1 1 0 0 0 nan 0 0", "found nan"),
+    ):
+        (tmp_path / "rigs.txt").write_text(text)
+        assert words in refused(tmp_path)
 
 
 def test_a_lens_that_cannot_be_undone_and_depths_that_are_none(tmp_path: Path) -> None:

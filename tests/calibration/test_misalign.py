@@ -10,7 +10,8 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration.cameras import Camera, of_quaternion, turned
 from lfgpu.calibration.formats import read_toml
-from lfgpu.calibration.misalign import Misalignment, displacements, disturb, ideal_cameras
+from lfgpu.calibration.misalign import Misalignment, displacements, disturb
+from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError

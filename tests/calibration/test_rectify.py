@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,10 +16,11 @@ from lfgpu import scenes
 from lfgpu.calibration import Camera, Misalignment, disturb, equalise, fit_rig, rectify, refine, write_rectified
 from lfgpu.calibration.cameras import turned
 from lfgpu.calibration.formats import Calibration
-from lfgpu.calibration.misalign import ideal_cameras
+from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io import read_map
 
 
 @pytest.fixture(scope="module")
@@ -158,6 +160,15 @@ def test_refinement_lines_views_up(boxes: LightField) -> None:
     assert found.light_field.grid_shape == (3, 3)
 
 
+def test_cameras_off_by_pixels_are_found_in_small_pictures() -> None:
+    """Twelve cameras in no grid; without smooth pictures at first, some of them end two pixels beside."""
+    lf = scenes.make("boxes", grid=(9, 9), size=(128, 128), seed=7, noise=0.004)
+    others = np.random.default_rng(0).permutation([n for n in range(81) if n != 40])[:11]
+    wrong = disturb(lf.subset(sorted([40, *map(int, others)])), Misalignment(shift=1.5), seed=0)
+    found = refine(wrong.light_field, disparity_range=(-2, 2))
+    assert found.psnr_after > found.psnr_before + 4.5
+
+
 def test_what_is_right_is_left_alone(boxes: LightField) -> None:
     found = refine(boxes)
     assert not found.kept
@@ -210,10 +221,57 @@ def test_pictures_and_a_calibration_become_a_light_field_with_one_command(boxes:
     assert boxes.geometry is not None
     assert found.geometry.baseline_m == pytest.approx(boxes.geometry.baseline_m, rel=1e-3)
     assert (tmp_path / "out" / "points.ply").stat().st_size > 1000
+    depth = read_map(tmp_path / "out" / "original_depth.pfm")
+    assert boxes.truth is not None
+    true = boxes.geometry.depth(boxes.truth.disparity)  # the reference camera is as it should be
+    assert np.nanmedian(np.abs(depth / true - 1)) < 0.01
     assert np.load(tmp_path / "out" / "rectified.npz")["rotations"].shape == (9, 3, 3)
     wrongly = CliRunner().invoke(app, ["rectify", str(tmp_path), "-o", str(tmp_path / "o2"), "--positions"])
     assert wrongly.exit_code == 1
     assert "--positions is for --refine" in wrongly.stderr
+
+
+def mirrored(text: str) -> str:
+    return text.replace("rotation = [[1.0, ", "rotation = [[-1.0, ", 1)
+
+
+def of_other_size(text: str) -> str:
+    return text.replace("size = [128, 144]", "size = [128, 200]")
+
+
+def without_the_last(text: str) -> str:
+    return text[: text.rindex("[[cameras]]")]
+
+
+def not_in_a_plane(text: str) -> str:
+    parts = text.split("translation = [")
+    moved = [f"{n % 3 * 0.3 + n // 3 * 0.2}, 0.0, {n * n % 5 * 0.4}]\n\n" for n in range(len(parts) - 1)]
+    heads = [parts[0], *(part.split("]", 1)[1].lstrip("\n") for part in parts[1:])]
+    return "".join(f"{head}translation = [{place}" for head, place in zip(heads, moved, strict=False))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (mirrored, "the rotation mirrors"),
+        (of_other_size, "was calibrated for pictures of 200 x 128, these are 144 x 128"),
+        (without_the_last, "has no camera for"),
+        (not_in_a_plane, "a light field needs cameras"),
+    ],
+)
+def test_a_wrong_calibration_is_one_sentence(
+    change: Callable[[str], str], words: str, boxes: LightField, tmp_path: Path
+) -> None:
+    for n, view in enumerate(boxes.views):
+        Image.fromarray(view).save(tmp_path / f"view_{n:03d}.png")
+    file = tmp_path / "cameras.toml"
+    lfgpu.calibration.write_cameras(ideal_cameras(boxes), file)
+    file.write_text(change(file.read_text()))
+    run = CliRunner().invoke(app, ["rectify", str(tmp_path), "-o", str(tmp_path / "out")])
+    assert run.exit_code == 1, run.output
+    assert words in run.stderr
+    assert len(run.stderr.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
 
 
 def test_what_is_written_is_read_back(boxes: LightField, tmp_path: Path) -> None:

@@ -19,6 +19,8 @@ import numpy as np
 import occlusion_cases
 import occlusion_checks
 import pytest
+import resampling_cases
+import resampling_checks
 import sweep_cases
 import sweep_checks
 import volume_cases
@@ -37,6 +39,7 @@ CASES: dict[str, tuple[Any, ...]] = {
     "sweep": sweep_cases.SWEEP_CASES,
     "seen": cases.SEEN_CASES,
     "views": cases.VIEWS_CASES,
+    "resampling": resampling_cases.RESAMPLING_CASES,
     "nlm": cases.NLM_CASES,
     "volume": volume_cases.VOLUME_CASES,
     "epi": cases.EPI_CASES,
@@ -54,6 +57,7 @@ MAKERS: dict[str, Any] = {
     "sweep": sweep_cases.sweep_inputs,
     "seen": cases.seen_inputs,
     "views": cases.views_inputs,
+    "resampling": resampling_cases.resampling_inputs,
     "nlm": cases.nlm_inputs,
     "volume": volume_cases.volume_inputs,
     "epi": cases.epi_inputs,
@@ -68,6 +72,7 @@ OPERATIONS = (
     *sweep_checks.OPERATIONS,
     *volume_checks.OPERATIONS,
     *alignment_checks.OPERATIONS,
+    *resampling_checks.OPERATIONS,
 )
 PROGRAMS = (
     *checks.PROGRAMS,

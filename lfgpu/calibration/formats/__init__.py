@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lfgpu.calibration.cameras import Camera
-from lfgpu.calibration.formats.colmap import holds_colmap, read_colmap
+from lfgpu.calibration.formats.colmap import holds_colmap, read_colmap, read_rig
 from lfgpu.calibration.formats.entries import read_yaml
 from lfgpu.calibration.formats.kalibr import is_kalibr, kalibr_cameras
 from lfgpu.calibration.formats.llff import read_llff
@@ -37,12 +37,16 @@ class Calibration:
         What kind of file it is.
     depths
         Nearest and farthest depth of the scene; None if the file does not say.
+    rig
+        The cameras of a rig by themselves, where `cameras` are those of images that it took from several places; else
+        empty.
     """
 
     cameras: tuple[Camera, ...]
     source: str
     format: str
     depths: tuple[float, float] | None = None
+    rig: tuple[Camera, ...] = ()
 
 
 def read_calibration(path: str | Path) -> Calibration:
@@ -60,11 +64,11 @@ def read_calibration(path: str | Path) -> Calibration:
         If there is no such file, it is of another kind, or damaged; the sentence says which entry.
     """
     file = Path(path)
-    depths, suffix = None, file.suffix.lower()
+    depths, rig, suffix = None, list[Camera](), file.suffix.lower()
     if file.is_dir():
         if not holds_colmap(file):
             raise LightFieldError(f"{file} holds no model of COLMAP (cameras and images, .bin or .txt).")
-        cameras, name = read_colmap(file), "COLMAP"
+        cameras, rig, name = read_colmap(file), read_rig(file), "COLMAP"
     elif not file.is_file():
         raise LightFieldError(f"{file} does not exist; name the file of a calibration.")
     elif suffix == ".toml":
@@ -85,4 +89,4 @@ def read_calibration(path: str | Path) -> Calibration:
         )
     if not cameras:
         raise LightFieldError(f"{file} has no cameras.")
-    return Calibration(tuple(cameras), str(file), name, depths)
+    return Calibration(tuple(cameras), str(file), name, depths, tuple(rig))

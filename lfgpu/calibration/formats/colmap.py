@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from lfgpu.calibration.cameras import Camera, of_quaternion
 from lfgpu.calibration.formats.entries import numbers
@@ -31,6 +36,11 @@ _LONGEST_NAME = 4096  # bytes
 
 Lens = tuple[str, int, int, tuple[float, ...]]
 Pose = tuple[tuple[float, ...], tuple[float, ...], int, str]
+RigPoses = dict[int, tuple[float, ...]]
+"""Of a rig the poses of its cameras (quaternion, translation; rig to camera), by the number of the camera."""
+
+_STILL = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_IS_CAMERA = 0  # among COLMAP's kinds of sensors
 
 
 def holds_colmap(folder: Path) -> bool:
@@ -43,24 +53,79 @@ def holds_colmap(folder: Path) -> bool:
 
 def read_colmap(folder: Path) -> list[Camera]:
     """The cameras of all images of a model, in the order of their names."""
-    try:
-        if (folder / "cameras.bin").is_file():
-            with (folder / "cameras.bin").open("rb") as file:
-                lenses = dict(_binary_cameras(file))
-            with (folder / "images.bin").open("rb") as file:
-                poses = list(_binary_images(file))
-        else:
-            lenses = dict(_text_cameras(read_text(folder / "cameras.txt")))
-            poses = list(_text_images(read_text(folder / "images.txt", largest=_LARGEST_TEXT)))
-        if lost := sorted({key for _, _, key, _ in poses} - set(lenses)):
-            raise LightFieldError(f"images name camera {lost[0]}, which is not among the cameras.")
+    with _sentences(folder, "model"):
+        lenses, poses = _lenses(folder), _poses(folder)
+        _check_known({key for _, _, key, _ in poses}, lenses, "images name")
         return sorted((_camera(lenses[key], q, t, name) for q, t, key, name in poses), key=lambda camera: camera.name)
+
+
+def read_rig(folder: Path) -> list[Camera]:
+    """The cameras of a model's rig in the rig's frame, named after the folders of their images; [] without a rig.
+
+    Of several rigs it is the one with the most cameras. Rigs are those of COLMAP 3.12 and later (rigs.bin, rigs.txt).
+    """
+    with _sentences(folder, "rig"):
+        if (folder / "rigs.bin").is_file():
+            with (folder / "rigs.bin").open("rb") as file:
+                largest = max(_binary_rigs(file), key=len, default={})
+        elif (folder / "rigs.txt").is_file():
+            largest = max(_text_rigs(read_text(folder / "rigs.txt")), key=len, default={})
+        else:
+            return []
+        if len(largest) < 2:
+            return []
+        lenses, names = _lenses(folder), _folders(_poses(folder))
+        _check_known(set(largest), lenses, "the rig names")
+        return [
+            _camera(lenses[key], pose[:4], pose[4:], names.get(key, f"camera {key}"))
+            for key, pose in sorted(largest.items())
+        ]
+
+
+@contextmanager
+def _sentences(folder: Path, what: str) -> Iterator[None]:
+    """Errors of reading become sentences about the folder."""
+    try:
+        yield
     except OSError as error:
         raise LightFieldError(f"{folder} cannot be read: {error.strerror or error}.") from error
     except LightFieldError as error:
         raise LightFieldError(f"{folder}: {error}") from error
     except (ValueError, IndexError) as error:
-        raise LightFieldError(f"{folder} holds a damaged model of COLMAP: {error}.") from error
+        raise LightFieldError(f"{folder} holds a damaged {what} of COLMAP: {error}.") from error
+
+
+def _lenses(folder: Path) -> dict[int, Lens]:
+    if not _is_binary(folder):
+        return dict(_text_cameras(read_text(folder / "cameras.txt")))
+    with (folder / "cameras.bin").open("rb") as file:
+        return dict(_binary_cameras(file))
+
+
+def _poses(folder: Path) -> list[Pose]:
+    if not _is_binary(folder):
+        return list(_text_images(read_text(folder / "images.txt", largest=_LARGEST_TEXT)))
+    with (folder / "images.bin").open("rb") as file:
+        return list(_binary_images(file))
+
+
+def _is_binary(folder: Path) -> bool:
+    return (folder / "cameras.bin").is_file()
+
+
+def _check_known(keys: set[int], lenses: Mapping[int, Lens], who: str) -> None:
+    if lost := sorted(keys - set(lenses)):
+        raise LightFieldError(f"{who} camera {lost[0]}, which is not among the cameras.")
+
+
+def _folders(poses: list[Pose]) -> dict[int, str]:
+    """The folder that all images of a camera lie in, by the number of the camera, where there is one."""
+    found: dict[int, set[str]] = {}
+    for _, _, key, name in poses:
+        parent, slash, _name = name.replace("\\", "/").rpartition("/")
+        if slash:
+            found.setdefault(key, set()).add(parent)
+    return {key: next(iter(parents)).rsplit("/", 1)[-1] for key, parents in found.items() if len(parents) == 1}
 
 
 def _camera(lens: Lens, q: tuple[float, ...], t: tuple[float, ...], name: str) -> Camera:
@@ -105,6 +170,22 @@ def _text_images(text: str) -> Iterator[Pose]:
         next(rows, "")  # its points
 
 
+def _text_rigs(text: str) -> Iterator[RigPoses]:
+    for line in _rows(text):
+        parts = line.split()
+        if len(parts) < 4:  # a rig without sensors
+            continue
+        key = int(parts[3])
+        found: RigPoses = {key: _STILL} if parts[2] == "CAMERA" else {}
+        at = 4
+        while at < len(parts):
+            kind, key, has_pose = parts[at], int(parts[at + 1]), parts[at + 2] == "1"
+            if has_pose and kind == "CAMERA":
+                found[key] = tuple(map(float, parts[at + 3 : at + 10]))
+            at += 10 if has_pose else 3
+        yield found
+
+
 def _binary_cameras(file: BinaryIO) -> Iterator[tuple[int, Lens]]:
     (count,) = _unpacked(file, "<Q")
     for _ in range(count):
@@ -131,8 +212,103 @@ def _binary_images(file: BinaryIO) -> Iterator[Pose]:
         yield tuple(values[:4]), tuple(values[4:]), key, name.decode("utf-8", "replace")
 
 
+def _binary_rigs(file: BinaryIO) -> Iterator[RigPoses]:
+    (count,) = _unpacked(file, "<Q")
+    for _ in range(count):
+        _, sensors = _unpacked(file, "<II")
+        found: RigPoses = {}
+        for sensor in range(sensors):
+            kind, key = _unpacked(file, "<iI")
+            pose: tuple[float, ...] | None = _STILL  # the first one is the rig's own frame
+            if sensor > 0:
+                (has_pose,) = _unpacked(file, "<B")
+                pose = _unpacked(file, "<7d") if has_pose else None
+            if pose is not None and kind == _IS_CAMERA:
+                found[key] = pose
+        yield found
+
+
 def _unpacked(file: BinaryIO, form: str) -> tuple[Any, ...]:
     data = file.read(struct.calcsize(form))
     if len(data) < struct.calcsize(form):
         raise ValueError("it ends too early")
     return struct.unpack(form, data)
+
+
+def write_colmap(
+    folder: Path, cameras: Sequence[Camera], points: NDArray[np.float32], colors: NDArray[np.uint8]
+) -> None:
+    """Write a model, binary and as text: a lens and an image for each camera, and points without tracks.
+
+    Parameters
+    ----------
+    folder
+        An existing folder.
+    cameras
+        Their names are those of the images.
+    points, colors
+        [n, 3], in the world of the cameras, and red, green, blue.
+    """
+    _write_text(folder, cameras, points, colors)
+    _write_binary(folder, cameras, points, colors)
+
+
+def _lens_of(camera: Camera) -> tuple[str, tuple[float, ...]]:
+    """The name of COLMAP's model and its parameters."""
+    pinhole = (*camera.focal_length, *(place + 0.5 for place in camera.principal_point))
+    k = camera.distortion
+    if camera.model == "fisheye":
+        return "OPENCV_FISHEYE", (*pinhole, *(k or (0.0,) * 4))
+    if not any(k):
+        return "PINHOLE", pinhole
+    return ("OPENCV", (*pinhole, *k)) if len(k) == 4 else ("FULL_OPENCV", (*pinhole, *k, *(0.0,) * (8 - len(k))))
+
+
+def _pose_of(camera: Camera) -> tuple[float, ...]:
+    """Quaternion w, x, y, z and translation, world to camera."""
+    w_last = Rotation.from_matrix(np.asarray(camera.rotation)).as_quat()
+    return (*map(float, np.roll(w_last, 1)), *map(float, np.asarray(camera.translation)))
+
+
+def _write_text(
+    folder: Path, cameras: Sequence[Camera], points: NDArray[np.float32], colors: NDArray[np.uint8]
+) -> None:
+    lenses, images = [], []
+    for n, camera in enumerate(cameras, 1):
+        model, values = _lens_of(camera)
+        height, width = camera.size
+        lenses.append(f"{n} {model} {width} {height} {' '.join(map(repr, values))}\n")
+        images.append(f"{n} {' '.join(map(repr, _pose_of(camera)))} {n} {camera.name}\n\n")
+    (folder / "cameras.txt").write_text("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n" + "".join(lenses), encoding="utf-8")
+    head = "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of POINTS2D[]\n"
+    (folder / "images.txt").write_text(head + "".join(images), encoding="utf-8")
+    rows = (
+        f"{n} {x:.7g} {y:.7g} {z:.7g} {r} {g} {b} -1\n"
+        for n, ((x, y, z), (r, g, b)) in enumerate(zip(points.tolist(), colors.tolist(), strict=True), 1)
+    )
+    head = "# POINT3D_ID X Y Z R G B ERROR TRACK[]\n"
+    (folder / "points3D.txt").write_text(head + "".join(rows), encoding="utf-8")
+
+
+def _write_binary(
+    folder: Path, cameras: Sequence[Camera], points: NDArray[np.float32], colors: NDArray[np.uint8]
+) -> None:
+    lenses, images = [struct.pack("<Q", len(cameras))], [struct.pack("<Q", len(cameras))]
+    for n, camera in enumerate(cameras, 1):
+        model, values = _lens_of(camera)
+        height, width = camera.size
+        lenses.append(struct.pack(f"<iiQQ{len(values)}d", n, _MODELS[model][0], width, height, *values))
+        name = camera.name.encode() + b"\0"
+        images.append(struct.pack("<I7dI", n, *_pose_of(camera), n) + name + struct.pack("<Q", 0))
+    (folder / "cameras.bin").write_bytes(b"".join(lenses))
+    (folder / "images.bin").write_bytes(b"".join(images))
+    kinds = [("id", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track", "<u8")]
+    table = np.zeros(len(points), np.dtype(kinds))
+    table["id"], table["xyz"], table["rgb"], table["error"] = np.arange(1, len(points) + 1), points, colors, -1
+    (folder / "points3D.bin").write_bytes(struct.pack("<Q", len(points)) + table.tobytes())
+
+
+def write_depth(path: Path, depth: NDArray[np.float32]) -> None:
+    """Write a depth map [y, x] as COLMAP stores those of its stereo: float32, 0 where it is not known."""
+    known = np.where(np.isfinite(depth), depth, 0).astype("<f4")
+    path.write_bytes(f"{depth.shape[1]}&{depth.shape[0]}&1&".encode() + known.tobytes())

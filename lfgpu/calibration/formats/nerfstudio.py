@@ -5,10 +5,13 @@ The first pixel has its centre at (0.5, 0.5).
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.formats.entries import numbers, whole
@@ -57,3 +60,45 @@ def _camera(entry: Mapping[str, Any]) -> Camera:
         translation=-rotation @ pose[:, 3],
         name=str(entry["file_path"]),
     )
+
+
+def write_nerfstudio(
+    path: Path, cameras: Sequence[Camera], *, files: Sequence[Mapping[str, str]], points: str | None = None
+) -> None:
+    """Write a transforms.json.
+
+    Parameters
+    ----------
+    path
+        The file.
+    cameras
+        The cameras.
+    files
+        For each camera its files, by the name of the entry: "file_path", "depth_file_path", "mask_path".
+    points
+        The file of the point cloud; None if there is none.
+    """
+    frames = []
+    for camera, named in zip(cameras, files, strict=True):
+        height, width = camera.size
+        pose = np.eye(4)
+        pose[:3, :3] = np.asarray(camera.rotation).T * (1, -1, -1)
+        pose[:3, 3] = camera.centre
+        (fx, fy), (cx, cy) = camera.focal_length, camera.principal_point
+        lens = dict(zip(_LENS[camera.model], camera.distortion, strict=False))
+        frames.append(
+            {
+                **named,
+                "w": width,
+                "h": height,
+                "fl_x": fx,
+                "fl_y": fy,
+                "cx": cx + 0.5,
+                "cy": cy + 0.5,
+                **lens,
+                "transform_matrix": pose.tolist(),
+            }
+        )
+    model = "OPENCV_FISHEYE" if cameras[0].model == "fisheye" else "OPENCV"
+    table = {"camera_model": model, **({} if points is None else {"ply_file_path": points}), "frames": frames}
+    path.write_text(json.dumps(table, indent=1, allow_nan=False), encoding="utf-8")

@@ -5,9 +5,12 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from lfgpu.data import interop
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.pipelines.rectifier import Rectifier
 from lfgpu.pipelines.sources import devices, folder, grabber, scene, shared_memory, videos
 from lfgpu.pipelines.sources.base import Frames, Options, Source
 from lfgpu.pipelines.sources.feeding import feed
@@ -110,14 +113,26 @@ def open_source(text: str, options: Options | None = None) -> Opened:
     if source is None:
         what = "is a file, but no video" if Path(text).exists() else "does not exist"
         raise LightFieldError(f"{text} {what}; give one of {', '.join(source.form for source in SOURCES)}.")
-    frames = source.open(text, options or Options())
+    options = options or Options()
+    frames = source.open(text, options)
     try:
         first = next(frames)
     except StopIteration:
         raise LightFieldError(f"{text} yielded no frame; give a source with at least one.") from None
+    coming = itertools.chain([first], frames)
+    if options.rectifier is not None:
+        return Opened(_raw(first, options.rectifier), coming, source.is_live)
     if not isinstance(first, LightField):
         raise LightFieldError(
             f"{text} must yield a LightField first, because it gives the camera positions; found "
             f"{type(first).__name__}."
         )
-    return Opened(first, itertools.chain([first], frames), source.is_live)
+    return Opened(first, coming, source.is_live)
+
+
+def _raw(frame: Any, rectifier: Rectifier) -> LightField:
+    """The first frame of raw pictures as what a stream takes."""
+    views = frame[0] if isinstance(frame, tuple) else frame
+    if isinstance(views, LightField):
+        return rectifier.pictures(views.views, white=views.white)
+    return rectifier.pictures(interop.on_host("views", views))

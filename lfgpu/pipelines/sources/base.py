@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.pipelines.rectifier import Rectifier
 
 Frames: TypeAlias = Iterator[Any]
 """A `LightField` first; then light fields of its kind, arrays like its views, or pairs (array, valid)."""
@@ -28,6 +29,9 @@ class Options:
         None.
     scene
         Further options of `scenes.make`: `size`, `disparity_range`, `noise` and `seed`.
+    rectifier
+        What raw pictures are rectified with later: then frames are raw pictures of its cameras, and a source need not
+        begin with a LightField. Default None: frames are light fields.
     stop
         Asked while a source waits for a frame; when it returns True, the frames end. Default: never.
     say
@@ -37,6 +41,7 @@ class Options:
     grid: tuple[int, int] | None = None
     like: LightField | None = None
     scene: dict[str, Any] = field(default_factory=dict)
+    rectifier: Rectifier | None = None
     stop: Callable[[], bool] = lambda: False
     say: Callable[[str], None] = lambda _: None
 
@@ -68,7 +73,9 @@ class Source:
 
 
 def light_field(name: str, views: NDArray[Any], options: Options) -> LightField:
-    """The first frame of cameras whose positions only the user knows: views [n, y, x, c]."""
+    """The first frame of cameras whose positions only the user, or a rectifier, knows: views [n, y, x, c]."""
+    if options.rectifier is not None:
+        return replace(options.rectifier.pictures(views), name=name)
     count, like = len(views), options.like
     if like is not None:
         if (len(like.views), *like.size) != views.shape[:3]:

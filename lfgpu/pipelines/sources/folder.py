@@ -12,7 +12,9 @@ import numpy as np
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.folders import natural_order, sub_folders
+from lfgpu.pipelines.rectifier import Rectifier
 from lfgpu.pipelines.sources.base import Frames, Options
+from lfgpu.pipelines.sources.recording import VIEWS_FILE
 
 GROWING = "growing:"
 
@@ -27,8 +29,8 @@ def recognise_growing(source: str) -> bool:
     return source.startswith(GROWING)
 
 
-def frames(source: str, _: Options) -> Frames:
-    """The light fields of a folder, in the natural order of their names."""
+def frames(source: str, options: Options) -> Frames:
+    """The light fields of a folder, or raw pictures for a rectifier, in the natural order of their names."""
     path = Path(source)
     folders = _ordered(path)
     if not folders:
@@ -38,7 +40,7 @@ def frames(source: str, _: Options) -> Frames:
         )
     first: LightField | None = None
     for folder in folders:
-        lf = _read(folder)
+        lf = _read(folder, options.rectifier)
         yield lf if first is None else _like(first, lf, folder)
         first = first or lf
 
@@ -51,7 +53,7 @@ def growing_frames(source: str, options: Options) -> Frames:
     first: LightField | None = None
     for folder in _whole(path, options):
         try:
-            lf = _read(folder)
+            lf = _read(folder, options.rectifier)
             frame = lf if first is None else _like(first, lf, folder)
         except LightFieldError as error:
             options.say(f"Left out: {error}")
@@ -88,10 +90,18 @@ def _ordered(path: Path) -> list[Path]:
     return sorted(sub_folders(path), key=lambda folder: natural_order(folder.name))
 
 
-def _read(folder: Path) -> LightField:
+def _read(folder: Path, rectifier: Rectifier | None) -> LightField:
     from lfgpu.io import read
+    from lfgpu.io.pictures import load_pictures
 
-    return read(folder)
+    if rectifier is None or (folder / VIEWS_FILE).is_file():  # recorded frames say themselves which cameras are there
+        return read(folder)
+    lf, count = load_pictures(folder), len(rectifier.places)
+    if len(lf.views) != count:
+        raise LightFieldError(
+            f"{folder} holds {len(lf.views)} pictures, but {rectifier.name} has {count} cameras; give one of each."
+        )
+    return lf
 
 
 def _like(first: LightField, lf: LightField, folder: Path) -> Any:

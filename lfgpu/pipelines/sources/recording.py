@@ -15,7 +15,8 @@ from lfgpu.io.atomic import atomic_folder
 from lfgpu.io.description import DEFAULT_NAME, write_description
 from lfgpu.pipelines.sources.base import Frames
 
-_NAME, _VIEWS = "frame_{:06d}", "views.npz"
+_NAME = "frame_{:06d}"
+VIEWS_FILE = "views.npz"
 
 
 def recorded(frames: Frames, first: LightField, folder: Path) -> Frames:
@@ -33,8 +34,8 @@ def recorded(frames: Frames, first: LightField, folder: Path) -> Frames:
         if lf is not None:
             with atomic_folder(folder / _NAME.format(number)) as place:
                 masks: dict[str, Any] = {} if lf.valid is None else {"valid": lf.valid}
-                np.savez(place / _VIEWS, views=lf.views, positions=lf.positions, **masks)
-                write_description(lf, place / DEFAULT_NAME, source={"path": place / _VIEWS, "format": "numpy"})
+                np.savez(place / VIEWS_FILE, views=lf.views, positions=lf.positions, **masks)
+                write_description(lf, place / DEFAULT_NAME, source={"path": place / VIEWS_FILE, "format": "numpy"})
         yield frame
 
 

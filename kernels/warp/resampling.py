@@ -1,0 +1,89 @@
+"""Pictures looked up at other places by cubic convolution (Keys 1981), with other tones."""
+
+from typing import Any
+
+import warp as wp
+
+from .memory import pixel_type
+from .threads import check_size, in_slices, lanes, launch, load, once
+
+wp.set_module_options({"enable_backward": False})
+
+_LEAST_GAIN = 0.05
+
+
+@wp.func
+def _keys(t: float) -> wp.vec4:
+    """Weights of the four pixels around a place that is `t` of a pixel beyond the second of them."""
+    s = 1.0 - t
+    return wp.vec4(-0.5 * t * s * s, 1.0 + t * t * (1.5 * t - 2.5), 1.0 + s * s * (1.5 * s - 2.5), -0.5 * s * t * t)
+
+
+@once
+def _kernel(channels: int, stored: Any) -> Any:
+    pixel, stored_pixel = pixel_type(channels), pixel_type(channels, stored)
+    whole = stored not in (wp.float16, wp.float32)
+
+    @wp.kernel(module=f"lfgpu_resampling_{channels}_{stored.__name__}", enable_backward=False)
+    def resample_kernel(
+        pictures: wp.array3d(dtype=stored_pixel),
+        places: wp.array4d(dtype=float),
+        tones: wp.array3d(dtype=float),
+        white: float,
+        lanes: int,
+        views_out: wp.array3d(dtype=stored_pixel),
+    ):
+        i = wp.tid()
+        lane = i % lanes
+        n = i / lanes / views_out.shape[1]
+        y = i / lanes - n * views_out.shape[1]
+        height = pictures.shape[1]
+        width = pictures.shape[2]
+        right = float(width - 1)
+        bottom = float(height - 1)
+        for x in range(lane, views_out.shape[2], lanes):
+            out = stored_pixel()
+            px = places[n, y, x, 0]
+            py = places[n, y, x, 1]
+            if px >= -0.5 and px <= right + 0.5 and py >= -0.5 and py <= bottom + 0.5:
+                px = wp.clamp(px, 0.0, right)
+                py = wp.clamp(py, 0.0, bottom)
+                column = int(px)
+                row = int(py)
+                across = _keys(px - float(column))
+                down = _keys(py - float(row))
+                total = pixel()
+                for j in range(wp.static(4)):
+                    along = pixel()
+                    for k in range(wp.static(4)):
+                        taken = pictures[
+                            n, wp.clamp(row + j - 1, 0, height - 1), wp.clamp(column + k - 1, 0, width - 1)
+                        ]
+                        for c in range(wp.static(channels)):
+                            along[c] = along[c] + across[k] * float(taken[c])
+                    total = total + down[j] * along
+                q = places[n, y, x, 2]
+                for c in range(wp.static(channels)):
+                    gain = wp.max(tones[n, 0, c] + tones[n, 2, c] * q, wp.static(_LEAST_GAIN))
+                    value = wp.clamp((total[c] - tones[n, 1, c]) / gain, 0.0, white)
+                    if wp.static(whole):
+                        out[c] = stored(wp.rint(value))
+                    else:
+                        out[c] = stored(value)
+            views_out[n, y, x] = out
+
+    return resample_kernel
+
+
+def resample(pictures: Any, places: Any, tones: Any, *, white: float, views_out: Any) -> None:
+    device, threads = views_out.device, lanes(views_out)
+    kernel = _kernel(views_out.dtype._length_, views_out.dtype._wp_scalar_type_)
+    load(device, kernel)
+
+    def some_views(_: int, first: int, last: int) -> None:
+        rows = (last - first) * views_out.shape[1] * threads
+        check_size(rows)
+        inputs = [pictures[first:last], places[first:last], tones[first:last], white, threads]
+        launch(kernel, rows, inputs, [views_out[first:last]], device=device)
+
+    in_slices(device, views_out.shape[0], some_views)

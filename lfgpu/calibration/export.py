@@ -1,0 +1,154 @@
+"""A light field with its maps as a scene of COLMAP and nerfstudio: cameras, depth of views, coloured points."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.calibration.formats.colmap import write_colmap, write_depth
+from lfgpu.calibration.formats.nerfstudio import write_nerfstudio
+from lfgpu.calibration.parallel import ideal_cameras, world_of
+from lfgpu.contract import Float32Array
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.points import point_cloud
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data.views_result import ViewsResult
+from lfgpu.errors import LightFieldError
+from lfgpu.io import atomic_folder, check_writable
+from lfgpu.io.png import write_png
+
+POINTS = 200_000
+"""About as many points are written at most."""
+
+_SURE = 0.5  # confidence from which on a pixel gives a point
+_DEEPEST = 65535  # millimetres that a depth picture holds at most
+
+
+def export_scene(
+    lf: LightField,
+    maps: ViewsResult | DepthResult | DisparityMap,
+    folder: str | os.PathLike[str],
+) -> None:
+    """Write a light field and its maps as a folder that COLMAP, nerfstudio and Gaussian splatting take.
+
+    The world is in metres: x to the right, y down, z away from the camera whose frame is not shifted.
+
+    - `images/`: the views.
+    - `sparse/0/`: COLMAP's cameras, images and points, binary and as text; a lens for each view, as their frames are
+      shifted.
+    - `stereo/depth_maps/NAME.geometric.bin`: COLMAP's depth of each view with a map, float32, 0 where unknown.
+    - `transforms.json`: nerfstudio's frames, with `depth_file_path`; OpenGL axes of cameras.
+    - `depths/`: its depth of each view with a map, in millimetres, uint16, 0 where unknown or beyond 65.535 m.
+    - `points.ply`: coloured points, about 200 000 at most, of pixels with a confidence of at least 0.5.
+
+    Parameters
+    ----------
+    lf
+        The light field; its geometry must be known.
+    maps
+        The maps of all its views, or one map of one of them: then other views have no depth.
+    folder
+        The folder; an older one is overwritten.
+
+    Raises
+    ------
+    LightFieldError
+        If the geometry is not known, the maps do not belong to the views, or no pixel has a depth.
+    """
+    check_writable(folder)
+    geometry = world_of(lf)
+    found = _maps(lf, maps, geometry)
+    cameras = [
+        replace(camera, name=f"view_{n:03d}.png")
+        for n, camera in enumerate(ideal_cameras(replace(lf, geometry=geometry)))
+    ]
+    points, colors = _points(lf, found)
+    with atomic_folder(folder) as place:
+        for name in ("images", "depths", "sparse/0", "stereo/depth_maps"):
+            (place / name).mkdir(parents=True)
+        files = []
+        for n, camera in enumerate(cameras):
+            write_png(place / "images" / camera.name, _bytes(lf, n))
+            files.append({"file_path": f"images/{camera.name}"})
+            if n in found:
+                depth = found[n].depth
+                assert depth is not None
+                write_png(place / "depths" / camera.name, _millimetres(depth))
+                write_depth(place / "stereo" / "depth_maps" / f"{camera.name}.geometric.bin", depth)
+                files[-1]["depth_file_path"] = f"depths/{camera.name}"
+        write_colmap(place / "sparse" / "0", cameras, points, colors)
+        write_nerfstudio(place / "transforms.json", cameras, files=files, points="points.ply")
+        _write_ply(place / "points.ply", points, colors)
+
+
+# --- steps ---
+
+
+def _maps(
+    lf: LightField, maps: ViewsResult | DepthResult | DisparityMap, geometry: Geometry
+) -> dict[int, DisparityMap]:
+    """The maps by the index of their view, in the common world."""
+    if isinstance(maps, ViewsResult):
+        if maps.disparities.shape != lf.views.shape[:3] or not np.allclose(maps.positions, lf.positions, atol=1e-6):
+            raise LightFieldError(f"the maps are not those of the {len(lf.views)} views of {lf.name}.")
+        return {n: replace(maps.map(n), geometry=geometry) for n in range(len(lf.views))}
+    one = maps.map if isinstance(maps, DepthResult) else maps
+    u, v = one.position or lf.positions[lf.reference_index]
+    if one.disparity.shape != lf.size:
+        raise LightFieldError(
+            f"the map must be {lf.size[0]} x {lf.size[1]} as the views of {lf.name} are, found {one.disparity.shape}."
+        )
+    return {lf.index_of(v, u): replace(one, position=(float(u), float(v)), geometry=geometry)}
+
+
+def _points(lf: LightField, maps: dict[int, DisparityMap]) -> tuple[Float32Array, NDArray[np.uint8]]:
+    pixels = len(maps) * lf.size[0] * lf.size[1]
+    step = max(1, int(np.ceil(np.sqrt(pixels / POINTS))))
+    points, colors = [], []
+    problem = None
+    for n, one in maps.items():
+        try:
+            cloud = point_cloud(one, image=_bytes(lf, n), least_confidence=_SURE, step=step)
+        except LightFieldError as error:  # nothing of this view is sure
+            problem = error
+            continue
+        assert cloud.colors is not None
+        points.append(cloud.points)
+        colors.append(cloud.colors)
+    if not points:
+        assert problem is not None
+        raise problem
+    return np.concatenate(points), np.concatenate(colors)
+
+
+def _bytes(lf: LightField, index: int) -> NDArray[np.uint8]:
+    """A view as uint8 [y, x, c]."""
+    view = lf.views[index]
+    return view if view.dtype == np.uint8 else np.rint(255 * np.clip(lf.image(index), 0, 1)).astype(np.uint8)
+
+
+def _millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
+    values = np.rint(1000 * depth.astype(np.float64))
+    known = np.isfinite(values) & (values <= _DEEPEST)
+    return np.where(known, values, 0).astype(np.uint16)[..., None]
+
+
+def _write_ply(path: Path, points: Float32Array, colors: NDArray[np.uint8]) -> None:
+    from plyfile import PlyData, PlyElement
+
+    table = np.empty(
+        len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
+    )
+    for axis, name in enumerate("xyz"):
+        table[name] = points[:, axis]
+    for channel, name in enumerate(("red", "green", "blue")):
+        table[name] = colors[:, channel]
+    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(str(path))
+
+
+__all__ = ["POINTS", "export_scene"]

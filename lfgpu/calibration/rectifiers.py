@@ -1,0 +1,164 @@
+"""The numbers of a rectification: as a file, and as the `Rectifier` of further pictures of the same cameras."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.calibration.cameras import Camera
+from lfgpu.calibration.refine import Refinement
+from lfgpu.calibration.resample import pixels, through
+from lfgpu.calibration.rig import Rig
+from lfgpu.calibration.tones import Tones, squared_radius_at
+from lfgpu.contract import Float64Array
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.io import read
+from lfgpu.io.numpy_arrays import load_arrays
+from lfgpu.pipelines.rectifier import Rectifier
+from lfgpu.threads import in_threads
+
+NUMBERS = "rectified.npz"
+_OF_TONES = ("gain", "offset", "vignetting")
+_OF_RIGS = (
+    "rotation", "positions", "ahead", "corrected_at", "geometry", "reference", "matrices", "distortions", "models",
+    "rotations", "translations",
+)  # fmt: skip
+
+
+def read_rectifier(folder: str | os.PathLike[str]) -> Rectifier:
+    """The rectifier of a folder that `lfgpu rectify` wrote.
+
+    LightFieldError if it is none, or is damaged.
+    """
+    path = Path(folder)
+    if not (path / NUMBERS).is_file():
+        raise LightFieldError(f"{path} holds no {NUMBERS}; give a folder that `lfgpu rectify` wrote.")
+    lf = read(path, lazy=True)
+    values = load_arrays(path / NUMBERS, ("homographies", *_OF_TONES, *_OF_RIGS))
+    try:
+        count, channels = len(values["homographies"]), lf.channels
+        nothing = np.zeros((count, channels))
+        tones = Tones(values.get("gain", nothing + 1), values.get("offset", nothing), values.get("vignetting", nothing))
+        rig = _rig_of(values, lf.size, path) if "matrices" in values else None
+        if count != len(lf.views):
+            raise ValueError(f"numbers of {count} cameras, {len(lf.views)} views")
+        return _made(lf, rig, values["homographies"], tones)
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        raise LightFieldError(f"{path / NUMBERS} is damaged ({error}); run `lfgpu rectify` again.") from error
+
+
+def rectifier_of(lf: LightField, rig: Rig | None, found: Refinement | None) -> Rectifier:
+    """The rectifier behind a rectified light field; LightFieldError if the frame shows nothing of a camera."""
+    count = len(lf.views)
+    if rig is not None and len(rig.cameras) != count:
+        raise LightFieldError(
+            f"{lf.name}: the common frame shows nothing of {len(rig.cameras) - count} cameras; leave them out."
+        )
+    nothing = np.zeros((count, lf.channels))
+    homographies, tones = np.tile(np.eye(3), (count, 1, 1)), Tones(nothing + 1, nothing, nothing)
+    if found is not None and found.kept:
+        homographies, tones = found.homographies, found.tones
+    return _made(lf, rig, homographies, tones)
+
+
+def numbers(lf: LightField, rig: Rig | None, found: Refinement | None) -> dict[str, NDArray[Any]]:
+    """The numbers to go back from a rectified light field to the original pictures, by the name of their array."""
+    count = len(lf.views)
+    identity = np.tile(np.eye(3), (count, 1, 1))
+    told: dict[str, NDArray[Any]] = {
+        "homographies": found.homographies if found is not None and found.kept else identity
+    }
+    if found is not None and found.kept:
+        told |= {"gain": found.tones.gain, "offset": found.tones.offset, "vignetting": found.tones.vignetting}
+    if rig is not None:
+        geometry = rig.geometry
+        lenses = np.zeros((len(rig.cameras), 8))
+        for n, camera in enumerate(rig.cameras):
+            lenses[n, : len(camera.distortion)] = camera.distortion
+        told |= {
+            "rotation": rig.rotation,
+            "positions": rig.positions,
+            "ahead": rig.ahead,
+            "corrected_at": np.array(rig.corrected_at),
+            "geometry": np.array(
+                [
+                    geometry.focal_length_px,
+                    geometry.baseline_m,
+                    geometry.focus_distance_m,
+                    *(geometry.principal_point or (0.0, 0.0)),
+                ]
+            ),
+            "reference": np.array(rig.reference),
+            "models": np.array([camera.model for camera in rig.cameras]),
+            "matrices": np.stack([camera.matrix for camera in rig.cameras]),
+            "distortions": lenses,
+            "rotations": np.stack([np.asarray(camera.rotation) for camera in rig.cameras]),
+            "translations": np.stack([np.asarray(camera.translation) for camera in rig.cameras]),
+            "reference_centre": rig.cameras[rig.reference].centre,
+        }
+    return told
+
+
+# --- steps ---
+
+
+def _made(lf: LightField, rig: Rig | None, homographies: Float64Array, tones: Tones) -> Rectifier:
+    count, (height, width) = len(lf.views), lf.size
+    grid = pixels(height, width)
+    places = np.empty((count, height, width, 2), np.float32)
+    radius2 = np.empty((count, height, width), np.float32)
+
+    def work(n: int) -> None:
+        at = through(homographies[n], grid)
+        places[n] = at if rig is None else rig.places(n, at)
+        radius2[n] = squared_radius_at(at, lf.size)
+
+    in_threads(work, range(count))
+    return Rectifier(
+        places,
+        radius2,
+        np.stack([tones.gain, tones.offset, tones.vignetting], axis=1),
+        lf.positions,
+        lf.reference_index,
+        valid=lf.valid,
+        geometry=lf.geometry,
+        grid_shape=lf.grid_shape,
+        name=lf.name,
+    )
+
+
+def _rig_of(values: dict[str, Any], size: tuple[int, int], path: Path) -> Rig:
+    cameras = []
+    for n, (matrix, lens, model) in enumerate(
+        zip(values["matrices"], values["distortions"], values["models"], strict=True)
+    ):
+        cameras.append(
+            Camera(
+                size=size,
+                focal_length=(float(matrix[0, 0]), float(matrix[1, 1])),
+                principal_point=(float(matrix[0, 2]), float(matrix[1, 2])),
+                distortion=tuple(map(float, lens[:4] if model == "fisheye" else lens)) if lens.any() else (),
+                model=str(model),
+                rotation=values["rotations"][n],
+                translation=values["translations"][n],
+                name=f"{path.name}: camera {n}",
+            )
+        )
+    focal, baseline, focus, x, y = map(float, values["geometry"])
+    geometry = Geometry(focal, baseline, focus, principal_point=(x, y), unshifted_at=(0.0, 0.0))
+    return Rig(
+        tuple(cameras),
+        values["rotation"],
+        values["positions"],
+        values["ahead"],
+        geometry,
+        int(values["reference"]),
+        float(values["corrected_at"]),
+        (),
+    )

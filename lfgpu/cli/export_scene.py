@@ -1,0 +1,89 @@
+"""`lfgpu export-scene`: a light field with its depth for COLMAP, nerfstudio and Gaussian splatting."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lfgpu._backends import DEFAULT, backend_named
+from lfgpu.cli import values
+from lfgpu.cli.options import (
+    AllowMissing,
+    Backend,
+    Device,
+    DisparityRange,
+    Every,
+    Flip,
+    FormatName,
+    Grid,
+    OutFolder,
+    Preset,
+    Quiet,
+    Source,
+    Threads,
+)
+
+
+def export_scene(
+    source: Source,
+    out: OutFolder,
+    maps: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RESULT",
+            help="What `lfgpu depth` wrote; without --all-views only one view has depth.",
+            show_default="maps of all views are estimated first",
+        ),
+    ] = None,
+    preset: Preset = "accurate",
+    disparity_range: DisparityRange = None,
+    backend: Backend = DEFAULT,
+    device: Device = None,
+    threads: Threads = None,
+    format_name: FormatName = None,
+    grid: Grid = None,
+    every: Every = None,
+    flip: Flip = "",
+    allow_missing: AllowMissing = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write cameras, depth maps of the views and a coloured point cloud as COLMAP and nerfstudio read them.
+
+    The cameras of the light field must be known (geometry).
+    """
+    from lfgpu import calibration
+    from lfgpu.calibration.parallel import world_of
+    from lfgpu.cli import summary
+    from lfgpu.cli.console import output
+    from lfgpu.cli.depth import Estimation
+    from lfgpu.cli.outputs import VIEWS_FILE
+    from lfgpu.io import check_writable, load, read
+
+    check_writable(out)
+    estimation = Estimation(
+        values.configured(preset, ()),
+        None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
+        backend_named(backend),
+        device,
+    )
+    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
+    values.use_threads("--threads", threads)
+    estimation.check_device()
+    lf = read(source, **reading)
+    world_of(lf)
+    if maps is None:
+        found = estimation.run_all(lf, quiet=quiet)
+    else:
+        found = load(maps / VIEWS_FILE if (maps / VIEWS_FILE).exists() else maps)  # type: ignore[assignment]
+    calibration.export_scene(lf, found, out)
+    if not quiet:
+        files = [
+            ("transforms.json", "nerfstudio: cameras and files of all views"),
+            ("sparse/0/", "COLMAP: cameras, images, points, binary and as text"),
+            ("images/, depths/", "the views; their depth in millimetres, 0 where unknown"),
+            ("stereo/depth_maps/", "COLMAP: depth in metres, 0 where unknown"),
+            ("points.ply", "coloured points, to begin Gaussian splatting with"),
+        ]
+        summary.show_outputs(output(), out, files)

@@ -1,0 +1,183 @@
+"""`Rectifier`: how raw pictures of a rig become views of parallel, equal cameras, planned once for many frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lfgpu.contract import Array, Float32Array, Float64Array, KernelSet
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+
+
+@dataclass(frozen=True, eq=False)
+class Rectifier:
+    """Where each pixel of the rectified views comes from, and how bright the cameras are: n cameras, c colours.
+
+        rectifier = lfgpu.calibration.read_rectifier("rectified")       # what `lfgpu rectify` wrote
+        stream = lfgpu.DepthStream(rectifier.pictures(frame), rectifier=rectifier)
+
+    Views are looked up by cubic convolution on the device, in the stored type of the pictures.
+
+    Parameters
+    ----------
+    places
+        float32 [n, y, x, 2], the place (x, y) in the raw picture of each pixel of the rectified view; NaN where the
+        picture does not show it.
+    squared_radius
+        float32 [n, y, x], squared distance of the pixel from the middle of the picture in units of its half diagonal,
+        for the vignetting.
+    tones
+        float64 [n, 3, c]: gain, offset (intensity) and vignetting. A picture shows (gain + vignetting r²) t + offset
+        where the reference would show t.
+    positions
+        float64 [n, 2], (u, v) of the rectified cameras in view steps.
+    reference
+        Index of the reference view.
+    valid
+        bool [n, y, x], False where a rectified view shows nothing; None if all is valid.
+    geometry
+        The camera geometry; None if unknown.
+    grid_shape
+        (rows, columns) if the positions are places of a grid; None if not.
+    name
+        What to call the rig in messages.
+
+    Raises
+    ------
+    LightFieldError
+        If shapes do not belong together, or a view shows nothing at all.
+    """
+
+    places: Float32Array
+    squared_radius: Float32Array
+    tones: Float64Array
+    positions: Float64Array
+    reference: int
+    valid: NDArray[np.bool_] | None = None
+    geometry: Geometry | None = None
+    grid_shape: tuple[int, int] | None = None
+    name: str = "rig"
+
+    def __post_init__(self) -> None:
+        count, *size, pair = self.places.shape
+        shapes = {
+            "squared_radius": (self.squared_radius.shape, (count, *size)),
+            "tones": (self.tones.shape, (count, 3, self.tones.shape[-1])),
+            "positions": (self.positions.shape, (count, 2)),
+            "valid": (None if self.valid is None else self.valid.shape, None if self.valid is None else (count, *size)),
+        }
+        wrong = [name for name, (found, wanted) in shapes.items() if found != wanted]
+        if pair != 2 or wrong:
+            raise LightFieldError(f"{self.name}: {wrong[0] if wrong else 'places'} of the rectifier has a wrong shape.")
+        empty = np.flatnonzero(~np.isfinite(self.places[..., 0]).any(axis=(1, 2)))
+        if len(empty):
+            raise LightFieldError(
+                f"{self.name}: nothing that camera {empty[0]} shows is in the common frame; leave it out of the rig."
+            )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width) of pictures and views, pixels."""
+        return int(self.places.shape[1]), int(self.places.shape[2])
+
+    def pictures(self, frame: ArrayLike, *, white: int | None = None) -> LightField:
+        """Raw pictures [n, y, x, c] of one frame as what pipelines and streams take together with this rectifier.
+
+        `white` is that of `LightField`. LightFieldError if the pictures are of another rig.
+        """
+        views = np.asarray(frame)
+        self._check(views.shape)
+        return LightField(views, self.positions, reference=self.reference, name=self.name, white=white)
+
+    def rectified(self, pictures: LightField, kernels: KernelSet, device: str) -> LightField:
+        """The rectified light field of raw pictures, made by the kernels that streams use."""
+        self._check(pictures.views.shape)
+        plan = Rectification(self, pictures, kernels, device)
+        with kernels.asking(device):
+            plan.work()
+        views = np.asarray(kernels.numpy(plan.views))
+        if pictures.views.dtype != np.float32:
+            views = np.rint(views)  # backends that compute in float64 store no whole numbers
+        return LightField(
+            views.astype(pictures.views.dtype, copy=False),
+            self.positions,
+            reference=self.reference,
+            grid_shape=self.grid_shape,
+            valid=self.valid,
+            geometry=self.geometry,
+            name=pictures.name,
+            notes=pictures.notes,
+            white=pictures.white,
+        )
+
+    def with_tones(self, tones: Float64Array) -> Rectifier:
+        """The same with other tones."""
+        return replace(self, tones=np.asarray(tones, np.float64))
+
+    def _check(self, shape: Sequence[int]) -> None:
+        wanted = (len(self.places), *self.size, self.tones.shape[-1])
+        if tuple(shape) != wanted and (wanted[3] != 1 or tuple(shape) != wanted[:3]):
+            raise LightFieldError(
+                f"pictures must be {list(wanted)} [cameras, y, x, colours] as {self.name} was calibrated for; found "
+                f"{list(shape)}."
+            )
+
+
+class Rectification:
+    """A rectifier on a device: raw pictures there, rectified views there, and the work between them.
+
+    Parameters
+    ----------
+    rectifier
+        The plan.
+    pictures
+        Raw pictures: the first input, and the stored type.
+    kernels, device
+        Where; the caller holds `kernels.asking(device)`, or nobody else asks it.
+    used
+        Indices of the cameras that are used; None uses all.
+    """
+
+    def __init__(
+        self,
+        rectifier: Rectifier,
+        pictures: LightField,
+        kernels: KernelSet,
+        device: str,
+        *,
+        used: Sequence[int] | None = None,
+    ) -> None:
+        chosen = list(range(len(rectifier.places))) if used is None else list(used)
+        self._kernels, self._device, self._scale, self._used = kernels, device, pictures.scale, chosen
+        table = np.concatenate([rectifier.places[chosen], rectifier.squared_radius[chosen][..., None]], axis=-1)
+        self._table = kernels.field(table, device)
+        self._tones = kernels.field(self._stored(rectifier.tones), device)
+        self.pictures: Array = kernels.image(pictures.views[chosen], device)
+        """[n, y, x, c], as stored; to be written to."""
+        shape = (len(chosen), *rectifier.size, pictures.channels)
+        self.views: Array = kernels.zeros_image(shape, device, pictures.views.dtype.type)
+        """[n, y, x, c], as stored, after `work`."""
+
+    def work(self) -> None:
+        """Start rectifying the current pictures; may be captured."""
+        self._kernels.resample(self.pictures, self._table, self._tones, white=1.0 / self._scale, views_out=self.views)
+
+    def set_tones(self, tones: Float64Array) -> None:
+        """Use other tones [n, 3, c] of all cameras from the next work on, also if it was captured."""
+        with self._kernels.asking(self._device):
+            self._kernels.upload(self._stored(tones), self._tones)
+
+    def _stored(self, tones: Float64Array) -> NDArray[Any]:
+        """Tones of the cameras that are used, with offsets as stored."""
+        found = np.array(tones[self._used], np.float32)
+        found[:, 1] /= self._scale
+        return found
+
+
+__all__ = ["Rectification", "Rectifier"]

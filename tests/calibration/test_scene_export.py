@@ -1,0 +1,139 @@
+"""Scenes for COLMAP and nerfstudio: their cameras, depths and points say what the light field says."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from plyfile import PlyData
+from typer.testing import CliRunner
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.calibration import camera_info, export_scene, read_calibration
+from lfgpu.calibration.parallel import ideal_cameras
+from lfgpu.cli import app
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
+from lfgpu.errors import LightFieldError
+from lfgpu.io import write_hci, write_pfm
+
+
+@cache
+def scene() -> LightField:
+    return scenes.make("planes", grid=(3, 3), size=(48, 60), seed=1)
+
+
+def true_map() -> DisparityMap:
+    lf = scene()
+    assert lf.truth is not None
+    known = lf.truth.disparity.copy()
+    known[:4] = np.nan
+    return DisparityMap(known, np.ones_like(known), position=lf.truth.position, geometry=lf.geometry)
+
+
+@pytest.mark.parametrize("file", ["transforms.json", "sparse/0"])
+def test_cameras_come_back(file: str, tmp_path: Path) -> None:
+    export_scene(scene(), true_map(), tmp_path / "out")
+    found = read_calibration(tmp_path / "out" / file).cameras
+    pixels = np.random.default_rng(0).uniform(0, 40, (20, 2))
+    for camera, want in zip(found, ideal_cameras(scene()), strict=True):
+        np.testing.assert_allclose(camera.rays(pixels), want.rays(pixels), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(camera.centre, want.centre, rtol=0, atol=1e-12)
+
+
+def test_text_is_the_binary_model(tmp_path: Path) -> None:
+    export_scene(scene(), true_map(), tmp_path / "out")
+    model = tmp_path / "out" / "sparse" / "0"
+    binary = read_calibration(model).cameras
+    for file in model.glob("*.bin"):
+        file.unlink()
+    for camera, want in zip(read_calibration(model).cameras, binary, strict=True):
+        assert camera.name == want.name
+        np.testing.assert_array_equal(camera.matrix, want.matrix)
+        np.testing.assert_allclose(camera.centre, want.centre, rtol=0, atol=1e-12)
+    rows = [line.split() for line in (model / "points3D.txt").read_text().splitlines()[1:]]
+    points = PlyData.read(str(tmp_path / "out" / "points.ply"))["vertex"]
+    assert len(rows) == points.count
+    assert float(rows[7][3]) == pytest.approx(float(points["z"][7]), rel=1e-5)
+
+
+def test_points_are_seen_where_the_depth_says(tmp_path: Path) -> None:
+    """Every point lands on its pixel in the reference, at its depth, with its colour."""
+    lf = scene()
+    export_scene(lf, true_map(), tmp_path / "out")
+    points = PlyData.read(str(tmp_path / "out" / "points.ply"))["vertex"]
+    place = np.stack([points[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    camera = read_calibration(tmp_path / "out" / "transforms.json").cameras[lf.reference_index]
+    at = camera.project((place - camera.centre) @ np.asarray(camera.rotation).T)
+    x, y = np.rint(at).astype(int).T
+    np.testing.assert_allclose(at, np.stack([x, y], 1), rtol=0, atol=1e-3)
+    view = np.asarray(Image.open(tmp_path / "out" / "images" / "view_004.png"))
+    np.testing.assert_array_equal(view[y, x, 0], points["red"])
+    np.testing.assert_array_equal(view, lf.views[4])
+    frame = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"][4]
+    depth = np.asarray(Image.open(tmp_path / "out" / frame["depth_file_path"])).astype(np.float64) / 1000
+    np.testing.assert_allclose(depth[y, x], place[:, 2], rtol=0, atol=6e-4)
+    assert (depth[:4] == 0).all()
+    head, rest = (tmp_path / "out/stereo/depth_maps/view_004.png.geometric.bin").read_bytes().split(b"&1&", 1)
+    assert head == b"60&48"
+    np.testing.assert_allclose(np.frombuffer(rest, "<f4").reshape(48, 60)[y, x], place[:, 2], rtol=1e-5)
+
+
+def test_all_views_have_depth_and_share_a_world(tmp_path: Path) -> None:
+    lf = scene()
+    maps = lfgpu.estimate_all_views(lf, config="fast", disparity_range=(-2, 2), device="cpu")
+    export_scene(lf, maps, tmp_path / "out")
+    frames = json.loads((tmp_path / "out" / "transforms.json").read_text())["frames"]
+    assert all((tmp_path / "out" / frame["depth_file_path"]).is_file() for frame in frames)
+    # The middle of view 0, by its depth, is a point that view 8 shows at the same depth.
+    cameras = read_calibration(tmp_path / "out" / "transforms.json").cameras
+    depths = [np.asarray(Image.open(tmp_path / "out" / f["depth_file_path"])).astype(float) / 1000 for f in frames]
+    y, x = np.mgrid[12:36, 15:45]
+    pixels = np.stack([x, y], -1).reshape(-1, 2)
+    world = cameras[0].rays(pixels) * depths[0][pixels[:, 1], pixels[:, 0]][:, None] + cameras[0].centre
+    seen = world - cameras[8].centre
+    there = np.rint(cameras[8].project(seen)).astype(int)
+    inside = ((there >= 0) & (there < (60, 48))).all(1)
+    close = np.abs(depths[8][there[inside, 1], there[inside, 0]] / seen[inside, 2] - 1) < 0.05
+    assert close.mean() > 0.8
+
+
+def test_the_camera_in_terms_of_ros_and_opencv() -> None:
+    lf = scene()
+    geometry = lf.geometry
+    assert geometry is not None
+    for index in (lf.reference_index, 0):
+        info = camera_info(lf, index)
+        assert (info.width, info.height, info.distortion_model, len(info.d)) == (60, 48, "plumb_bob", 5)
+        q = np.array(info.q).reshape(4, 4)
+        disparity = np.random.default_rng(1).uniform(-1, 1, (48, 60))
+        y, x = np.mgrid[:48, :60]
+        homogeneous = np.stack([x, y, disparity, np.ones_like(disparity)], -1) @ q.T
+        points = homogeneous[..., :3] / homogeneous[..., 3:]
+        np.testing.assert_allclose(points[..., 2], geometry.depth(disparity), rtol=1e-9)
+        k, p = np.array(info.k).reshape(3, 3), np.array(info.p).reshape(3, 4)
+        pixel = points @ k.T
+        np.testing.assert_allclose(pixel[..., :2] / pixel[..., 2:], np.stack([x, y], -1), rtol=0, atol=1e-9)
+        centre = -p[:2, 3] / (p[0, 0], p[1, 1])
+        np.testing.assert_allclose(centre, geometry.centres(lf.offsets[[index]])[0], rtol=0, atol=1e-12)
+
+
+def test_the_command_and_what_is_refused(tmp_path: Path) -> None:
+    lf = scene()
+    write_hci(lf, tmp_path / "lf")
+    write_pfm(tmp_path / "map.pfm", true_map().disparity)
+    command = ["export-scene", str(tmp_path / "lf"), "-o", str(tmp_path / "out"), "--maps", str(tmp_path / "map.pfm")]
+    outcome = CliRunner().invoke(app, command)
+    assert outcome.exit_code == 0, outcome.output
+    assert (tmp_path / "out" / "sparse" / "0" / "cameras.bin").is_file()
+    with pytest.raises(LightFieldError, match="has no geometry"):
+        export_scene(replace(lf, geometry=None), true_map(), tmp_path / "none")
+    with pytest.raises(LightFieldError, match="the map must be 48 x 60"):
+        export_scene(lf, replace(true_map(), disparity=true_map().disparity[:9]), tmp_path / "none")
+    assert not (tmp_path / "none").exists()

@@ -1,0 +1,89 @@
+"""The confidence of a map takes into account where its cameras stand; results keep what was said of them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.calibration import Misalignment, disturb, judged
+from lfgpu.cli import app
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
+from lfgpu.io import read_result, write_hci
+
+INNER = (slice(15, -15), slice(15, -15))
+
+
+@pytest.fixture(scope="module")
+def planes() -> LightField:
+    return scenes.make("planes", grid=(5, 5), size=(128, 144), seed=2, noise=0.004)
+
+
+def estimated(lf: LightField) -> DepthResult:
+    return lfgpu.estimate_depth(lf, config="fast", disparity_range=(-2, 2), device="cpu")
+
+
+def right(result: DepthResult, lf: LightField) -> float:
+    """The share of pixels within 0.07 of the truth, which the confidence claims to be."""
+    assert lf.truth is not None
+    return float((np.abs(result.disparity - lf.truth.disparity)[INNER] <= 0.07).mean())
+
+
+def said(result: DepthResult) -> float:
+    return float(result.confidence[INNER].mean())
+
+
+@pytest.mark.parametrize("how", ["shift=0.5", "roll=0.7"])
+def test_confidence_falls_to_what_is_true_where_cameras_are_off(planes: LightField, how: str) -> None:
+    wrong = disturb(planes, Misalignment.parse(how), seed=1).light_field
+    before = estimated(wrong)
+    after = judged(wrong, before, device="cpu")
+    assert len(after.remarks) == 1
+    assert "line" in after.remarks[0]
+    share = right(before, planes)
+    assert said(before) > share + 0.15
+    assert abs(said(after) - share) < 0.6 * (said(before) - share)
+    assert before.uncertainty is not None
+    assert after.uncertainty is not None
+    assert np.nanmedian(after.uncertainty) > 1.2 * np.nanmedian(before.uncertainty)
+    np.testing.assert_array_equal(after.disparity, before.disparity)
+
+
+def test_rotations_count_more_away_from_the_middle(planes: LightField) -> None:
+    wrong = disturb(planes, Misalignment(roll=0.7), seed=1).light_field
+    before = estimated(wrong)
+    share = judged(wrong, before, device="cpu").confidence / np.maximum(before.confidence, 1e-6)
+    assert share[64, 72] > share[15, 15] + 0.1
+
+
+def test_nothing_changes_where_cameras_are_right(planes: LightField) -> None:
+    result = estimated(planes)
+    assert judged(planes, result, device="cpu") is result
+
+
+def test_brightness_is_said_and_leaves_the_confidence(planes: LightField) -> None:
+    wrong = disturb(planes, Misalignment(gain=0.1), seed=1).light_field
+    result = estimated(wrong)
+    after = judged(wrong, result, device="cpu")
+    assert "brightness" in after.remarks[0]
+    np.testing.assert_array_equal(after.confidence, result.confidence)
+
+
+def test_depth_says_it_and_writes_it(planes: LightField, tmp_path: Path) -> None:
+    wrong = disturb(planes, Misalignment(shift=0.5), seed=1).light_field
+    write_hci(wrong, tmp_path / "lf")
+    options = ["--preset=fast", "--disparity-range=-2,2", "--device=cpu"]
+    outcome = CliRunner().invoke(app, ["depth", str(tmp_path / "lf"), "-o", str(tmp_path / "out"), *options])
+    assert outcome.exit_code == 0, outcome.output
+    assert "out of line" in outcome.stdout
+    result = read_result(tmp_path / "out" / "result.npz")
+    assert len(result.remarks) == 1
+    assert said(result) < said(estimated(wrong)) - 0.1
+    with np.load(tmp_path / "out" / "result.npz") as arrays:
+        assert json.loads(str(arrays["lfgpu"]))["remarks"] == list(result.remarks)
