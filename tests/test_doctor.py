@@ -19,9 +19,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from lfgpu import _backends
+from lfgpu import _backends, machine
 from lfgpu._backends import BackendInfo
-from lfgpu.cli import app, checkup, machine
+from lfgpu.cli import app, checkup
 from lfgpu.pipelines import estimate
 
 ROOT = Path(__file__).parents[1]
