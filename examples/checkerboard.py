@@ -72,6 +72,12 @@ def wall(texture: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(ndimage.map_coordinates(texture, places, order=1, mode="grid-wrap"))
 
 
+def refined(view: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Corners [n, 1, 2] where the edges around each meet: those of small squares are found some 0.05 px to one side."""
+    until = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
+    return cv2.cornerSubPix(view, np.float32(corners).reshape(-1, 1, 2), (4, 4), (-1, -1), until)
+
+
 def calibrate(pictures: list[list[np.ndarray]]) -> dict:
     """OpenCV's calibration of pictures[camera][pose]: each camera by itself, then where it stands to the first one."""
     grid = np.zeros((CORNERS[0] * CORNERS[1], 3), np.float32)
@@ -79,7 +85,7 @@ def calibrate(pictures: list[list[np.ndarray]]) -> dict:
     corners = []
     for views in pictures:
         found = [cv2.findChessboardCornersSB(view, CORNERS, flags=cv2.CALIB_CB_ACCURACY) for view in views]
-        corners.append([points.astype(np.float32) if ok else None for ok, points in found])
+        corners.append([refined(view, points) if ok else None for view, (ok, points) in zip(views, found, strict=True)])
     size, fixed = SIZE[::-1], cv2.CALIB_FIX_K3 | cv2.CALIB_ZERO_TANGENT_DIST
     lenses = []
     for points in corners:
