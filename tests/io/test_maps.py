@@ -24,8 +24,8 @@ def test_pfm_round_trip_and_imageio_agrees(tmp_path: Path) -> None:
     write_pfm(tmp_path / "a.PFM", values)
     np.testing.assert_array_equal(read_map(tmp_path / "a.PFM"), values)
     (tmp_path / "a.PFM").rename(tmp_path / "a.pfm")
-    np.testing.assert_array_equal(iio.imread(tmp_path / "a.pfm"), values)
-    iio.imwrite(tmp_path / "b.pfm", MAP)
+    np.testing.assert_array_equal(iio.imread(tmp_path / "a.pfm", plugin="pillow"), values)
+    iio.imwrite(tmp_path / "b.pfm", MAP, plugin="pillow")
     np.testing.assert_array_equal(read_map(tmp_path / "b.pfm"), MAP)
 
 

@@ -23,6 +23,7 @@ import checks
 import numpy as np
 import occlusion_checks
 import pytest
+import resampling_checks
 import sweep_checks
 import volume_checks
 from lfgpu.kernels.reference import lbfgs as lbfgs_module
@@ -901,6 +902,7 @@ def test_every_operation_has_a_fault_that_its_check_catches() -> None:
         *sweep_checks.OPERATIONS,
         *volume_checks.OPERATIONS,
         *alignment_checks.OPERATIONS,
+        *resampling_checks.OPERATIONS,
     )
     elsewhere = {
         "name",
