@@ -34,8 +34,6 @@ _PATIENCE = 300.0  # seconds in which a lost scheduler may come back
 _REPLACED = 60.0  # seconds after which a worker that died and does not come back is replaced
 _STARTS = 3  # of a local cluster
 _LOOK = 0.2  # seconds between two polls
-_AHEAD = 2  # jobs that the scheduler knows of for each worker: it gives out the next one without asking here
-_LOOK_AT_ITEMS = 0.1  # of the time for an item, between two looks at which items wait for a worker
 
 Entry = dict[str, Any]
 
@@ -56,11 +54,6 @@ class _Task:
     errors: list[str] = field(default_factory=list)
     since: float = 0.0
     """When it was given to a worker, or last seen to wait for one."""
-
-    @property
-    def is_of_sequence(self) -> bool:
-        """Two sequences must not take turns on a worker: it keeps the pipeline of the last one."""
-        return bool(self.after) or self.worker is not None
 
 
 class Cluster:
@@ -112,7 +105,6 @@ class Cluster:
         self._cluster: Any = None
         self._complete = time.monotonic()
         """The time when all workers were last alive."""
-        self._looked_at_items = time.monotonic()
         self._running: dict[Any, _Task] = {}
         self._woken = threading.Event()
 
@@ -194,11 +186,11 @@ class Cluster:
                 if (now := time.monotonic()) - looked >= _LOOK:
                     size, looked = self.size, now
                     self._replace_lost(size)
-                    late = self._give_up_late(now)
+                    late = self._give_up_late()
                     if late:
                         done(late)
                     tick(size)
-                while waiting and len(self._running) < size * (1 if waiting[0].is_of_sequence else _AHEAD):
+                while waiting and len(self._running) < size:
                     self._submit(waiting.popleft())
                 if suspects and not waiting and not self._running and size:
                     self._submit(suspects.popleft())
@@ -305,23 +297,22 @@ class Cluster:
             self._cluster.scale(self._workers)
             self._complete = now
 
-    def _give_up_late(self, now: float) -> list[Entry]:
+    def _give_up_late(self) -> list[Entry]:
         """What the manifest shall say of items that took too long, whose workers are started anew."""
-        if now - self._looked_at_items < _LOOK_AT_ITEMS * self._item_timeout:
+        now = time.monotonic()
+        late = [future for future, task in self._running.items() if now - task.since > self._item_timeout]
+        if not late:
             return []
-        self._looked_at_items = now
         held: dict[str, list[str]] = {}
         with suppress(Exception):  # the scheduler is lost, which is seen elsewhere
             held = {worker: [str(key) for key in keys] for worker, keys in self._client.processing().items()}
-        given_out = {key for keys in held.values() for key in keys}
-        for future, task in self._running.items():
-            if str(future.key) not in given_out:  # the time that it waits for a worker does not count
-                task.since = now
-        late = [future for future, task in self._running.items() if now - task.since > self._item_timeout]
         entries = []
         for future in late:
             workers = [worker for worker, keys in held.items() if str(future.key) in keys]
             if future.done():
+                continue
+            if not workers:  # it waits, on a scheduler that others use too
+                self._running[future].since = now
                 continue
             task = self._running.pop(future)
             with suppress(Exception):
