@@ -41,14 +41,17 @@ def check(
         Path | None,
         typer.Argument(
             metavar="[RESULT]",
-            help="A folder that depth wrote, or another map of the reference view.",
+            help="Output of `lfgpu depth`, or another map of the reference view.",
             show_default="estimated with the preset fast",
         ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--out", metavar="FOLDER", help="Also write check.json, the unexplained part and residual pictures."
+            "-o",
+            "--out",
+            metavar="FOLDER",
+            help="Also write check.json, a map of the unexplained part and residual pictures.",
         ),
     ] = None,
     reference_view: ReferenceView = None,
@@ -63,10 +66,10 @@ def check(
     allow_missing: AllowMissing = False,
     quiet: Quiet = False,
 ) -> None:
-    """Predict every view from the reference and its map, compare, and say what stands out. No truth is needed.
+    """Say what is wrong with the cameras of a light field. No ground truth is needed.
 
-    Says for each view how far it is shifted, turned, scaled and brighter against where the others put it, and whether
-    the signs of the axes are right.
+    The reference view and its map predict every other view. The differences show how far each view is shifted, turned
+    and scaled, how much brighter it is, and whether the signs of the axes are right.
     """
     from lfgpu.calibration import explain
     from lfgpu.cli.console import output

@@ -33,7 +33,7 @@ def export_scene(
         Path | None,
         typer.Option(
             metavar="RESULT",
-            help="What `lfgpu depth` wrote; without --all-views only one view has depth.",
+            help="Output of `lfgpu depth`. If that ran without --all-views, only one view has depth.",
             show_default="maps of all views are estimated first",
         ),
     ] = None,
@@ -51,7 +51,7 @@ def export_scene(
 ) -> None:
     """Write cameras, depth maps of the views and a coloured point cloud as COLMAP and nerfstudio read them.
 
-    The cameras of the light field must be known (geometry).
+    The light field must have a geometry, which says where its cameras are.
     """
     from lfgpu import calibration
     from lfgpu.calibration.parallel import world_of

@@ -33,9 +33,7 @@ def live(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--out", metavar="FOLDER", help="Folder in which each map is recorded as it comes, with a log."
-        ),
+        typer.Option("-o", "--out", metavar="FOLDER", help="Folder that keeps each map as it comes, and a log."),
     ] = None,
     preset: Annotated[str, typer.Option(metavar="NAME", help="Parameters to start from: {live presets}.")] = "accurate",
     disparity_range: Annotated[
@@ -57,7 +55,9 @@ def live(
     ] = None,
     budget: Annotated[
         float | None,
-        typer.Option(metavar="MS", help="Device time per frame, milliseconds; the work is reduced to fit."),
+        typer.Option(
+            metavar="MS", help="Limit of the device time per frame, milliseconds; the work is reduced to fit."
+        ),
     ] = None,
     cold: Annotated[
         bool, typer.Option("--cold", help="Estimate each frame independently, without the temporal prior.")
@@ -74,7 +74,7 @@ def live(
         bool,
         typer.Option(
             "--view",
-            help="Show frames and maps in the browser, about ten a second; with --rectify frames as they were taken.",
+            help="Show frames and maps in the browser, about ten a second; with --rectify the raw frames.",
         ),
     ] = False,
     recording: Annotated[
@@ -89,7 +89,7 @@ def live(
         str | None,
         typer.Option(
             metavar="ROWSxCOLUMNS",
-            help="How the cameras stand, or the views in each frame of a video, row by row.",
+            help="Rows and columns of the cameras, or of the views in each frame of a video, row by row.",
             show_default="a row; 7x7 for a scene",
         ),
     ] = None,
@@ -110,8 +110,8 @@ def live(
         Path | None,
         typer.Option(
             metavar="FOLDER",
-            help="What `lfgpu rectify` wrote for these cameras: frames are raw pictures, rectified on the device; the "
-            "cameras are watched.",
+            help="Output of `lfgpu rectify` for these cameras. Frames are raw pictures, rectified on the device; "
+            "the cameras are watched.",
         ),
     ] = None,
     device: Device = None,
@@ -119,9 +119,7 @@ def live(
     settings: Parameters = None,
     metrics: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="File that is kept up to date with statistics, in the text format of Prometheus."
-        ),
+        typer.Option(metavar="FILE", help="File of statistics, kept up to date, in the text format of Prometheus."),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
@@ -129,7 +127,7 @@ def live(
 
     With -o each map is written as soon as it is computed (disparity_000000.pfm, confidence_000000.pfm). At the end
     live.json records what happened to every frame. With --rectify the gains of the cameras are kept up to date, and a
-    sentence says if cameras have moved.
+    message says if cameras have moved.
     """
     from contextlib import nullcontext
 

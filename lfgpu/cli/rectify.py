@@ -34,12 +34,12 @@ def rectify(
             show_default="what lies beside the pictures",
         ),
     ] = None,
-    refine: Annotated[bool, typer.Option("--refine", help="Also line the views up by what they show.")] = False,
+    refine: Annotated[bool, typer.Option("--refine", help="Also correct the cameras by what the views show.")] = False,
     model: Annotated[
-        str, typer.Option(metavar="NAME", help="What --refine may find: shift, similarity or homography.")
+        str, typer.Option(metavar="NAME", help="Corrections by --refine: shift, similarity or homography.")
     ] = "similarity",
     positions: Annotated[
-        bool, typer.Option("--positions", help="--refine also finds where the cameras stand.")
+        bool, typer.Option("--positions", help="Also correct the positions of the cameras, by --refine.")
     ] = False,
     equalise: Annotated[
         bool, typer.Option("--equalise", help="Give all views the brightness of the reference; --refine does so, too.")
@@ -47,14 +47,16 @@ def rectify(
     depths: Annotated[
         str | None,
         typer.Option(
-            metavar="NEAR,FAR", help="Of the scene, in the calibration's unit.", show_default="from the calibration"
+            metavar="NEAR,FAR",
+            help="Nearest and farthest depth of the scene, in the unit of the calibration.",
+            show_default="from the calibration",
         ),
     ] = None,
     points: Annotated[
         bool,
         typer.Option(
             "--points",
-            help=f"Also estimate a map; write {POINTS_FILE} and, in the reference's own picture, {DEPTH_FILE}.",
+            help=f"Also estimate a map; write {POINTS_FILE} and {DEPTH_FILE} (depth in the reference as it was taken).",
         ),
     ] = False,
     disparity_range: DisparityRange = None,
@@ -63,10 +65,10 @@ def rectify(
     threads: Threads = None,
     quiet: Quiet = False,
 ) -> None:
-    """Make cameras parallel and alike: undo lenses and rotations, line views up, equalise them.
+    """Make cameras parallel and alike: undo lenses and rotations, line views up, equalise their brightness.
 
-    Writes a light field that every command reads (lightfield.toml), with masks, and the numbers to go back to the
-    original pictures (rectified.npz).
+    The output is a light field with masks, which every command reads (lightfield.toml). rectified.npz holds the
+    numbers that lead back to the original pictures.
     """
     from lfgpu import calibration as cameras
     from lfgpu.cli.console import output
