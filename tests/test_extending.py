@@ -166,7 +166,7 @@ def test_a_third_method_on_the_command_line(copy: Path, recorded: Path, tmp_path
     said = lfgpu(copy, tmp_path, "depth", one, "-o", "no", "--preset", "fast", "--set", "plane.share=0.2", code=1)
     assert "belongs to the method plane" in said
     said = lfgpu(copy, tmp_path, "depth", one, "-o", "no", "--preset", "planes", code=1)
-    assert "accurate, fast, paper, plane" in said
+    assert "accurate, fast, paper, paper-exact, plane" in said
     assert not (tmp_path / "no").exists()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -144,7 +145,9 @@ def test_surfaces_without_texture_are_filled_from_their_outlines() -> None:
         for most in (60, 0)
     )
     assert lf.truth is not None
-    assert evaluate(filled, lf.truth.disparity).badpix_07 < 0.7 * evaluate(left, lf.truth.disparity).badpix_07
+    with_filling, without = (evaluate(map_, lf.truth.disparity) for map_ in (filled, left))
+    assert with_filling.mse_100 < 0.7 * without.mse_100
+    assert with_filling.badpix_07 < 0.85 * without.badpix_07
 
 
 def test_fast_has_no_second_look() -> None:
@@ -199,7 +202,9 @@ def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.0)):
         there = (confidence > low) & (confidence <= high)
         assert there.sum() > 250
-        assert abs(good[there].mean() - confidence[there].mean()) < (0.03 if low == 0.9 else 0.3)
+        too_low = good[there].mean() - confidence[there].mean()
+        # What is said to be uncertain may be right more often than that; what is said to be sure must be.
+        assert -0.2 < too_low < 0.4 if low < 0.9 else abs(too_low) < 0.03
 
 
 def test_confidence_is_low_where_the_map_differs_from_the_matches() -> None:
@@ -230,12 +235,12 @@ def test_noise_is_measured_and_borne() -> None:
 def test_differences_of_intensity_go_with_the_noise() -> None:
     config = PRESETS["accurate"]
     twice, most = in_units_of(0.008, config), in_units_of(1.0, config)
-    assert twice.sweep.truncation == pytest.approx(2 * config.sweep.truncation)
     assert twice.semi_global.large_penalty == pytest.approx(2 * config.semi_global.large_penalty)
     assert twice.alignment.robust == pytest.approx(2 * config.alignment.robust)
-    assert twice.prior.sigma_color == pytest.approx(2 * config.prior.sigma_color)
-    assert twice.sweep.view_set_penalty == config.sweep.view_set_penalty
-    assert most.sweep.truncation == pytest.approx(5 * config.sweep.truncation)
+    assert twice.prior.sigma_color == pytest.approx(math.sqrt(2) * config.prior.sigma_color)
+    for name in ("view_set_penalty", "truncation", "gradient_truncation"):
+        assert getattr(twice.sweep, name) == getattr(config.sweep, name)
+    assert most.alignment.robust == pytest.approx(5 * config.alignment.robust)
 
 
 def test_noise_that_is_given_is_not_measured() -> None:
