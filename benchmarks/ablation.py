@@ -121,7 +121,7 @@ VARIANTS = (
     # Stiffness is in units of the curvature over robust²: it stays what it is in absolute terms.
     Variant(
         "alignment: not robust",
-        {"alignment.robust": 0.5, "alignment.stiffness": 0.1 / 100**2, "hole_filling.stiffness": 0.03 / 100**2},
+        {"alignment.robust": 0.5, "alignment.stiffness": 0.1 / 100**2, "hole_filling.stiffness": 0.01 / 100**2},
     ),
     Variant("alignment: across surfaces", {"alignment.support": 100}),
     Variant("alignment: no stiffness", {"alignment.stiffness": 0}),

@@ -33,7 +33,7 @@ TOLERANCE = 1e-3  # pixels per view step
 @pytest.fixture(scope="module")
 def scene() -> LightField:
     """With noise, so that nothing is as it is by chance, and larger than two tiles and their halos."""
-    return scenes.make("boxes", grid=(5, 5), size=(206, 216), disparity_range=(-0.7, 0.7), noise=0.01, seed=5)
+    return scenes.make("boxes", grid=(5, 5), size=(216, 216), disparity_range=(-0.7, 0.7), noise=0.01, seed=5)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,7 @@ def test_several_devices_give_the_same(scene: LightField, parameters: Config) ->
     """Each in a thread with a pipeline of its own, here twice the CPU."""
     config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
     edge = halo(scene, config)
-    plan = tiles.plan_tiles(scene.size, edge, Footprint(1.0, 0), 206 * 206)
+    plan = tiles.plan_tiles(scene.size, edge, Footprint(1.0, 0), 216 * 216)
     assert len(plan.starts) > 1
     options = {"config": config, "disparity_range": RANGE, "backend": "warp", "deterministic": False}
     one = tiles._estimate_all(scene, method_of(config), plan, ["cpu"], options, None)
@@ -141,7 +141,7 @@ def test_a_tile_that_shows_nothing_does_not_end_the_others(scene: LightField, pa
     dark = replace(scene, views=views, truth=None)
     width = tiles._cuts(216, halo(dark, config)[1])[-1][1]
     assert width < 191
-    found = in_tiles(dark, config, memory_for(dark, config, 206, width))
+    found = in_tiles(dark, config, memory_for(dark, config, 216, width))
     assert "have no estimate" in found.status
     assert np.isnan(found.disparity[:, 0]).all()
     assert (found.confidence[:, 0] == 0).all()
@@ -155,7 +155,7 @@ def test_masks_are_those_of_each_tile(scene: LightField, parameters: Config) -> 
     config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
     whole = estimate_depth(masked, config=config, disparity_range=RANGE, device="cpu")
     width = tiles._cuts(216, halo(masked, config)[1])[1][1]
-    found = in_tiles(masked, config, memory_for(masked, config, 206, width))
+    found = in_tiles(masked, config, memory_for(masked, config, 216, width))
     assert found.status.startswith("2 tiles")
     np.testing.assert_array_equal(np.isnan(found.disparity), ~valid[scene.reference_index])
     assert np.nanmax(np.abs(found.disparity - whole.disparity)) < TOLERANCE

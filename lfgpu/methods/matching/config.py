@@ -100,7 +100,7 @@ class HoleFillingConfig(Section):
     """Hole filling: surfaces without texture continue those around them. A quadratic problem."""
 
     stiffness: float = number(
-        0.03, 1e-6, 100.0, "curvature over robust² at which a pixel's own estimate counts as much as one similar "
+        0.01, 1e-6, 100.0, "curvature over robust² at which a pixel's own estimate counts as much as one similar "
         "neighbour, 1 / pixel²"
     )  # fmt: skip
     tolerance: float = number(3e-7, 1e-8, 1e-1, "relative residual at which the solver stops")
