@@ -148,6 +148,10 @@ def test_surfaces_without_texture_are_filled_from_their_outlines() -> None:
     with_filling, without = (evaluate(map_, lf.truth.disparity) for map_ in (filled, left))
     assert with_filling.mse_100 < 0.7 * without.mse_100
     assert with_filling.badpix_07 < 0.85 * without.badpix_07
+    if not with_filling.badpix_07 < 0.7 * without.badpix_07:
+        pytest.xfail(
+            f"the bound is 0.7; filling leaves {with_filling.badpix_07 / without.badpix_07:.2f} of BadPix(0.07)"
+        )
 
 
 def test_fast_has_no_second_look() -> None:
@@ -199,12 +203,16 @@ def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     assert np.concatenate([*expected.values()]).mean() - np.concatenate([*right.values()]).mean() < 0.05
     good, confidence = (np.concatenate([of[name] for name in ("boxes", "planes", "bars")]) for of in (right, expected))
     assert abs(good.mean() - confidence.mean()) < 0.05
+    farthest = 0.0
     for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.0)):
         there = (confidence > low) & (confidence <= high)
         assert there.sum() > 250
         too_low = good[there].mean() - confidence[there].mean()
         # What is said to be uncertain may be right more often than that; what is said to be sure must be.
         assert -0.2 < too_low < 0.4 if low < 0.9 else abs(too_low) < 0.03
+        farthest = max(farthest, abs(too_low))
+    if not farthest < 0.3:
+        pytest.xfail(f"the bound of each bin is 0.3; the confidence is off by {farthest:.2f}, to the low side")
 
 
 def test_confidence_is_low_where_the_map_differs_from_the_matches() -> None:
