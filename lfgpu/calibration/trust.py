@@ -23,7 +23,7 @@ def judged(
     """The result with what stands out about the cameras, and with a confidence that takes it into account.
 
     Cameras that are off by random shifts of σ pixels along each axis move a disparity that all of them are matched for
-    by σ_d = σ / √(Σ |o|² / 2), with the offsets o of the views that are used: a view tells of the disparity along the
+    by σ_d = σ / √(Σ ‖o‖² / 2), with the offsets o of the views that are used: a view tells of the disparity along the
     direction of the texture only, on average half of its offset. Rotations and scales do the same, and more so away
     from the middle. The uncertainty grows by σ_d; the confidence is multiplied by the share of errors of that size that
     stay within 0.07 pixels per view step. Without a finding the result stays as it is.

@@ -54,7 +54,9 @@ class _Open:
 
 
 class FrameGrouper:
-    """Groups pictures by their time stamps. Recorders add pictures from any thread and are never made to wait.
+    """Groups pictures by their time stamps.
+
+    Recorders add pictures from any thread and are never made to wait::
 
         grouper = lfgpu.FrameGrouper(9, (512, 640, 3), tolerance=0.004)
         # in the thread of each camera:
