@@ -6,6 +6,8 @@ Only what is alike is averaged: the weights are those of the non-local-means pri
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.contract import REDUCTION
+
 from .nlm import nlm_neighbors
 
 Array = NDArray[np.float64]
@@ -19,6 +21,22 @@ def nlm_average(weights: Array, volume: Array, *, window: int, average_out: Arra
     for costs, average in zip(volume, average_out, strict=True):
         nlm_neighbors(weights, costs, window=window, sums_out=average)
         average /= total
+
+
+def add_reduced(reduced: Array, *, weight: float, volume_inout: Array) -> None:
+    places = [
+        np.clip((np.arange(size) + 0.5) / REDUCTION - 0.5, 0, small - 1)
+        for size, small in zip(volume_inout.shape[1:], reduced.shape[1:], strict=True)
+    ]
+    volume_inout += weight * _between(_between(reduced, places[0], 1), places[1], 2)
+
+
+def _between(values: Array, places: Array, axis: int) -> Array:
+    """Values at places along an axis, linear between the nearest."""
+    before = np.floor(places).astype(int)
+    after = np.minimum(before + 1, values.shape[axis] - 1)
+    share = (places - before).reshape([-1 if a == axis else 1 for a in range(values.ndim)])
+    return np.asarray((1 - share) * values.take(before, axis) + share * values.take(after, axis))
 
 
 def least_costs(volume: Array, *, least_out: Array) -> None:

@@ -2,6 +2,8 @@
 
 import taichi as ti
 
+from lfgpu.contract import REDUCTION
+
 from .memory import DeviceArray, empty, flat
 from .nlm import inside, step_of
 from .runtime import TASK, on_cpu, run
@@ -89,6 +91,28 @@ def _pixels_kernel(
         for s in ti.static(range(_SLICES)):
             if first + s < last:
                 average_out[slices[s]] = sums[s] / totals[p]
+
+
+@ti.kernel
+def _add_reduced_kernel(
+    reduced: flat(), weight: float, rows: int, columns: int, height: int, width: int, volume_inout: flat()
+):
+    size = height * width
+    for p in range(volume_inout.shape[0]):
+        y = ti.math.clamp((p % size // width + 0.5) / REDUCTION - 0.5, 0.0, rows - 1.0)
+        x = ti.math.clamp((p % width + 0.5) / REDUCTION - 0.5, 0.0, columns - 1.0)
+        row = int(y)
+        column = int(x)
+        first = p // size * rows * columns + row * columns + column
+        right = ti.min(1, columns - 1 - column)
+        down = ti.min(1, rows - 1 - row) * columns
+        above = reduced[first] + (x - column) * (reduced[first + right] - reduced[first])
+        below = reduced[first + down] + (x - column) * (reduced[first + down + right] - reduced[first + down])
+        volume_inout[p] += weight * (above + (y - row) * (below - above))
+
+
+def add_reduced(reduced: DeviceArray, *, weight: float, volume_inout: DeviceArray) -> None:
+    run(_add_reduced_kernel, reduced.values, weight, *reduced.shape[1:], *volume_inout.shape[1:], volume_inout.values)
 
 
 @ti.kernel

@@ -7,7 +7,7 @@ from .alignment import alignment, z_buffer
 from .boundaries import refine_boundaries
 from .confidence import evidence, judge
 from .control import asking, capture, is_deterministic, kernel_cache, repeat
-from .cost_volume import farthest_as_good, least_costs, nlm_average, winner_takes_all
+from .cost_volume import add_reduced, farthest_as_good, least_costs, nlm_average, winner_takes_all
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_plane, nlm_ratio, nlm_weights
@@ -17,6 +17,7 @@ from .resampling import resample
 from .residuals import residuals
 from .semi_global import semi_global
 from .sharing import shared
+from .smoothing import reduce_views, smooth_views
 from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
 from .structure_tensor import keep_more_coherent, structure_tensor
 from .vector import axpby, clamp, copy, divide, dot, fill, multiply, ratio, select, threshold
@@ -27,6 +28,7 @@ compiles = True
 dtype = np.float32
 
 __all__ = [
+    "add_reduced",
     "alignment",
     "asking",
     "axpby",
@@ -68,6 +70,8 @@ __all__ = [
     "ratio",
     "recording",
     "refine_boundaries",
+    "reduce_views",
+    "refine_boundaries",
     "repeat",
     "resample",
     "residuals",
@@ -76,6 +80,7 @@ __all__ = [
     "select",
     "semi_global",
     "shared",
+    "smooth_views",
     "splat",
     "splat_jvp",
     "splat_transpose",

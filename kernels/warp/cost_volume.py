@@ -4,6 +4,8 @@ from typing import Any
 
 import warp as wp
 
+from lfgpu.contract import REDUCTION
+
 from .threads import in_slices, launch, launch_rows, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
@@ -184,6 +186,52 @@ def nlm_average(weights: Any, volume: Any, *, window: int, average_out: Any) -> 
         launch(kernel, 1, [weights, volume, first, last, room[part]], [average_out], device=device)
 
     in_slices(device, height, some_rows)
+
+
+# Along a row, four pixels lie on one of the reduced volume, between the centres of this one and its neighbours.
+
+_ADD_REDUCED = """
+    const int height = volume.shape[1], width = volume.shape[2], rows = reduced.shape[1], columns = reduced.shape[2];
+    const float at = ((float)y + 0.5f) / REDUCTION - 0.5f;
+    const float place = at < 0.f ? 0.f : at > rows - 1 ? (float)(rows - 1) : at;
+    const int upper = (int)place, lower = upper + 1 < rows ? upper + 1 : upper;
+    const float down = weight * (place - upper), up = weight - down;
+    for (int l = 0; l < volume.shape[0]; ++l) {
+        const float* __restrict__ const above = reduced.data + ((size_t)l * rows + upper) * columns;
+        const float* __restrict__ const below = reduced.data + ((size_t)l * rows + lower) * columns;
+        float* __restrict__ const out = volume.data + ((size_t)l * height + y) * width;
+        for (int k = lane; k * REDUCTION < width; k += lanes) {
+            const int here = k < columns ? k : columns - 1;
+            const int before = k < 1 ? 0 : k - 1 < here ? k - 1 : here, after = k + 1 < columns ? k + 1 : columns - 1;
+            const float left = up * above[before] + down * below[before], middle = up * above[here] + down * below[here];
+            const float right = up * above[after] + down * below[after];
+            #pragma unroll
+            for (int j = 0; j < REDUCTION; ++j) {
+                const float share = (j + 0.5f) / REDUCTION - 0.5f;
+                const int x = k * REDUCTION + j;
+                if (x < width) out[x] += middle + (share < 0.f ? -share * (left - middle) : share * (right - middle));
+            }
+        }
+    }
+"""
+
+
+@wp.func_native(code(_ADD_REDUCED, REDUCTION=REDUCTION))
+def _add_row(
+    reduced: wp.array3d(dtype=float), weight: float, y: int, lane: int, lanes: int, volume: wp.array3d(dtype=float)
+): ...
+
+
+@wp.kernel(module="lfgpu_add_reduced", enable_backward=False)
+def _add_kernel(
+    reduced: wp.array3d(dtype=float), weight: float, row: int, lanes: int, volume_inout: wp.array3d(dtype=float)
+):
+    i = wp.tid()
+    _add_row(reduced, weight, row + i / lanes, i % lanes, lanes, volume_inout)
+
+
+def add_reduced(reduced: Any, *, weight: float, volume_inout: Any) -> None:
+    launch_rows(_add_kernel, [reduced, weight], volume_inout)
 
 
 _LEAST = """

@@ -12,7 +12,7 @@ One file is one topic. `streaming` and `recording` are optional: a backend witho
 
 from lfgpu.contract.arrays import Array, Float32Array, Float64Array, Scalar
 from lfgpu.contract.backend import KernelSet
-from lfgpu.contract.images import Normalization
+from lfgpu.contract.images import REDUCTION, SMOOTHING_REACH, WHITE, Normalization
 from lfgpu.contract.matching import REACH, Alignment, PlaneSweep, ZBuffer, sweep_shifts
 from lfgpu.contract.prior import NlmWeights, OverPatch, PatchGradients, half_window
 from lfgpu.contract.recording import Recording
@@ -23,6 +23,9 @@ from lfgpu.contract.synthesis import DataTerm, Loss, SplatDataTerm
 
 __all__ = [
     "REACH",
+    "REDUCTION",
+    "SMOOTHING_REACH",
+    "WHITE",
     "Alignment",
     "Array",
     "DataTerm",

@@ -1,4 +1,4 @@
-"""Views as images: intensities, lines of views, local contrast."""
+"""Views as images: intensities, lines of views, local contrast, smoothed and reduced views."""
 
 from __future__ import annotations
 
@@ -6,6 +6,15 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from lfgpu.contract.arrays import Array
+
+WHITE = 65535
+"""What intensity 1 is in views that are smoothed or reduced: these are uint16."""
+
+SMOOTHING_REACH = 3
+"""Rows and columns from a pixel to the farthest ones that `Images.smooth_views` averages."""
+
+REDUCTION = 4
+"""Pixels of a view along a side of a pixel of a reduced view."""
 
 
 class Normalization(Protocol):
@@ -37,6 +46,28 @@ class Images(Protocol):
         self, shape: Sequence[int], device: str, *, scale: float, sigma: float, floor: float
     ) -> Normalization:
         """Plan the local contrast normalisation of views of `shape` [n, y, x, c]."""
+
+    def smooth_views(
+        self, views: Array, valid: Array | None, *, scale: float, deviation: float, views_out: Array
+    ) -> None:
+        """Means of pixels that look alike, uint16 [n, y, x, c] with `WHITE` for 1, rounded; 0 to 1 is kept.
+
+        With I = scale * views [n, y, x, c] and G its mean over 3 x 3 pixels, the frame's border repeated, the mean at p
+        is over the pixels q of the frame at most SMOOTHING_REACH rows and columns away, with the weights
+
+            exp(-|q - p|^2 / 8) / (1 + mean_c (G_q - G_p)^2 / deviation^2)^2.
+
+        Pixels where `valid` [n, y, x] is 0 count only for themselves. `deviation` is an intensity > 0.
+        """
+
+    def reduce_views(
+        self, views: Array, valid: Array | None, *, scale: float, views_out: Array, valid_out: Array | None
+    ) -> None:
+        """Means over REDUCTION x REDUCTION pixels of scale * views [n, y, x, c], uint16 with `WHITE` for 1, rounded.
+
+        Rows and columns that are left over have no part. `valid_out` [n, y, x] is 1 where all of a block's pixels are
+        valid, else 0; it is None if `valid` is.
+        """
 
     def resample(self, pictures: Array, places: Array, tones: Array, *, white: float, views_out: Array) -> None:
         """Views [n, y, x, c] of pictures [n, h, w, c], looked up by cubic convolution; both as stored, of one type.

@@ -150,6 +150,12 @@ class Matching(Protocol):
         `image` is float32 [y, x, c].
         """
 
+    def add_reduced(self, reduced: Array, *, weight: float, volume_inout: Array) -> None:
+        """Add weight * R to a volume [l, y, x]; R is `reduced` [l, y // REDUCTION, x // REDUCTION], interpolated.
+
+        Between the centres of its pixels R is linear in y and in x, beyond them it stays what it is there.
+        """
+
     def least_costs(self, volume: Array, *, least_out: Array) -> None:
         """The least of the costs of each pixel, [y, x]."""
 

@@ -1,0 +1,50 @@
+"""Views for comparisons: means of pixels that look alike, and reduced views; NumPy, float64.
+
+Noise hides faint texture from differences of single pixels, as their size is taken before they are averaged. What looks
+alike in one view lies on one surface, so that its mean shows that surface with less noise. Which pixels look alike is
+decided on means over 3 x 3 pixels, in which the noise is less, too.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE
+
+Array = NDArray[np.float64]
+
+_SPREAD = 8.0  # pixels²: twice the variance of the Gaussian over places
+
+
+def _stored(intensities: Array) -> Array:
+    return np.floor(WHITE * np.clip(intensities, 0, 1) + 0.5)
+
+
+def smooth_views(views: Array, valid: Array | None, *, scale: float, deviation: float, views_out: Array) -> None:
+    height, width = views.shape[1:3]
+    for n, view in enumerate(views):
+        image = scale * view.astype(np.float64)
+        framed = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
+        guide = sum(framed[dy : dy + height, dx : dx + width] for dy in range(3) for dx in range(3)) / 9
+        counts = np.ones((height, width)) if valid is None else (valid[n] != 0).astype(np.float64)
+        total, weights = np.zeros_like(image), np.zeros((height, width))
+        for dy in range(-SMOOTHING_REACH, SMOOTHING_REACH + 1):
+            for dx in range(-SMOOTHING_REACH, SMOOTHING_REACH + 1):
+                rows, columns = np.arange(height) + dy, np.arange(width) + dx
+                inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))
+                there = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
+                unlike = ((guide[there] - guide) ** 2).mean(2) / deviation**2
+                weight = np.exp(-(dy**2 + dx**2) / _SPREAD) / (1 + unlike) ** 2 * inside
+                weight *= counts[there] if (dy, dx) != (0, 0) else 1
+                total += weight[..., None] * image[there]
+                weights += weight
+        views_out[n] = _stored(total / weights[..., None])
+
+
+def reduce_views(views: Array, valid: Array | None, *, scale: float, views_out: Array, valid_out: Array | None) -> None:
+    n, height, width, channels = views_out.shape
+    rows, columns = height * REDUCTION, width * REDUCTION
+    blocks = views[:, :rows, :columns].reshape(n, height, REDUCTION, width, REDUCTION, channels).astype(np.float64)
+    views_out[:] = _stored(scale * blocks.mean((2, 4)))
+    if valid is not None and valid_out is not None:
+        of_blocks = valid[:, :rows, :columns].reshape(n, height, REDUCTION, width, REDUCTION)
+        valid_out[:] = (of_blocks != 0).all((2, 4))

@@ -1,0 +1,129 @@
+"""Views for comparisons: means of pixels that look alike, and reduced views; `kernels/reference/smoothing.py` says which."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import taichi as ti
+
+from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE
+
+from .memory import DeviceArray, empty, flat, optional
+from .runtime import once, run
+
+_SPREAD = 8.0  # pixels²: twice the variance of the Gaussian over places
+
+
+@ti.func
+def _stored(intensities):
+    return ti.cast(ti.floor(WHITE * ti.math.clamp(intensities, 0.0, 1.0) + 0.5), ti.u16)
+
+
+@once
+def _kernels(channels: int, stored: Any) -> SimpleNamespace:
+    views_type, pixels, out_type = flat(stored, channels), flat(channels=channels), flat(ti.u16, channels)
+
+    @ti.kernel
+    def guide_kernel(views: views_type, scale: float, height: int, width: int, guide_out: pixels):
+        """Means over 3 x 3 pixels."""
+        size = height * width
+        for p in range(views.shape[0]):
+            y = p % size // width
+            x = p % width
+            total = ti.Vector([0.0] * channels)
+            for dy in range(-1, 2):
+                for dx in range(-1, 2):
+                    row = ti.math.clamp(y + dy, 0, height - 1)
+                    column = ti.math.clamp(x + dx, 0, width - 1)
+                    total += ti.cast(views[p + (row - y) * width + column - x], ti.f32)
+            guide_out[p] = total * scale / 9.0
+
+    @ti.kernel
+    def smooth_kernel(
+        views: views_type,
+        guide: pixels,
+        valid: flat(),
+        masked: ti.template(),
+        scale: float,
+        unit: float,
+        height: int,
+        width: int,
+        views_out: out_type,
+    ):
+        size = height * width
+        for p in range(views.shape[0]):
+            y = p % size // width
+            x = p % width
+            total = ti.cast(views[p], ti.f32)
+            weights = 1.0
+            for dy in range(ti.max(-SMOOTHING_REACH, -y), ti.min(SMOOTHING_REACH, height - 1 - y) + 1):
+                for dx in range(ti.max(-SMOOTHING_REACH, -x), ti.min(SMOOTHING_REACH, width - 1 - x) + 1):
+                    q = p + dy * width + dx
+                    counts = q != p
+                    if ti.static(masked):
+                        counts = counts and valid[q] != 0.0
+                    if counts:
+                        unlike = 1.0 + unit * (guide[q] - guide[p]).norm_sqr()
+                        weight = ti.exp(-(dx * dx + dy * dy) / _SPREAD) / (unlike * unlike)
+                        total += weight * ti.cast(views[q], ti.f32)
+                        weights += weight
+            views_out[p] = _stored(scale * total / weights)
+
+    @ti.kernel
+    def reduce_kernel(
+        views: views_type,
+        scale: float,
+        height: int,
+        width: int,
+        rows: int,
+        columns: int,
+        views_out: out_type,
+    ):
+        for p in range(views_out.shape[0]):
+            first = p // (rows * columns) * height * width + p // columns % rows * REDUCTION * width
+            first += p % columns * REDUCTION
+            total = ti.Vector([0.0] * channels)
+            for dy in range(REDUCTION):
+                for dx in range(REDUCTION):
+                    total += ti.cast(views[first + dy * width + dx], ti.f32)
+            views_out[p] = _stored(scale * total / REDUCTION**2)
+
+    return SimpleNamespace(guide=guide_kernel, smooth=smooth_kernel, reduce=reduce_kernel)
+
+
+@ti.kernel
+def _reduce_mask_kernel(valid: flat(), height: int, width: int, rows: int, columns: int, valid_out: flat()):
+    for p in range(valid_out.shape[0]):
+        first = p // (rows * columns) * height * width + p // columns % rows * REDUCTION * width
+        first += p % columns * REDUCTION
+        every = 1.0
+        for dy in range(REDUCTION):
+            for dx in range(REDUCTION):
+                if valid[first + dy * width + dx] == 0.0:
+                    every = 0.0
+        valid_out[p] = every
+
+
+def smooth_views(
+    views: DeviceArray, valid: DeviceArray | None, *, scale: float, deviation: float, views_out: DeviceArray
+) -> None:
+    kernels, (_, height, width) = _kernels(views.channels, views.scalar), views.shape
+    guide = empty(views.shape, channels=views.channels)
+    run(kernels.guide, views.values, scale, height, width, guide.values)
+    unit = 1 / (views.channels * deviation**2)
+    inputs = [views.values, guide.values, *optional(valid), scale, unit, height, width]
+    run(kernels.smooth, *inputs, views_out.values)
+
+
+def reduce_views(
+    views: DeviceArray,
+    valid: DeviceArray | None,
+    *,
+    scale: float,
+    views_out: DeviceArray,
+    valid_out: DeviceArray | None,
+) -> None:
+    (_, height, width), (_, rows, columns) = views.shape, views_out.shape
+    sizes = height, width, rows, columns
+    run(_kernels(views.channels, views.scalar).reduce, views.values, scale, *sizes, views_out.values)
+    if valid is not None and valid_out is not None:
+        run(_reduce_mask_kernel, valid.values, *sizes, valid_out.values)

@@ -1,0 +1,332 @@
+"""Views for comparisons: means of pixels that look alike, and reduced views; `kernels/reference/smoothing.py` says which.
+
+On a CPU a thread goes down the rows of a view and keeps the last few, channel by channel, in rings; what is done to a
+row is then what vector units do. On a GPU a block has a tile of a view, and what is around it, in shared memory.
+"""
+
+import math
+from typing import Any
+
+import warp as wp
+
+from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE
+
+from .cost_volume import code
+from .memory import pixel_type
+from .threads import check_size, in_slices, launch, launch_rows, load, once, slices
+
+wp.set_module_options({"enable_backward": False})
+
+_SPREAD = 8.0  # pixels²: twice the variance of the Gaussian over places
+_TILE = (8, 32)  # rows and columns of a block on a GPU
+_RING = 16  # rows that a thread of a CPU keeps
+
+_NEAR = ", ".join(f"{math.exp(-(k**2) / _SPREAD):.9e}f" for k in range(-SMOOTHING_REACH, SMOOTHING_REACH + 1))
+
+_STORE = """
+    auto stored = [](float value) {
+        const float inside = value < 0.f ? 0.f : value > 1.f ? 1.f : value;
+        return (unsigned short)(WHITE * inside + 0.5f);
+    };
+"""
+
+_ROWS = (
+    _STORE
+    + """
+    constexpr float near[] = {NEAR};
+    const int height = views.shape[1], width = views.shape[2], wide = width + 2 * (REACH + 1);
+    const float unit = 1.f / (CHANNELS * deviation * deviation);
+    const size_t row = (size_t)CHANNELS * wide;
+    float* const colors = room.data;                // [RING, CHANNELS, wide]: row y in ring place y % RING
+    float* const guides = colors + RING * row;      // the same
+    float* const counts = guides + RING * row;      // [RING, wide]
+    float* const sums = counts + (size_t)RING * wide;  // [CHANNELS + 1, wide]
+    auto within = [](int i, int size) { return i < 0 ? 0 : i < size ? i : size - 1; };
+    int colored = 0, guided = 0;                    // rows of this view that are in the rings
+    for (int i = first; i < last; ++i) {
+        const int n = i / height, y = i - n * height;
+        const size_t view = (size_t)n * height * width;
+        if (i == first || y == 0) {
+            colored = within(y - REACH - 1, height);
+            guided = within(y - REACH, height);
+        }
+        const int bottom = within(y + REACH, height);
+        for (; colored <= within(bottom + 1, height); ++colored) {
+            const auto* const in = views.data + view + (size_t)colored * width;
+            float* const count = counts + (size_t)(colored % RING) * wide;
+            for (int c = 0; c < CHANNELS; ++c) {
+                float* const out = colors + (colored % RING) * row + (size_t)c * wide + REACH + 1;
+                for (int x = 0; x < width; ++x) out[x] = scale * (float)in[x].c[c];
+                for (int x = 1; x <= REACH + 1; ++x) {
+                    out[-x] = out[0];
+                    out[width - 1 + x] = out[width - 1];
+                }
+            }
+            for (int x = 0; x < wide; ++x) {
+                const int at = x - REACH - 1;
+                const bool inside = at >= 0 && at < width;
+                const float* const mask = valid.data + view + (size_t)colored * width;
+                count[x] = inside && (!valid.data || mask[at] != 0.f) ? 1.f : 0.f;
+            }
+        }
+        for (; guided <= bottom; ++guided)
+            for (int c = 0; c < CHANNELS; ++c) {
+                const size_t channel = (size_t)c * wide;
+                const float* const a = colors + (within(guided - 1, height) % RING) * row + channel;
+                const float* const b = colors + (guided % RING) * row + channel;
+                const float* const d = colors + (within(guided + 1, height) % RING) * row + channel;
+                float* const out = guides + (guided % RING) * row + channel;
+                #pragma clang loop vectorize(assume_safety)
+                for (int x = 1; x < wide - 1; ++x)
+                    out[x] = (a[x - 1] + a[x] + a[x + 1] + b[x - 1] + b[x] + b[x + 1] + d[x - 1] + d[x] + d[x + 1]) / 9.f;
+            }
+        for (size_t k = 0; k < (size_t)(CHANNELS + 1) * wide; ++k) sums[k] = 0.f;
+        const float* const guide = guides + (y % RING) * row + REACH + 1;
+        float* const weights = sums + row + REACH + 1;
+        for (int dy = -REACH; dy <= REACH; ++dy) {
+            if (y + dy < 0 || y + dy >= height) continue;
+            const size_t place = (y + dy) % RING;
+            for (int dx = -REACH; dx <= REACH; ++dx) {
+                const float distant = near[dy + REACH] * near[dx + REACH];
+                const bool itself = dy == 0 && dx == 0;
+                const float* const other = guides + place * row + REACH + 1 + dx;
+                const float* const color = colors + place * row + REACH + 1 + dx;
+                const float* const count = counts + place * wide + REACH + 1 + dx;
+                #pragma clang loop vectorize(assume_safety)
+                for (int x = 0; x < width; ++x) {
+                    float unlike = 1.f;
+                    #pragma unroll
+                    for (int c = 0; c < CHANNELS; ++c) {
+                        const float difference = other[c * wide + x] - guide[c * wide + x];
+                        unlike += unit * difference * difference;
+                    }
+                    const float weight = itself ? 1.f : distant * count[x] / (unlike * unlike);
+                    #pragma unroll
+                    for (int c = 0; c < CHANNELS; ++c) sums[REACH + 1 + c * wide + x] += weight * color[c * wide + x];
+                    weights[x] += weight;
+                }
+            }
+        }
+        auto* const out = smoothed.data + view + (size_t)y * width;
+        for (int x = 0; x < width; ++x)
+            for (int c = 0; c < CHANNELS; ++c)
+                out[x].c[c] = stored(sums[REACH + 1 + (size_t)c * wide + x] / weights[x]);
+    }
+"""
+)
+
+_PIXEL = (
+    _STORE
+    + """
+    constexpr float near[] = {NEAR};
+    constexpr int tall = ROWS + 2 * REACH, wide = COLUMNS + 2 * REACH;
+    __shared__ float colors[CHANNELS][tall + 2][wide + 2], guides[CHANNELS][tall][wide], counts[tall][wide];
+    const int height = views.shape[1], width = views.shape[2], threads = ROWS * COLUMNS;
+    const long long view = (long long)n * height * width;
+    const float unit = 1.f / (CHANNELS * deviation * deviation);
+    for (int i = thread; i < (tall + 2) * (wide + 2); i += threads) {
+        const int y = i / (wide + 2), x = i - y * (wide + 2);
+        const int row = min(max(top + y - REACH - 1, 0), height - 1), column = min(max(left + x - REACH - 1, 0), width - 1);
+        const auto value = views.data[view + (long long)row * width + column];
+        for (int c = 0; c < CHANNELS; ++c) colors[c][y][x] = scale * (float)value.c[c];
+    }
+    __syncthreads();
+    for (int i = thread; i < tall * wide; i += threads) {
+        const int y = i / wide, x = i - y * wide, row = top + y - REACH, column = left + x - REACH;
+        for (int c = 0; c < CHANNELS; ++c) {
+            float sum = 0.f;
+            for (int dy = 0; dy < 3; ++dy)
+                for (int dx = 0; dx < 3; ++dx) sum += colors[c][y + dy][x + dx];
+            guides[c][y][x] = sum / 9.f;
+        }
+        const bool inside = (unsigned)row < (unsigned)height && (unsigned)column < (unsigned)width;
+        counts[y][x] = inside && (!valid.data || valid.data[view + (long long)row * width + column] != 0.f) ? 1.f : 0.f;
+    }
+    __syncthreads();
+    const int y = thread / COLUMNS, x = thread - y * COLUMNS;
+    if (top + y >= height || left + x >= width) return;
+    float sums[CHANNELS] = {}, weights = 0.f, guide[CHANNELS];
+    for (int c = 0; c < CHANNELS; ++c) guide[c] = guides[c][y + REACH][x + REACH];
+    #pragma unroll
+    for (int dy = 0; dy <= 2 * REACH; ++dy)
+        #pragma unroll
+        for (int dx = 0; dx <= 2 * REACH; ++dx) {
+            float unlike = 1.f;
+            for (int c = 0; c < CHANNELS; ++c) {
+                const float difference = guides[c][y + dy][x + dx] - guide[c];
+                unlike += unit * difference * difference;
+            }
+            const bool itself = dy == REACH && dx == REACH;
+            const float weight = itself ? 1.f : __fdividef(near[dy] * near[dx] * counts[y + dy][x + dx], unlike * unlike);
+            for (int c = 0; c < CHANNELS; ++c) sums[c] += weight * colors[c][y + dy + 1][x + dx + 1];
+            weights += weight;
+        }
+    auto& out = smoothed.data[view + (long long)(top + y) * width + left + x];
+    for (int c = 0; c < CHANNELS; ++c) out.c[c] = stored(sums[c] / weights);
+"""
+)
+
+
+def _code(text: str, channels: int) -> str:
+    text = text.replace("NEAR", _NEAR)
+    return code(
+        text, CHANNELS=channels, REACH=SMOOTHING_REACH, RING=_RING, ROWS=_TILE[0], COLUMNS=_TILE[1], WHITE=WHITE
+    )
+
+
+@once
+def _rows_kernel(channels: int, stored: Any) -> Any:
+    """Some rows of all views, on a CPU."""
+    stored_pixel, smoothed_pixel = pixel_type(channels, stored), pixel_type(channels, wp.uint16)
+
+    @wp.func_native(_code(_ROWS, channels))
+    def smooth_rows(
+        views: wp.array3d(dtype=stored_pixel),
+        valid: wp.array3d(dtype=float),
+        scale: float,
+        deviation: float,
+        first: int,
+        last: int,
+        room: wp.array(dtype=float),
+        smoothed: wp.array3d(dtype=smoothed_pixel),
+    ): ...
+
+    @wp.kernel(module=f"lfgpu_smoothing_{channels}_{stored.__name__}", enable_backward=False)
+    def rows_kernel(
+        views: wp.array3d(dtype=stored_pixel),
+        valid: wp.array3d(dtype=float),
+        scale: float,
+        deviation: float,
+        first: int,
+        last: int,
+        room: wp.array(dtype=float),
+        views_out: wp.array3d(dtype=smoothed_pixel),
+    ):
+        smooth_rows(views, valid, scale, deviation, first, last, room, views_out)
+
+    return rows_kernel
+
+
+@once
+def _tiles_kernel(channels: int, stored: Any) -> Any:
+    """A tile of a view, on a GPU."""
+    stored_pixel, smoothed_pixel = pixel_type(channels, stored), pixel_type(channels, wp.uint16)
+
+    @wp.func_native(_code(_PIXEL, channels))
+    def smooth_pixel(
+        views: wp.array3d(dtype=stored_pixel),
+        valid: wp.array3d(dtype=float),
+        scale: float,
+        deviation: float,
+        n: int,
+        top: int,
+        left: int,
+        thread: int,
+        smoothed: wp.array3d(dtype=smoothed_pixel),
+    ): ...
+
+    @wp.kernel(module=f"lfgpu_gpu_smoothing_{channels}_{stored.__name__}", enable_backward=False)
+    def tiles_kernel(
+        views: wp.array3d(dtype=stored_pixel),
+        valid: wp.array3d(dtype=float),
+        scale: float,
+        deviation: float,
+        views_out: wp.array3d(dtype=smoothed_pixel),
+    ):
+        i = wp.tid()
+        tile = i / wp.static(_TILE[0] * _TILE[1])
+        thread = i - tile * wp.static(_TILE[0] * _TILE[1])
+        columns = (views.shape[2] + wp.static(_TILE[1] - 1)) / wp.static(_TILE[1])
+        rows = (views.shape[1] + wp.static(_TILE[0] - 1)) / wp.static(_TILE[0])
+        n = tile / (rows * columns)
+        place = tile - n * rows * columns
+        top = place / columns * wp.static(_TILE[0])
+        left = place % columns * wp.static(_TILE[1])
+        smooth_pixel(views, valid, scale, deviation, n, top, left, thread, views_out)
+
+    return tiles_kernel
+
+
+def smooth_views(views: Any, valid: Any, *, scale: float, deviation: float, views_out: Any) -> None:
+    (n, height, width), device = views.shape, views.device
+    channels, stored = views.dtype._length_, views.dtype._wp_scalar_type_
+    if device.is_cuda:
+        block = _TILE[0] * _TILE[1]
+        dim = n * -(-height // _TILE[0]) * -(-width // _TILE[1]) * block
+        check_size(dim)
+        inputs = [views, valid, scale, deviation]
+        launch(_tiles_kernel(channels, stored), dim, inputs, [views_out], device=device, block_dim=block)
+        return
+    kernel = _rows_kernel(channels, stored)
+    load(device, kernel)
+    wide = width + 2 * (SMOOTHING_REACH + 1)
+    per_slice = (_RING * (2 * channels + 1) + channels + 1) * wide
+    room = wp.empty((len(slices(device, n * height)), per_slice), dtype=float, device=device)
+
+    def some_rows(part: int, first: int, last: int) -> None:
+        inputs = [views, valid, scale, deviation, first, last, room[part]]
+        launch(kernel, 1, inputs, [views_out], device=device)
+
+    in_slices(device, n * height, some_rows)
+
+
+_REDUCE = (
+    _STORE
+    + """
+    const int height = views.shape[1], width = views.shape[2], columns = reduced.shape[2];
+    for (int x = lane; x < columns; x += lanes) {
+        float sums[CHANNELS] = {};
+        bool all = true;
+        for (int dy = 0; dy < REDUCTION; ++dy)
+            for (int dx = 0; dx < REDUCTION; ++dx) {
+                const size_t p = ((size_t)n * height + y * REDUCTION + dy) * width + x * REDUCTION + dx;
+                for (int c = 0; c < CHANNELS; ++c) sums[c] += (float)views.data[p].c[c];
+                if (valid.data) all = all && valid.data[p] != 0.f;
+            }
+        const size_t q = ((size_t)n * reduced.shape[1] + y) * columns + x;
+        for (int c = 0; c < CHANNELS; ++c)
+            reduced.data[q].c[c] = stored(scale * sums[c] / (REDUCTION * REDUCTION));
+        if (valid.data) counts.data[q] = all ? 1.f : 0.f;
+    }
+"""
+)
+
+
+@once
+def _reduce_kernel(channels: int, stored: Any) -> Any:
+    stored_pixel, reduced_pixel = pixel_type(channels, stored), pixel_type(channels, wp.uint16)
+
+    @wp.func_native(code(_REDUCE, CHANNELS=channels, REDUCTION=REDUCTION, WHITE=WHITE))
+    def reduce_row(
+        views: wp.array3d(dtype=stored_pixel),
+        valid: wp.array3d(dtype=float),
+        scale: float,
+        n: int,
+        y: int,
+        lane: int,
+        lanes: int,
+        reduced: wp.array3d(dtype=reduced_pixel),
+        counts: wp.array3d(dtype=float),
+    ): ...
+
+    @wp.kernel(module=f"lfgpu_reduce_{channels}_{stored.__name__}", enable_backward=False)
+    def reduce_kernel(
+        views: wp.array3d(dtype=stored_pixel),
+        valid: wp.array3d(dtype=float),
+        scale: float,
+        row: int,
+        lanes: int,
+        views_out: wp.array3d(dtype=reduced_pixel),
+        valid_out: wp.array3d(dtype=float),
+    ):
+        i = wp.tid()
+        y = row + i / lanes
+        for n in range(views_out.shape[0]):
+            reduce_row(views, valid, scale, n, y, i % lanes, lanes, views_out, valid_out)
+
+    return reduce_kernel
+
+
+def reduce_views(views: Any, valid: Any, *, scale: float, views_out: Any, valid_out: Any) -> None:
+    kernel = _reduce_kernel(views.dtype._length_, views.dtype._wp_scalar_type_)
+    launch_rows(kernel, [views, valid, scale], views_out, valid_out)
