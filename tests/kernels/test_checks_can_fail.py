@@ -24,6 +24,7 @@ import numpy as np
 import occlusion_checks
 import pytest
 import resampling_checks
+import smoothing_checks
 import sweep_checks
 import volume_checks
 from lfgpu.kernels.reference import lbfgs as lbfgs_module
@@ -903,6 +904,7 @@ def test_every_operation_has_a_fault_that_its_check_catches() -> None:
         *volume_checks.OPERATIONS,
         *alignment_checks.OPERATIONS,
         *resampling_checks.OPERATIONS,
+        *smoothing_checks.OPERATIONS,
     )
     elsewhere = {
         "name",

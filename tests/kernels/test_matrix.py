@@ -21,6 +21,8 @@ import occlusion_checks
 import pytest
 import resampling_cases
 import resampling_checks
+import smoothing_cases
+import smoothing_checks
 import sweep_cases
 import sweep_checks
 import volume_cases
@@ -40,8 +42,11 @@ CASES: dict[str, tuple[Any, ...]] = {
     "seen": cases.SEEN_CASES,
     "views": cases.VIEWS_CASES,
     "resampling": resampling_cases.RESAMPLING_CASES,
+    "smoothing": smoothing_cases.SMOOTHING_CASES,
+    "reduction": smoothing_cases.REDUCTION_CASES,
     "nlm": cases.NLM_CASES,
     "volume": volume_cases.VOLUME_CASES,
+    "reduced": volume_cases.REDUCED_CASES,
     "epi": cases.EPI_CASES,
     "coherence": cases.COHERENCE_CASES,
     "vector": cases.VECTOR_CASES,
@@ -58,8 +63,11 @@ MAKERS: dict[str, Any] = {
     "seen": cases.seen_inputs,
     "views": cases.views_inputs,
     "resampling": resampling_cases.resampling_inputs,
+    "smoothing": smoothing_cases.smoothing_inputs,
+    "reduction": smoothing_cases.smoothing_inputs,
     "nlm": cases.nlm_inputs,
     "volume": volume_cases.volume_inputs,
+    "reduced": volume_cases.volume_inputs,
     "epi": cases.epi_inputs,
     "coherence": cases.coherence_inputs,
     "vector": cases.vector_inputs,
@@ -73,6 +81,7 @@ OPERATIONS = (
     *volume_checks.OPERATIONS,
     *alignment_checks.OPERATIONS,
     *resampling_checks.OPERATIONS,
+    *smoothing_checks.OPERATIONS,
 )
 PROGRAMS = (
     *checks.PROGRAMS,
@@ -80,6 +89,7 @@ PROGRAMS = (
     sweep_checks.sweeping,
     volume_checks.finding_the_lowest,
     alignment_checks.stepping,
+    smoothing_checks.showing_less_noise,
 )
 UNORDERED = ("splat", "splat_jvp", "splat_z_buffered", "z_buffered_data_term")
 """Operations that no estimate needs, so that they may add atomically on a GPU."""

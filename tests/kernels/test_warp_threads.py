@@ -15,6 +15,8 @@ import numpy as np
 import occlusion_cases
 import occlusion_checks
 import pytest
+import smoothing_cases
+import smoothing_checks
 import sweep_cases
 import sweep_checks
 import volume_cases
@@ -25,6 +27,8 @@ from lfgpu.errors import BackendError
 
 wp = pytest.importorskip("warp")
 
+SMOOTHING = smoothing_cases.SmoothingCase("many", size=(41, 38), count=25, masked=True)
+VOLUME = volume_cases.VolumeCase("many", size=(61, 75), window=7)
 INPUTS = {
     "splat": lambda rng: cases.splat_inputs(
         cases.SplatCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
@@ -42,8 +46,11 @@ INPUTS = {
     "views": lambda rng: cases.views_inputs(
         cases.ViewsCase("many", size=(41, 38), count=25, dtype="uint8", masked=True, line=(3, 0, 1, 7)), rng
     ),
+    "smoothing": lambda rng: smoothing_cases.smoothing_inputs(SMOOTHING, rng),
+    "reduction": lambda rng: smoothing_cases.smoothing_inputs(SMOOTHING, rng),
     "nlm": lambda rng: cases.nlm_inputs(cases.NlmCase("large", size=(61, 53), window=7), rng),
-    "volume": lambda rng: volume_cases.volume_inputs(volume_cases.VolumeCase("many", size=(61, 75), window=7), rng),
+    "volume": lambda rng: volume_cases.volume_inputs(VOLUME, rng),
+    "reduced": lambda rng: volume_cases.volume_inputs(VOLUME, rng),
     "epi": lambda rng: cases.epi_inputs(cases.EpiCase("many rows", size=(61, 53)), rng),
 }
 SPLIT = [
@@ -54,6 +61,7 @@ SPLIT = [
         *sweep_checks.OPERATIONS,
         *volume_checks.OPERATIONS,
         *alignment_checks.OPERATIONS,
+        *smoothing_checks.OPERATIONS,
     )
     if operation.inputs in INPUTS and str(operation) != "image_memory"
 ]

@@ -8,6 +8,8 @@ from types import SimpleNamespace
 import cases
 import numpy as np
 
+from lfgpu.contract import REDUCTION
+
 
 @dataclass(frozen=True)
 class VolumeCase(cases.NlmCase):
@@ -46,6 +48,15 @@ VOLUME_CASES = (
     VolumeCase("work for several threads", size=(61, 53), window=7, count=17),
 )
 
+REDUCED_CASES = (
+    *(case for case in VOLUME_CASES if min(case.size) >= REDUCTION),
+    VolumeCase("one reduced pixel", size=(4, 4)),
+    VolumeCase("one reduced pixel and what is left over", size=(7, 5)),
+    VolumeCase("nothing left over", size=(8, 20)),
+    VolumeCase("one row of reduced pixels", size=(6, 29)),
+    VolumeCase("one column of reduced pixels", size=(27, 4)),
+)
+"""Those whose views have a reduced pixel."""
 
 POSITIVE = ((1e-3, 10.0), (-0.5, 8.0), (0.01, 10.0))
 """The odds, costs, of which rounding may make small negative ones, and evidence that are judged."""
@@ -64,5 +75,7 @@ def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace
     i.map = rng.uniform(case.first - 0.5, last + 0.5, case.size).astype(np.float32)  # beyond both ends, too
     i.unit = 0.5 * (case.costs[1] - case.costs[0])
     i.odds, i.cost, i.sure = (rng.uniform(low, high, case.size).astype(np.float32) for low, high in POSITIVE)
+    i.reduced = rng.uniform(*case.costs, (case.count, *(side // REDUCTION for side in case.size))).astype(np.float32)
+    i.weight = 0.7
     i.weights_of_judge = {"share": (0.5, 0.25, -0.75, 1.5), "spread": (-3.0, -0.5, 0.25, -1.0)}
     return i

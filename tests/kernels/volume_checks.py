@@ -26,6 +26,12 @@ def semi_global(desk: Desk, i: SimpleNamespace) -> Outputs:
     return {"sum": out}
 
 
+def add_reduced(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = desk.held(i.volume)
+    desk.kernels.add_reduced(desk.field(i.reduced), weight=i.weight, volume_inout=out)
+    return {"volume": out}
+
+
 def least_costs(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = desk.out(i.volume.shape[1:])
     desk.kernels.least_costs(desk.field(i.volume), least_out=out)
@@ -101,21 +107,23 @@ def lowest_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleName
 OPERATIONS = (
     Operation(nlm_average, "volume", relative_to_terms(average=lambda i: size(i.volume))),
     Operation(semi_global, "volume", relative_to_terms(sum=lambda i: size(i.volume))),
+    Operation(add_reduced, "reduced", relative_to_terms(volume=lambda i: size(i.volume))),
     Operation(least_costs, "volume"),
     Operation(winner_takes_all, "volume", lowest_errors),
     Operation(farthest_as_good, "volume"),
     Operation(evidence, "volume", relative_to_terms(cost=lambda i: size(i.volume) / i.unit)),
     Operation(judge, "volume"),
 )
-AVERAGE, SEMI_GLOBAL, LEAST, LOWEST, FARTHEST, EVIDENCE, JUDGE = OPERATIONS
+AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, FARTHEST, EVIDENCE, JUDGE = OPERATIONS
 
 
 # --- a program of them, for devices that can do work as a whole ---
 
 
 def finding_the_lowest(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
-    """What becomes of a volume with the weights of an image, and its lowest costs as they were."""
+    """What becomes of a volume with the weights of an image and a reduced volume, and its lowest costs as they were."""
     image, volume = kernels.image(values["image"], device), kernels.field(values["volume"], device)
+    reduced = kernels.field(values["reduced"], device)
     shape = values["volume"].shape
     options = {"window": WINDOW, "patch": 3, "sigma_color": 0.5, "sigma_gradient": 0.5, "floor": 1e-3}
     plan = kernels.nlm_weights(values["image"].shape, device, **options)
@@ -126,10 +134,11 @@ def finding_the_lowest(kernels: KernelSet, device: str, values: dict[str, Values
     def work() -> None:
         plan(image, weights)
         kernels.nlm_average(weights, volume, window=WINDOW, average_out=average)
+        kernels.add_reduced(reduced, weight=0.5, volume_inout=average)
         kernels.least_costs(average, least_out=least)
         kernels.semi_global(average, image, least, small=0.01, large=0.05, contrast=0.25, sum_out=total)
         kernels.winner_takes_all(volume, first=-1.0, step=0.5, disparity_out=disparity)
         kernels.farthest_as_good(volume, disparity, first=-1.0, step=0.5, margin=0.5, disparity_out=farthest)
 
     outputs = {"sum": total, "least": least, "disparity": disparity, "farthest": farthest}
-    return Program({"image": image, "volume": volume}, work, outputs)
+    return Program({"image": image, "volume": volume, "reduced": reduced}, work, outputs)

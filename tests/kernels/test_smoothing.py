@@ -1,0 +1,92 @@
+"""Smoothing and reducing do what they are for, in every backend; and in the reference they are the formulas."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import smoothing_checks
+from checks import compute
+from smoothing_cases import REDUCTION_CASES, SMOOTHING_CASES, SmoothingCase, smoothing_inputs
+from test_reference import REFERENCE
+
+SMALL = [case for case in SMOOTHING_CASES if math.prod(case.size) <= 200]
+REDUCED = [case for case in REDUCTION_CASES if math.prod(case.size) <= 500]
+
+
+def test_constant_views_stay(target: Any) -> None:
+    smoothing_checks.check_constant_stays(target.kernels, target.device)
+
+
+def test_noise_falls_by_the_factor_of_the_weights(target: Any, rng: np.random.Generator) -> None:
+    smoothing_checks.check_noise_falls(target.kernels, target.device, rng)
+
+
+def test_an_edge_of_ten_deviations_keeps_its_place_and_height(target: Any) -> None:
+    smoothing_checks.check_edge_stays(target.kernels, target.device)
+
+
+def test_regions_stay_apart_with_what_is_not_valid_between_them(target: Any, rng: np.random.Generator) -> None:
+    smoothing_checks.check_regions_stay_apart(target.kernels, target.device, rng)
+
+
+def test_channels_that_are_the_same_are_as_one(target: Any, rng: np.random.Generator) -> None:
+    smoothing_checks.check_channels_are_alike_together(target.kernels, target.device, rng)
+
+
+def whole(intensity: float) -> int:
+    """As uint16 holds it."""
+    return math.floor(65535 * min(max(intensity, 0.0), 1.0) + 0.5)
+
+
+@pytest.mark.parametrize("case", SMALL, ids=str)
+def test_smoothing_is_the_formula(case: SmoothingCase, rng: np.random.Generator) -> None:
+    i = smoothing_inputs(case, rng)
+    got = compute(REFERENCE, "cpu", smoothing_checks.SMOOTH, i)["views"]
+    height, width = case.size
+    n = case.count - 1
+    view = i.scale * i.views[n].astype(np.float64)
+
+    def guide(y: int, x: int) -> np.ndarray:
+        rows, columns = (np.clip([at - 1, at, at + 1], 0, side - 1) for at, side in ((y, height), (x, width)))
+        return view[np.ix_(rows, columns)].mean((0, 1))
+
+    guides = {place: guide(*place) for place in np.ndindex(height, width)}
+    for y, x in guides:
+        total, weights = view[y, x].copy(), 1.0
+        for q in guides:
+            dy, dx = q[0] - y, q[1] - x
+            counts = i.valid is None or i.valid[n][q] != 0
+            if q == (y, x) or max(abs(dy), abs(dx)) > 3 or not counts:
+                continue
+            unlike = float(((guides[q] - guides[y, x]) ** 2).mean()) / i.deviation**2
+            weight = math.exp(-(dy * dy + dx * dx) / 8) / (1 + unlike) ** 2
+            total += weight * view[q]
+            weights += weight
+        want = [65535 * min(max(mean, 0.0), 1.0) for mean in total / weights]
+        np.testing.assert_allclose(got[n, y, x], want, rtol=0, atol=0.5 + 1e-6)
+        np.testing.assert_array_equal(got[n, y, x], np.rint(got[n, y, x]))
+
+
+@pytest.mark.parametrize("case", REDUCED, ids=str)
+def test_reducing_is_the_formula(case: SmoothingCase, rng: np.random.Generator) -> None:
+    i = smoothing_inputs(case, rng)
+    got = compute(REFERENCE, "cpu", smoothing_checks.REDUCE, i)
+    for n, y, x in np.ndindex(case.count, case.size[0] // 4, case.size[1] // 4):
+        block = n, slice(4 * y, 4 * y + 4), slice(4 * x, 4 * x + 4)
+        for c in range(case.channels):
+            values = [float(value) for value in i.views[(*block, c)].ravel()]
+            want = 65535 * min(max(i.scale * math.fsum(values) / 16, 0.0), 1.0)
+            assert got["views"][n, y, x, c] == pytest.approx(want, abs=0.5 + 1e-6)
+        if i.by_block is not None:
+            assert got["valid"][n, y, x] == all(i.by_block[block].ravel())
+
+
+def test_masks_of_blocks_leave_something_to_decide(rng: np.random.Generator) -> None:
+    """All valid, none and some: of each there are blocks, so that none of them is taken for another."""
+    (case,) = (case for case in REDUCTION_CASES if case.name == "work for several threads")
+    blocks = smoothing_inputs(case, rng).by_block[:, :60, :36].reshape(case.count, 15, 4, 9, 4) != 0
+    every, some = blocks.all((2, 4)), blocks.any((2, 4))
+    assert min(every.mean(), (some & ~every).mean(), (~some).mean()) > 0.05
