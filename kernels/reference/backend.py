@@ -12,6 +12,7 @@ from .memory import devices, field, image, number, numpy, scalar, shared, upload
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_plane, nlm_ratio, nlm_weights
 from .occlusion import splat_z_buffered, visible, z_buffered_data_term
 from .plane_sweep import plane_sweep
+from .range_search import details, distinct_minimum, shrink, side_costs
 from .resampling import resample
 from .residuals import residuals
 from .semi_global import semi_global
@@ -35,7 +36,9 @@ __all__ = [
     "compiles",
     "copy",
     "data_term",
+    "details",
     "devices",
+    "distinct_minimum",
     "divide",
     "dot",
     "dtype",
@@ -76,6 +79,8 @@ __all__ = [
     "select",
     "semi_global",
     "shared",
+    "shrink",
+    "side_costs",
     "splat",
     "splat_jvp",
     "splat_transpose",

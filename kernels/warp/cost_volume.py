@@ -97,7 +97,7 @@ _AVERAGE_PIXEL = """
 """
 
 
-def code(text: str, **numbers: int) -> str:
+def code(text: str, **numbers: int | str) -> str:
     """Native code with numbers in the place of their names."""
     for name, value in numbers.items():
         text = text.replace(name, str(value))

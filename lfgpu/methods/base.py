@@ -188,15 +188,21 @@ class Method(ABC, Generic[C]):
         device: str,
         *,
         disparity_range: tuple[float, float] | None = None,
+        views: Array | None = None,
     ) -> Measured:
         """Measure the disparity range, or check the given one, and measure what else the method needs.
+
+        `views` are all views of the light field as stored, if they are on the device already.
 
         Raises
         ------
         LightFieldError
             If the given range is impossible for this light field, or none is found.
         """
-        bounds = checked_range(disparity_range, lf) if disparity_range is not None else find_disparity_range(lf)
+        if disparity_range is not None:
+            bounds = checked_range(disparity_range, lf)
+        else:
+            bounds = find_disparity_range(lf, kernels, device, views=views)
         return Measured(bounds, self.measure_noise(lf, bounds, kernels, device))
 
     def measure_noise(

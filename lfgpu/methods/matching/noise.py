@@ -39,9 +39,12 @@ def measured_noise(
     kernels.intensities(views, lf.reference_index, valid, scale=lf.scale, fill=UNLIKE_ANY, image_out=image)
     sweep.load(image, views, valid)
     sweep.by_view_sets(volume)
-    costs = kernels.numpy(volume)
-    least, spread = costs.min(0), np.ptp(costs, axis=0)
-    return float(np.median(least[spread >= np.median(spread)]))
+    least, negative = (kernels.zeros(lf.size, device) for _ in range(2))
+    kernels.least_costs(volume, least_out=least)
+    kernels.axpby(-1.0, volume, 0.0, volume, volume)
+    kernels.least_costs(volume, least_out=negative)
+    costs, spread = kernels.numpy(least), -kernels.numpy(negative) - kernels.numpy(least)
+    return float(np.median(costs[spread >= np.median(spread)]))
 
 
 def in_units_of(noise: float, config: MatchingConfig) -> MatchingConfig:

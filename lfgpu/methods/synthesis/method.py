@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfgpu.contract import KernelSet
+from lfgpu.contract import Array, KernelSet
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
@@ -52,8 +52,9 @@ class Synthesis(Method[SynthesisConfig]):
         device: str,
         *,
         disparity_range: tuple[float, float] | None = None,
+        views: Array | None = None,
     ) -> Measured:
-        measured = super().measure(lf, kernels, device, disparity_range=disparity_range)
+        measured = super().measure(lf, kernels, device, disparity_range=disparity_range, views=views)
         if self.config.prior.sigma_unit != "image":
             return measured
         return replace(measured, spread=spread(lf, self.config.prior.patch))
