@@ -23,6 +23,7 @@ import checks
 import numpy as np
 import occlusion_checks
 import pytest
+import range_search_checks
 import resampling_checks
 import sweep_checks
 import volume_checks
@@ -903,6 +904,7 @@ def test_every_operation_has_a_fault_that_its_check_catches() -> None:
         *volume_checks.OPERATIONS,
         *alignment_checks.OPERATIONS,
         *resampling_checks.OPERATIONS,
+        *range_search_checks.OPERATIONS,
     )
     elsewhere = {
         "name",
