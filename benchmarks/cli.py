@@ -29,6 +29,7 @@ from benchmarks import (
     live,
     live_stages,
     machine,
+    measuring,
     merge,
     misalignment,
     moving,
@@ -403,6 +404,26 @@ def rectify_(
         },
     )
     rectify.show(found)
+
+
+@app.command("range")
+def range_(
+    case_names: Annotated[str, typer.Option("--cases", metavar="NAME,...")] = "9x9x512x512",
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Whose noise is measured.")] = "accurate",
+    backends: Annotated[str, typer.Option(metavar="NAME,...", help="Default: warp.")] = "warp",
+    seconds: Annotated[float, typer.Option(min=0.01, help="For each measurement, at most.")] = 5.0,
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """What it takes to find the disparity range and the noise before an estimate, from host to host."""
+    if out is not None:
+        check_writable(out, folder=False)
+    chosen = tuple(_known_backend(name) for name in _names(backends))
+    named = tuple(cases.find(name) for name in _names(case_names))
+    found = measuring.run(named, preset, chosen, device, lambda what: typer.echo(what, err=True), seconds=seconds)
+    about = {"machine": machine.describe(), "versions": machine.versions(), "commit": machine.commit()}
+    live.save(out, {**about, "rows": [asdict(row) for row in found]})
+    measuring.show(found)
 
 
 @app.command("soak")

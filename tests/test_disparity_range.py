@@ -10,11 +10,18 @@ import numpy as np
 import pytest
 
 from lfgpu import read, scenes
+from lfgpu._backends import load
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.methods.disparity_range import find_disparity_range
+from lfgpu.methods import disparity_range
 
+KERNELS = load("warp")
 DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
+
+
+def find_disparity_range(lf: LightField) -> tuple[float, float]:
+    """With the default backend on the CPU."""
+    return disparity_range.find_disparity_range(lf, KERNELS, "cpu")
 
 
 def spans(lf: LightField, *, missing: float = 0.0, times: float = 1.3, more: float = 0.3) -> None:

@@ -185,3 +185,15 @@ def test_what_rectification_adds_is_measured(tmp_path: Path) -> None:
     assert row["error"] < 0.51  # whole numbers are stored
     assert min(row["all_ms"], row["used_ms"], row["frame_ms"], row["rectified_ms"], row["host_ms"]) > 0
     assert row["added_ms"] == pytest.approx(row["rectified_ms"] - row["frame_ms"])
+
+
+def test_what_is_measured_before_an_estimate_is_timed(tmp_path: Path) -> None:
+    out = tmp_path / "range.json"
+    options = ["--cases=3x3x48x48", "--preset=fast", "--seconds=0.05", "--device=cpu", "--out", str(out)]
+    outcome = CliRunner().invoke(app, ["range", *options])
+    assert outcome.exit_code == 0, outcome.output
+    (row,) = json.loads(out.read_text())["rows"]
+    assert (row["backend"], row["device"]) == ("warp", "cpu")
+    assert min(row["range_ms"], row["resident_ms"], row["noise_ms"], row["first_ms"]) > 0
+    assert 2 <= row["waits"] <= 5
+    assert row["found"][0] < row["true"][0] < row["true"][1] < row["found"][1]

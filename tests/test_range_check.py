@@ -10,11 +10,14 @@ from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import scenes
+from lfgpu._backends import load
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci
-from lfgpu.methods.range_check import doubt_about, shows_nothing
+from lfgpu.methods import range_check
+
+WHERE = load("warp"), "cpu"
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +27,7 @@ def lf() -> LightField:
 
 @pytest.mark.parametrize("given", [(3.0, 5.0), (-9.0, -5.0)])
 def test_a_range_without_the_scene(lf: LightField, given: tuple[float, float]) -> None:
-    doubt = doubt_about(lf, given)
+    doubt = range_check.doubt_about(lf, given, *WHERE)
     assert doubt is not None
     assert "the map may be wrong everywhere" in doubt.note
     result = lfgpu.estimate_depth(lf, disparity_range=given, config="fast")
@@ -37,9 +40,9 @@ def test_a_range_with_the_scene(lf: LightField) -> None:
     assert lf.truth is not None
     low, high = float(lf.truth.disparity.min()), float(lf.truth.disparity.max())
     for given in ((low, high), (low - 1, high + 1), (low - 20, high + 20), (low, (low + 2 * high) / 3)):
-        assert doubt_about(lf, given) is None
-    assert doubt_about(lf, None) is None
-    assert shows_nothing(lf) is None
+        assert range_check.doubt_about(lf, given, *WHERE) is None
+    assert range_check.doubt_about(lf, None, *WHERE) is None
+    assert range_check.shows_nothing(lf, *WHERE) is None
     assert lfgpu.estimate_depth(lf, disparity_range=(-3, 3), config="fast").notes == ()
 
 
@@ -70,7 +73,7 @@ def noise(kind: str) -> LightField:
 @pytest.mark.parametrize("kind", NOISE)
 def test_noise_is_said_to_be_nothing_and_is_not_believed(kind: str, tmp_path: Path) -> None:
     views = noise(kind)
-    assert shows_nothing(views)
+    assert range_check.shows_nothing(views, *WHERE)
     with pytest.raises(LightFieldError, match="nowhere do views look alike"):
         lfgpu.estimate_depth(views)
     result = lfgpu.estimate_depth(views, disparity_range=(-2, 2))

@@ -24,7 +24,8 @@ def smooth_views(views: Array, valid: Array | None, *, scale: float, deviation: 
     for n, view in enumerate(views):
         image = scale * view.astype(np.float64)
         framed = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
-        guide = sum(framed[dy : dy + height, dx : dx + width] for dy in range(3) for dx in range(3)) / 9
+        parts = [framed[dy : dy + height, dx : dx + width] for dy in range(3) for dx in range(3)]
+        guide = np.mean(parts, axis=0)
         counts = np.ones((height, width)) if valid is None else (valid[n] != 0).astype(np.float64)
         total, weights = np.zeros_like(image), np.zeros((height, width))
         for dy in range(-SMOOTHING_REACH, SMOOTHING_REACH + 1):

@@ -12,6 +12,7 @@ from .memory import field, image, number, numpy, scalar, shared, upload, zeros, 
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_plane, nlm_ratio, nlm_weights
 from .occlusion import splat_z_buffered, visible, z_buffered_data_term
 from .plane_sweep import plane_sweep
+from .range_search import details, distinct_minimum, shrink, side_costs
 from .resampling import resample
 from .residuals import residuals
 from .runtime import devices
@@ -39,7 +40,9 @@ __all__ = [
     "compiles",
     "copy",
     "data_term",
+    "details",
     "devices",
+    "distinct_minimum",
     "divide",
     "dot",
     "dtype",
@@ -71,7 +74,6 @@ __all__ = [
     "plane_sweep",
     "ratio",
     "recording",
-    "refine_boundaries",
     "reduce_views",
     "refine_boundaries",
     "repeat",
@@ -82,6 +84,8 @@ __all__ = [
     "select",
     "semi_global",
     "shared",
+    "shrink",
+    "side_costs",
     "smooth_views",
     "splat",
     "splat_jvp",

@@ -1,4 +1,4 @@
-"""Views for comparisons: means of pixels that look alike, and reduced views; `kernels/reference/smoothing.py` says which."""
+"""Views for comparisons, smoothed and reduced; `kernels/reference/smoothing.py` says why."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -109,6 +109,7 @@ def smooth_views(
     kernels, (_, height, width) = _kernels(views.channels, views.scalar), views.shape
     guide = empty(views.shape, channels=views.channels)
     run(kernels.guide, views.values, scale, height, width, guide.values)
+    assert views.channels is not None
     unit = 1 / (views.channels * deviation**2)
     inputs = [views.values, guide.values, *optional(valid), scale, unit, height, width]
     run(kernels.smooth, *inputs, views_out.values)

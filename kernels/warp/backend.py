@@ -13,6 +13,7 @@ from .memory import devices, field, image, number, numpy, scalar, upload, zeros,
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_plane, nlm_ratio, nlm_weights
 from .occlusion import splat_z_buffered, visible, z_buffered_data_term
 from .plane_sweep import plane_sweep
+from .range_search import details, distinct_minimum, shrink, side_costs
 from .resampling import resample
 from .residuals import residuals
 from .semi_global import semi_global
@@ -37,7 +38,9 @@ __all__ = [
     "compiles",
     "copy",
     "data_term",
+    "details",
     "devices",
+    "distinct_minimum",
     "divide",
     "dot",
     "dtype",
@@ -69,7 +72,6 @@ __all__ = [
     "plane_sweep",
     "ratio",
     "recording",
-    "refine_boundaries",
     "reduce_views",
     "refine_boundaries",
     "repeat",
@@ -80,6 +82,8 @@ __all__ = [
     "select",
     "semi_global",
     "shared",
+    "shrink",
+    "side_costs",
     "smooth_views",
     "splat",
     "splat_jvp",

@@ -99,7 +99,7 @@ _AVERAGE_PIXEL = """
 """
 
 
-def code(text: str, **numbers: int) -> str:
+def code(text: str, **numbers: int | str) -> str:
     """Native code with numbers in the place of their names."""
     for name, value in numbers.items():
         text = text.replace(name, str(value))
@@ -203,7 +203,8 @@ _ADD_REDUCED = """
         for (int k = lane; k * REDUCTION < width; k += lanes) {
             const int here = k < columns ? k : columns - 1;
             const int before = k < 1 ? 0 : k - 1 < here ? k - 1 : here, after = k + 1 < columns ? k + 1 : columns - 1;
-            const float left = up * above[before] + down * below[before], middle = up * above[here] + down * below[here];
+            const float left = up * above[before] + down * below[before];
+            const float middle = up * above[here] + down * below[here];
             const float right = up * above[after] + down * below[after];
             #pragma unroll
             for (int j = 0; j < REDUCTION; ++j) {

@@ -1,4 +1,4 @@
-"""Views for comparisons: means of pixels that look alike, and reduced views; `kernels/reference/smoothing.py` says which.
+"""Views for comparisons: means of pixels that look alike, and reduced views. `kernels/reference/smoothing.py` says why.
 
 On a CPU a thread goes down the rows of a view and keeps the last few, channel by channel, in rings; what is done to a
 row is then what vector units do. On a GPU a block has a tile of a view, and what is around it, in shared memory.
@@ -78,7 +78,8 @@ _ROWS = (
                 float* const out = guides + (guided % RING) * row + channel;
                 #pragma clang loop vectorize(assume_safety)
                 for (int x = 1; x < wide - 1; ++x)
-                    out[x] = (a[x - 1] + a[x] + a[x + 1] + b[x - 1] + b[x] + b[x + 1] + d[x - 1] + d[x] + d[x + 1]) / 9.f;
+                    out[x] = (a[x - 1] + a[x] + a[x + 1] + b[x - 1] + b[x] + b[x + 1] + d[x - 1] + d[x] + d[x + 1])
+                        * (1.f / 9.f);
             }
         for (size_t k = 0; k < (size_t)(CHANNELS + 1) * wide; ++k) sums[k] = 0.f;
         const float* const guide = guides + (y % RING) * row + REACH + 1;
@@ -126,7 +127,8 @@ _PIXEL = (
     const float unit = 1.f / (CHANNELS * deviation * deviation);
     for (int i = thread; i < (tall + 2) * (wide + 2); i += threads) {
         const int y = i / (wide + 2), x = i - y * (wide + 2);
-        const int row = min(max(top + y - REACH - 1, 0), height - 1), column = min(max(left + x - REACH - 1, 0), width - 1);
+        const int row = min(max(top + y - REACH - 1, 0), height - 1);
+        const int column = min(max(left + x - REACH - 1, 0), width - 1);
         const auto value = views.data[view + (long long)row * width + column];
         for (int c = 0; c < CHANNELS; ++c) colors[c][y][x] = scale * (float)value.c[c];
     }
@@ -157,7 +159,8 @@ _PIXEL = (
                 unlike += unit * difference * difference;
             }
             const bool itself = dy == REACH && dx == REACH;
-            const float weight = itself ? 1.f : __fdividef(near[dy] * near[dx] * counts[y + dy][x + dx], unlike * unlike);
+            const float distant = near[dy] * near[dx] * counts[y + dy][x + dx];
+            const float weight = itself ? 1.f : __fdividef(distant, unlike * unlike);
             for (int c = 0; c < CHANNELS; ++c) sums[c] += weight * colors[c][y + dy + 1][x + dx + 1];
             weights += weight;
         }

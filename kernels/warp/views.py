@@ -73,7 +73,8 @@ def _copy_kernels(channels: int, stored: Any) -> SimpleNamespace:
 
 
 @once
-def _line(line: tuple[int, ...], device: str) -> Any:
+def indices(line: tuple[int, ...], device: str) -> Any:
+    """Indices of views on a device."""
     return wp.array(np.array(line, np.int32), dtype=int, device=device)
 
 
@@ -84,7 +85,7 @@ def intensities(views: Any, index: int, valid: Any, *, scale: float, fill: float
 
 def line_of_views(views: Any, line: Sequence[int], *, vertical: bool, epis_out: Any) -> None:
     kernels = _copy_kernels(views.dtype._length_, views.dtype._wp_scalar_type_)
-    chosen = _line(tuple(int(index) for index in line), views.device.alias)
+    chosen = indices(tuple(int(index) for index in line), views.device.alias)
     launch_rows(kernels.line, [views, chosen, int(vertical)], epis_out)
 
 

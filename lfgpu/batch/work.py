@@ -118,9 +118,11 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
     clock = _Clock()
     lf = _read(job.item.source, job.settings)
     clock.lap("read")
-    result = _estimate(lf, job, pick_device(load(job.settings.backend), device))
+    kernels = load(job.settings.backend)
+    device = pick_device(kernels, device)
+    result = _estimate(lf, job, device)
     if not job.item.sequence:  # it would be said of each frame
-        result = doubted(result, doubt_about(lf, job.settings.disparity_range))
+        result = doubted(result, doubt_about(lf, job.settings.disparity_range, kernels, device))
     clock.lap("estimate")
     scores = _scores(lf, result)
     out = Path(job.out, job.item.name)

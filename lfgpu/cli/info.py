@@ -26,6 +26,7 @@ def info(
     ] = None,
 ) -> None:
     """Show how a light field is read: format, grid, views, cameras, ground truth. Missing views are no error here."""
+    from lfgpu._backends import DEFAULT, load
     from lfgpu.cli import values
     from lfgpu.cli.console import heading, lines, output, waiting
     from lfgpu.io import inside, read, recognise, write_description
@@ -45,7 +46,7 @@ def info(
         return
     with waiting(f"reading {source.name}"):
         lf = read(source, format=name, allow_missing=True, grid=shape, every=every, flip=flip)
-        doubt = shows_nothing(lf)
+        doubt = shows_nothing(lf, load(DEFAULT), "cpu")
     left_out: tuple[str, ...] = ()
     if write is not None:
         told = {"path": source, "format": name, "grid": shape, "every": every, "flip": flip}

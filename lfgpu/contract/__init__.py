@@ -15,6 +15,7 @@ from lfgpu.contract.backend import KernelSet
 from lfgpu.contract.images import REDUCTION, SMOOTHING_REACH, WHITE, Normalization
 from lfgpu.contract.matching import REACH, Alignment, PlaneSweep, ZBuffer, sweep_shifts
 from lfgpu.contract.prior import NlmWeights, OverPatch, PatchGradients, half_window
+from lfgpu.contract.range_search import UNSEEN, Details, SideCosts
 from lfgpu.contract.recording import Recording
 from lfgpu.contract.solvers import Lbfgs, Residuals
 from lfgpu.contract.streaming import Lease, Maps, Slot, Streaming, Transport
@@ -25,10 +26,12 @@ __all__ = [
     "REACH",
     "REDUCTION",
     "SMOOTHING_REACH",
+    "UNSEEN",
     "WHITE",
     "Alignment",
     "Array",
     "DataTerm",
+    "Details",
     "Float32Array",
     "Float64Array",
     "KernelSet",
@@ -45,6 +48,7 @@ __all__ = [
     "Recording",
     "Residuals",
     "Scalar",
+    "SideCosts",
     "Slot",
     "SplatDataTerm",
     "Streaming",

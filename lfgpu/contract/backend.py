@@ -11,6 +11,7 @@ from lfgpu.contract.images import Images
 from lfgpu.contract.matching import Matching
 from lfgpu.contract.memory import Memory
 from lfgpu.contract.prior import Prior
+from lfgpu.contract.range_search import RangeSearch
 from lfgpu.contract.recording import Recording
 from lfgpu.contract.solvers import Solvers
 from lfgpu.contract.streaming import Streaming
@@ -19,7 +20,9 @@ from lfgpu.contract.synthesis import Synthesis
 from lfgpu.contract.vectors import Vectors
 
 
-class KernelSet(Memory, Control, Images, Prior, StructureTensors, Matching, Synthesis, Vectors, Solvers, Protocol):
+class KernelSet(
+    Memory, Control, Images, Prior, StructureTensors, RangeSearch, Matching, Synthesis, Vectors, Solvers, Protocol
+):
     """One backend: memory, the operations of the methods, and the vector operations of a solver."""
 
     @property

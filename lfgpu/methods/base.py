@@ -188,22 +188,26 @@ class Method(ABC, Generic[C]):
         device: str,
         *,
         disparity_range: tuple[float, float] | None = None,
+        views: Array | None = None,
     ) -> Measured:
         """Measure the disparity range, or check the given one, and measure what else the method needs.
+
+        `views` are all views of the light field as stored, if they are on the device already.
 
         Raises
         ------
         LightFieldError
             If the given range is impossible for this light field, or none is found.
         """
-        bounds = checked_range(disparity_range, lf) if disparity_range is not None else find_disparity_range(lf)
-        return Measured(bounds, self.measure_noise(lf, bounds, kernels, device))
+        if disparity_range is not None:
+            bounds = checked_range(disparity_range, lf)
+        else:
+            bounds = find_disparity_range(lf, kernels, device, views=views)
+        return self.measured(lf, bounds, kernels, device)
 
-    def measure_noise(
-        self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str
-    ) -> float | None:
-        """Measure the noise: the difference between views that show the same point, intensity; None if not used."""
-        return None
+    def measured(self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str) -> Measured:
+        """What the method needs besides the disparity range, with that range."""
+        return Measured(bounds)
 
     def given(
         self, lf: LightField, disparity_range: tuple[float, float] | None, noise: float | None = None

@@ -8,17 +8,16 @@ same. The outermost evidence, with a margin, is the range: a pixel without textu
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
-from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.contract import Array, Float32Array, Float64Array, KernelSet
 from lfgpu.data.lightfield import LightField
-from lfgpu.data.mapping import each_view
+from lfgpu.data.mapping import forget
 from lfgpu.errors import LightFieldError
-from lfgpu.threads import in_threads
 
 _SIDE = 170  # about as many pixels has the shorter side of the shrunk views
 _COARSEST = 24  # pixels, the least that it has
@@ -37,6 +36,7 @@ _OUTLIERS = 5  # pixels left out at either end,
 _UNCHECKED = 500  # or one in so many, where no other view confirms what a pair of views says
 _MARGIN, _MORE = 0.25, 0.015  # at either end: pixels in the farthest view, and a share of the range that was found
 _TRIES = 3  # to widen a range at whose end there is evidence
+_AT_ONCE = 2**26  # bytes of views that a device holds at a time
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,9 @@ class _Evidence:
     """Whether each side was a single view, and none stood opposite."""
 
 
-def find_disparity_range(lf: LightField) -> tuple[float, float]:
+def find_disparity_range(
+    lf: LightField, kernels: KernelSet, device: str, *, views: Array | None = None
+) -> tuple[float, float]:
     """Find the range of disparities in the scene.
 
     The nearest views are compared first, at up to 64 px between them (at most 0.4 of the views' shorter side), then
@@ -71,6 +73,11 @@ def find_disparity_range(lf: LightField) -> tuple[float, float]:
     ----------
     lf
         The light field; masked pixels are left out.
+    kernels, device
+        Where views are compared. The host waits for the device once for each of two to five comparisons.
+    views
+        All views [n, y, x, c] of `lf` as stored, if they are on the device already. Default None: those that are
+        compared are copied there.
 
     Returns
     -------
@@ -84,21 +91,23 @@ def find_disparity_range(lf: LightField) -> tuple[float, float]:
     shorter, farthest = min(lf.size), float(np.abs(lf.offsets).max())
     nearest = _nearest(lf)
     fine = max(1, round(shorter / _SIDE))
-    coarse = max(1, min(2 * fine, shorter // _COARSEST))
+    coarser = 2 if shorter // (2 * fine) >= _COARSEST else 1
     most = min(_FARTHEST, _SHIFT * shorter) / nearest
-    found = [_compare(lf, _sides(lf, nearest), (-most, most), coarse)]
-    low, high = _ends(lf, found)
-    low, high = low - 2 * found[0].step, high + 2 * found[0].step
-    for _ in range(_TRIES):
-        reach = max(nearest, min(farthest, _SHIFT * shorter / max(abs(low), abs(high))))
-        sides = _sides(lf, reach)
-        # The finer one sees thin things, the coarser one textures that are weaker than the noise.
-        found = [_compare(lf, sides, (low, high), factor) for factor in dict.fromkeys((fine, coarse))]
-        first, last = _ends(lf, found)
-        further, close = (high - low) / 2, 2.5 * max(evidence.step for evidence in found)
-        if first >= low + close and last <= high - close:
-            break
-        low, high = (low - further if first < low + close else low), (high + further if last > high - close else high)
+    search = _Search(lf, kernels, device, views, fine)
+    with kernels.asking(device):
+        found = search.compare(_sides(lf, nearest), (-most, most), (coarser,))
+        low, high = _ends(lf, found)
+        low, high = low - 2 * found[0].step, high + 2 * found[0].step
+        for _ in range(_TRIES):
+            reach = max(nearest, min(farthest, _SHIFT * shorter / max(abs(low), abs(high))))
+            # The finer one sees thin things, the coarser one textures that are weaker than the noise.
+            found = search.compare(_sides(lf, reach), (low, high), tuple(dict.fromkeys((1, coarser))))
+            first, last = _ends(lf, found)
+            further, close = (high - low) / 2, 2.5 * max(evidence.step for evidence in found)
+            if first >= low + close and last <= high - close:
+                break
+            low = low - further if first < low + close else low
+            high = high + further if last > high - close else high
     margin = _MARGIN / farthest + _MORE * (last - first)
     return first - margin, last + margin
 
@@ -150,144 +159,104 @@ def _sides(lf: LightField, reach: float) -> list[_Side]:
     return sides
 
 
-def _compare(lf: LightField, sides: list[_Side], bounds: tuple[float, float], factor: int) -> _Evidence:
-    """Compare the views of some sides with the reference, all shrunk `factor` times, at disparities within bounds."""
-    far = max(float(np.abs(lf.offsets[side.views]).max()) for side in sides)
-    step = max(_STEP * factor / far, (bounds[1] - bounds[0]) / (_MOST - 1))
-    disparities = bounds[0] + step * np.arange(max(3, math.ceil((bounds[1] - bounds[0]) / step) + 1))
-    lines = _costs(lf, sides, disparities / factor, factor)
-    apart = max(1, round(_APART * factor / far / step))
-    disparity, certain = _distinct(lines, apart)
-    disparity = (disparities[0] + step * disparity).astype(np.float32)
-    certain &= _agreeing(disparity, certain, 1.5 * step) >= _AGREEING
-    unchecked = len(lines) == len(sides) and all(len(side.views) == 1 for side in sides)
-    return _Evidence(np.sort(disparity[certain]), step, unchecked)
+class _Search:
+    """The views of a light field, compared on a device at `factor` times lower resolution, or still lower."""
+
+    def __init__(self, lf: LightField, kernels: KernelSet, device: str, views: Array | None, factor: int) -> None:
+        self._lf, self._kernels, self._device, self._views, self._factor = lf, kernels, device, views, factor
+
+    def compare(self, sides: list[_Side], bounds: tuple[float, float], times: Sequence[int]) -> list[_Evidence]:
+        """Compare the views of some sides with the reference at disparities within bounds.
+
+        Each of `times` is how many times smaller than by `factor` they are then.
+        """
+        chosen = sorted({self._lf.reference_index, *(view for side in sides for view in side.views)})
+        images = self._shrunk(chosen)
+        started = [self._started(images, chosen, sides, bounds, more) for more in times]
+        return [comparison.evidence(self._kernels.numpy(comparison.found)) for comparison in started]
+
+    def _started(
+        self, images: Array, chosen: list[int], sides: list[_Side], bounds: tuple[float, float], times: int
+    ) -> _Comparison:
+        """One comparison, which the device may not have finished."""
+        lf, kernels, factor = self._lf, self._kernels, times * self._factor
+        far = max(float(np.abs(lf.offsets[side.views]).max()) for side in sides)
+        step = max(_STEP * factor / far, (bounds[1] - bounds[0]) / (_MOST - 1))
+        count = max(3, math.ceil((bounds[1] - bounds[0]) / step) + 1)
+        at = {view: place for place, view in enumerate(chosen)}
+        lines = [
+            [[at[view] for view in side.views] for side in sides if side.horizontal == horizontal]
+            for horizontal in sorted({side.horizontal for side in sides})
+        ]
+        full, (height, width) = [side // self._factor for side in lf.size], (side // factor for side in lf.size)
+        reduce = kernels.details((len(chosen), *full), self._device, factor=times, window=_DETAIL)
+        compare = kernels.side_costs(
+            (len(chosen), height, width),
+            lf.offsets[chosen] / factor,
+            lines,
+            self._device,
+            reference=at[lf.reference_index],
+            first=bounds[0],
+            step=step,
+            count=count,
+        )
+        details = kernels.zeros((len(chosen), height, width), self._device)
+        volume = kernels.zeros((len(lines), count, height, width), self._device)
+        found = kernels.zeros((5, height, width), self._device)
+        reduce(images, details)
+        compare(details, volume)
+        kernels.distinct_minimum(volume, apart=max(1, round(_APART * factor / far / step)), found_out=found)
+        unchecked = len(lines) == len(sides) and all(len(side.views) == 1 for side in sides)
+        return _Comparison(found, bounds[0], step, unchecked)
+
+    def _shrunk(self, chosen: list[int]) -> Array:
+        """Some views in grey, shrunk by the least factor; those that take much memory one after the other."""
+        lf, kernels, device = self._lf, self._kernels, self._device
+        at_once = len(chosen) if self._views is not None else max(1, _AT_ONCE // lf.views[0].nbytes)
+        parts = []
+        for begin in range(0, len(chosen), at_once):
+            some = chosen[begin : begin + at_once]
+            views, places = self._views, some
+            if views is None:
+                views, places = kernels.image(lf.views[some], device), list(range(len(some)))
+                forget(lf.views)
+            valid = None if lf.valid is None else kernels.field(lf.valid[some], device)
+            images = kernels.zeros((len(some), *(side // self._factor for side in lf.size)), device)
+            kernels.shrink(views, places, valid, scale=lf.scale, factor=self._factor, images_out=images)
+            parts.append(images)
+        if len(parts) == 1:
+            return parts[0]
+        return kernels.field(np.concatenate([kernels.numpy(part) for part in parts]), device)
 
 
-def _costs(lf: LightField, sides: list[_Side], disparities: Float64Array, factor: int) -> list[Float32Array]:
-    """How much views differ from the reference, [l, y, x] for horizontal and vertical sides, as far as there are any.
+@dataclass(frozen=True, eq=False)
+class _Comparison:
+    """What a device finds."""
 
-    Mean absolute differences over 3 x 3 pixels and the views of a side, the lesser of both sides; infinite where less
-    than half of the samples lie in views and are valid. `disparities` are those of shrunk views.
-    """
-    views = sorted({lf.reference_index, *(view for side in sides for view in side.views)})
-    details, valid = _details(lf, views, factor)
-    at = {view: place for place, view in enumerate(views)}
-    image, known = details[at[lf.reference_index]], valid[at[lf.reference_index]]
-    directions = sorted({side.horizontal for side in sides})
-    costs = [np.full((len(disparities), *image.shape), np.inf, np.float32) for _ in directions]
+    found: Array
+    """See `RangeSearch.distinct_minimum` in `lfgpu/contract`."""
+    first: float
+    step: float
+    unchecked: bool
 
-    def compare(label: int) -> None:
-        for side in sides:
-            total, count = (np.zeros(image.shape, np.float32) for _ in range(2))
-            for view in side.views:
-                shift = -disparities[label] * lf.offsets[view]
-                window, seen = _shifted(details[at[view]], shift)
-                if seen.size == 0:
-                    continue
-                difference = np.abs(seen - image[window])
-                if lf.valid is not None:
-                    both = known[window] * (_shifted(valid[at[view]], shift)[1] > 1 - 1e-3)
-                    difference *= both
-                    count[window] += both
-                else:
-                    count[window] += 1
-                total[window] += difference
-            total, count = _boxed(total), _boxed(count)
-            cost = np.where(count >= 4.5 * len(side.views), total / np.maximum(count, 1), np.inf)
-            best = costs[directions.index(side.horizontal)][label]
-            np.minimum(best, cost, out=best)
+    def evidence(self, found: NDArray[np.floating]) -> _Evidence:
+        """The pixels that are evidence, of `found` on the host.
 
-    in_threads(compare, range(len(disparities)))
-    return costs
-
-
-def _details(lf: LightField, views: list[int], factor: int) -> tuple[Float32Array, Float32Array]:
-    """Views [n, y, x] in grey, shrunk, less the mean around each pixel; and 1 where all of a pixel is valid, else 0."""
-    height, width, channels = lf.size[0] // factor, lf.size[1] // factor, lf.channels
-    details = np.empty((len(views), height, width), np.float32)
-    valid = np.ones(details.shape, np.float32)
-
-    def shrink(place: int, view: NDArray[np.generic]) -> None:
-        blocks = view[: height * factor].reshape(height, factor, -1, channels)
-        rows = np.add.reduce(blocks, axis=1, dtype=np.float32)[:, : width * factor]
-        grey = rows.reshape(height, width, factor * channels).sum(2) * np.float32(lf.scale / (factor**2 * channels))
-        if lf.valid is not None:
-            blocks = lf.valid[views[place], : height * factor, : width * factor]
-            valid[place] = blocks.reshape(height, factor, width, factor).all((1, 3))
-            grey *= valid[place]
-        share = uniform_filter(valid[place], _DETAIL, mode="nearest") if lf.valid is not None else np.float32(1)
-        details[place] = grey - uniform_filter(grey, _DETAIL, mode="nearest") / np.maximum(share, 1e-3)
-
-    each_view(lf.views, views, shrink)
-    return details, valid
-
-
-def _shifted(view: Float32Array, shift: Float64Array) -> tuple[tuple[slice, slice], Float32Array]:
-    """What a view shows at positions plus `shift` (x, y), linearly interpolated: where it is inside, and the values."""
-    (ix, fx), (iy, fy) = ((math.floor(s), np.float32(s - math.floor(s))) for s in shift)
-    height, width = view.shape
-    rows = slice(min(height, max(0, -iy)), max(0, min(height, height - iy - bool(fy))))
-    columns = slice(min(width, max(0, -ix)), max(0, min(width, width - ix - bool(fx))))
-    if rows.start >= rows.stop or columns.start >= columns.stop:
-        return (slice(0), slice(0)), view[:0, :0]
-
-    top, bottom, left, right = rows.start + iy, rows.stop + iy, columns.start + ix, columns.stop + ix
-
-    def at(row: int, column: int) -> Float32Array:
-        return view[top + row : bottom + row, left + column : right + column]
-
-    def along(row: int) -> Float32Array:
-        return (1 - fx) * at(row, 0) + fx * at(row, 1) if fx else at(row, 0)
-
-    return (rows, columns), (1 - fy) * along(0) + fy * along(1) if fy else along(0)
-
-
-def _boxed(values: Float32Array) -> Float32Array:
-    """Sums over 3 x 3 pixels, [y, x]."""
-    columns = values.copy()
-    columns[:, 1:] += values[:, :-1]
-    columns[:, :-1] += values[:, 1:]
-    sums = columns.copy()
-    sums[1:] += columns[:-1]
-    sums[:-1] += columns[1:]
-    return sums
-
-
-def _distinct(lines: list[Float32Array], apart: int) -> tuple[Float32Array, NDArray[np.bool_]]:
-    """The disparity [y, x] at which views look most alike, in steps from the first, and whether it is the only one.
-
-    It is if views differ by the noise at most, along each line, and by clearly more at all disparities that are more
-    than `apart` steps away. The noise is the median difference at the better textured half of the pixels.
-    """
-    costs: Float32Array = np.minimum(lines[0], 1)
-    for line in lines[1:]:
-        costs = costs + np.minimum(line, 1)
-    costs /= len(lines)
-    count, best = len(costs), costs.argmin(0)
-
-    def at(values: Float32Array, label: NDArray[np.intp]) -> Float32Array:
-        return np.take_along_axis(values, np.clip(label, 0, count - 1)[None], axis=0)[0]
-
-    least = at(costs, best)
-    before, after = best - apart - 1, best + apart + 1
-    nearer = np.where(after < count, at(np.minimum.accumulate(costs[::-1], axis=0)[::-1], after), np.inf)
-    farther = np.where(before >= 0, at(np.minimum.accumulate(costs, axis=0), before), np.inf)
-    spread = costs.max(0) - least
-    noise = max(float(np.median(least[spread >= np.median(spread)])), _LEAST_NOISE)
-    certain = (best > 0) & (best < count - 1) & (np.minimum(nearer, farther) - least >= _OTHER * noise)
-    for line in lines:
-        certain &= at(line, best) <= _SAME * noise
-    left, right = at(costs, best - 1), at(costs, best + 1)
-    bend = left - 2 * least + right
-    offset = np.clip((left - right) / (2 * np.where(bend > 1e-9, bend, np.inf)), -1, 1)
-    return (best + offset).astype(np.float32), certain
+        Views differ there by the noise at most, along each line, and by clearly more at all other disparities. The
+        noise is the median difference at the better textured half of the pixels.
+        """
+        place, least, spread, others, worst = found.astype(np.float32, copy=False)
+        noise = max(float(np.median(least[spread >= np.median(spread)])), _LEAST_NOISE)
+        certain = (worst <= min(_SAME * noise, 1.0)) & (others >= _OTHER * noise)
+        disparity = (self.first + self.step * place).astype(np.float32)
+        certain &= _agreeing(disparity, certain, 1.5 * self.step) >= _AGREEING
+        return _Evidence(np.sort(disparity[certain]), self.step, self.unchecked)
 
 
 def _agreeing(disparity: Float32Array, certain: NDArray[np.bool_], tolerance: float) -> NDArray[np.intp]:
     """How many of the eight neighbours of each pixel are certain and have its disparity, [y, x]."""
     height, width = disparity.shape
-    padded = np.pad(np.where(certain, disparity, np.inf), 1, constant_values=np.inf)
+    padded = np.pad(np.where(certain, disparity, np.float32(np.inf)), 1, constant_values=np.inf)
     places = [(dy, dx) for dy in range(3) for dx in range(3) if (dy, dx) != (1, 1)]
     near = [np.abs(padded[dy : dy + height, dx : dx + width] - disparity) <= tolerance for dy, dx in places]
     return np.sum(near, axis=0)

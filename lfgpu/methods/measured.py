@@ -21,6 +21,8 @@ class Measured:
     noise
         Root mean square difference between views that show the same point, intensity; None if the method does not use
         it.
+    grain
+        Standard deviation of the noise of one view, intensity; None if it is unknown or the method does not use it.
     spread
         Standard deviations of the colours and of the gradients of the reference view, intensity; None if the method
         does not use them.
@@ -28,6 +30,7 @@ class Measured:
 
     disparity_range: tuple[float, float]
     noise: float | None = None
+    grain: float | None = None
     spread: tuple[float, float] | None = None
 
 

@@ -82,17 +82,18 @@ def estimate_all_views(
     for pipeline in _pipelines(lf, chosen, configured(config), disparity_range, backend, device, deterministic):
         estimates.append(pipeline.estimate())
         report("keys", len(estimates), len(estimates) / len(chosen))
-    doubt = doubt_about(lf, disparity_range)
+    kernels = load(backend)
+    place = pick_device(kernels, device)
+    doubt = doubt_about(lf, disparity_range, kernels, place)
     estimates = [doubted(estimate, doubt) for estimate in estimates]
     estimated = perf_counter()
 
     report("join", 0, 0.0)
-    kernels = load(backend)
     join = Join(
         estimates,
         None if lf.valid is None else lf.valid[chosen],
         kernels,
-        pick_device(kernels, device),
+        place,
         tolerance=method_of(config).same_surface(lf),
     )
     disparities, confidences = (np.empty(lf.views.shape[:3], np.float32) for _ in range(2))

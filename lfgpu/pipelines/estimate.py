@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from lfgpu._backends import DEFAULT, BackendName
+from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.config import Config
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
@@ -79,7 +79,8 @@ def estimate_depth(
             on_progress=on_progress,
             max_memory=parse_memory(max_memory),
         )
-        return doubted(result, doubt_about(lf, disparity_range))
+        kernels = load(backend)
+        return doubted(result, doubt_about(lf, disparity_range, kernels, pick_device(kernels, device)))
     pipeline = DepthPipeline(
         lf,
         config=config,
@@ -88,4 +89,5 @@ def estimate_depth(
         device=device,
         deterministic=deterministic,
     )
-    return doubted(pipeline.estimate(on_progress=on_progress), doubt_about(lf, disparity_range))
+    result = pipeline.estimate(on_progress=on_progress)
+    return doubted(result, doubt_about(lf, disparity_range, pipeline.kernels, pipeline.device))

@@ -95,18 +95,22 @@ class DepthPipeline:
                 if measured is None:
                     rehearsal.measure(disparity_range)
             with self._timed("measure"):
-                self.measured = measured or self.method.measure(
-                    lf, self.kernels, self.device, disparity_range=disparity_range
-                )
-            with self._timed("compile"):
-                rehearsal.run(self.measured)
-            with self._timed("measure"):
                 self._rectification = None
                 if rectifier is not None:
                     self._rectification = Rectification(rectifier, pictures, self.kernels, self.device)
                     self._input, self._views = self._rectification.pictures, self._rectification.views
                 else:
                     self._input = self._views = self.kernels.image(lf.views, self.device)
+                self.measured = measured or self.method.measure(
+                    lf,
+                    self.kernels,
+                    self.device,
+                    disparity_range=disparity_range,
+                    views=self._views if rectifier is None else None,
+                )
+            with self._timed("compile"):
+                rehearsal.run(self.measured)
+            with self._timed("measure"):
                 self._waited_for = self.kernels.scalar(0.0, self.device)  # who reads it waits for all that was asked
                 self._plan: Plan = self.method.plan(lf, self.measured, self.kernels, self.device)
 

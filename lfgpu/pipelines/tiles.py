@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from lfgpu._backends import load, pick_device
 from lfgpu.config import Config
+from lfgpu.contract import REDUCTION
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import each_view, forget, is_mapped
 from lfgpu.data.result import DepthResult
@@ -313,9 +314,10 @@ class _Join:
 
 def _cuts(length: int, edge: int) -> list[tuple[int, int]]:
     """All useful (number, length) of tiles along one axis, beginning with one tile."""
-    overlap, found = 2 * edge + _RAMP, [(1, length)]
+    overlap, found = 2 * edge + _RAMP + REDUCTION, [(1, length)]
     for count in itertools.count(2):
         side = math.ceil((length + (count - 1) * overlap) / count)
+        side += (length - side) % REDUCTION
         if side >= length or side - overlap < _LEAST_STRIDE:
             return found
         found.append((count, side))
@@ -323,7 +325,9 @@ def _cuts(length: int, edge: int) -> list[tuple[int, int]]:
 
 
 def _places(length: int, side: int, count: int) -> list[int]:
-    return [round(k * (length - side) / max(count - 1, 1)) for k in range(count)]
+    """Where tiles begin: at multiples of REDUCTION, so that reduced views are those of the whole."""
+    steps = (length - side) // REDUCTION
+    return [REDUCTION * round(k * steps / max(count - 1, 1)) for k in range(count)]
 
 
 def _ramps(first: int, side: int, length: int, edge: int) -> NDArray[np.float64]:

@@ -23,6 +23,7 @@ import checks
 import numpy as np
 import occlusion_checks
 import pytest
+import range_search_checks
 import resampling_checks
 import smoothing_checks
 import sweep_checks
@@ -905,6 +906,7 @@ def test_every_operation_has_a_fault_that_its_check_catches() -> None:
         *alignment_checks.OPERATIONS,
         *resampling_checks.OPERATIONS,
         *smoothing_checks.OPERATIONS,
+        *range_search_checks.OPERATIONS,
     )
     elsewhere = {
         "name",

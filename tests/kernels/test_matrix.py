@@ -19,6 +19,8 @@ import numpy as np
 import occlusion_cases
 import occlusion_checks
 import pytest
+import range_search_cases
+import range_search_checks
 import resampling_cases
 import resampling_checks
 import smoothing_cases
@@ -47,6 +49,7 @@ CASES: dict[str, tuple[Any, ...]] = {
     "nlm": cases.NLM_CASES,
     "volume": volume_cases.VOLUME_CASES,
     "reduced": volume_cases.REDUCED_CASES,
+    "range search": range_search_cases.RANGE_SEARCH_CASES,
     "epi": cases.EPI_CASES,
     "coherence": cases.COHERENCE_CASES,
     "vector": cases.VECTOR_CASES,
@@ -68,6 +71,7 @@ MAKERS: dict[str, Any] = {
     "nlm": cases.nlm_inputs,
     "volume": volume_cases.volume_inputs,
     "reduced": volume_cases.volume_inputs,
+    "range search": range_search_cases.range_search_inputs,
     "epi": cases.epi_inputs,
     "coherence": cases.coherence_inputs,
     "vector": cases.vector_inputs,
@@ -82,12 +86,14 @@ OPERATIONS = (
     *alignment_checks.OPERATIONS,
     *resampling_checks.OPERATIONS,
     *smoothing_checks.OPERATIONS,
+    *range_search_checks.OPERATIONS,
 )
 PROGRAMS = (
     *checks.PROGRAMS,
     occlusion_checks.comparing_what_is_nearest,
     sweep_checks.sweeping,
     volume_checks.finding_the_lowest,
+    range_search_checks.finding_what_is_distinct,
     alignment_checks.stepping,
     smoothing_checks.showing_less_noise,
 )

@@ -23,13 +23,21 @@ class SweepConfig(Section):
     step: float = number(0.4, 0.02, 2.0, "distance between two disparities, pixels in the farthest view")
     max_labels: int = number(256, 3, 4096, "most disparities; a range that needs more gets longer steps")
     noise: float = number(
-        0.0, 0.0, 1.0, "difference between views that agree, intensity; 0 measures it. Thresholds on what views may "
-        "differ by grow with it, from 0.004 on"
+        0.0, 0.0, 1.0, "difference between views that agree, intensity, once they are smoothed; 0 measures it. "
+        "Thresholds on what views may differ by grow with it"
+    )  # fmt: skip
+    smoothing: float = number(
+        2.0, 0.0, 100.0, "pixels of a view that differ by this, in units of its grain, are alike and averaged before "
+        "views are compared; 0 compares views as they are"
+    )  # fmt: skip
+    reduced_weight: float = number(
+        0.15, 0.0, 10.0, "weight of views reduced to a quarter of their side against views as they are, in the first "
+        "sweep"
     )  # fmt: skip
     truncation: float = number(0.1, 1e-3, 10.0, "larger differences in intensity count as this one")
     gradient_weight: float = number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
     gradient_truncation: float = number(
-        0.04, 1e-4, 10.0, "larger differences in image gradients count as this one, intensity per pixel"
+        0.05, 1e-4, 10.0, "larger differences in image gradients count as this one, intensity per pixel"
     )
     view_set_angle: float = number(
         90.0, 10.0, 180.0, "opening angle of the partial view sets around the reference, degrees"
@@ -44,11 +52,11 @@ class SweepConfig(Section):
         0.02, 0.0, 1.0, "share of the views, but at least one, that must see a pixel in the second sweep"
     )  # fmt: skip
     hiding_margin: float = number(
-        0.15, 0.0, 100.0, "a surface that could lie farther away at costs higher by at most this hides for certain "
+        0.1, 0.0, 100.0, "a surface that could lie farther away at costs higher by at most this hides for certain "
         "only from there, units of the noise"
     )  # fmt: skip
     certain_penalty: float = number(
-        0.02, 0.0, 100.0, "what is seen only past what certainly hides costs this much more, units of the noise"
+        0.01, 0.0, 100.0, "what is seen only past what certainly hides costs this much more, units of the noise"
     )  # fmt: skip
 
 
@@ -57,9 +65,9 @@ class SemiGlobalConfig(Section):
     """Semi-global matching (Hirschmüller 2008): the best surface through the costs of the sweep."""
 
     window: int = number(3, 3, 31, "side of the window over which costs are averaged, pixels", odd=True)
-    small_penalty: float = number(0.00025, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
+    small_penalty: float = number(0.0004, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
     large_penalty: float = number(0.0025, 0.0, 10.0, "cost of a larger change", symbol="P2")
-    resweep_factor: float = number(2.0, 0.1, 100.0, "factor on large_penalty after the second sweep")
+    resweep_factor: float = number(0.7, 0.1, 100.0, "factor on large_penalty after the second sweep")
     contrast: float = number(2.0, 1e-3, 10.0, "difference in intensity that lowers both penalties to 1/e")
 
 
@@ -70,7 +78,7 @@ class AlignmentConfig(Section):
     iterations: int = number(2, 1, 100, "number of steps, each over all pixels")
     gradient_weight: float = number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
     robust: float = number(
-        0.005, 1e-4, 10.0, "scale of the robust loss: larger differences from the mean of the views count less, "
+        0.01, 1e-4, 10.0, "scale of the robust loss: larger differences from the mean of the views count less, "
         "intensity"
     )  # fmt: skip
     support: float = number(
@@ -90,9 +98,9 @@ class BoundariesConfig(Section):
     """Boundary refinement: a pixel at a depth edge goes to the side whose colour it has."""
 
     share: float = number(
-        0.4, 0.0, 1.0, "a pixel with less than this share of the nearer side's colour goes to the farther side"
+        0.5, 0.0, 1.0, "a pixel with less than this share of the nearer side's colour goes to the farther side"
     )  # fmt: skip
-    contrast: float = number(0.02, 1e-4, 10.0, "least difference in colour of the two sides, intensity")
+    contrast: float = number(0.01, 1e-4, 10.0, "least difference in colour of the two sides, intensity")
 
 
 @dataclass(frozen=True)
@@ -100,7 +108,7 @@ class HoleFillingConfig(Section):
     """Hole filling: surfaces without texture continue those around them. A quadratic problem."""
 
     stiffness: float = number(
-        0.01, 1e-6, 100.0, "curvature over robust² at which a pixel's own estimate counts as much as one similar "
+        0.02, 1e-6, 100.0, "curvature over robust² at which a pixel's own estimate counts as much as one similar "
         "neighbour, 1 / pixel²"
     )  # fmt: skip
     tolerance: float = number(3e-7, 1e-8, 1e-1, "relative residual at which the solver stops")
@@ -130,7 +138,7 @@ class MatchingConfig(Config):
         "filling": "hole_filling",
     }
 
-    prior: PriorConfig = PriorConfig(window=9, sigma_color=0.03, sigma_gradient=10.0)  # shadows' edges are no edges
+    prior: PriorConfig = PriorConfig(window=9, sigma_color=0.04, sigma_gradient=10.0)  # shadows' edges are no edges
     sweep: SweepConfig = SweepConfig()
     semi_global: SemiGlobalConfig = SemiGlobalConfig()
     alignment: AlignmentConfig = AlignmentConfig()
@@ -141,7 +149,7 @@ class MatchingConfig(Config):
 PRESETS = {
     "accurate": MatchingConfig(),
     "fast": MatchingConfig(
-        sweep=SweepConfig(views="cross", occlusions="once", view_set_angle=180.0),
+        sweep=SweepConfig(views="cross", occlusions="once", view_set_angle=180.0, reduced_weight=0.0),
         alignment=AlignmentConfig(iterations=1),
     ),
 }

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from lfgpu.contract import KernelSet, Streaming
+from lfgpu.contract import REDUCTION, SMOOTHING_REACH, KernelSet, Streaming
 from lfgpu.data.lightfield import LightField, farthest
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.noise import measured_noise
+from lfgpu.methods.matching.noise import measured_grain, measured_noise, smoothing_deviation
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.matching.sweep import labels, used_views
 from lfgpu.methods.matching.temporal import TemporalMatching
@@ -19,6 +19,7 @@ from lfgpu.methods.measured import Measured, checked_range
 from lfgpu.methods.temporal_prior import TemporalPrior
 
 _SLICES = 16  # that work on a CPU is cut into, some of which have a workspace of their own
+_REDUCED = 3  # pixels of reduced views: differences, and what is interpolated between them
 _PATHS = 40  # pixels at the edge of a tile from which semi-global matching learns where its paths come from
 
 
@@ -53,8 +54,11 @@ class Matching(Method[MatchingConfig]):
     def used_views(self, lf: LightField) -> list[int]:
         return used_views(lf, self.config.sweep.views)
 
-    def measure_noise(self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str) -> float:
-        return self.config.sweep.noise or measured_noise(lf, bounds, self.config.sweep, kernels, device)
+    def measured(self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str) -> Measured:
+        config, grain = self.config.sweep, measured_grain(lf)
+        deviation = smoothing_deviation(grain, config)
+        noise = config.noise or measured_noise(lf, bounds, config, kernels, device, deviation=deviation)
+        return Measured(bounds, noise, grain)
 
     def given(
         self, lf: LightField, disparity_range: tuple[float, float] | None, noise: float | None = None
@@ -71,9 +75,16 @@ class Matching(Method[MatchingConfig]):
         views = used * channels * stored
         masks = 0 if lf.valid is None else 5 * used
         host = 0 if on_gpu else views + masks  # the tile as it was cut out
+        smoothed, compared = 0, stored
+        if smoothing_deviation(measured.grain, config.sweep) is not None:
+            smoothed, compared = 2 * used * channels, 2
         packed = used * (4 if channels == 3 else 2) * stored  # a pixel with whether it is valid
-        swept = views if not on_gpu else packed
+        swept = used * (channels if not on_gpu else 4 if channels == 3 else 2) * compared + smoothed
+        if config.sweep.reduced_weight:
+            swept += -(-(2 * 2 * used * channels + masks) // REDUCTION**2)
         volumes = 2 * 4 * labels(measured.disparity_range, lf.offsets, config.sweep)[2]
+        if config.sweep.reduced_weight:
+            volumes += -(-volumes // (2 * REDUCTION**2))
         weights = 3 * 4 * ((config.prior.window**2 - 1) // 2) + 4 * 3 * channels
         if config.semi_global.window != config.prior.window:
             weights += 2 * 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels
@@ -92,6 +103,7 @@ class Matching(Method[MatchingConfig]):
         ]
         passes = 2 + 2 * (self.config.sweep.occlusions == "twice") + 2 * self.config.alignment.iterations
         windows = (self.config.prior.window // 2) * passes + self.config.prior.patch // 2 + 2
+        windows += SMOOTHING_REACH + 1 + _REDUCED * REDUCTION
         return reach[1] + windows + _PATHS, reach[0] + windows + _PATHS
 
     def plan(self, lf: LightField, measured: Measured, kernels: KernelSet, device: str) -> MatchingPlan:

@@ -1,8 +1,10 @@
 """Matching: what every pixel of the reference view looks most like in the other views, with occlusions.
 
 Four stages. `sweep` compares the views with the reference at a row of disparities and finds the best surface through
-these costs. Partial view sets see past occluders. `resweep` compares again, now only with the views that see a pixel
-past the first surface, or past what is certain of it: a surface without texture may lie farther away than it was found.
+these costs. What it compares is smoothed first, as far as the views have grain, and reduced views are compared as well:
+both show faint texture that noise hides from single pixels. Partial view sets see past occluders. `resweep` compares
+again, now only with the views that see a pixel past the first surface, or past what is certain of it: a surface without
+texture may lie farther away than it was found.
 `align` makes the disparity continuous: Gauss-Newton steps on what the views that see a pixel have in common, and then
 the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side whose colour
 it has, and fills surfaces without texture from those around them.
@@ -15,20 +17,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfgpu.contract import Array, Float32Array, KernelSet
+from lfgpu.contract import REDUCTION, WHITE, Array, Float32Array, KernelSet
 from lfgpu.data.lightfield import LightField, farthest
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Callback, Work
 from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.hole_filling import HoleFilling
-from lfgpu.methods.matching.noise import in_units_of
+from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
+from lfgpu.methods.matching.reduced import ReducedSweep
 from lfgpu.methods.matching.sweep import labels, planned_sweep, used_views
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.solvers.solution import Solution
 
 _LEAST_CURVATURE = 1e-3  # over robust²: no division by 0 where there is no texture
+_LEAST_REDUCED = 2  # pixels, side of the smallest views that are worth comparing
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
 _MOST_NOISY = 4.0  # in units of the noise: how much the least costs around a pixel raise the penalties there
 
@@ -58,7 +62,9 @@ class MatchingPlan:
         self, lf: LightField, measured: Measured, config: MatchingConfig, kernels: KernelSet, device: str
     ) -> None:
         assert measured.noise is not None  # this method measures it
-        config, bounds = in_units_of(measured.noise, config), measured.disparity_range
+        self._deviation = smoothing_deviation(measured.grain, config.sweep)
+        self._noise = noise_of_views(measured.noise, measured.grain, config.sweep)
+        config, bounds = in_units_of(measured.noise, config, grain=measured.grain), measured.disparity_range
         self._kernels, self._bounds, self._config = kernels, bounds, config
         self._twice = config.sweep.occlusions == "twice"
         self._used, self._chosen = used_views(lf, config.sweep.views), None
@@ -84,7 +90,15 @@ class MatchingPlan:
         self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
         self._nearest = kernels.zeros(shape[:3], device)
         self._certain = kernels.zeros(shape[:3], device) if self._twice else None
-        self._sweep = planned_sweep(lf, (self._first, self._step, count), config.sweep, kernels, device)
+        place = self._first, self._step, count
+        self._compared, self._unit = self._image, lf.scale
+        if self._deviation is not None:
+            self._compared, self._unit = kernels.zeros_image(image, device), 1 / WHITE
+            self._smoothed = kernels.zeros_image(shape, device, np.uint16)
+        self._sweep = planned_sweep(shape, lf.offsets, place, config.sweep, kernels, device, scale=self._unit)
+        self._reduced = None
+        if config.sweep.reduced_weight > 0 and min(lf.size) >= _LEAST_REDUCED * REDUCTION:
+            self._reduced = ReducedSweep(lf, place, config.sweep, kernels, device, scale=self._unit)
         self._hiding = kernels.z_buffer(shape, self._offsets, reach=0) if self._twice else None
         self._hiding_beside = kernels.z_buffer(shape, self._offsets, reach=1)
         self._align = kernels.alignment(
@@ -143,7 +157,7 @@ class MatchingPlan:
         trace = tuple(math.sqrt(self._kernels.number(move) / (height * width)) for move in self._moves)
         return Solution(
             converged=trace[-1] <= _CONVERGED,
-            status=f"Views that agree differ by {self._config.sweep.noise:.2g} in intensity. Alignment: the last of "
+            status=f"Views that agree differ by {self._noise:.2g} in intensity. Alignment: the last of "
             f"{len(trace)} iterations moved pixels by {trace[-1]:.2g} px (rms).",
             iterations=len(trace),
             evaluations=len(trace),
@@ -153,6 +167,8 @@ class MatchingPlan:
     def _compare(self, views: Array) -> None:
         self._load(views)
         self._sweep.by_view_sets(self._volume)
+        if self._reduced is not None:
+            self._reduced.add(self._volume)
         self._find_surface(self._swept)
 
     def _load(self, views: Array) -> None:
@@ -166,8 +182,18 @@ class MatchingPlan:
         self._prior.load(self._image)
         if self._near is not self._prior:
             self._near.load(self._image)
-        self._sweep.load(self._image, views, self._valid)
         self._align.load(self._image, views, self._valid)
+        if self._deviation is not None:
+            kernels.smooth_views(
+                views, self._valid, scale=self._scale, deviation=self._deviation, views_out=self._smoothed
+            )
+            views = self._smoothed
+            kernels.intensities(
+                views, self._reference, self._valid, scale=self._unit, fill=UNLIKE_ANY, image_out=self._compared
+            )
+        self._sweep.load(self._compared, views, self._valid)
+        if self._reduced is not None:
+            self._reduced.load(views, self._valid)
 
     def _compare_visible(self, _: Callback | None) -> None:
         assert self._hiding is not None  # there is no such stage otherwise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,23 +17,31 @@ _ON_LINE = 1e-3  # view steps
 
 
 def planned_sweep(
-    lf: LightField, place: tuple[float, float, int], config: SweepConfig, kernels: KernelSet, device: str
+    shape: Sequence[int],
+    offsets: Float64Array,
+    place: tuple[float, float, int],
+    config: SweepConfig,
+    kernels: KernelSet,
+    device: str,
+    *,
+    scale: float,
 ) -> PlaneSweep:
+    """A sweep over views of `shape` [n, y, x, c], `offsets` [n, 2] apart, at the disparities of `labels`."""
     first, step, count = place
     return kernels.plane_sweep(
-        (len(lf.views), *lf.size, lf.channels),
-        kernels.field(lf.offsets, device),
-        kernels.field(view_sets(lf.offsets, config.view_set_angle), device),
+        shape,
+        kernels.field(offsets, device),
+        kernels.field(view_sets(offsets, config.view_set_angle), device),
         first=first,
         step=step,
         count=count,
-        scale=lf.scale,
+        scale=scale,
         truncation=config.truncation,
         gradient_weight=config.gradient_weight,
         gradient_truncation=config.gradient_truncation,
         preference=config.view_set_penalty,
-        tolerance=config.tolerance / farthest(lf.offsets),
-        least=max(1, math.ceil(config.min_share * (len(lf.views) - 1))),
+        tolerance=config.tolerance / farthest(offsets),
+        least=max(1, math.ceil(config.min_share * (len(offsets) - 1))),
         penalty=config.certain_penalty * config.noise,
     )
 

@@ -71,7 +71,7 @@ class TemporalMatching(MatchingPlan):
     @property
     def noise(self) -> float:
         """How much views differ where they agree, intensity."""
-        return self._config.sweep.noise
+        return self._noise
 
     @property
     def numbers(self) -> tuple[Scalar, Scalar]:

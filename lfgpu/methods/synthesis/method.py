@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -45,25 +44,13 @@ class Synthesis(Method[SynthesisConfig]):
     def is_on_device(self) -> bool:
         return self.config.propagation.solver == "cg" and self.config.refinement.solver == "lbfgs"
 
-    def measure(
-        self,
-        lf: LightField,
-        kernels: KernelSet,
-        device: str,
-        *,
-        disparity_range: tuple[float, float] | None = None,
-    ) -> Measured:
-        measured = super().measure(lf, kernels, device, disparity_range=disparity_range)
-        if self.config.prior.sigma_unit != "image":
-            return measured
-        return replace(measured, spread=spread(lf, self.config.prior.patch))
-
-    def measure_noise(
-        self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str
-    ) -> float | None:
-        if self.config.prior.sigma_unit != "noise":
-            return None
-        return measured_noise(lf, bounds, SweepConfig(), kernels, device)
+    def measured(self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str) -> Measured:
+        unit = self.config.prior.sigma_unit
+        return Measured(
+            bounds,
+            noise=measured_noise(lf, bounds, SweepConfig(), kernels, device) if unit == "noise" else None,
+            spread=spread(lf, self.config.prior.patch) if unit == "image" else None,
+        )
 
     def given(
         self, lf: LightField, disparity_range: tuple[float, float] | None, noise: float | None = None

@@ -1,0 +1,113 @@
+"""Views compared at a low resolution, to find which disparities there are: NumPy, float64, view by view.
+
+`RangeSearch` in `lfgpu/contract` says what is computed.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract import UNSEEN, Details, SideCosts, sweep_shifts
+
+from .plane_sweep import bilinear, shifted
+
+Array = NDArray[np.float64]
+
+LEAST_BEND = 1e-9  # of a parabola that has a minimum
+LEAST_SHARE = 0.5  # of the terms of a side that must have a part
+
+
+def window_sums(values: Array, window: int) -> Array:
+    """The sum of [y, x] over the window around each pixel, border pixels repeated."""
+    padded = np.pad(values, window // 2, mode="edge")
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, (window, window)).sum((2, 3)))
+
+
+def blocks(values: NDArray[Any], factor: int) -> NDArray[Any]:
+    """[y, x] or [y, x, c] as [y / factor, factor, x / factor, factor, c]."""
+    height, width = values.shape[0] // factor, values.shape[1] // factor
+    return values[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
+
+
+def shrink(
+    views: Array, chosen: Sequence[int], valid: Array | None, *, scale: float, factor: int, images_out: Array
+) -> None:
+    for k, index in enumerate(chosen):
+        images_out[k] = scale * blocks(views[index], factor).mean((1, 3, 4))
+        if valid is not None:
+            images_out[k][(blocks(valid[k], factor) == 0).any((1, 3, 4))] = np.nan
+
+
+def details(shape: Sequence[int], device: str, *, factor: int, window: int) -> Details:
+    def evaluate(images: Array, details_out: Array) -> None:
+        for image, detail_out in zip(images, details_out, strict=True):
+            smaller = blocks(image, factor).mean((1, 3, 4))
+            known = ~np.isnan(smaller)
+            share = window_sums(known.astype(np.float64), window)
+            detail_out[:] = smaller - window_sums(np.where(known, smaller, 0), window) / np.maximum(share, 1)
+
+    return evaluate
+
+
+def differences(detail: Array, image: Array, shift: Array) -> Array:
+    """|D_n(q - d o_n) - D_r(q)| at each pixel q, NaN where it has no part."""
+    x, y = shifted(image.shape[1], shift[0]), shifted(image.shape[0], shift[1])
+    unknown = np.isnan(detail)
+    seen = bilinear(np.where(unknown, 0, detail)[..., None], x, y)[..., 0]
+    needed = bilinear(unknown.astype(np.float64)[..., None], x, y)[..., 0] > 0
+    return np.where(np.outer(y.inside, x.inside) & ~needed, np.abs(seen - image), np.nan)
+
+
+def box_sums(values: Array) -> Array:
+    """The sum of [y, x] over 3 x 3 pixels in the frame."""
+    padded = np.pad(values, 1)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).sum((2, 3)))
+
+
+def side_costs(
+    shape: Sequence[int],
+    offsets: NDArray[Any],
+    lines: Sequence[Sequence[Sequence[int]]],
+    device: str,
+    *,
+    reference: int,
+    first: float,
+    step: float,
+    count: int,
+) -> SideCosts:
+    shifts = sweep_shifts(offsets, first=first, step=step, count=count)
+
+    def cost(details: Array, label: int, side: Sequence[int]) -> Array:
+        found = np.stack([differences(details[n], details[reference], shifts[label, n]) for n in side])
+        parts = box_sums((~np.isnan(found)).sum(0).astype(np.float64))
+        total = box_sums(np.nansum(found, 0))
+        return np.where(parts >= LEAST_SHARE * 9 * len(side), total / np.maximum(parts, 1), UNSEEN)
+
+    def evaluate(details: Array, volume_out: Array) -> None:
+        for line, costs_out in zip(lines, volume_out, strict=True):
+            for label in range(count):
+                costs_out[label] = np.min([cost(details, label, side) for side in line], axis=0)
+
+    return evaluate
+
+
+def distinct_minimum(volume: Array, *, apart: int, found_out: Array) -> None:
+    costs = np.minimum(volume, 1).mean(0)
+    labels = np.arange(len(costs))[:, None, None]
+    k = costs.argmin(0)
+
+    def at(values: Array, label: NDArray[np.int64]) -> Array:
+        return np.take_along_axis(values, label[None], 0)[0]
+
+    inner = k.clip(1, len(costs) - 2)
+    least, before, after = at(costs, k), at(costs, inner - 1), at(costs, inner + 1)
+    bend = before - 2 * least + after
+    bends = (bend > LEAST_BEND) & (k == inner)
+    found_out[0] = k + np.where(bends, (before - after) / (2 * np.where(bends, bend, 1.0)), 0.0).clip(-1, 1)
+    found_out[1] = least
+    found_out[2] = costs.max(0) - least
+    others = np.where(np.abs(labels - k) > apart, costs, np.inf).min(0)
+    found_out[3] = np.where(np.isfinite(others), others - least, UNSEEN)
+    found_out[4] = np.where(k == inner, np.max([at(line, k) for line in volume], axis=0), UNSEEN)

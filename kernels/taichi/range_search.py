@@ -1,0 +1,272 @@
+"""Views compared at a low resolution, to find which disparities there are: see `RangeSearch` in `lfgpu/contract`."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import taichi as ti
+from numpy.typing import NDArray
+
+from lfgpu.contract import UNSEEN, Details, SideCosts, sweep_shifts
+
+from .memory import DeviceArray, doubles, empty, flat, optional
+from .plane_sweep import shift_of, within
+from .runtime import once, run, start
+
+
+@once
+def _shrink_kernel(channels: int, stored: Any, masked: bool) -> Any:
+    @ti.kernel
+    def shrink_kernel(
+        views: flat(stored, channels),
+        chosen: flat(ti.i32),
+        valid: flat(),
+        scale: float,
+        factor: int,
+        full_height: int,
+        full_width: int,
+        images_out: flat(),
+    ):
+        height = full_height // factor
+        width = full_width // factor
+        for p in range(images_out.shape[0]):
+            x = p % width
+            y = p // width % height
+            k = p // width // height
+            total = 0.0
+            known = True
+            for i in range(factor * factor):
+                at = (y * factor + i // factor) * full_width + x * factor + i % factor
+                value = ti.cast(views[chosen[k] * full_height * full_width + at], ti.f32)
+                for c in ti.static(range(channels)):
+                    total += value[c]
+                if ti.static(masked):
+                    known = known and valid[k * full_height * full_width + at] != 0.0
+            images_out[p] = ti.select(known, scale * total / ti.cast(factor * factor * channels, ti.f32), ti.math.nan)
+
+    return shrink_kernel
+
+
+@ti.kernel
+def _shrink_again_kernel(images: flat(), height: int, width: int, factor: int, smaller_out: flat()):
+    """Images of `height` and `width` become smaller by a factor; NaN stays."""
+    columns = width // factor
+    rows = height // factor
+    for p in range(smaller_out.shape[0]):
+        first = (p // columns // rows * height + p // columns % rows * factor) * width + p % columns * factor
+        total = 0.0
+        for i in range(factor * factor):
+            total += images[first + i // factor * width + i % factor]
+        smaller_out[p] = total / ti.cast(factor * factor, ti.f32)
+
+
+@ti.kernel
+def _window_kernel(values: flat(), width: int, radius: int, sums_out: flat(), parts_out: flat()):
+    """Sums along the rows of what is not NaN, and how many pixels they are of."""
+    for p in range(sums_out.shape[0]):
+        x = p % width
+        total = 0.0
+        parts = 0.0
+        for k in range(-radius, radius + 1):
+            value = values[p - x + within(x + k, width)]
+            if value == value:
+                total += value
+                parts += 1.0
+        sums_out[p] = total
+        parts_out[p] = parts
+
+
+@ti.kernel
+def _details_kernel(
+    images: flat(), sums: flat(), parts: flat(), height: int, width: int, radius: int, details_out: flat()
+):
+    """Sums down the columns, and what their mean leaves."""
+    for p in range(details_out.shape[0]):
+        y = p // width % height
+        total = 0.0
+        count = 0.0
+        for k in range(-radius, radius + 1):
+            at = p + (within(y + k, height) - y) * width
+            total += sums[at]
+            count += parts[at]
+        details_out[p] = images[p] - total / ti.max(count, 1.0)
+
+
+@once
+def _line(line: tuple[int, ...]) -> ti.Ndarray:
+    indices = ti.ndarray(ti.i32, len(line))
+    indices.from_numpy(np.array(line, np.int32))
+    return indices
+
+
+def shrink(
+    views: DeviceArray,
+    chosen: Sequence[int],
+    valid: DeviceArray | None,
+    *,
+    scale: float,
+    factor: int,
+    images_out: DeviceArray,
+) -> None:
+    kernel = _shrink_kernel(views.channels, views.scalar, valid is not None)
+    line, (mask, _) = _line(tuple(int(index) for index in chosen)), optional(valid)
+    run(kernel, views.values, line, mask, scale, factor, *views.shape[1:], images_out.values)
+
+
+def details(shape: Sequence[int], device: str, *, factor: int, window: int) -> Details:
+    start(device)
+    n, height, width = shape[0], shape[1] // factor, shape[2] // factor
+    smaller, sums, parts = (empty((n, height, width)) for _ in range(3))
+
+    def evaluate(images: DeviceArray, details_out: DeviceArray) -> None:
+        run(_shrink_again_kernel, images.values, shape[1], shape[2], factor, smaller.values)
+        run(_window_kernel, smaller.values, width, window // 2, sums.values, parts.values)
+        run(_details_kernel, smaller.values, sums.values, parts.values, height, width, window // 2, details_out.values)
+
+    return evaluate
+
+
+@ti.kernel
+def _differences_kernel(
+    details: flat(),
+    reference: int,
+    shifts: flat(ti.f64),
+    begin: int,
+    end: int,
+    views: int,
+    height: int,
+    width: int,
+    sums_out: flat(),
+    parts_out: flat(),
+):
+    """Differences of the views from `begin` to before `end` at each disparity: sums, and how many they are."""
+    size = height * width
+    for i in range(sums_out.shape[0]):
+        label = i // size
+        p = i - label * size
+        x = p % width
+        y = p // width
+        total = 0.0
+        parts = 0.0
+        for k in range(begin, end):
+            shift = shift_of(shifts, label * views + k)
+            right = ti.cast(shift.ax > 0.0, ti.i32)
+            down = ti.cast(shift.ay > 0.0, ti.i32) * width
+            qx = x + shift.x
+            qy = y + shift.y
+            if qx >= 0 and qx + right < width and qy >= 0 and qy * width + down < size:
+                at = shift.view * size + qy * width + qx
+                # What has no share is not looked at: it may be unknown.
+                above = details[at] + shift.ax * (details[at + right] - details[at])
+                below = details[at + down] + shift.ax * (details[at + down + right] - details[at + down])
+                difference = ti.abs(above + shift.ay * (below - above) - details[reference * size + p])
+                if difference == difference:
+                    total += difference
+                    parts += 1.0
+        sums_out[i] = total
+        parts_out[i] = parts
+
+
+@ti.kernel
+def _costs_kernel(
+    sums: flat(), parts: flat(), height: int, width: int, needed: float, first: int, is_first: int, volume_out: flat()
+):
+    """Means over 3 x 3 pixels, or what was there if that is less; `first` is where their line begins."""
+    for i in range(sums.shape[0]):
+        x = i % width
+        y = i // width % height
+        total = 0.0
+        count = 0.0
+        for k in range(9):
+            dx = k % 3 - 1
+            dy = k // 3 - 1
+            if x + dx >= 0 and x + dx < width and y + dy >= 0 and y + dy < height:
+                total += sums[i + dy * width + dx]
+                count += parts[i + dy * width + dx]
+        cost = UNSEEN
+        if count >= needed:
+            cost = total / ti.max(count, 1.0)
+        if is_first == 0:
+            cost = ti.min(cost, volume_out[first + i])
+        volume_out[first + i] = cost
+
+
+def side_costs(
+    shape: Sequence[int],
+    offsets: NDArray[Any],
+    lines: Sequence[Sequence[Sequence[int]]],
+    device: str,
+    *,
+    reference: int,
+    first: float,
+    step: float,
+    count: int,
+) -> SideCosts:
+    start(device)
+    _, height, width = shape
+    views = np.concatenate([np.asarray(side, np.int64) for line in lines for side in line])
+    chosen = sweep_shifts(offsets, first=first, step=step, count=count)[:, views]
+    whole = np.floor(chosen)
+    shifts = doubles(np.concatenate([np.broadcast_to(views, chosen.shape[:2])[..., None], whole, chosen - whole], 2))
+    sums, parts = (empty((count, height, width)) for _ in range(2))
+
+    def evaluate(details: DeviceArray, volume_out: DeviceArray) -> None:
+        begin = 0
+        for m, line in enumerate(lines):
+            for k, side in enumerate(line):
+                end = begin + len(side)
+                places = reference, shifts.values, begin, end, len(views), height, width
+                run(_differences_kernel, details.values, *places, sums.values, parts.values)
+                place = m * count * height * width
+                share = height, width, 4.5 * len(side), place, int(k == 0)
+                run(_costs_kernel, sums.values, parts.values, *share, volume_out.values)
+                begin = end
+
+    return evaluate
+
+
+@ti.func
+def _mean(volume: ti.template(), lines: int, at: int, stride: int):
+    total = 0.0
+    for i in range(lines):
+        total += ti.min(volume[at + i * stride], 1.0)
+    return total / ti.cast(lines, ti.f32)
+
+
+@ti.kernel
+def _distinct_kernel(volume: flat(), lines: int, count: int, apart: int, size: int, found_out: flat()):
+    for p in range(size):
+        stride = count * size
+        k = 0
+        least = _mean(volume, lines, p, stride)
+        most = least
+        for s in range(1, count):
+            cost = _mean(volume, lines, s * size + p, stride)
+            if cost < least:
+                least = cost
+                k = s
+            most = ti.max(most, cost)
+        others = UNSEEN
+        for s in range(count):
+            if ti.abs(s - k) > apart:
+                others = ti.min(others, _mean(volume, lines, s * size + p, stride))
+        t = 0.0
+        worst = UNSEEN
+        if k > 0 and k < count - 1:
+            down = least - _mean(volume, lines, (k - 1) * size + p, stride)
+            up = _mean(volume, lines, (k + 1) * size + p, stride) - least
+            if up - down > 1e-9:
+                t = ti.min(ti.max(-(up + down) / (2.0 * (up - down)), -1.0), 1.0)
+            worst = 0.0
+            for i in range(lines):
+                worst = ti.max(worst, volume[k * size + p + i * stride])
+        found_out[p] = ti.cast(k, ti.f32) + t
+        found_out[size + p] = least
+        found_out[2 * size + p] = most - least
+        found_out[3 * size + p] = ti.select(others < UNSEEN, others - least, UNSEEN)
+        found_out[4 * size + p] = worst
+
+
+def distinct_minimum(volume: DeviceArray, *, apart: int, found_out: DeviceArray) -> None:
+    lines, count, height, width = volume.shape
+    run(_distinct_kernel, volume.values, lines, count, apart, height * width, found_out.values)

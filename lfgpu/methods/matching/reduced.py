@@ -1,0 +1,65 @@
+"""Reduced views, compared as well: what is faint and wide shows in them, and noise does not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lfgpu.contract import REDUCTION, WHITE, Array, KernelSet
+from lfgpu.data.lightfield import LightField
+from lfgpu.methods.matching.config import SweepConfig
+from lfgpu.methods.matching.sweep import planned_sweep
+from lfgpu.methods.prior import UNLIKE_ANY
+
+
+class ReducedSweep:
+    """A sweep over views that are reduced to one pixel for each REDUCTION x REDUCTION, at the same disparities.
+
+    Parameters
+    ----------
+    lf
+        A light field of the kind; its views do not matter.
+    place
+        The disparities, as `labels` gives them.
+    config
+        The parameters of the sweep; `reduced_weight` is what its costs count against those of views as they are.
+    kernels, device
+        Where it is computed.
+    scale
+        The factor from stored values to intensities.
+    """
+
+    def __init__(
+        self,
+        lf: LightField,
+        place: tuple[float, float, int],
+        config: SweepConfig,
+        kernels: KernelSet,
+        device: str,
+        *,
+        scale: float,
+    ) -> None:
+        height, width = (side // REDUCTION for side in lf.size)
+        shape = len(lf.views), height, width, lf.channels
+        self._kernels, self._reference, self._scale, self._weight = (
+            kernels,
+            lf.reference_index,
+            scale,
+            config.reduced_weight,
+        )
+        self._views, self._image = kernels.zeros_image(shape, device, np.uint16), kernels.zeros_image(shape[1:], device)
+        self._valid = kernels.zeros(shape[:3], device)
+        self._volume = kernels.zeros((place[2], height, width), device)
+        # A disparity moves what is seen in a reduced view by so many of its pixels less.
+        self._sweep = planned_sweep(shape, lf.offsets / REDUCTION, place, config, kernels, device, scale=1 / WHITE)
+
+    def load(self, views: Array, valid: Array | None) -> None:
+        """Reduce views [n, y, x, c], as stored, with their mask [n, y, x]."""
+        kernels, kept = self._kernels, self._valid if valid is not None else None
+        kernels.reduce_views(views, valid, scale=self._scale, views_out=self._views, valid_out=kept)
+        kernels.intensities(self._views, self._reference, kept, scale=1 / WHITE, fill=UNLIKE_ANY, image_out=self._image)
+        self._sweep.load(self._image, self._views, kept)
+
+    def add(self, volume: Array) -> None:
+        """Add the costs over view sets to a volume [l, y, x]."""
+        self._sweep.by_view_sets(self._volume)
+        self._kernels.add_reduced(self._volume, weight=self._weight, volume_inout=volume)
