@@ -872,6 +872,7 @@ def program_inputs(make: MakeProgram, rng: np.random.Generator) -> dict[str, Val
         "image": rng.random((*shape, 3), np.float32),
         "recorded": recorded,
         "valid": (rng.random(recorded.shape[:3]) < 0.8).astype(np.float32),
+        "mostly valid": (rng.random(recorded.shape[:3]) < 0.97).astype(np.float32),
         "disparity": np.round(rng.uniform(-1.5, 1.5, shape) * 2**10) / 2**10,
         "offsets": offsets,
         "volume": rng.random((5, *shape), np.float32),

@@ -77,8 +77,8 @@ def smoothing_inputs(case: SmoothingCase, rng: np.random.Generator) -> SimpleNam
     """
     (height, width), shape = case.size, (case.count, *case.size)
     y, x = np.mgrid[:height, :width]
-    tiles = 0.5 * ((y // 5 + x // 4) % 2) + 0.1 * np.sin(0.5 * x + 0.3 * y)
-    views = 0.25 + tiles[..., None] + rng.normal(0, 0.04, (*shape, case.channels))
+    tiles = 0.9 * ((y // 5 + x // 4) % 2) + 0.1 * np.sin(0.5 * x + 0.3 * y)
+    views = 0.05 + tiles[..., None] + rng.normal(0, 0.04, (*shape, case.channels))
     pixels, few = rng.random(shape), rng.random(shape)
     blocks = rng.random((case.count, -(-height // REDUCTION), -(-width // REDUCTION)))
     blocks = blocks.repeat(REDUCTION, 1).repeat(REDUCTION, 2)[:, :height, :width]

@@ -136,7 +136,7 @@ def check_channels_are_alike_together(kernels: KernelSet, device: str, rng: np.r
 def showing_less_noise(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
     """Views smoothed, and the same reduced with their mask."""
     views = kernels.image(values["recorded"], device)
-    valid = kernels.field(values["valid"], device)
+    valid = kernels.field(values["mostly valid"], device)
     n, height, width, channels = values["recorded"].shape
     small = n, height // REDUCTION, width // REDUCTION
     out: dict[str, Any] = {
@@ -150,4 +150,4 @@ def showing_less_noise(kernels: KernelSet, device: str, values: dict[str, Values
         kernels.reduce_views(views, valid, scale=0.9, views_out=out["reduced"], valid_out=out["valid"])
 
     # A step of rounding, relative to views that are at least half as bright as white.
-    return Program({"recorded": views, "valid": valid}, work, out, tolerance=2 / WHITE)
+    return Program({"recorded": views, "mostly valid": valid}, work, out, tolerance=2 / WHITE)

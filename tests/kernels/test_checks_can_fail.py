@@ -6,6 +6,7 @@ backend with a fault goes through the matrix itself, in a run of pytest of its o
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 import shutil
@@ -14,7 +15,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any, cast
 
 import alignment_checks
@@ -209,6 +210,25 @@ def argument(index: int, change: Callable[[Any], Any]) -> Callable[..., Any]:
 def option(name: str, change: Callable[[Any], Any], *, absent: bool = False) -> Callable[..., Any]:
     """A keyword argument is another one; `absent`: it may be missing."""
     return before(lambda args, options: options.update({name: change(options.get(name) if absent else options[name])}))
+
+
+def rewritten(module: ModuleType, old: str, new: str) -> Callable[..., Any]:
+    """The operation as the reference's module has it once a piece of its text is another one."""
+
+    def broken(right: Callable[..., Any]) -> Callable[..., Any]:
+        text = inspect.getsource(module)
+        if text.count(old) != 1:  # not an AssertionError, as those are what faults are caught by
+            raise ValueError(f"{old!r} does not stand once in {module.__name__}: this fault needs another place.")
+        names = dict(vars(module))
+        exec(compile(text.replace(old, new), str(module.__file__), "exec"), names)
+
+        def wrong(*args: Any, **options: Any) -> None:
+            with np.errstate(all="ignore"):
+                names[right.__name__](*args, **options)
+
+        return wrong
+
+    return broken
 
 
 def scaled(factor: float) -> Callable[[np.ndarray], None]:

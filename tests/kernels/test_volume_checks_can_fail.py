@@ -17,9 +17,11 @@ from test_checks_can_fail import (
     accumulating,
     after,
     argument,
+    changing_its_input,
     mirrored,
     one_off,
     option,
+    rewritten,
     scaled,
     skewed,
     with_operation,
@@ -116,8 +118,17 @@ def across(right: Callable[..., Any]) -> Callable[..., Any]:
     return wrong
 
 
-AVERAGE, SEMI_GLOBAL, LEAST, LOWEST, FARTHEST, EVIDENCE, JUDGE = map(value_of, volume_checks.OPERATIONS)
+def without_last(volume: np.ndarray) -> np.ndarray:
+    return np.concatenate([volume[:-1], np.zeros_like(volume[-1:])])
 
+
+def text(old: str, new: str) -> Callable[..., Any]:
+    return rewritten(cost_volume, old, new)
+
+
+AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, FARTHEST, EVIDENCE, JUDGE = map(value_of, volume_checks.OPERATIONS)
+
+FIRST_ROW = "reduced[:, :1].repeat(volume_inout.shape[1], 1)"
 FAULTS = (
     Fault("weights beside their pixels", "nlm_average", argument(0, skewed), AVERAGE),
     Fault("a little wider", "nlm_average", argument(0, lambda w: 1.01 * w), AVERAGE),
@@ -127,6 +138,20 @@ FAULTS = (
     Fault("mirrored", "nlm_average", after(mirrored, "average_out"), AVERAGE),
     Fault("adds to its output", "nlm_average", accumulating("average_out"), AVERAGE),
     Fault("weights ignored, seen in a program", "nlm_average", argument(0, np.zeros_like), PROGRAM),
+    Fault("weight ignored", "add_reduced", option("weight", lambda _: 1.0), ADD_REDUCED),
+    Fault("weight ignored, seen in a program", "add_reduced", option("weight", lambda _: 1.0), PROGRAM),
+    Fault("half a pixel off", "add_reduced", text("+ 0.5) / REDUCTION", "+ 1.0) / REDUCTION"), ADD_REDUCED),
+    Fault("half a reduced pixel off", "add_reduced", text("REDUCTION - 0.5", "REDUCTION"), ADD_REDUCED),
+    Fault("beyond the border", "add_reduced", text("0, small - 1)", "-1, small - 0.5)"), ADD_REDUCED),
+    Fault("nearest", "add_reduced", text("(places - before)", "np.rint(places - before)"), ADD_REDUCED),
+    Fault("along rows only", "add_reduced", text("_between(reduced, places[0], 1)", FIRST_ROW), ADD_REDUCED),
+    Fault("overwritten", "add_reduced", text("volume_inout += weight", "volume_inout[:] = weight"), ADD_REDUCED),
+    Fault("twice", "add_reduced", text("volume_inout += weight", "volume_inout += 2 * weight"), ADD_REDUCED),
+    Fault("taken away", "add_reduced", option("weight", lambda weight: -weight), ADD_REDUCED),
+    Fault("slices in reverse", "add_reduced", argument(0, lambda reduced: reduced[::-1]), ADD_REDUCED),
+    Fault("last slice skipped", "add_reduced", argument(0, without_last), ADD_REDUCED),
+    Fault("one pixel off", "add_reduced", after(one_off, "volume_inout"), ADD_REDUCED),
+    Fault("its input changes", "add_reduced", changing_its_input, ADD_REDUCED),
     Fault("without diagonals", "semi_global", with_another(semi_global, "path_costs", without_diagonals), SEMI_GLOBAL),
     Fault("around the frame", "semi_global", with_another(semi_global, "path_costs", wrapping), SEMI_GLOBAL),
     Fault("edges let all pass", "semi_global", with_another(semi_global, "LEAST_SMALL", lambda _: 0.0), SEMI_GLOBAL),
@@ -184,8 +209,9 @@ def rng() -> np.random.Generator:
 
 @pytest.mark.parametrize("fault", FAULTS, ids=str)
 def test_single_fault_is_caught(fault: Fault, rng: np.random.Generator) -> None:
+    kernels = fault.kernels
     with pytest.raises(AssertionError):
-        fault.check(fault.kernels, rng)
+        fault.check(kernels, rng)
 
 
 def test_reference_passes_every_check_that_catches_faults(rng: np.random.Generator) -> None:

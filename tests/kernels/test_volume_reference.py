@@ -10,7 +10,7 @@ import pytest
 import volume_checks
 from checks import Operation, compute
 from test_reference import REFERENCE
-from volume_cases import VOLUME_CASES, VolumeCase, volume_inputs
+from volume_cases import REDUCED_CASES, VOLUME_CASES, VolumeCase, volume_inputs
 
 from lfgpu.contract import half_window
 
@@ -108,3 +108,16 @@ def test_farthest_as_good_goes_down_while_costs_do_not_rise(case: VolumeCase, rn
             assert got[name][y, x] == pytest.approx(want, abs=1e-12)
             moved += end < start
     assert moved > 0 or math.prod(case.size) < 20, "nothing was moved: the check says little"
+
+
+@pytest.mark.parametrize("case", [case for case in REDUCED_CASES if math.prod(case.size) <= 200], ids=str)
+def test_reduced_volume_is_added_linear_between_the_middles_of_its_pixels(
+    case: VolumeCase, rng: np.random.Generator
+) -> None:
+    i, got = run(volume_checks.ADD_REDUCED, case, rng)
+    height, width = case.size
+    middles = [4 * np.arange(side // 4) + 1.5 for side in case.size]
+    for volume, before, reduced in zip(got["volume"], i.volume, i.reduced, strict=True):
+        wide = np.array([np.interp(np.arange(width), middles[1], row) for row in reduced])
+        whole = np.array([np.interp(np.arange(height), middles[0], column) for column in wide.T]).T
+        np.testing.assert_allclose(volume, before + i.weight * whole, rtol=0, atol=1e-12 * np.abs(i.volume).max())
