@@ -13,7 +13,7 @@ from benchmarks.inputs import CONFIG, LARGEST_DISPARITY
 from benchmarks.operations import Operation, Slot
 from benchmarks.prepare import Prepared, Region, prepare, whole
 from lfgpu._backends import load
-from lfgpu.contract import Array, KernelSet
+from lfgpu.contract import REDUCTION, Array, KernelSet
 
 _WINDOW = 64  # pixels along each side: what the reference can do at every size
 _CUT_OFF = 2.5  # standard deviations after which the normalisation's Gaussians end, of one and of two detail scales
@@ -70,17 +70,22 @@ def _relative(found: NDArray[np.floating], true: NDArray[np.float64], counted: N
 def _margin(case: Case) -> int:
     """Twice as far as a splat goes: a predicted view, and what in turn lands where it is looked at.
 
-    At least as far as the two Gaussians of the normalisation go together; other windows and filters reach less far.
+    At least as far as the two Gaussians of the normalisation go together; other windows and filters reach less far. It
+    is of whole pixels of a reduced view.
     """
     splats = 2 * (math.ceil(LARGEST_DISPARITY * (max(case.grid) // 2)) + 2)
-    return max(splats, math.ceil(3 * _CUT_OFF * CONFIG.refinement.detail_scale) + 1)
+    farthest = max(splats, math.ceil(3 * _CUT_OFF * CONFIG.refinement.detail_scale) + 1)
+    return REDUCTION * math.ceil(farthest / REDUCTION)
 
 
 def _window(case: Case) -> Region:
-    """The same for every backend."""
+    """The same for every backend; it begins where a pixel of a reduced view does."""
     rng = np.random.default_rng([0, *case.grid, *case.size])
     height, width = (min(_WINDOW, side) for side in case.size)
-    row, column = int(rng.integers(case.size[0] - height + 1)), int(rng.integers(case.size[1] - width + 1))
+    row, column = (
+        REDUCTION * int(rng.integers((side - part) // REDUCTION + 1))
+        for side, part in zip(case.size, (height, width), strict=True)
+    )
     return Region(slice(row, row + height), slice(column, column + width))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.cases import CHANNELS, Case
-from lfgpu.contract import half_window
+from lfgpu.contract import REDUCTION, half_window
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.sweep import labels
 from lfgpu.methods.synthesis.config import SynthesisConfig
@@ -160,6 +160,13 @@ def volume(case: Case) -> NDArray[np.float32]:
     return (0.05 * np.minimum(far**2, 1) + 0.003 * noise).astype(np.float32)
 
 
+def reduced_volume(case: Case) -> NDArray[np.float32]:
+    """[l, r, s]: costs of reduced views, which are nearly the means of those of their pixels."""
+    (height, width), costs = (side // REDUCTION for side in case.size), volume(case)
+    blocks = costs[:, : REDUCTION * height, : REDUCTION * width].reshape(-1, height, REDUCTION, width, REDUCTION)
+    return blocks.mean((2, 4), dtype=np.float32)
+
+
 def other_values(case: Case) -> NDArray[np.float32]:
     """[y, x]: a second map."""
     return _rng(case, 4).random(case.size, np.float32)
@@ -200,6 +207,7 @@ INPUTS: dict[str, Callable[[Case], NDArray[Any]]] = {
     "nearest": nearest,
     "certain": certain,
     "volume": volume,
+    "reduced_volume": reduced_volume,
     "other_values": other_values,
     "x": disparity,
     "x_gradient": x_gradient,

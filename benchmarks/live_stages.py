@@ -20,6 +20,7 @@ from benchmarks import clock
 from benchmarks.moving import RANGE, Film
 from lfgpu import TemporalPrior
 from lfgpu._backends import load, pick_device
+from lfgpu.contract import SMOOTHING_REACH
 from lfgpu.methods import method_of
 
 _PLANNED = {"plane_sweep", "z_buffer", "alignment", "nlm_weights", "motion"}  # operations that return what is called
@@ -29,7 +30,7 @@ _LENGTH = 1 << 25  # elements of the vectors that are copied
 _CHAINS, _CHAIN = 1 << 20, 512  # threads, and multiply-adds of each
 
 # Floating point operations for each sample that an operation looks at; samples are counted below.
-_SWEEP, _AVERAGE, _RATIO, _PLANE, _PATHS, _ALIGN, _WEIGHTS, _MOTION = 24, 2, 8, 20, 8, 40, 24, 120
+_SWEEP, _AVERAGE, _RATIO, _PLANE, _PATHS, _ALIGN, _WEIGHTS, _MOTION, _SMOOTH = 24, 2, 8, 20, 8, 40, 24, 120, 19
 
 
 @dataclass(frozen=True)
@@ -197,6 +198,8 @@ def _operations(call: _Call) -> float:
             return float(8 * _PATHS * largest)
         case "alignment":
             return float(_ALIGN * largest)
+        case "smooth_views":
+            return float(_SMOOTH * (2 * SMOOTHING_REACH + 1) ** 2 * largest)
         case "nlm_weights":
             return float(_WEIGHTS * largest)
         case "motion.find":

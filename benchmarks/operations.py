@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.cases import CHANNELS, Case
 from benchmarks.errors import BenchmarkError
 from benchmarks.inputs import BYTE, CONFIG, INPUTS, LARGEST_DISPARITY, MATCHING, line_offsets, sweep_labels
-from lfgpu.contract import Array, Float64Array, KernelSet, PlaneSweep, StructureFilters, half_window
+from lfgpu.contract import REDUCTION, Array, Float64Array, KernelSet, PlaneSweep, StructureFilters, half_window
 from lfgpu.data.lightfield import farthest
 from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.sweep import labels, view_sets
@@ -25,6 +25,7 @@ _MARGIN = 0.02  # of costs between 0 and 0.05
 _UNIT = 0.004  # intensity: the noise in whose units costs are
 _RIDGE = 0.5  # pixels squared
 _EDGE = 0.3  # pixels per view step: larger differences are depth edges
+_DEVIATION = 0.02  # intensity: pixels that differ by this are alike
 _HALF_STEP = 2.0**-11  # half a step of float16, relative
 
 
@@ -119,7 +120,8 @@ class Operation:
 def extents(case: Case) -> dict[str, int]:
     """How long each axis is: n views, u views of the reference's row that are used, y, x, c, k neighbours, m pairs.
 
-    Of matching: l labels, p neighbours on a surface, w neighbours over which costs are averaged.
+    Of matching: l labels, p neighbours on a surface, w neighbours over which costs are averaged, r rows and s columns
+    of a reduced view.
     """
     filters = structure_filters(line_offsets(case).astype(np.float64), CONFIG.local)
     return {
@@ -132,6 +134,8 @@ def extents(case: Case) -> dict[str, int]:
         "l": sweep_labels(case)[2],
         "m": _PAIRS,
         "p": len(half_window(MATCHING.prior.window)),
+        "r": case.size[0] // REDUCTION,
+        "s": case.size[1] // REDUCTION,
         "w": len(half_window(MATCHING.semi_global.window)),
         "2": 2,
     }
@@ -159,6 +163,18 @@ def _normalization(on: Desk) -> Work:
     r = CONFIG.refinement
     normalize = k.normalization(on.shapes["views"], on.device, scale=BYTE, sigma=r.detail_scale, floor=r.contrast_floor)
     return Work(lambda: normalize(a["views"], None, a["detail"]))
+
+
+def _smooth_views(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(
+        lambda: k.smooth_views(a["views"], None, scale=BYTE, deviation=_DEVIATION, views_out=a["smoothed_views"])
+    )
+
+
+def _reduce_views(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(lambda: k.reduce_views(a["views"], None, scale=BYTE, views_out=a["reduced_views"], valid_out=None))
 
 
 def _seen_by_reference(on: Desk) -> Work:
@@ -355,6 +371,16 @@ def _semi_global(on: Desk) -> Work:
     )
 
 
+def _add_reduced(on: Desk) -> Work:
+    """What is added stays: the volume of the first call is kept to begin with again."""
+    k, a, weight = on.kernels, on.arrays, MATCHING.sweep.reduced_weight
+    first = k.field(k.numpy(a["volume"]), on.device)
+    return Work(
+        lambda: k.add_reduced(a["reduced_volume"], weight=weight, volume_inout=a["volume"]),
+        lambda: k.copy(first, a["volume"]),
+    )
+
+
 def _row(on: Desk) -> dict[str, float]:
     """First and distance of the disparities of the volume."""
     return {"first": -LARGEST_DISPARITY, "step": 2 * LARGEST_DISPARITY / (on.shapes["volume"][0] - 1)}
@@ -475,7 +501,8 @@ def _host_offsets(on: Desk) -> Float64Array:
 
 _MAP, _OFFSETS, _IMAGE = Slot("disparity", "yx"), Slot("offsets", "n2"), Slot("image", "yxc")
 _SPLATTED = (_IMAGE, _MAP, _OFFSETS)
-_VIEWS = (_IMAGE, Slot("views", "nyxc", "uint8"), _OFFSETS)
+_RECORDED = Slot("views", "nyxc", "uint8")
+_VIEWS = (_IMAGE, _RECORDED, _OFFSETS)
 _NEAREST, _VOLUME, _LAYERS = Slot("nearest", "nyx"), Slot("volume", "lyx"), Slot("layers", "yx")
 _SURFACE_WEIGHTS = Slot("surface_weights", "pyx")
 _POINT = (Slot("x", "yx"), Slot("x_gradient", "yx"))
@@ -483,10 +510,12 @@ _POINT = (Slot("x", "yx"), Slot("x_gradient", "yx"))
 OPERATIONS = (
     Operation(
         "normalization",
-        (Slot("views", "nyxc", "uint8"),),
+        (_RECORDED,),
         (Slot("detail", "nyxc", on_gpu="float16"),),
         _normalization,
     ),
+    Operation("smooth_views", (_RECORDED,), (Slot("smoothed_views", "nyxc", "uint16"),), _smooth_views),
+    Operation("reduce_views", (_RECORDED,), (Slot("reduced_views", "nrsc", "uint16"),), _reduce_views),
     Operation("seen_by_reference", (_MAP, _OFFSETS), (Slot("seen", "nyx"),), _seen_by_reference, mask=True),
     Operation(
         "data_term",
@@ -520,6 +549,7 @@ OPERATIONS = (
     Operation(
         "semi_global", (_VOLUME, _IMAGE, Slot("other_values", "yx")), (Slot("sum", "lyx"),), _semi_global, local=False
     ),
+    Operation("add_reduced", (Slot("reduced_volume", "lrs"), _VOLUME), (_VOLUME,), _add_reduced),
     Operation("least_costs", (_VOLUME,), (Slot("least", "yx"),), _least_costs),
     Operation("farthest_as_good", (_VOLUME, Slot("levels", "yx")), (Slot("farthest", "yx"),), _farthest_as_good),
     Operation("winner_takes_all", (_VOLUME,), (Slot("disparity_out", "yx"),), _winner_takes_all),

@@ -11,20 +11,24 @@ from numpy.typing import NDArray
 from benchmarks.cases import Case
 from benchmarks.inputs import INPUTS
 from benchmarks.operations import Desk, Operation, Slot, Work, extents
-from lfgpu.contract import Array, KernelSet
+from lfgpu.contract import REDUCTION, Array, KernelSet
 
 
 @dataclass(frozen=True)
 class Region:
-    """Rows and columns of all images and maps."""
+    """Rows and columns of all images and maps; what is reduced has those of the blocks in it."""
 
     rows: slice
     columns: slice
 
     def cut(self, values: NDArray[Any], axes: str) -> NDArray[Any]:
         """That part of an array whose axes have these letters."""
-        parts = {"y": self.rows, "x": self.columns}
+        parts = {"y": self.rows, "x": self.columns, "r": _reduced(self.rows), "s": _reduced(self.columns)}
         return values[tuple(parts.get(axis, slice(None)) for axis in axes)]
+
+
+def _reduced(part: slice) -> slice:
+    return slice(part.start // REDUCTION, part.stop // REDUCTION)
 
 
 def whole(case: Case) -> Region:
@@ -53,8 +57,9 @@ def prepare(
     Images are rounded to what they are stored as on the device `as_on`, by default the same one.
     """
     lengths = extents(case)
-    lengths["y"] = region.rows.stop - region.rows.start
-    lengths["x"] = region.columns.stop - region.columns.start
+    for part, axis, reduced in ((region.rows, "y", "r"), (region.columns, "x", "s")):
+        lengths[axis] = part.stop - part.start
+        lengths[reduced] = lengths[axis] // REDUCTION
     shapes = {s.name: tuple(lengths[axis] for axis in s.axes) for s in (*operation.reads, *operation.writes)}
 
     def placed(slot: Slot) -> Array:

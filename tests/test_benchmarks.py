@@ -186,14 +186,20 @@ def test_every_operation_of_matching_and_its_prior_is_measured() -> None:
     asked.remove("plane_sweep")
     asked |= {f"plane_sweep_{kind}" for kind in vars(PlaneSweep) if kind.startswith("by_")}
     assert {"plane_sweep_by_visibility", "semi_global", "nlm_on_surface"} <= asked
-    assert asked <= set(names)
+    assert asked | {"smooth_views", "reduce_views"} <= set(names)
 
 
 def test_traffic_of_matching_counts_labels_views_and_neighbours() -> None:
-    """By hand for 3 x 3 views of 48 x 48: 9 labels, 9 views in colour, 4 neighbours of 3 x 3, 40 of 9 x 9."""
+    """By hand for 3 x 3 views of 48 x 48: 9 labels, 9 views in colour, 4 neighbours of 3 x 3, 40 of 9 x 9.
+
+    A reduced view has a sixteenth of the pixels.
+    """
     pixels = 48 * 48
     image, views, offsets, volume, nearest = 12 * pixels, 27 * pixels, 9 * 2 * 4, 36 * pixels, 36 * pixels
     for name, bytes_ in {
+        "smooth_views": views + 2 * views,
+        "reduce_views": views + 2 * views // 16,
+        "add_reduced": 2 * volume + volume // 16,
         "plane_sweep_by_view_sets": image + views + offsets + volume,
         "plane_sweep_by_visibility": image + views + offsets + 2 * nearest + volume,
         "nlm_average": 16 * pixels + 2 * volume,
@@ -214,7 +220,16 @@ def test_traffic_of_matching_counts_labels_views_and_neighbours() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["plane_sweep_by_view_sets", "plane_sweep_by_visibility", "z_buffer", "alignment", "refine_boundaries"]
+    "name",
+    [
+        "smooth_views",
+        "add_reduced",
+        "plane_sweep_by_view_sets",
+        "plane_sweep_by_visibility",
+        "z_buffer",
+        "alignment",
+        "refine_boundaries",
+    ],
 )
 def test_inputs_of_matching_have_something_to_find(name: str) -> None:
     reference, operation = load("reference"), operations.find(name)
@@ -226,6 +241,12 @@ def test_inputs_of_matching_have_something_to_find(name: str) -> None:
         assert np.abs(done.arrays["nearest_out"] - done.arrays["layers"]).max() > 1
     elif name == "alignment":
         assert (done.arrays["curvature"] > 0).mean() > 0.9
+    elif name == "smooth_views":
+        moved = np.abs(done.arrays["smoothed_views"] - 257 * done.arrays["views"]) / 65535
+        assert 0.003 < np.median(moved) < 0.03
+    elif name == "add_reduced":
+        before = INPUTS["volume"](TINY)
+        assert np.corrcoef(before.ravel(), (done.arrays["volume"] - before).ravel())[0, 1] > 0.9
     else:
         first, step, _ = sweep_labels(TINY)
         found = first + step * np.argmin(done.arrays["volume_out"], axis=0)
@@ -292,6 +313,17 @@ def test_learning_is_the_same_after_any_number_of_calls() -> None:
         done.work.call()
     done.once()
     np.testing.assert_array_equal(done.arrays["proposed"], proposed)
+
+
+def test_what_is_added_is_added_to_the_first_volume() -> None:
+    done = prepare(operations.find("add_reduced"), load("reference"), "cpu", TINY, whole(TINY))
+    done.once()
+    once = done.arrays["volume"].copy()
+    assert np.abs(once - INPUTS["volume"](TINY)).max() > 1e-3
+    for _ in range(3):
+        done.work.call()
+    done.once()
+    np.testing.assert_array_equal(done.arrays["volume"], once)
 
 
 def test_inputs_are_like_those_of_the_method() -> None:
