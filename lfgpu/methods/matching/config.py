@@ -78,7 +78,7 @@ class AlignmentConfig(Section):
     iterations: int = number(3, 1, 100, "number of steps, each over all pixels")
     gradient_weight: float = number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
     robust: float = number(
-        0.014, 1e-4, 10.0, "scale of the robust loss: larger differences from the mean of the views count less, "
+        0.01, 1e-4, 10.0, "scale of the robust loss: larger differences from the mean of the views count less, "
         "intensity"
     )  # fmt: skip
     support: float = number(
@@ -108,7 +108,7 @@ class HoleFillingConfig(Section):
     """Hole filling: surfaces without texture continue those around them. A quadratic problem."""
 
     stiffness: float = number(
-        0.03, 1e-6, 100.0, "curvature over robust² at which a pixel's own estimate counts as much as one similar "
+        0.02, 1e-6, 100.0, "curvature over robust² at which a pixel's own estimate counts as much as one similar "
         "neighbour, 1 / pixel²"
     )  # fmt: skip
     tolerance: float = number(3e-7, 1e-8, 1e-1, "relative residual at which the solver stops")
