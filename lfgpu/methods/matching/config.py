@@ -65,8 +65,8 @@ class SemiGlobalConfig(Section):
     """Semi-global matching (Hirschmüller 2008): the best surface through the costs of the sweep."""
 
     window: int = number(3, 3, 31, "side of the window over which costs are averaged, pixels", odd=True)
-    small_penalty: float = number(0.0004, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
-    large_penalty: float = number(0.0025, 0.0, 10.0, "cost of a larger change", symbol="P2")
+    small_penalty: float = number(0.0005, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
+    large_penalty: float = number(0.0035, 0.0, 10.0, "cost of a larger change", symbol="P2")
     resweep_factor: float = number(0.7, 0.1, 100.0, "factor on large_penalty after the second sweep")
     contrast: float = number(2.0, 1e-3, 10.0, "difference in intensity that lowers both penalties to 1/e")
 
@@ -75,7 +75,7 @@ class SemiGlobalConfig(Section):
 class AlignmentConfig(Section):
     """Gauss-Newton steps: the disparity of each pixel moves to where the views that see it agree best."""
 
-    iterations: int = number(2, 1, 100, "number of steps, each over all pixels")
+    iterations: int = number(3, 1, 100, "number of steps, each over all pixels")
     gradient_weight: float = number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
     robust: float = number(
         0.01, 1e-4, 10.0, "scale of the robust loss: larger differences from the mean of the views count less, "
