@@ -13,6 +13,9 @@ from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE, KernelSet
 MANY = 200
 """Values among which those that are rounded to another step than in the reference can be counted."""
 
+ROUNDING = 1.5 / WHITE
+"""A step, and half a one where the truth lies between two."""
+
 
 def smooth_views(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = desk.stored_out(i.views.shape, np.uint16)
@@ -58,18 +61,17 @@ SMOOTH, REDUCE = OPERATIONS
 def smoothed(kernels: KernelSet, device: str, views: Values, deviation: float, valid: Values | None = None) -> Values:
     """Intensities [n, y, x, c] of float32 views after smoothing."""
     i = SimpleNamespace(views=views.astype(np.float32), valid=valid, scale=1.0, deviation=deviation)
-    return compute(kernels, device, SMOOTH, i)["views"] / WHITE
+    return compute(kernels, device, SMOOTH, i)["views"].astype(np.float64) / WHITE
 
 
 def check_constant_stays(kernels: KernelSet, device: str) -> None:
     """Views of one intensity are what they were, up to their borders, smoothed and reduced."""
     views = np.full((2, 13, 38, 3), (0.0, 20011 / WHITE, 1.0), np.float32)
-    want = np.rint(WHITE * views)
-    got = WHITE * smoothed(kernels, device, views, 0.01)
-    assert np.abs(got - want).max() <= 1, "smoothing changes a constant view"
+    got = smoothed(kernels, device, views, 0.01)
+    assert np.abs(got - views).max() <= ROUNDING, "smoothing changes a constant view"
     i = SimpleNamespace(views=views, by_block=None, scale=1.0)
-    reduced = compute(kernels, device, REDUCE, i)["views"]
-    assert np.abs(reduced - want[:, ::4, ::4][:, :3, :9]).max() <= 1, "reducing changes a constant view"
+    reduced = compute(kernels, device, REDUCE, i)["views"].astype(np.float64) / WHITE
+    assert np.abs(reduced - views[:, :3, :9]).max() <= ROUNDING, "reducing changes a constant view"
 
 
 def check_noise_falls(kernels: KernelSet, device: str, rng: np.random.Generator) -> None:
@@ -117,7 +119,7 @@ def check_regions_stay_apart(kernels: KernelSet, device: str, rng: np.random.Gen
     got = smoothed(kernels, device, views, deviation, valid)
     there = valid != 0
     moved = np.abs(got - views)[there].max()
-    assert moved <= 1 / WHITE, f"what is not valid, or lies behind it, moves a valid pixel by {moved:.5f}"
+    assert moved <= ROUNDING, f"what is not valid, or lies behind it, moves a valid pixel by {moved:.5f}"
     share = np.abs(got - views)[~there].mean()
     assert share >= 0.01, "what is not valid stays as it was, instead of being a mean with what is"
 
@@ -127,7 +129,7 @@ def check_channels_are_alike_together(kernels: KernelSet, device: str, rng: np.r
     grey = rng.random((2, 11, 14, 1))
     one = smoothed(kernels, device, grey, 0.2)
     three = smoothed(kernels, device, grey.repeat(3, 3), 0.2)
-    assert np.abs(three - one).max() <= 1 / WHITE, "what is alike depends on how many channels there are"
+    assert np.abs(three - one).max() <= ROUNDING, "what is alike depends on how many channels there are"
 
 
 # --- a program of them, for devices that can do work as a whole ---
