@@ -21,6 +21,7 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.data.lightfield import LightField
+from lfgpu.pipelines.range_watch import RangeWatch
 
 RANGE = (-1.5, 1.5)
 FRAMES = 6
@@ -304,7 +305,7 @@ def test_a_range_that_is_too_small_is_said_so(
         assert all(result.wait(LONG) for result in results)
     assert stream.stats()["frames_beyond_range"] == FRAMES
     assert len(stream.warnings) == stream.stats()["warnings"] == 1
-    assert f"lies at its {end} end" in stream.warnings[0]
+    assert f"move the {end} end further out" in stream.warnings[0]
     assert [record.getMessage() for record in caplog.records] == list(stream.warnings)
 
 
@@ -316,6 +317,43 @@ def test_a_range_that_holds_the_scene_is_not(config: str) -> None:
         for lf in frames():
             assert stream.push(lf.views).wait(LONG)
     assert stream.warnings == ()
+
+
+def test_a_range_that_lacks_what_has_no_texture_is_said_so() -> None:
+    """Its maps do not show that: hardly a pixel lies at an end."""
+    lf = scenes.make("textureless", grid=(5, 5), size=(96, 96), seed=1, noise=0.005, disparity_range=(-1, 1))
+    with made(lf, disparity_range=(-1.1, 0.2)) as stream:
+        assert stream.push(lf.views).wait(LONG)
+    assert stream.stats()["frames_beyond_range"] == 0
+    (sentence,) = stream.warnings
+    assert "the first views show" in sentence
+    assert "move the near end" in sentence
+
+
+def test_what_lies_at_an_end_by_chance_is_no_reason() -> None:
+    """Half of the map has no texture, and is at an end of a range that holds the scene."""
+    lf = frames()[0]
+    truth = [lf.truth.disparity for lf in frames() if lf.truth is not None]
+    bounds = float(np.min(truth)) - 0.05, float(np.max(truth)) + 0.05
+    map_ = np.full(lf.size, 0.5 * sum(bounds), np.float32)
+    map_[: len(map_) // 2] = bounds[1]
+    for given, said in ((bounds, 0), ((bounds[0], bounds[0] + 0.5 * (bounds[1] - bounds[0])), 1)):
+        watch = RangeWatch(given)
+        assert watch.look(np.clip(map_, *given), is_new=False)
+        assert watch.wait()
+        assert len(watch.search(lf, "these views")) == said
+        assert len(watch.warnings) == said
+        assert watch.search(lf, "these views") == ()  # once
+
+
+def test_a_search_is_wanted_after_a_cut_and_not_without_a_reason() -> None:
+    watch = RangeWatch((-1.0, 1.0))
+    assert not watch.look(np.zeros((8, 8), np.float32), is_new=False)
+    assert not watch._wanted
+    assert not watch.look(np.zeros((8, 8), np.float32), is_new=True)
+    assert watch.wait()
+    watch.close()
+    assert not watch.wait()
 
 
 # --- results ---

@@ -234,6 +234,7 @@ class DepthStream:
     ) -> None:
         _check(cut, budget_ms)
         most = _waiting(policy, waiting)
+        given = disparity_range is not None or measured is not None
         method, kernels = method_of(config), load(backend)
         streaming = kernels.streaming
         if streaming is None:
@@ -279,6 +280,8 @@ class DepthStream:
         self._fresh = True  # whether there is no previous map to start from
         self.on_result, self._end_on_error = on_result, end_on_error
         self._watch = RangeWatch(self.bounds)
+        # A range that was found was found in these views; a stream that was made without a frame has none.
+        self._first = self._like if given and np.any(self._like.views) else None
         self._logged: set[tuple[object, ...]] = set()
         self._process = os.getpid()
 
@@ -293,7 +296,7 @@ class DepthStream:
         self._under_way: queue.SimpleQueue[tuple[StreamResult, Any, _Level] | None] = queue.SimpleQueue()
         self._threads = [
             threading.Thread(target=target, name=f"lfgpu-{name}", daemon=True)
-            for name, target in (("solve", self._serve), ("deliver", self._deliver))
+            for name, target in (("solve", self._serve), ("deliver", self._deliver), ("range", self._watch_range))
         ]
         for thread in self._threads:
             thread.start()
@@ -345,7 +348,9 @@ class DepthStream:
     def warnings(self) -> tuple[str, ...]:
         """What is wrong with the stream as a whole, a sentence each, such as a disparity range that is too small.
 
-        Each is also logged once by `logging`.
+        The range is held against the one that is found in the first views, in those after a cut, and in those of a map
+        of which at least 1 % lies at one end; at most every ten seconds, beside the work on frames. Each sentence is
+        also logged once by `logging`.
         """
         return self._watch.warnings
 
@@ -487,6 +492,7 @@ class DepthStream:
         self._inbox.close(finish=finish)
         if threading.current_thread() in self._threads:
             return
+        self._watch.close()
         for thread in self._threads:
             thread.join()
         self._copiers.shutdown()
@@ -716,11 +722,25 @@ class DepthStream:
                 if self._end_on_error:
                     said = f"{type(error).__name__}: {error}".rstrip(": ")
                     self._inbox.close(finish=False, reason=f"on_result failed ({said})")
-        beyond, new = self._watch.look(result.index, result._maps().numpy(0))
-        if beyond:
+        if self._watch.look(result._maps().numpy(0), is_new=result.cut):
             self._counters.add("frames_beyond_range")
-        for sentence in new:
-            _LOG.warning(sentence)
+
+    def _watch_range(self) -> None:
+        """The loop of the thread that finds the range of some frames, to hold it against that of the stream."""
+        lf, what = self._first, "the first views"
+        self._first = None
+        while True:
+            try:
+                new = () if lf is None else self._watch.search(lf, what)
+            except Exception as error:  # the maps do not need it
+                self._log("the disparity range of a frame could not be found", error)
+                return
+            for sentence in new:
+                _LOG.warning(sentence)
+            shown = self._asked_for.get(None) if self._watch.wait() else None
+            if shown is None:
+                return
+            lf, what = shown[0], f"the views of frame {shown[1].index}"
 
     def _log(self, what: str, error: BaseException) -> None:
         """Log an exception with its traceback; of those from one line of code only the first."""
