@@ -1,9 +1,9 @@
 """The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found.
 
 `accuracy` scores a population of light fields, `ablation` leaves ingredients out, `rendering` renders views that were
-left out, `misalignment` lines up cameras that were moved, `live`, `rectify`, `ring`, `flicker` and `soak` are about
-streams, `scaling` takes several GPUs, `tiles` limits the memory, `gallery` draws the picture of the README, `figures`
-writes the figures of all pages from the committed results.
+left out, `misalignment` lines up cameras that were moved, `live`, `rectify`, `ring`, `flicker`, `drift` and `soak` are
+about streams, `scaling` takes several GPUs, `tiles` limits the memory, `gallery` draws the picture of the README,
+`figures` writes the figures of all pages from the committed results.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from benchmarks import (
     cases,
     compare,
     confidence,
+    drift,
     error_sheet,
     figures,
     files,
@@ -420,6 +421,30 @@ def soak_(
         live.save(out, {**about, **asdict(found)})  # as far as it is
     for line in found.lines():
         typer.echo(line)
+    if found.problems:
+        raise typer.Exit(1)
+
+
+@app.command("drift")
+def drift_(
+    hours: Annotated[float, typer.Option(min=0.001, help="Of simulated time.")] = 8.0,
+    every: Annotated[float, typer.Option(min=0.1, help="Simulated seconds from look to look.")] = 10.0,
+    amplitude: Annotated[float, typer.Option(min=0, max=0.5, help="How far gains go up and down, as a share.")] = 0.1,
+    case_name: Annotated[str, typer.Option("--case", metavar="ROWSxCOLUMNSxHEIGHTxWIDTH")] = "3x3x96x96",
+    preset: Annotated[str, typer.Option(metavar="NAME")] = "fast",
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Cameras whose gains drift for hours of simulated time; exits with 1 if their tones do not follow."""
+    if out is not None:
+        check_writable(out, folder=False)
+    case = cases.parse(case_name)
+    plan = drift.Plan(hours, every, amplitude, case.grid, case.size, preset, seed, device)
+    about = {**machine.about(), "plan": asdict(plan)}
+    for found in drift.run(plan, _say):
+        live.save(out, {**about, **found.summary()})  # as far as it is
+    drift.show(found)
     if found.problems:
         raise typer.Exit(1)
 

@@ -182,7 +182,7 @@ def _outcome(result: StreamResult, bad: bool, allowed: float) -> list[str]:
 
 def _look(found: Found) -> None:
     gc.collect()
-    host = _resident()
+    host = resident()
     if host is not None:
         found.host_bytes.append(host)
     gpu = gpu_used()
@@ -190,7 +190,7 @@ def _look(found: Found) -> None:
         found.gpu_bytes.append(gpu)
 
 
-def _resident() -> int | None:
+def resident() -> int | None:
     """Resident memory of this process in bytes now; None where the system does not tell."""
     with suppress(OSError):
         for line in Path("/proc/self/status").read_text().splitlines():
@@ -200,11 +200,12 @@ def _resident() -> int | None:
 
 
 def _judge(found: Found) -> None:
-    for name, looks, slack in (
-        ("host", found.host_bytes, _SLACK),
-        ("device", found.gpu_bytes, _DEVICE_SLACK),
-    ):
-        settled = looks[int(_SETTLED * len(looks)) :]
-        if settled and settled[-1] - settled[0] > slack:
-            grown = (settled[-1] - settled[0]) / 2**20
-            found.problems.append(f"memory of the {name} grew by {grown:.0f} MiB after it should have settled.")
+    found.problems += grown("host", found.host_bytes) + grown("device", found.gpu_bytes, _DEVICE_SLACK)
+
+
+def grown(name: str, looks: list[int], slack: int = _SLACK) -> list[str]:
+    """A sentence if memory grew by more than `slack` after the first looks at it."""
+    settled = looks[int(_SETTLED * len(looks)) :]
+    if not settled or settled[-1] - settled[0] <= slack:
+        return []
+    return [f"memory of the {name} grew by {(settled[-1] - settled[0]) / 2**20:.0f} MiB after it should have settled."]

@@ -14,7 +14,9 @@ from typer.testing import CliRunner
 from benchmarks import clock, flicker, gpu_parity, live_stages, moving, ring, soak
 from benchmarks.cli import app
 from lfgpu import scenes
+from lfgpu.calibration import RigWatch
 from lfgpu.io.ring import RingReader, RingWriter
+from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.stream import DepthStream
 
 FILM = moving.Film((3, 3), (64, 72), 4, period=40)
@@ -212,7 +214,7 @@ def test_soak_notices_a_lost_count(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_soak_notices_a_bad_frame_that_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(DepthStream, "_checked_valid", lambda self, valid: np.ones(9, bool))
+    monkeypatch.setattr(Intake, "checked_valid", lambda self, valid: np.ones(9, bool))
     monkeypatch.setattr(soak, "_BAD", 0.5)
     one_by_one = replace(plan(40), burst=1)  # none is dropped
     *_, found = soak.run(one_by_one, quiet)
@@ -245,3 +247,28 @@ def test_what_rectification_adds_is_measured(tmp_path: Path) -> None:
     assert row["error"] < 0.51  # whole numbers are stored
     assert min(row["all_ms"], row["used_ms"], row["frame_ms"], row["rectified_ms"], row["host_ms"]) > 0
     assert row["added_ms"] == pytest.approx(row["rectified_ms"] - row["frame_ms"])
+
+
+# --- hours of drifting gains ---
+
+DRIFT = ["drift", "--hours=0.04", "--every=10", "--amplitude=0.3", "--case=3x3x48x48", "--device=cpu"]
+
+
+def test_tones_follow_gains_that_drift(tmp_path: Path) -> None:
+    out = tmp_path / "drift.json"
+    outcome = CliRunner().invoke(app, [*DRIFT, f"--out={out}"])
+    assert outcome.exit_code == 0, outcome.output
+    found = json.loads(out.read_text())
+    assert found["count"] == 14
+    assert found["problems"] == []
+    last = found["looks"][-1]
+    assert last["drifted"] > 0.02
+    assert last["left"] < 0.5 * last["drifted"]
+    assert found["left_rms_most"] < 0.03
+
+
+def test_tones_that_do_not_follow_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RigWatch, "_equalise", lambda self, found: None)
+    outcome = CliRunner().invoke(app, DRIFT)
+    assert outcome.exit_code == 1
+    assert "% of their brightness" in " ".join(outcome.stdout.split())

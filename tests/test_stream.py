@@ -284,7 +284,7 @@ def test_float_frames_in_another_unit_are_refused() -> None:
 def test_float_frames_in_another_unit_are_seen_on_the_device_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     """As frames that lie on a GPU are, which the host does not look at."""
     lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=np.float32, disparity_range=(-1, 1))
-    monkeypatch.setattr("lfgpu.pipelines.stream.check_scaled", lambda *_: None)
+    monkeypatch.setattr("lfgpu.pipelines.intake.check_scaled", lambda *_: None)
     with made(lf, disparity_range=(-1, 1)) as stream:
         with pytest.raises(lfgpu.LightFieldError, match=r"scale float views"):
             stream.push(lf.views * 255).numpy()

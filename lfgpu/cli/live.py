@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfgpu.data.lightfield import LightField
-    from lfgpu.pipelines.stream import DepthStream, StreamResult
+    from lfgpu.pipelines.stream import DepthStream
+    from lfgpu.pipelines.stream_result import StreamResult
 
 RECORD_FILE = "live.json"
 _REFRESH = 0.25  # seconds

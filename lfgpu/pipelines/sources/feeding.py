@@ -9,7 +9,8 @@ from typing import Any
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.pipelines.sources.base import Frames
-from lfgpu.pipelines.stream import DepthStream, StreamResult
+from lfgpu.pipelines.stream import DepthStream
+from lfgpu.pipelines.stream_result import StreamResult
 
 _ASKED_AGAIN = 0.05  # seconds between two questions whether to hold on
 
