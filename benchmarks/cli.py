@@ -33,6 +33,7 @@ from benchmarks import (
     merge,
     misalignment,
     moving,
+    native,
     operations,
     paper,
     pipelines,
@@ -422,6 +423,30 @@ def soak_(
     for line in found.lines():
         typer.echo(line)
     if found.problems:
+        raise typer.Exit(1)
+
+
+@app.command("native")
+def native_(
+    case_names: Annotated[str, typer.Option("--cases", metavar="NAME,...")] = "7x7x375x375",
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = "accurate,fast",
+    threads: Annotated[str, typer.Option(metavar="N,...", help="Of the CPU.")] = "2,16",
+    frames: Annotated[int, typer.Option(min=2, help="How many are cast.")] = 4,
+    repeats: Annotated[int, typer.Option(min=1, help="How often they are played.")] = 5,
+    device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu or cuda:0.")] = "cpu",
+    out: Out = None,
+) -> None:
+    """Time of a frame by the exported C++ program and by Python; exits with 1 if their maps differ."""
+    if out is not None:
+        check_writable(out, folder=False)
+    counts = tuple(int(n) for n in _names(threads))
+    plan = native.Plan(tuple(_names(case_names)), tuple(_names(presets)), frames, repeats, counts, device)
+    found, about = [], {**machine.about(), "plan": asdict(plan)}
+    for row in native.run(plan, _say):
+        found.append(row)
+        live.save(out, {**about, "rows": [asdict(row) for row in found]})  # as far as it is
+    native.show(found)
+    if not all(row.same_bits for row in found):
         raise typer.Exit(1)
 
 

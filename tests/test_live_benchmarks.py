@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import clock, flicker, gpu_parity, live_stages, moving, ring, soak
+from benchmarks import clock, flicker, gpu_parity, live_stages, moving, native, ring, soak
 from benchmarks.cli import app
 from lfgpu import scenes
 from lfgpu.calibration import RigWatch
@@ -247,6 +247,23 @@ def test_what_rectification_adds_is_measured(tmp_path: Path) -> None:
     assert row["error"] < 0.51  # whole numbers are stored
     assert min(row["all_ms"], row["used_ms"], row["frame_ms"], row["rectified_ms"], row["host_ms"]) > 0
     assert row["added_ms"] == pytest.approx(row["rectified_ms"] - row["frame_ms"])
+
+
+def test_a_program_whose_maps_differ_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whose maps are all 0, and which says the times that it likes; `test_export` has the real one."""
+    program = tmp_path / "replay"
+    said = "4 frames, 1 without the map before; 1.50 ms each in the median, 2.50 ms for 99 %"
+    size = 2 * 2 * 4 * 32 * 32
+    program.write_text(f'#!/bin/sh\nhead -c {size} /dev/zero > "$3"\necho "{said}" >&2\n')
+    program.chmod(0o755)
+    monkeypatch.setattr(native, "_built", lambda sources, build: program)
+    out = tmp_path / "native.json"
+    options = ["--cases=3x3x32x32", "--presets=fast", "--threads=2", "--frames=2", "--repeats=2", f"--out={out}"]
+    outcome = CliRunner().invoke(app, ["native", *options])
+    assert outcome.exit_code == 1, outcome.output
+    (row,) = json.loads(out.read_text())["rows"]
+    assert (row["threads"], row["native_p50"], row["native_p99"], row["same_bits"]) == (2, 1.5, 2.5, False)
+    assert 0 < row["python_p50"] <= row["python_p99"]
 
 
 # --- hours of drifting gains ---
