@@ -88,7 +88,7 @@ def run(plan: Plan, say: Say) -> Iterator[Row]:
             raise BenchmarkError(f"unknown array {array!r}; there are {', '.join(ARRAYS)} and other ROWSxCOLUMNS.")
     parsed = {how: Misalignment.parse(how) for how in plan.disturbances}
     for scene in plan.scenes:
-        source = _source(scene)
+        source = recording(scene)
         for array in plan.arrays:
             if (lf := _chosen(source(None), array)) is None:
                 say(f"{scene} has no views for {array}")
@@ -153,7 +153,7 @@ def _measured(
 # --- steps ---
 
 
-def _source(scene: str) -> Callable[[NDArray[np.float64] | None], LightField]:
+def recording(scene: str) -> Callable[[NDArray[np.float64] | None], LightField]:
     """A light field in a folder, or a scene of the package, rendered from displaced cameras if asked."""
     if scene in scenes.NAMES and not Path(scene).exists():
         return lambda moved: scenes.make(scene, grid=(9, 9), size=(256, 256), seed=7, noise=0.004, displaced=moved)

@@ -52,7 +52,7 @@ def test_what_is_left_is_measured_against_the_cameras(planes: LightField) -> Non
 
 
 def test_the_command_writes_what_it_found(planes: LightField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(misalignment, "_source", lambda _: lambda moved: planes)
+    monkeypatch.setattr(misalignment, "recording", lambda _: lambda moved: planes)
     options = ["--arrays=3x3", "--misalign=shift=1", "--crop=88", "--preset=fast", "--device=cpu"]
     outcome = CliRunner().invoke(app, ["misalignment", "planes", *options, "-o", str(tmp_path / "found.json")])
     assert outcome.exit_code == 0, outcome.output

@@ -522,7 +522,7 @@ def _placement(lf: LightField, cameras: dict[str, Any]) -> list[str]:
         )
     else:
         moved = consensus.outliers(shift, offsets, cameras["shift_error"], least=_MOVED)
-        said += _single(lf, moved, lambda n: f"{_direction(*rest[n])} of where it should be", "line up")
+        said += _single(lf, moved, lambda n: f"{_direction(*rest[n])} where it should be", "line up")
     shape = np.stack([np.deg2rad(cameras["rotation"]), cameras["scale"]], axis=1) * radius
     errors = np.stack([np.deg2rad(cameras["rotation_error"]), cameras["scale_error"]], axis=1) * radius
     rest_shape = consensus.smooth_rest(shape, offsets)
@@ -592,10 +592,10 @@ def _single(lf: LightField, chosen: NDArray[np.bool_], what: Any, remedy: str) -
 
 
 def _direction(x: float, y: float) -> str:
-    """A shift in words: "0.20 px to the right and 0.11 px below"; parts that are small against the other left out."""
+    """A shift in words: "0.20 px to the right of and 0.11 px below"; parts that are small against the other left out."""
     parts = []
     if abs(x) >= 0.25 * abs(y):
-        parts.append(f"{abs(x):.2f} px to the {'right' if x > 0 else 'left'}")
+        parts.append(f"{abs(x):.2f} px to the {'right' if x > 0 else 'left'} of")
     if abs(y) >= 0.25 * abs(x):
         parts.append(f"{abs(y):.2f} px {'below' if y > 0 else 'above'}")
     return " and ".join(parts)

@@ -7,11 +7,11 @@ round, and views agree as well as before; but then what is taken for far hides w
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lfgpu.calibration.bundle import Points, grey
 from lfgpu.contract import Float64Array, KernelSet
@@ -28,6 +28,7 @@ _TURNED = ((0, 1), (-1, 0))  # transposed and one axis turned round: a quarter t
 _POINTS = 400
 _VIEWS = 12
 _LABELS = 65
+_REACH = 2  # pixels to each side of a point that its patch goes
 _PARALLAX = 6.0  # pixels by which the views that are compared move at most, about
 _BETTER = 0.92  # of the median cost: how much better another way must be,
 _SURE = 5.0  # and by how many standard errors of the mean over points
@@ -51,9 +52,8 @@ def wrong_axis(lf: LightField, points: Points, largest: float) -> Signs | None:
     order = beside[np.argsort(np.abs(distance[beside] - wanted), kind="stable")]
     chosen = _spread_over_angles(order, offsets)
     step = np.random.default_rng(0).permutation(len(points.x))[:_POINTS]
-    dy, dx = np.mgrid[-2:3, -2:3].reshape(2, -1) * 1.0
-    x, y = points.x[step][:, None] + dx, points.y[step][:, None] + dy
-    patch = ndimage.map_coordinates(grey(lf, lf.reference_index), [y, x], order=1, mode="nearest")
+    x, y = points.x[step].astype(np.intp), points.y[step].astype(np.intp)
+    patch = _patches(grey(lf, lf.reference_index), x, y)
     pictures = [grey(lf, int(n)) for n in chosen]
     labels = np.linspace(-1.2 * largest, 1.2 * largest, _LABELS)
     costs: dict[Signs | None, Float64Array] = {}
@@ -105,8 +105,6 @@ def near_and_far_swapped(lf: LightField, disparity: NDArray[np.float32], kernels
         recorded = recorded * (right[place][seen].mean() / max(float(recorded[seen].mean()), 1e-6))
         for k, view in enumerate((right[place], other[place])):
             loss[k] += np.minimum(np.abs(view - recorded).mean(-1), 0.1)[told[place]].sum()
-    if __import__("os").environ.get("DBG"):
-        print(told.sum(), loss[1] / max(loss[0], 1e-9))
     return bool(told.sum() >= _FEWEST and loss[1] < _HIDES_BETTER * loss[0])
 
 
@@ -122,8 +120,8 @@ def _sweep(
     patch: Float64Array,
     pictures: list[NDArray[np.float32]],
     offsets: Float64Array,
-    x: Float64Array,
-    y: Float64Array,
+    x: NDArray[np.intp],
+    y: NDArray[np.intp],
     labels: Float64Array,
 ) -> Float64Array:
     """The least cost [p] of each point: mean absolute difference of patches without their means, in the better half of
@@ -132,7 +130,7 @@ def _sweep(
     plain = _plain(patch)
     for d in labels:
         costs = [
-            np.abs(_plain(ndimage.map_coordinates(picture, [y - d * dv, x - d * du], order=1, mode="nearest")) - plain)
+            np.abs(_plain(_patches(picture, x, y, -d * du, -d * dv)) - plain)
             for picture, (du, dv) in zip(pictures, offsets, strict=True)
         ]
         better = np.sort(np.stack(costs).mean(2), axis=0)[: (3 * len(pictures) + 3) // 4]
@@ -140,7 +138,23 @@ def _sweep(
     return best
 
 
-def _plain(patch: Float64Array) -> Float64Array:
+def _patches(
+    picture: NDArray[np.float32], x: NDArray[np.intp], y: NDArray[np.intp], right: float = 0.0, down: float = 0.0
+) -> NDArray[np.float32]:
+    """The 5 x 5 pixels [p, 25] of a picture around points that are moved by so much, bilinear; its border goes on."""
+    height, width = picture.shape
+    column, row = math.floor(right), math.floor(down)
+    across, along = np.float32(right - column), np.float32(down - row)
+    reach = np.arange(-_REACH, _REACH + 2)
+    rows = (y[:, None] + (row + reach)).clip(0, height - 1)
+    columns = (x[:, None] + (column + reach)).clip(0, width - 1)
+    found = picture[rows[:, :, None], columns[:, None, :]]
+    found = (1 - along) * found[:, :-1] + along * found[:, 1:]
+    found = (1 - across) * found[:, :, :-1] + across * found[:, :, 1:]
+    return found.reshape(len(x), -1)
+
+
+def _plain(patch: NDArray[np.floating]) -> Float64Array:
     """Patches [p, k] without their mean and contrast."""
     centred = patch - patch.mean(1, keepdims=True)
-    return np.asarray(centred / (np.abs(centred).mean(1, keepdims=True) + 3e-3))
+    return np.asarray(centred / (np.abs(centred).mean(1, keepdims=True) + np.float32(3e-3)))
