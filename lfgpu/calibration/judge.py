@@ -592,7 +592,7 @@ def _single(lf: LightField, chosen: NDArray[np.bool_], what: Any, remedy: str) -
 
 
 def _direction(x: float, y: float) -> str:
-    """A shift in words: "0.20 px to the right of and 0.11 px below"; parts that are small against the other left out."""
+    """A shift in words: "0.20 px to the right of and 0.11 px below"; small parts left out."""
     parts = []
     if abs(x) >= 0.25 * abs(y):
         parts.append(f"{abs(x):.2f} px to the {'right' if x > 0 else 'left'} of")
