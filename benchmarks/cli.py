@@ -342,7 +342,9 @@ def ring_(
 def misalignment_(
     scene_names: Annotated[
         list[str],
-        typer.Argument(metavar="SCENE...", help="Folders of light fields with truth, or scenes of the package."),
+        typer.Argument(
+            metavar="SCENE...", help="Folders of light fields with truth, or scenes as boxes-11, NAME-SEED."
+        ),
     ],
     arrays: Annotated[str, typer.Option(metavar="NAME,...", help="Which views are used.")] = ",".join(
         misalignment.ARRAYS
@@ -355,6 +357,7 @@ def misalignment_(
     crop: Annotated[int, typer.Option(min=64, help="Longest side of the middle of the views that is used.")] = 512,
     preset: Annotated[str, typer.Option(metavar="NAME")] = "accurate",
     device: Device = None,
+    append: Annotated[bool, typer.Option("--append", help="Add to the rows that the output has.")] = False,
     out: Out = None,
 ) -> None:
     """Errors of maps with cameras as they should be, misaligned, and lined up by `refine`, with the true range."""
@@ -363,10 +366,11 @@ def misalignment_(
     chosen = tuple(disturbances or misalignment.DISTURBANCES)
     plan = misalignment.Plan(tuple(scene_names), tuple(_names(arrays)), chosen, seeds, crop, preset, device)
     about = {"machine": machine.describe(), "versions": machine.versions(), "commit": machine.commit()}
+    before = misalignment.load(out) if append and out is not None and out.exists() else []
     found = []
     for row in misalignment.run(plan, lambda what: typer.echo(what, err=True)):
         found.append(row)
-        live.save(out, {**about, "plan": asdict(plan), "rows": [asdict(row) for row in found]})  # as far as it is
+        live.save(out, {**about, "rows": [asdict(row) for row in (*before, *found)]})  # as far as it is
     misalignment.show(found)
 
 
@@ -374,7 +378,9 @@ def misalignment_(
 def judge_(
     scene_names: Annotated[
         list[str],
-        typer.Argument(metavar="SCENE...", help="Folders of light fields with truth, or scenes of the package."),
+        typer.Argument(
+            metavar="SCENE...", help="Folders of light fields with truth, or scenes as boxes-11, NAME-SEED."
+        ),
     ],
     draws: Annotated[int, typer.Option(min=1, help="Draws over all scenes.")] = 100,
     shift: Annotated[float, typer.Option(min=0.01, help="By how many pixels a view is moved.")] = 0.2,
