@@ -7,13 +7,13 @@ round, and views agree as well as before; but then what is taken for far hides w
 
 from __future__ import annotations
 
-import math
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.calibration.bundle import Points, grey
+from lfgpu.calibration.sweep import LABELS, patches, sweep
 from lfgpu.contract import Float64Array, KernelSet
 from lfgpu.data.lightfield import LightField
 
@@ -27,9 +27,8 @@ _WAYS: dict[Signs | None, tuple[tuple[int, int], tuple[int, int]]] = {
 _TURNED = ((0, 1), (-1, 0))  # transposed and one axis turned round: a quarter turn of the array
 _POINTS = 400
 _VIEWS = 12
-_LABELS = 65
-_REACH = 2  # pixels to each side of a point that its patch goes
 _PARALLAX = 6.0  # pixels by which the views that are compared move at most, about
+_AGREE = 0.15  # of the contrast: where patches differ by less, the way that was told is right
 _BETTER = 0.92  # of the median cost: how much better another way must be,
 _SURE = 5.0  # and by how many standard errors of the mean over points
 _HIDES_BETTER = 0.85  # of the loss: how much better the other order of depth must be
@@ -53,16 +52,18 @@ def wrong_axis(lf: LightField, points: Points, largest: float) -> Signs | None:
     chosen = _spread_over_angles(order, offsets)
     step = np.random.default_rng(0).permutation(len(points.x))[:_POINTS]
     x, y = points.x[step].astype(np.intp), points.y[step].astype(np.intp)
-    patch = _patches(grey(lf, lf.reference_index), x, y)
+    patch = patches(grey(lf, lf.reference_index), x, y)
     pictures = [grey(lf, int(n)) for n in chosen]
-    labels = np.linspace(-1.2 * largest, 1.2 * largest, _LABELS)
+    labels = np.linspace(-1.2 * largest, 1.2 * largest, LABELS)
     costs: dict[Signs | None, Float64Array] = {}
     for way, matrix in (*_WAYS.items(), ("turned", _TURNED)):
         moved = offsets[chosen] @ np.array(matrix, np.float64).T
-        cost = _sweep(patch, pictures, moved, x, y, labels)
+        cost, _ = sweep(patch, pictures, moved, x, y, labels)
         name: Signs | None = "transposed" if way == "turned" else way  # type: ignore[assignment]
         if name not in costs or np.median(cost) < np.median(costs[name]):
             costs[name] = cost
+        if name is None and np.median(cost) < _AGREE:
+            return None
     best = min(costs, key=lambda way: float(np.median(costs[way])))
     gain = costs[None] - costs[best]
     sure = gain.mean() > _SURE * gain.std() / np.sqrt(len(gain))
@@ -102,6 +103,8 @@ def near_and_far_swapped(lf: LightField, disparity: NDArray[np.float32], kernels
             told[place] &= lf.valid[n]
         # Brightness of the whole view is no matter of what hides what.
         seen = coverage[place] >= 0.5
+        if not seen.any():
+            continue
         recorded = recorded * (right[place][seen].mean() / max(float(recorded[seen].mean()), 1e-6))
         for k, view in enumerate((right[place], other[place])):
             loss[k] += np.minimum(np.abs(view - recorded).mean(-1), 0.1)[told[place]].sum()
@@ -114,47 +117,3 @@ def _spread_over_angles(order: NDArray[np.intp], offsets: Float64Array) -> NDArr
     sector = np.floor((angle + np.pi) / (2 * np.pi) * 8).astype(int) % 8
     rank = np.array([(sector[:i] == s).sum() for i, s in enumerate(sector)])
     return np.asarray(order[np.lexsort((np.arange(len(order)), rank))][:_VIEWS])
-
-
-def _sweep(
-    patch: Float64Array,
-    pictures: list[NDArray[np.float32]],
-    offsets: Float64Array,
-    x: NDArray[np.intp],
-    y: NDArray[np.intp],
-    labels: Float64Array,
-) -> Float64Array:
-    """The least cost [p] of each point: mean absolute difference of patches without their means, in the better half of
-    the views."""
-    best = np.full(len(patch), np.inf)
-    plain = _plain(patch)
-    for d in labels:
-        costs = [
-            np.abs(_plain(_patches(picture, x, y, -d * du, -d * dv)) - plain)
-            for picture, (du, dv) in zip(pictures, offsets, strict=True)
-        ]
-        better = np.sort(np.stack(costs).mean(2), axis=0)[: (3 * len(pictures) + 3) // 4]
-        best = np.minimum(best, better.mean(0))
-    return best
-
-
-def _patches(
-    picture: NDArray[np.float32], x: NDArray[np.intp], y: NDArray[np.intp], right: float = 0.0, down: float = 0.0
-) -> NDArray[np.float32]:
-    """The 5 x 5 pixels [p, 25] of a picture around points that are moved by so much, bilinear; its border goes on."""
-    height, width = picture.shape
-    column, row = math.floor(right), math.floor(down)
-    across, along = np.float32(right - column), np.float32(down - row)
-    reach = np.arange(-_REACH, _REACH + 2)
-    rows = (y[:, None] + (row + reach)).clip(0, height - 1)
-    columns = (x[:, None] + (column + reach)).clip(0, width - 1)
-    found = picture[rows[:, :, None], columns[:, None, :]]
-    found = (1 - along) * found[:, :-1] + along * found[:, 1:]
-    found = (1 - across) * found[:, :, :-1] + across * found[:, :, 1:]
-    return found.reshape(len(x), -1)
-
-
-def _plain(patch: NDArray[np.floating]) -> Float64Array:
-    """Patches [p, k] without their mean and contrast."""
-    centred = patch - patch.mean(1, keepdims=True)
-    return np.asarray(centred / (np.abs(centred).mean(1, keepdims=True) + np.float32(3e-3)))

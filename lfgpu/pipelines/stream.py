@@ -720,7 +720,7 @@ class DepthStream:
     def _complete(self, result: StreamResult, maps: Any, work: float) -> None:
         result.latency, result.work = perf_counter() - result._pushed, work
         over = self._budget is not None and work * 1000 > self._budget
-        apart, said = self._stamps.look(result.index, result.stamps)
+        apart, warned = self._stamps.look(result.index, result.stamps)
         extra = {
             "frames_cold": result.cold,
             "scene_cuts": result.cut,
@@ -743,7 +743,7 @@ class DepthStream:
         beyond, new = self._watch.look(result.index, result._maps().numpy(0))
         if beyond:
             self._counters.add("frames_beyond_range")
-        for sentence in (*said, *new):
+        for sentence in (*warned, *new):
             _LOG.warning(sentence)
 
     def _log(self, what: str, error: BaseException) -> None:
