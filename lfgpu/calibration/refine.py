@@ -199,8 +199,7 @@ class _Search:
             bundle.warps[:] = self.warps
         else:
             distance = 0.0
-        gain, offset, falloff = measure_tones(moved, bundle, vignetting=True)
-        self.tones = Tones(gain, offset, falloff)
+        self.tones = _believed(moved, bundle)
         return distance
 
     def result(self) -> Refinement:
@@ -326,6 +325,31 @@ def _by_moments(lf: LightField) -> Tones:
     ref = lf.reference_index
     gain = np.clip((contrast + _LEAST_CONTRAST) / (contrast[ref] + _LEAST_CONTRAST), 0.25, 4)
     return Tones(gain, mean - gain * mean[ref], np.zeros_like(gain))
+
+
+def _believed(lf: LightField, bundle: Bundle) -> Tones:
+    """The tones that points show, moved towards none at all as far as the halves of the picture contradict each other.
+
+    Gloss and shadows that differ from view to view look like tones. Half the difference between what the left and the
+    right half say is about the error of both together; of what is found, the share 1 - error² / found² is signal.
+    """
+    middle = (lf.size[1] - 1) / 2
+    halves = [
+        Tones(*measure_tones(lf, bundle, vignetting=True, at=side))
+        for side in (bundle.points.x < middle, bundle.points.x >= middle)
+    ]
+    found = Tones(*measure_tones(lf, bundle, vignetting=True))
+    level = float(np.clip(np.median(bundle.brightness), 0.05, 1))
+
+    def size(tones: Tones, less: Tones | None = None) -> float:
+        """Mean square of the change of brightness in the middle and halfway to the corners."""
+        parts = [tones.brightness(level) + share * tones.vignetting for share in (0.0, 0.5)]
+        other = [less.brightness(level) + share * less.vignetting if less else 1.0 for share in (0.0, 0.5)]
+        return float(np.mean([(a - b) ** 2 for a, b in zip(parts, other, strict=True)]))
+
+    error, whole = size(*halves) / 4, size(found)
+    share = max(0.0, 1 - error / max(whole, 1e-12))
+    return Tones(1 + share * (found.gain - 1), share * found.offset, share * found.vignetting)
 
 
 def _with_reference_fixed(warps: Float64Array, model: str, reference: int, offsets: Float64Array) -> Float64Array:
