@@ -514,17 +514,14 @@ def _cameras(lf: LightField, points: Points, *, steps: int = _STEPS, colours: bo
 
 
 def measure_tones(
-    lf: LightField, bundle: Bundle, *, vignetting: bool, at: NDArray[np.bool_] | None = None
+    lf: LightField, bundle: Bundle, *, vignetting: bool
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Gain, offset and vignetting [n, c] of each view and colour, where the bundle says that it records the points; of
-    those points only that `at` [p] says."""
+    """Gain, offset and vignetting [n, c] of each view and colour, where the bundle says that it records the points."""
     found = []
     radius2 = bundle.squared_radii()
     for channel in range(lf.channels):
         looks = [bundle.look_up(n, channel) for n in range(len(lf.views))]
         shown, weight = (np.stack(parts) for parts in zip(*looks, strict=True))
-        if at is not None:
-            weight = weight * at
         found.append(match_tones(shown, weight, radius2, lf.reference_index, vignetting=vignetting))
     gain, offset, falloff = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
     return gain, offset, falloff

@@ -187,10 +187,27 @@ def test_cameras_off_by_pixels_are_found_in_small_pictures() -> None:
     assert found.psnr_after > found.psnr_before + 4.5
 
 
+def test_the_level_that_views_do_not_tell_is_said(boxes: LightField) -> None:
+    """Over draws, maps of lined up views are off by a constant of the size that is said."""
+    assert boxes.truth is not None
+    off, said = [], []
+    for seed in range(4):
+        wrong = disturb(boxes, Misalignment(shift=0.6), seed=seed)
+        found = refine(wrong.light_field, model="shift", disparity_range=(-2.5, 2.5))
+        map_ = lfgpu.estimate_depth(found.light_field, config="fast", disparity_range=(-2.5, 2.5))
+        off.append(float(np.nanmedian((map_.disparity - boxes.truth.disparity)[15:-15, 15:-15])))
+        said.append(found.level_error)
+        assert any(f"about {found.level_error:.2g} px per view step" in note for note in found.light_field.notes)
+        assert any(" m that is " in note for note in found.light_field.notes)  # the geometry is known
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(np.mean(said), rel=0.7)
+    assert np.mean(said) == pytest.approx(0.6 / np.sqrt((boxes.offsets**2).sum()), rel=0.3)
+
+
 def test_what_is_right_is_left_alone(boxes: LightField) -> None:
     found = refine(boxes)
     assert not found.kept
     assert found.light_field is boxes
+    assert found.level_error == 0
     assert "nothing" in found.status
 
 
