@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from benchmarks import judge, misalignment
 from benchmarks.cli import app
+from benchmarks.errors import BenchmarkError
 from lfgpu import scenes
 from lfgpu.calibration import Misalignment, disturb
 from lfgpu.calibration.parallel import ideal_cameras
