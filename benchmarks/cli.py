@@ -1,9 +1,9 @@
 """The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found.
 
 `accuracy` scores a population of light fields, `ablation` leaves ingredients out, `rendering` renders views that were
-left out, `misalignment` lines up cameras that were moved, `live`, `rectify`, `ring`, `flicker`, `drift` and `soak` are
-about streams, `scaling` takes several GPUs, `tiles` limits the memory, `gallery` draws the picture of the README,
-`figures` writes the figures of all pages from the committed results.
+left out, `misalignment` lines up cameras that were moved, `judge` looks for a single view that was moved, `live`,
+`rectify`, `ring`, `flicker`, `drift` and `soak` are about streams, `scaling` takes several GPUs, `tiles` limits the
+memory, `gallery` draws the picture of the README, `figures` writes the figures of all pages from the committed results.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from benchmarks import (
     flicker,
     gallery,
     gpu_parity,
+    judge,
     live,
     live_stages,
     machine,
@@ -349,7 +350,9 @@ def ring_(
 def misalignment_(
     scene_names: Annotated[
         list[str],
-        typer.Argument(metavar="SCENE...", help="Folders of light fields with truth, or scenes of the package."),
+        typer.Argument(
+            metavar="SCENE...", help="Folders of light fields with truth, or scenes as boxes-11, NAME-SEED."
+        ),
     ],
     arrays: Annotated[str, typer.Option(metavar="NAME,...", help="Which views are used.")] = ",".join(
         misalignment.ARRAYS
@@ -362,6 +365,7 @@ def misalignment_(
     crop: Annotated[int, typer.Option(min=64, help="Longest side of the middle of the views that is used.")] = 512,
     preset: Annotated[str, typer.Option(metavar="NAME")] = "accurate",
     device: Device = None,
+    append: Annotated[bool, typer.Option("--append", help="Add to the rows that the output has.")] = False,
     out: Out = None,
 ) -> None:
     """Errors of maps with cameras as they should be, misaligned, and lined up by `refine`, with the true range."""
@@ -369,11 +373,40 @@ def misalignment_(
         check_writable(out, folder=False)
     chosen = tuple(disturbances or misalignment.DISTURBANCES)
     plan = misalignment.Plan(tuple(scene_names), tuple(_names(arrays)), chosen, seeds, crop, preset, device)
+    before = misalignment.load(out) if append and out is not None and out.exists() else []
     found, about = [], machine.about()
     for row in misalignment.run(plan, _say):
         found.append(row)
-        live.save(out, {**about, "plan": asdict(plan), "rows": [asdict(row) for row in found]})  # as far as it is
+        live.save(out, {**about, "rows": [asdict(row) for row in (*before, *found)]})  # as far as it is
     misalignment.show(found)
+
+
+@app.command("judge")
+def judge_(
+    scene_names: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SCENE...", help="Folders of light fields with truth, or scenes as boxes-11, NAME-SEED."
+        ),
+    ],
+    draws: Annotated[int, typer.Option(min=1, help="Draws over all scenes.")] = 100,
+    shift: Annotated[float, typer.Option(min=0.01, help="By how many pixels a view is moved.")] = 0.2,
+    crop: Annotated[int, typer.Option(min=64, help="Side of the part of the views that is used.")] = 192,
+    preset: Annotated[str, typer.Option(metavar="NAME")] = "fast",
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Move one view in a random direction: is it found, and is nothing said without that?"""
+    if out is not None:
+        check_writable(out, folder=False)
+    plan = judge.Plan(tuple(scene_names), draws, shift, crop, preset, device)
+    about = {"machine": machine.describe(), "versions": machine.versions(), "commit": machine.commit()}
+    found = []
+    for draw in judge.run(plan, lambda what: typer.echo(what, err=True)):
+        found.append(draw)
+        rows = [asdict(one) for one in found]  # as far as it is
+        live.save(out, {**about, "plan": judge.named(plan), "summary": judge.summary(found), "draws": rows})
+    judge.show(found)
 
 
 @app.command("rectify")

@@ -356,6 +356,67 @@ def test_a_search_is_wanted_after_a_cut_and_not_without_a_reason() -> None:
     assert not watch.wait()
 
 
+# --- stamps ---
+
+
+def test_frames_whose_pictures_were_not_taken_together_are_counted_and_said_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    lf = frames()[0]
+    together = 7.0 + 0.001 * np.arange(15) / 15
+    late = together.copy()
+    late[5] += 0.02
+    with made(tolerance=0.004) as stream:
+        results = [stream.push(lf.views, stamps=stamps) for stamps in (together, late, late, None)]
+        missing = np.arange(15) != 5
+        late[5] = np.nan  # its stamp is not read, as its picture is not
+        results.append(stream.push(lf.views, stamps=late, valid=missing))
+        assert all(result.wait(LONG) and result.error is None for result in results)
+    stats = stream.stats()
+    assert (stats["frames_done"], stats["frames_out_of_step"], stats["warnings"]) == (5, 2, 1)
+    (sentence,) = stream.warnings
+    assert "frame 1 were taken within 20.2 ms" in sentence
+    assert "view 5 " in sentence
+    assert [record.getMessage() for record in caplog.records] == [sentence]
+    assert results[1].stamps is not None
+    assert results[1].stamps[5] == 7.02 + 0.001 * 5 / 15  # a copy: what became of `late` since is no matter
+    assert results[3].stamps is None
+    assert results[4].stamps is not None
+    assert np.isnan(results[4].stamps).tolist() == (~missing).tolist()
+    assert "lfgpu_stream_frames_out_of_step_total 2" in stream.prometheus()
+
+
+def test_without_a_tolerance_any_stamps_will_do() -> None:
+    with made() as stream:
+        result = stream.push(frames()[0].views, stamps=np.arange(15.0))
+        assert result.wait(LONG)
+    assert result.error is None
+    assert stream.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        (np.zeros(14), r"stamps must be \[15\], one for each view; found \[14\]"),
+        (["noon"] * 15, "stamps must be numbers of seconds"),
+        ([0.0] * 14 + [float("nan")], r"the stamp of view 14 is nan; give seconds, or set valid\[14\] to False"),
+    ],
+)
+def test_wrong_stamps_fail_their_frame_only(stamps: Any, words: str) -> None:
+    with made(tolerance=0.004) as stream:
+        wrong = stream.push(frames()[0].views, stamps=stamps)
+        right = stream.push(frames()[0].views, stamps=np.zeros(15))
+        assert right.wait(LONG)
+    assert right.error is None
+    assert re.search(words, str(wrong.error))
+
+
+@pytest.mark.parametrize("tolerance", [0, -1.0, float("nan"), True, "4 ms"])
+def test_a_tolerance_is_a_number_of_seconds(tolerance: Any) -> None:
+    with pytest.raises(lfgpu.LightFieldError, match="tolerance must be a number of seconds > 0"):
+        made(tolerance=tolerance)
+
+
 # --- results ---
 
 

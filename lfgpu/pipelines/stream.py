@@ -33,6 +33,7 @@ from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.range_watch import RangeWatch
 from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.snapshots import Snapshots
+from lfgpu.pipelines.stamps import StampWatch, checked_stamps, checked_tolerance
 from lfgpu.pipelines.stream_result import FrameDroppedError, OnResult, StreamResult
 
 _USUAL_NOISE = 0.004  # intensity: the noise of cameras of which nothing is known
@@ -115,6 +116,10 @@ class DepthStream:
         Rectifies the raw pictures of each frame on the device, in the same graph as the estimate. Then `lf` and all
         frames are raw pictures in the order of its cameras (`Rectifier.pictures`). Default None: views are as they
         should be.
+    tolerance
+        Seconds by which the `stamps` of one frame may differ, > 0. Frames whose stamps differ by more are counted
+        (`frames_out_of_step`) and a sentence is added to `warnings`, once; they are estimated all the same. Default
+        None: any.
 
     Raises
     ------
@@ -140,8 +145,10 @@ class DepthStream:
         end_on_error: bool = False,
         measured: Measured | None = None,
         rectifier: Rectifier | None = None,
+        tolerance: float | None = None,
     ) -> None:
         _check(cut, budget_ms)
+        checked_tolerance(tolerance)
         most = _waiting(policy, waiting)
         given = disparity_range is not None or measured is not None
         method, kernels = method_of(config), load(backend)
@@ -190,6 +197,7 @@ class DepthStream:
         self._watch = RangeWatch(self.bounds)
         # A range that was found was found in these views; a stream that was made without a frame has none.
         self._first = self._like if given and np.any(self._like.views) else None
+        self._stamps = StampWatch(tolerance, self._used)
         self._logged: set[tuple[object, ...]] = set()
         self._process = os.getpid()
 
@@ -252,18 +260,24 @@ class DepthStream:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the stream as a whole, a sentence each, such as a disparity range that is too small.
+        """What is wrong with the stream as a whole, a sentence each: a disparity range that is too small, cameras that
+        do not record together.
 
         The range is held against the one that is found in the first views, in those after a cut, and in those of a map
         of which at least 1 % lies at one end; at most every ten seconds, beside the work on frames. Each sentence is
         also logged once by `logging`.
         """
-        return self._watch.warnings
+        return (*self._watch.warnings, *self._stamps.warnings)
 
     # --- pushing frames ---
 
     def push(
-        self, frame: Any, *, valid: Sequence[bool] | NDArray[np.bool_] | None = None, tag: Any = None
+        self,
+        frame: Any,
+        *,
+        valid: Sequence[bool] | NDArray[np.bool_] | None = None,
+        stamps: Sequence[float] | NDArray[np.floating[Any]] | None = None,
+        tag: Any = None,
     ) -> StreamResult:
         """Add a frame. May be called from any thread. The array may be changed as soon as this returns.
 
@@ -276,6 +290,9 @@ class DepthStream:
         valid
             bool [n], False for cameras without a picture; their views are not read. The reference view and at least one
             other used view must be valid. Default None: all are valid.
+        stamps
+            [n], when each picture was taken, seconds on one clock; those of cameras without a picture are not read.
+            They become `StreamResult.stamps` and are compared with the stream's `tolerance`. Default None: not known.
         tag
             Any object; it becomes `StreamResult.tag`. Default None.
 
@@ -299,6 +316,7 @@ class DepthStream:
             self._counters.add("frames_pushed")
         try:
             result.valid = self._intake.checked_valid(there)
+            result.stamps = None if stamps is None else checked_stamps(stamps, result.valid)
             checked, on_gpu = self._intake.checked(frame)
             slot = self._inbox.slot()
         except LightFieldError as error:
@@ -370,11 +388,12 @@ class DepthStream:
         -------
         Counts: `frames_pushed`, which is the sum of `frames_done`, `frames_dropped`, `frames_failed` and
         `frames_in_work`; `frames_cold`, `frames_with_missing_views`, `frames_over_budget`, `frames_beyond_range` (at
-        least 1 % of the map lies at one end of the disparity range), `scene_cuts`, `callback_errors`, `warnings`,
-        `frames_waiting`. Rate: `frames_per_second` over the last two seconds. Times over the latest
-        1024 results, NaN if there is none: `latency_p50_ms`, `latency_p95_ms`, `latency_p99_ms` from `push` to the map
-        on the host, and `work_p50_ms` and so on for the device. Memory: `result_buffers`, the number of results that
-        memory is allocated for; it grows if more results are held.
+        least 1 % of the map lies at one end of the disparity range), `frames_out_of_step` (the stamps differ by more
+        than the tolerance), `scene_cuts`, `callback_errors`, `warnings`, `frames_waiting`. Rate: `frames_per_second`
+        over the last two seconds. Times over the latest 1024 results, NaN if there is none: `latency_p50_ms`,
+        `latency_p95_ms`, `latency_p99_ms` from `push` to the map on the host, and `work_p50_ms` and so on for the
+        device. Memory: `result_buffers`, the number of results that memory is allocated for; it grows if more results
+        are held.
         """
         return {
             **self._counters.stats(),
@@ -535,11 +554,13 @@ class DepthStream:
     def _complete(self, result: StreamResult, maps: Any, work: float) -> None:
         result.latency, result.work = perf_counter() - result._pushed, work
         over = self._budget is not None and work * 1000 > self._budget
+        apart, warned = self._stamps.look(result.index, result.stamps)
         extra = {
             "frames_cold": result.cold,
             "scene_cuts": result.cut,
             "frames_with_missing_views": not result.valid.all(),
             "frames_over_budget": over,
+            "frames_out_of_step": apart,
         }
         self._counters.done(result.latency, work, *(name for name, counts in extra.items() if counts))
         result._finish(self._transport.lease(maps))
@@ -555,6 +576,8 @@ class DepthStream:
                     self._inbox.close(finish=False, reason=f"on_result failed ({said})")
         if self._watch.look(result._maps().numpy(0), is_new=result.cut):
             self._counters.add("frames_beyond_range")
+        for sentence in warned:
+            _LOG.warning(sentence)
 
     def _watch_range(self) -> None:
         """The loop of the thread that finds the range of some frames, to hold it against that of the stream."""

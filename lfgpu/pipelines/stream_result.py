@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import Float32Array
+from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.errors import LfgpuError
 
 
@@ -33,10 +33,14 @@ class StreamResult:
         Number of alignment steps.
     latency
         Seconds from `push` to the map on the host; NaN until then. `work` is the device time, seconds.
+    stamps
+        float64 [n], when each picture was taken, seconds, as given to `push`; NaN where a camera has none. None if they
+        were not given.
     """
 
     def __init__(self, index: int, tag: Any, valid: NDArray[np.bool_]) -> None:
         self.index, self.tag, self.valid = index, tag, valid
+        self.stamps: Float64Array | None = None
         self.cold, self.cut, self.steps = True, False, 0
         self.latency = self.work = float("nan")
         self._pushed, self._ready = perf_counter(), threading.Event()
