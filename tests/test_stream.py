@@ -745,7 +745,7 @@ def test_the_page_of_streams_names_what_is_there() -> None:
     section = (Path(__file__).parents[1] / "docs" / "streams.md").read_text(encoding="utf-8")
     for prefix, home in (
         ("stream", lfgpu.DepthStream),
-        ("result", lfgpu.StreamResult),
+        ("result", lfgpu.StreamResult(0, None, np.ones(1, bool))),
         ("DepthStream", lfgpu.DepthStream),
     ):
         names = re.findall(rf"(?<!\w){prefix}\.(\w+)", section)
