@@ -101,6 +101,45 @@ def test_views_without_texture_have_none(noise: float) -> None:
         find_disparity_range(LightField.from_grid(np.clip(plain, 0, 1).astype(np.float32), name="wall"))
 
 
+@pytest.mark.parametrize("backend", ["taichi", "reference"])
+def test_it_does_not_depend_on_the_backend(backend: str) -> None:
+    lf = scenes.make("boxes", grid=(3, 3), size=(64, 72))
+    valid = np.random.default_rng(0).uniform(size=lf.views.shape[:3]) > 0.001
+    for some in (lf, replace(lf, valid=valid)):
+        found = disparity_range.find_disparity_range(some, load(backend), "cpu")
+        np.testing.assert_allclose(found, find_disparity_range(some), atol=1e-4)
+
+
+def test_it_does_not_depend_on_how_views_reach_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    lf = scenes.make("relief", grid=(5, 5), size=(64, 72))
+    valid = np.random.default_rng(0).uniform(size=lf.views.shape[:3]) > 0.001
+    for some in (lf, replace(lf, valid=valid)):
+        found = find_disparity_range(some)
+        views = KERNELS.image(some.views, "cpu")
+        assert disparity_range.find_disparity_range(some, KERNELS, "cpu", views=views) == found
+        with monkeypatch.context() as patch:
+            patch.setattr(disparity_range, "_AT_ONCE", 2 * some.views[0].nbytes)
+            assert find_disparity_range(some) == found
+
+
+def test_a_coarser_comparison_counts_where_a_finer_one_found_nothing() -> None:
+    lf = scenes.make("relief", grid=(3, 3), size=(64, 64))
+    fine, coarse = np.full((9, 8), np.nan, np.float32), np.full((4, 4), np.nan, np.float32)
+    fine[:2] = 1.0
+    coarse[0], coarse[3] = 5.0, -1.0  # the finer one knows better in the first row
+    found = [disparity_range._Evidence(disparity, 0.5, unchecked=False) for disparity in (fine, coarse)]
+    assert disparity_range._ends(lf, found) == (-1.0, 1.0)
+    assert disparity_range._ends(lf, found[1:]) == (-1.0, 5.0)
+
+
+def test_evidence_is_the_mean_of_what_agrees() -> None:
+    disparity = np.full((5, 6), 2.0, np.float32)
+    disparity[2, 2], disparity[4, 5], disparity[0, 0] = 2.4, 9.0, np.inf
+    count, mean = disparity_range._agreeing(disparity, 0.5)
+    assert (count[2, 2], count[1, 1], count[4, 5], count[0, 0]) == (8, 7, 0, 0)
+    np.testing.assert_allclose([mean[2, 2], mean[4, 5], mean[0, 0]], [2 + 0.4 / 9, 9.0, 0.0], rtol=1e-6)
+
+
 def test_single_views_to_each_side_do_not_widen_it() -> None:
     """What two views say by chance, no third one denies; the map has 98 % of its pixels from -0.8 to 0.65."""
     if not (DATA / "real" / "corners").is_dir():

@@ -257,7 +257,7 @@ def test_what_is_measured_before_an_estimate_is_timed(tmp_path: Path) -> None:
     (row,) = json.loads(out.read_text())["rows"]
     assert (row["backend"], row["device"]) == ("warp", "cpu")
     assert min(row["range_ms"], row["resident_ms"], row["noise_ms"], row["first_ms"]) > 0
-    assert 2 <= row["waits"] <= 5
+    assert 2 <= row["waits"] <= 7
     assert row["found"][0] < row["true"][0] < row["true"][1] < row["found"][1]
 
 

@@ -2,7 +2,8 @@
 
 A pixel is evidence for a disparity if the views to one side of the reference look alike there (horizontally and
 vertically, where there are views of both), if they look alike at no other disparity, and if its neighbours say the
-same. The outermost evidence, with a margin, is the range: a pixel without texture has no say in it.
+same; its disparity is the mean over these. What a coarser comparison finds counts where a finer one finds nothing. The
+outermost evidence, with a margin, is the range: a pixel without texture has no say in it.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ _AGREEING = 5  # of the eight neighbours
 _LEAST_NOISE = 0.002  # intensity: half a step of 8 bits
 _OUTLIERS = 5  # pixels left out at either end,
 _UNCHECKED = 500  # or one in so many, where no other view confirms what a pair of views says
-_MARGIN, _MORE = 0.25, 0.015  # at either end: pixels in the farthest view, and a share of the range that was found
+_MARGIN, _MORE = 0.25, 0.03  # at either end: pixels in the farthest view, and a share of the range that was found
 _TRIES = 3  # to widen a range at whose end there is evidence
 _AT_ONCE = 2**26  # bytes of views that a device holds at a time
 
@@ -52,8 +53,8 @@ class _Side:
 class _Evidence:
     """What one comparison found."""
 
-    disparities: Float32Array
-    """Of pixels that are evidence, [p], sorted."""
+    disparity: Float32Array
+    """[y, x], NaN where a pixel is no evidence."""
     step: float
     """Distance of the disparities that were compared."""
     unchecked: bool
@@ -74,7 +75,7 @@ def find_disparity_range(
     lf
         The light field; masked pixels are left out.
     kernels, device
-        Where views are compared. The host waits for the device once for each of two to five comparisons.
+        Where views are compared. The host waits for the device once for each of two to seven comparisons.
     views
         All views [n, y, x, c] of `lf` as stored, if they are on the device already. Default None: those that are
         compared are copied there.
@@ -113,12 +114,23 @@ def find_disparity_range(
 
 
 def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
-    """The disparities of the outermost evidence, without a few pixels of each comparison at either end."""
-    kept = []
+    """The disparities of the outermost evidence, without a few pixels of each comparison at either end.
+
+    Each comparison but the first is half as fine as the one before; it counts where that one found nothing.
+    """
+    kept: list[Float32Array] = []
+    finer: NDArray[np.bool_] | None = None
     for evidence in found:
-        count = len(evidence.disparities)
+        disparity = evidence.disparity
+        is_evidence = np.isfinite(disparity)
+        if finer is not None:
+            height, width = disparity.shape
+            is_evidence &= ~finer[: 2 * height, : 2 * width].reshape(height, 2, width, 2).any((1, 3))
+        finer = np.isfinite(disparity)
+        count = int(finer.sum())
         outer = max(min(count // 100, _OUTLIERS), count // _UNCHECKED if evidence.unchecked else 0)
-        kept.append(evidence.disparities[outer : count - outer])
+        disparities = np.sort(disparity[is_evidence])
+        kept.append(disparities[outer : max(outer, len(disparities) - outer)])
     together = np.concatenate(kept)
     if not len(together):
         raise LightFieldError(
@@ -248,15 +260,24 @@ class _Comparison:
         place, least, spread, others, worst = found.astype(np.float32, copy=False)
         noise = max(float(np.median(least[spread >= np.median(spread)])), _LEAST_NOISE)
         certain = (worst <= min(_SAME * noise, 1.0)) & (others >= _OTHER * noise)
-        disparity = (self.first + self.step * place).astype(np.float32)
-        certain &= _agreeing(disparity, certain, 1.5 * self.step) >= _AGREEING
-        return _Evidence(np.sort(disparity[certain]), self.step, self.unchecked)
+        disparity = np.where(certain, self.first + self.step * place, np.inf).astype(np.float32)
+        count, mean = _agreeing(disparity, 1.5 * self.step)
+        return _Evidence(np.where(count >= _AGREEING, mean, np.float32(np.nan)), self.step, self.unchecked)
 
 
-def _agreeing(disparity: Float32Array, certain: NDArray[np.bool_], tolerance: float) -> NDArray[np.intp]:
-    """How many of the eight neighbours of each pixel are certain and have its disparity, [y, x]."""
+def _agreeing(disparity: Float32Array, tolerance: float) -> tuple[NDArray[np.intp], Float32Array]:
+    """How many of the eight neighbours of each pixel have its disparity, and the mean of these and itself, [y, x].
+
+    Both are 0 where a disparity is infinite.
+    """
     height, width = disparity.shape
-    padded = np.pad(np.where(certain, disparity, np.float32(np.inf)), 1, constant_values=np.inf)
-    places = [(dy, dx) for dy in range(3) for dx in range(3) if (dy, dx) != (1, 1)]
-    near = [np.abs(padded[dy : dy + height, dx : dx + width] - disparity) <= tolerance for dy, dx in places]
-    return np.sum(near, axis=0)
+    padded = np.pad(disparity, 1, constant_values=np.inf)
+    known = np.isfinite(disparity)
+    total, count = np.zeros(disparity.shape, np.float32), np.zeros(disparity.shape, np.intp)
+    for dy, dx in np.ndindex(3, 3):
+        near = padded[dy : dy + height, dx : dx + width]
+        with np.errstate(invalid="ignore"):  # infinite ones have no difference
+            same = known & (np.abs(near - disparity) <= tolerance)
+        np.add(total, near, out=total, where=same)
+        count += same
+    return np.maximum(count - 1, 0), (total / np.maximum(count, 1)).astype(np.float32)
