@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
@@ -17,6 +16,7 @@ from lfgpu.data import interop
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import BackendError, LightFieldError
+from lfgpu.machine import version_of
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.measured import Measured
@@ -255,7 +255,7 @@ class DepthPipeline:
             backend=self._backend,
             device=self.device,
             versions={
-                name: importlib.metadata.version(name)
+                name: version_of(name) or "not installed"
                 for name in ("lfgpu", *dict.fromkeys(("numpy", "scipy", package_of(self._backend))))
             },
             geometry=lf.geometry,
