@@ -47,7 +47,7 @@ from tests.io.targets import TARGETS
 MEMORY = 256 << 20  # bytes on top of what Python and the libraries take; the samples are far below a megabyte
 SPACE = 2 << 30  # of addresses: an allocation beyond it fails rather than being found out later
 SECONDS, WAITING = 20, 120  # of work; and on the clock, where others may be at work, too
-BATCH = 100  # examples for each process
+BATCH = 250  # examples for each process
 PATIENCE = 900  # seconds for each process
 _TIMERS = ((signal.ITIMER_PROF, signal.SIGPROF, SECONDS), (signal.ITIMER_REAL, signal.SIGALRM, WAITING))
 _DEEP = "a/b/c/d/e/f/g/h"  # more folders than any name in `_WORDS` leads up
