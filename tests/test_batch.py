@@ -273,6 +273,13 @@ def test_the_last_line_of_an_item_holds_and_half_lines_are_skipped(tmp_path: Pat
     assert {name: entry["status"] for name, entry in found.items()} == {"a": DONE, "c": DONE}
 
 
+def test_lines_that_do_not_end_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfgpu.batch.manifest._LONGEST_LINE", 1000)
+    (tmp_path / MANIFEST_FILE).write_bytes(bytes(2500) + b'\n{"item": "a"}\n' + bytes(10))
+    assert list(read_manifest(tmp_path)) == ["a"]
+    assert damaged_lines(tmp_path) == 4
+
+
 @pytest.mark.parametrize("clock", [1, -1], ids=["a clock that runs", "a clock that was set back"])
 def test_what_is_gone_or_renamed_does_not_stand(tmp_path: Path, clock: int) -> None:
     def entry(name: str, source: str, number: int, status: str = DONE) -> dict[str, Any]:

@@ -20,6 +20,7 @@ MANIFEST_FILE = "manifest.jsonl"
 DONE, FAILED = "done", "failed"
 
 _LOCK_FILE = ".batch.lock"
+_LONGEST_LINE = 1 << 24  # bytes; what goes on is damaged
 
 
 def key_of(config: Config, options: Mapping[str, Any]) -> str:
@@ -48,7 +49,7 @@ def _read(folder: Path) -> tuple[dict[str, dict[str, Any]], int]:
     damaged = 0
     try:
         with path.open("rb") as file:
-            for line in file:
+            for line in iter(lambda: file.readline(_LONGEST_LINE), b""):
                 entry = _parsed(line)
                 if entry is None:
                     damaged += 1

@@ -47,5 +47,5 @@ class Scene:
         """From plain values; LightFieldError if one is missing its type."""
         try:
             return cls(**{name: type(getattr(cls, name))(value) for name, value in values.items()})
-        except (AttributeError, TypeError, ValueError) as error:
+        except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
             raise LightFieldError(f"this cannot be shown in space: {error}.") from None
