@@ -221,7 +221,15 @@ def test_results_that_unpack_to_much_are_refused_first(tmp_path: Path, name: str
     bomb(tmp_path / "result.npz", name, sizes.get(name, (1 << 27,)))
     with zipfile.ZipFile(tmp_path / "result.npz", "a") as archive, archive.open("x.npy", "w") as file:
         np.lib.format.write_array(file, np.zeros(3))
-    assert "claim 53687" in refusal(lambda: read_result(tmp_path / "result.npz"))
+    for function in (read_result, read_map):
+        assert "claim 53687" in refusal(lambda function=function: function(tmp_path / "result.npz"))
+
+
+def test_a_tiff_of_several_pages_is_no_map(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((9, 16, 16), np.float32))
+    for function in (load, read_map):
+        assert "has several pages" in refusal(lambda function=function: function(tmp_path / "a.tif"))
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".npy", ".pfm", ".png", ".tif", ".ply", ".exr"])
