@@ -9,6 +9,7 @@ import re
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -175,6 +176,12 @@ def test_outputs_and_other_arrays_are_no_inputs(recorded: Path, tmp_path: Path) 
     assert [item.name for item in items] == ["one"]
     items, _ = find_items([str(tmp_path / "weights.npy")], sequence=False)
     assert len(items) == 1  # who names it hears what is wrong with it
+
+
+def test_a_file_whose_pages_go_in_a_circle_is_an_item(tmp_path: Path) -> None:
+    header, page = struct.pack("<2sHI", b"II", 42, 8), struct.pack("<HHHIII", 1, 256, 3, 1, 16, 8)
+    (tmp_path / "a.tif").write_bytes(header + page)
+    assert [item.name for item in find_items([str(tmp_path)], sequence=False)[0]] == ["a.tif"]
 
 
 def test_links_do_not_lead_in_circles(recorded: Path, tmp_path: Path) -> None:
