@@ -20,6 +20,7 @@ from lfgpu.machine import version_of
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.measured import Measured
+from lfgpu.methods.range_check import notes_of
 from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.rehearsal import Rehearsal
 
@@ -240,9 +241,10 @@ class DepthPipeline:
         self._check()
         lf, solution, maps = self._lf, self._plan.solution(), self._plan.maps()
         position = lf.positions[lf.reference_index]
+        disparity, confidence = self._map(self._plan.disparity), self._map(self._plan.confidence)
         return DepthResult(
-            disparity=self._map(self._plan.disparity),
-            confidence=self._map(self._plan.confidence),
+            disparity=disparity,
+            confidence=confidence,
             uncertainty=self._plan.uncertainty(),
             stages=maps,
             position=(float(position[0]), float(position[1])),
@@ -260,6 +262,7 @@ class DepthPipeline:
             },
             geometry=lf.geometry,
             name=lf.name,
+            notes=notes_of(disparity, confidence, self.bounds),
         )
 
     def stages(self) -> dict[str, Work]:

@@ -1,18 +1,9 @@
-"""Whether the disparity range of a stream is too small for what comes.
-
-Maps are clamped to the range, so surfaces beyond it lie exactly at one of its ends. In a range that holds the scene
-hardly any pixel does.
-"""
+"""Whether the disparity range of a stream is too small for what comes."""
 
 from __future__ import annotations
 
 from lfgpu.contract import Float32Array
-
-SHARE = 0.01
-"""Share of the pixels at one end of the range from which on it counts as too small."""
-
-_END = 1e-3  # of the width of the range: what is so near to an end lies at it
-_SAMPLES = 128  # along each side of the map
+from lfgpu.methods.range_check import at_ends
 
 
 class RangeWatch:
@@ -40,11 +31,7 @@ class RangeWatch:
         -------
         Whether the range was too small for it, and the sentences that are new.
         """
-        samples = disparity[:: max(1, disparity.shape[0] // _SAMPLES), :: max(1, disparity.shape[1] // _SAMPLES)]
-        low, high = self._bounds
-        close = _END * (high - low)
-        shares = {"far": float((samples <= low + close).mean()), "near": float((samples >= high - close).mean())}
-        beyond = {end: share for end, share in shares.items() if share >= SHARE}
+        beyond = at_ends(disparity, self._bounds)
         new = tuple(self._sentence(end, share, index) for end, share in beyond.items() if end not in self._said)
         self._said |= dict(zip((end for end in beyond if end not in self._said), new, strict=True))
         return bool(beyond), new
