@@ -692,6 +692,7 @@ def test_nobody_without_the_token_is_answered(viewer: Viewer, path: str) -> None
         ("data/view?index=99&level=0&column=0&row=0", 400),
         ("data/view?index=0&level=99&column=0&row=0", 400), ("data/view?index=x&level=0&column=0&row=0", 400),
         ("data/view?index=nan&level=0&column=0&row=0", 400), ("data/map?result=none&kind=disparity", 400),
+        ("file/figure?result=fast&kind=disparity&colours=viridis&low=-1e308&high=1e308", 400),
         ("data/epi?along=row&at=-1", 400), ("data/refocused?disparity=inf&aperture=1&level=0", 400),
         ("file/result?result=fast&suffix=.jpg", 400), ("file/space?tab=x", 400), ("space/x/", 404),
     ],
@@ -723,6 +724,12 @@ def test_text_from_files_does_not_become_part_of_the_page(browser: Any, lf: Ligh
         page.close()
 
 
+@pytest.mark.parametrize("wish", [{"range": [0, 10**400]}, {"range": [-1e300, 1]}, {"values": [1]}, {"preset": {}}])
+def test_estimates_that_cannot_be_are_answered_with_a_sentence(viewer: Viewer, wish: dict[str, Any]) -> None:
+    body = json.dumps({"preset": "fast", **wish}).encode()
+    assert status(viewer, "do/estimate", body=body, **{"Content-Type": "application/json"}) == 400
+
+
 def test_pages_open_only_what_was_given(files: Path, lf: LightField, tmp_path: Path) -> None:
     write_hci(lf, tmp_path / "other")
     (tmp_path / "link").symlink_to(files / "fast")
@@ -742,7 +749,16 @@ def test_nonsense_from_a_page_leaves_the_others_alone(
     from websockets.sync.client import connect
 
     address = viewer.url.replace("http://", "ws://") + "tab"
-    scenes = ['{"x": 1e999}', '{"low": 1' + "0" * 400 + "}", '{"size": []}', '{"of": 1}', '{"__class__": {}}', "1"]
+    scenes = [
+        '{"x": 1e999}',
+        '{"low": NaN}',
+        '{"result": "fast", "exposure": 1e6}',
+        '{"low": 1' + "0" * 400 + "}",
+        '{"size": []}',
+        '{"of": 1}',
+        '{"__class__": {}}',
+        "1",
+    ]
     for data in (
         b"",
         b"\xff" * 100,

@@ -15,6 +15,7 @@ from lfgpu.viewer import pictures, saving
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents
 from lfgpu.viewer.facts import COLOURS, fixed
+from lfgpu.viewer.scene import LARGEST
 from lfgpu.viewer.solving import Request
 
 _LONGEST = 200  # characters of the name of a result
@@ -34,12 +35,12 @@ class Query:
         return found
 
     def number(self, name: str) -> float:
-        """A finite number."""
+        """A number of a size that pages need."""
         try:
             found = float(self.text(name))
         except ValueError:
             found = float("nan")
-        if not np.isfinite(found):
+        if not abs(found) <= LARGEST:
             raise LightFieldError(f"{name} must be a number, not {self.text(name)!r}.")
         return found
 
@@ -152,8 +153,10 @@ def _open(board: Board, wish: Mapping[str, Any]) -> None:
         raise LightFieldError("type the path of a light field, or of what lfgpu depth wrote.")
     try:
         board.open_from_page(Path(path).expanduser())
+    except LightFieldError:
+        raise
     except (OSError, RuntimeError, ValueError) as error:
-        raise LightFieldError(f"{path} cannot be opened: {error}.") from None
+        raise LightFieldError(f"{path} cannot be opened: {str(error).rstrip('.')}.") from None
 
 
 def _estimate(board: Board, wish: Mapping[str, Any]) -> None:
@@ -173,7 +176,8 @@ def _estimate(board: Board, wish: Mapping[str, Any]) -> None:
 def _are_two_numbers(values: object) -> bool:
     if not isinstance(values, list) or len(values) != 2:
         return False
-    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    return numbers and all(abs(value) <= LARGEST for value in values)
 
 
 def _stop(board: Board, _: Mapping[str, Any]) -> None:
