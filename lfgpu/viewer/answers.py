@@ -79,13 +79,18 @@ def _thumbnails(contents: Contents, _: Query) -> Any:
     return pictures.thumbnails(_lf(contents))
 
 
+def _level(lf: LightField, query: Query) -> int:
+    """How often a picture is halved: not so often that nothing is left."""
+    return min(max(query.whole("level"), 0), min(lf.size).bit_length() - 1)
+
+
 def _refocused(contents: Contents, query: Query) -> Any:
-    level = min(max(query.whole("level"), 0), 8)
-    return pictures.refocused(_lf(contents), query.number("disparity"), query.number("aperture"), level)
+    lf = _lf(contents)
+    return pictures.refocused(lf, query.number("disparity"), query.number("aperture"), _level(lf, query))
 
 
 def _sharp(contents: Contents, query: Query) -> Any:
-    level = min(max(query.whole("level"), 0), 8)
+    level = _level(_lf(contents), query)
     return pictures.sharp(contents, query.text("result"), query.text("stage", FINAL), level)
 
 
