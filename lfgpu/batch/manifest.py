@@ -84,9 +84,11 @@ def _are(fits: Callable[[Any], bool]) -> Callable[[Any], bool]:
 
 
 _LARGEST = 1e300
+_LATEST = 1e11  # seconds since 1970: two of them together are a date yet
 _FITS: dict[str, Callable[[Any], bool]] = {
     **dict.fromkeys(("item", "input", "status", "error", "worker"), lambda value: isinstance(value, str)),
-    **dict.fromkeys(("began", "seconds", "attempts"), _is_number),
+    **dict.fromkeys(("began", "seconds"), lambda value: _is_number(value) and 0 <= value < _LATEST),
+    "attempts": _is_number,
     "sizes": _are(_is_number),
     "times": _are(_is_number),
     "scale": _are(_is_number),
@@ -128,7 +130,7 @@ def _outputs_are_there(entry: Mapping[str, Any], folder: Path) -> bool:
 def _size(file: Path) -> int:
     try:
         return file.stat().st_size
-    except OSError:
+    except (OSError, ValueError):  # a name that cannot be one is of no file, either
         return -1
 
 
