@@ -17,7 +17,7 @@ _LEAST = 0.25  # share of the range that the views show; the found one has margi
 _NOTHING = 0.1  # the most confidence where views show nothing
 _UNSURE = 95  # per cent of the pixels: a map is doubted if so many are not more confident than that
 
-_AT_END = 0.01  # share of the pixels at one end of the range from which on it is too small
+_AT_END = 0.01  # share of the pixels at one end of the range from which on it may be too small
 _END = 1e-3  # of the width of the range: what is so near to an end lies at it
 _SAMPLES = 128  # along each side of a map
 
@@ -82,8 +82,8 @@ def notes_of(disparity: Float32Array, confidence: Float32Array, bounds: tuple[fl
     """Sentences about what a map itself says against it: it goes on beyond its range, or is sure of nothing."""
     low, high = bounds
     found = [
-        f"The disparity range from {low:.3g} to {high:.3g} px per view step is too small: {100 * share:.0f} % of the "
-        f"map lies at its {end} end; move that end further out."
+        f"The disparity range from {low:.3g} to {high:.3g} px per view step may be too small: {100 * share:.0f} % of "
+        f"the map lies at its {end} end; move that end further out."
         for end, share in at_ends(disparity, bounds).items()
     ]
     known = _sampled(confidence)[np.isfinite(_sampled(disparity))]
