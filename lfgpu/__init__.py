@@ -142,9 +142,9 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        from importlib.metadata import version
+        from lfgpu.machine import version_of
 
-        return version("lfgpu")
+        return version_of("lfgpu") or "not installed"
     if name not in _HOMES:
         raise AttributeError(f"module 'lfgpu' has no attribute {name!r}")
     return getattr(importlib.import_module(f"lfgpu.{_HOMES[name]}"), name)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias, cast
 
 from lfgpu.errors import BackendError
+from lfgpu.machine import version_of
 
 if TYPE_CHECKING:
     from lfgpu.contract import KernelSet
@@ -93,7 +93,7 @@ def pick_device(kernels: KernelSet, device: str | None) -> str:
 
 def _describe(backend: str) -> BackendInfo:
     package = _PACKAGES[backend]
-    version = _version(package)
+    version = version_of(package)
     try:
         kernels = load(backend)
     except BackendError as error:
@@ -105,17 +105,10 @@ def _describe(backend: str) -> BackendInfo:
         return BackendInfo(backend, package, version, problem=f"cannot list its devices: {_said(error)}")
 
 
-def _version(package: str) -> str | None:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
 def _remedy(backend: str) -> str:
     """The command that repairs a backend. A package that is installed but broken has to be reinstalled by force."""
     package = _PACKAGES[backend]
-    return f"pip install {package}" if _version(package) is None else f"pip install --force-reinstall {package}"
+    return f"pip install {package}" if version_of(package) is None else f"pip install --force-reinstall {package}"
 
 
 def _said(error: BaseException) -> str:

@@ -1,14 +1,23 @@
-"""The machine: its memory, and the names and memory of the devices that backends call "cpu" and "cuda:0"."""
+"""The machine: its memory, names and memory of the devices that backends call "cpu" and "cuda:0", packages on it."""
 
 from __future__ import annotations
 
 import ctypes
+import importlib.metadata
 import platform
 import sys
 from pathlib import Path
 
 _MEMINFO = Path("/proc/meminfo")
 _LONGEST = 256  # bytes of a name, with its terminating zero
+
+
+def version_of(package: str) -> str | None:
+    """The version of a package; None if it is not installed, as lfgpu is not when a checkout is put on the path."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def device_name(device: str) -> str | None:

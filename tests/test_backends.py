@@ -60,7 +60,7 @@ def test_a_missing_package_is_named_with_how_to_install_it(
         raise ModuleNotFoundError(f"No module named {package!r}")
 
     monkeypatch.setattr(_backends.importlib, "import_module", missing)
-    monkeypatch.setattr(_backends, "_version", lambda package: None)
+    monkeypatch.setattr(_backends, "version_of", lambda package: None)
     with pytest.raises(BackendError) as error:
         _backends.load(backend)
     assert str(error.value) == (

@@ -9,6 +9,7 @@ import re
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -177,6 +178,12 @@ def test_outputs_and_other_arrays_are_no_inputs(recorded: Path, tmp_path: Path) 
     assert len(items) == 1  # who names it hears what is wrong with it
 
 
+def test_a_file_whose_pages_go_in_a_circle_is_an_item(tmp_path: Path) -> None:
+    header, page = struct.pack("<2sHI", b"II", 42, 8), struct.pack("<HHHIII", 1, 256, 3, 1, 16, 8)
+    (tmp_path / "a.tif").write_bytes(header + page)
+    assert [item.name for item in find_items([str(tmp_path)], sequence=False)[0]] == ["a.tif"]
+
+
 def test_links_do_not_lead_in_circles(recorded: Path, tmp_path: Path) -> None:
     shutil.copytree(recorded / "scene_0", tmp_path / "a" / "one")
     (tmp_path / "a" / "loop").symlink_to(tmp_path / "a")
@@ -271,6 +278,39 @@ def test_the_last_line_of_an_item_holds_and_half_lines_are_skipped(tmp_path: Pat
         manifest.add([{"item": "c", "status": DONE}])
     found = read_manifest(tmp_path)
     assert {name: entry["status"] for name, entry in found.items()} == {"a": DONE, "c": DONE}
+
+
+def test_times_and_names_that_cannot_be(recorded: Path, tmp_path: Path) -> None:
+    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+    done = {"item": "scene_0", "status": DONE}
+    lines = [
+        {**done, "began": 1e15},
+        {**done, "began": -1},
+        {**done, "seconds": 1e12},
+        {**done, "sizes": {"\ud800": 1}},
+    ]
+    (tmp_path / MANIFEST_FILE).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    entries = read_manifest(tmp_path)
+    assert damaged_lines(tmp_path) == 3
+    assert standing(entries, tmp_path) == {}
+    last = {**done, "began": 0.99e11, "seconds": 0.99e11}
+    write_report(Summary(items, {"scene_0": last}), tmp_path, "page")
+
+
+def test_text_from_files_does_not_become_part_of_the_page_of_a_batch(recorded: Path, tmp_path: Path) -> None:
+    script = '"><script>x</script>'
+    items = [Item(script, str(recorded / "scene_0"))]
+    entry = {"item": script, "status": FAILED, "error": script, "notes": [script]}
+    page = write_report(Summary(items, {script: entry}), tmp_path, script).read_text(encoding="utf-8")
+    assert "<script>x" not in page
+    assert "&lt;script&gt;x" in page
+
+
+def test_lines_that_do_not_end_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfgpu.batch.manifest._LONGEST_LINE", 1000)
+    (tmp_path / MANIFEST_FILE).write_bytes(bytes(2500) + b'\n{"item": "a"}\n' + bytes(10))
+    assert list(read_manifest(tmp_path)) == ["a"]
+    assert damaged_lines(tmp_path) == 4
 
 
 @pytest.mark.parametrize("clock", [1, -1], ids=["a clock that runs", "a clock that was set back"])

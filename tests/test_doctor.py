@@ -148,7 +148,7 @@ def test_every_extra_for_users_is_looked_at() -> None:
 
 def test_a_part_that_is_not_there_is_named_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_backends, "describe_backends", lambda: (REFERENCE,))
-    monkeypatch.setattr(checkup, "_version", lambda name: None if name == "viser" else "1.0")
+    monkeypatch.setattr(checkup, "version_of", lambda name: None if name == "viser" else "1.0")
     outcome = doctor()
     assert outcome.exit_code == 0
     assert "not installed: the viewer in the browser; pip install 'lfgpu[viewer]'" in outcome.stdout

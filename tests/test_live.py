@@ -120,6 +120,8 @@ def test_feed_tells_of_all_frames_in_order() -> None:
         (["grabber_for_tests.py"], "is a file, but no video; give one of"),
         (["grabber_for_tests:nothing"], "yielded no frame"),
         (["grabber_for_tests:arrays"], "must yield a LightField first"),
+        (["os:system"], "must be a function without arguments that yields frames"),
+        (["../somewhere:frames"], "cannot be imported"),
         (["grabber_for_tests:number"], "must be a function without arguments that yields frames"),
         (["grabber_for_tests:missing"], "cannot be imported"),
         (["no_such_module:frames"], "cannot be imported"),

@@ -105,6 +105,18 @@ def test_the_version_is_there_and_costs_nothing() -> None:
     assert done.stdout.strip() == "False"
 
 
+def test_a_checkout_that_is_not_installed_saves_maps(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def none(package: str) -> str:
+        raise importlib.metadata.PackageNotFoundError(package)
+
+    lf = a_light_field()
+    monkeypatch.setattr(importlib.metadata, "version", none)
+    assert lfgpu.__version__ == "not installed"
+    result = lfgpu.estimate_depth(lf, config="fast", disparity_range=(-1, 1))
+    assert result.versions["lfgpu"] == "not installed"
+    lfgpu.save(result, tmp_path / "map.tif")  # its metadata say versions
+
+
 # --- names that type checkers know ---
 
 

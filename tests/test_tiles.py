@@ -23,6 +23,7 @@ from lfgpu.io.disk import on_disk
 from lfgpu.methods import method_of, preset
 from lfgpu.methods.footprint import Footprint, parse_memory
 from lfgpu.methods.measured import Measured
+from lfgpu.methods.range_check import notes_of
 from lfgpu.pipelines import tiles
 
 ROOT = Path(__file__).parents[1]
@@ -81,6 +82,18 @@ def test_tiles_give_the_map_that_is_found_in_one_piece(
     assert found.geometry == scene.geometry
     assert found.disparity_range == RANGE
     assert {*whole.timings} == {*found.timings}
+
+
+def test_tiles_are_doubted_together() -> None:
+    """Their map, not that of the first one, lies at the end of its range."""
+    lf, bounds = scenes.make("boxes", grid=(3, 3), size=(64, 300)), (0.5, 3.0)
+    method = method_of("fast")
+    (_, width) = tiles._cuts(300, method.halo(lf, Measured(bounds))[1])[1]
+    memory = method.footprint(lf, Measured(bounds), on_gpu=False).bytes(64, width) + lf.views.nbytes + 32 * 64 * 300
+    found = estimate_depth(lf, config="fast", disparity_range=bounds, device="cpu", max_memory=memory)
+    assert " tiles of " in found.status
+    assert any("lies at its far end" in note for note in found.notes)
+    assert set(notes_of(found.disparity, found.confidence, bounds)) <= set(found.notes)
 
 
 def test_without_a_halo_the_map_would_differ(
@@ -237,6 +250,7 @@ from benchmarks.memory import host_peak, reset_host_peak
 from lfgpu import DepthPipeline, LightField
 from lfgpu.methods import method_of
 from lfgpu.methods.measured import Measured
+from lfgpu.methods.range_check import notes_of
 
 name, device = sys.argv[1:]
 on_gpu = device != "cpu"

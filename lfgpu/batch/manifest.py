@@ -20,6 +20,7 @@ MANIFEST_FILE = "manifest.jsonl"
 DONE, FAILED = "done", "failed"
 
 _LOCK_FILE = ".batch.lock"
+_LONGEST_LINE = 1 << 24  # bytes; what goes on is damaged
 
 
 def key_of(config: Config, options: Mapping[str, Any]) -> str:
@@ -48,7 +49,7 @@ def _read(folder: Path) -> tuple[dict[str, dict[str, Any]], int]:
     damaged = 0
     try:
         with path.open("rb") as file:
-            for line in file:
+            for line in iter(lambda: file.readline(_LONGEST_LINE), b""):
                 entry = _parsed(line)
                 if entry is None:
                     damaged += 1
@@ -83,9 +84,11 @@ def _are(fits: Callable[[Any], bool]) -> Callable[[Any], bool]:
 
 
 _LARGEST = 1e300
+_LATEST = 1e11  # seconds since 1970: two of them together are a date yet
 _FITS: dict[str, Callable[[Any], bool]] = {
     **dict.fromkeys(("item", "input", "status", "error", "worker"), lambda value: isinstance(value, str)),
-    **dict.fromkeys(("began", "seconds", "attempts"), _is_number),
+    **dict.fromkeys(("began", "seconds"), lambda value: _is_number(value) and 0 <= value < _LATEST),
+    "attempts": _is_number,
     "sizes": _are(_is_number),
     "times": _are(_is_number),
     "scale": _are(_is_number),
@@ -129,7 +132,7 @@ def _outputs_are_there(entry: Mapping[str, Any], folder: Path) -> bool:
 def _size(file: Path) -> int:
     try:
         return file.stat().st_size
-    except OSError:
+    except (OSError, ValueError):  # a name that cannot be one is of no file, either
         return -1
 
 

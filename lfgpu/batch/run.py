@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import shutil
 import time
 from collections import defaultdict
@@ -15,6 +14,7 @@ from lfgpu.batch.cluster import BatchError, Cluster
 from lfgpu.batch.items import LEFT_OVER, Item, fingerprint
 from lfgpu.batch.manifest import DONE, Manifest, damaged_lines, is_done, key_of, read_manifest
 from lfgpu.batch.work import REPORT_FILE, Job, Settings
+from lfgpu.machine import version_of
 
 _MEASURED_ON = 8  # frames of a sequence that are tried, in order, to measure range and noise
 
@@ -203,7 +203,7 @@ def _parameter_sets(jobs: Sequence[Job]) -> list[Entry]:
             "parameters_key": key,
             "parameters": asdict(job.settings.config),
             "options": {**job.settings.options, "sequence": bool(job.item.sequence)},
-            "version": importlib.metadata.version("lfgpu"),
+            "version": version_of("lfgpu") or "not installed",
             "began": time.time(),
         }
         for key, job in sets.items()

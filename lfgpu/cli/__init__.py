@@ -93,9 +93,9 @@ def main() -> None:
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        import importlib.metadata
+        from lfgpu.machine import version_of
 
-        typer.echo(f"lfgpu {importlib.metadata.version('lfgpu')}")
+        typer.echo(f"lfgpu {version_of('lfgpu') or 'not installed'}")
         raise typer.Exit
 
 

@@ -14,6 +14,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from lfgpu.errors import LfgpuError
+from lfgpu.machine import version_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -133,32 +134,25 @@ def _versions() -> dict[str, str]:
     """Of lfgpu, Python, the system, and the packages that lfgpu cannot do without."""
     needed = sorted({name for name, extra in _requirements() if extra is None})
     return {
-        "lfgpu": importlib.metadata.version("lfgpu"),
+        "lfgpu": version_of("lfgpu") or "not installed",
         "python": platform.python_version(),
         "system": platform.platform(),
-        **{name: _version(name) or "not installed" for name in needed},
+        **{name: version_of(name) or "not installed" for name in needed},
     }
 
 
 def _requirements() -> Iterator[tuple[str, str | None]]:
     """The packages that lfgpu asks for, each with the extra that it belongs to."""
-    for line in importlib.metadata.requires("lfgpu") or ():
+    for line in importlib.metadata.requires("lfgpu") or () if version_of("lfgpu") else ():
         name, extra = re.match(r"[\w.-]+", line), re.search(r"extra == ['\"](\w+)['\"]", line)
         if name and name[0] != "lfgpu":
             yield name[0], extra[1] if extra else None
 
 
-def _version(package: str) -> str | None:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
 def _parts() -> Iterator[Part]:
     for extra, purpose in PARTS.items():
         needed = sorted({name for name, of in _requirements() if of == extra})
-        yield Part(extra, purpose, tuple(name for name in needed if _version(name) is None))
+        yield Part(extra, purpose, tuple(name for name in needed if version_of(name) is None))
 
 
 def _devices(backends: tuple[BackendInfo, ...]) -> Iterator[Device]:

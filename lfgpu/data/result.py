@@ -71,7 +71,7 @@ class DepthResult:
         disparity is. None if the method does not tell (synthesis).
     notes
         What may be wrong with the map although nothing went wrong, one sentence each: a given range that leaves out
-        what the views show, or views that show nothing.
+        what the views show, views that show nothing, a map that goes on beyond its range, or is confident nowhere.
     remarks
         What stands out about the cameras, one sentence each, from `lfgpu.calibration.judged`, which lowers the
         confidence accordingly; empty if nothing does, or if nobody looked.

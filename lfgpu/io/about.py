@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
 import math
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ from lfgpu.contract import Float32Array
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
+from lfgpu.machine import version_of
 
 DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 """What comes of metadata that are not what they have to be."""
@@ -34,7 +34,7 @@ def map_about(values: DisparityMap, **format_specific: Any) -> str:
     """The text of a map, in ASCII on one line; `format_specific` says what the format does to the values."""
     return json.dumps(
         {
-            KEY: importlib.metadata.version("lfgpu"),
+            KEY: version_of("lfgpu") or "not installed",
             "content": "disparity",
             "unit": "pixels per view step",
             "convention": CONVENTION,

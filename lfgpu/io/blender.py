@@ -251,11 +251,11 @@ def _views(images: list[Path], reference: int) -> tuple[NDArray[Any], NDArray[np
     if images[reference].suffix.lower() != ".exr":
         views, notes = load_views(images)
         return views, None, notes
-    first = read_channels(images[reference])
+    first, _ = read_channels(images[reference])
     colours = _encoded(images[reference], first)
     stored = Collected(images[0].parent, len(images), colours)
     for index, image in enumerate(images):
-        channels = first if index == reference else read_channels(image)
+        channels = first if index == reference else read_channels(image)[0]
         picture = _encoded(image, channels)
         if picture.shape != colours.shape:
             raise LightFieldError(

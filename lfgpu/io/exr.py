@@ -26,8 +26,8 @@ _MOST_CHANNELS = 100
 _OUTPUTS = threading.Lock()
 
 
-def read_channels(path: Path) -> dict[str, NDArray[np.float32]]:
-    """The channels of an OpenEXR file by name, each float32 [y, x], as they are stored (NaN and infinities included).
+def read_channels(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+    """The channels of an OpenEXR file by name, each float32 [y, x] as stored (NaN and infinities included); its header.
 
     LightFieldError if OpenEXR is missing, or the file is none, damaged, or claims more than it can hold.
     """
@@ -47,7 +47,7 @@ def read_channels(path: Path) -> dict[str, NDArray[np.float32]]:
         with complaints() as said, exr.File(str(path), separate_channels=True) as file:
             if said():
                 raise ValueError("its pixels are damaged")
-            return {name: _pixels(channel, shape) for name, channel in file.channels().items()}
+            return {name: _pixels(channel, shape) for name, channel in file.channels().items()}, dict(file.header())
     except LightFieldError:
         raise
     except Exception as error:  # the library raises whatever comes to it when a file is damaged

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import KEY, UNKNOWN_IS_NAN, map_about, map_of, parse_about
-from lfgpu.io.exr import complaints
-
-_MAGIC = b"\x76\x2f\x31\x01"
+from lfgpu.io.exr import read_channels
 
 
 def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
@@ -42,24 +40,15 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
 
 def read(path: Path) -> DisparityMap:
     """An OpenEXR file with a channel `disparity`, or with one channel; what else of ours is there comes along."""
-    import OpenEXR
-
-    with path.open("rb") as start:
-        if start.read(4) != _MAGIC:  # the library tells that on stderr, too
-            raise LightFieldError(f"{path} is not an OpenEXR file, or its beginning is damaged.")
-    try:
-        with complaints() as said, OpenEXR.File(str(path)) as file:
-            if said():
-                raise ValueError("its pixels are damaged")
-            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
-            found = file.header().get(KEY)
-            text = None if found is None else str(found)  # decoded here, as it may be damaged
-    except Exception as error:  # the library raises whatever comes to it when a file is damaged
-        raise LightFieldError(f"{path} cannot be read as OpenEXR: {' '.join(str(error).split())}.") from error
+    with path.open("rb"):  # errors of the system are said by the caller
+        pass
+    channels, header = read_channels(path)
     name = "disparity" if "disparity" in channels or len(channels) != 1 else next(iter(channels))
-    if name not in channels or channels[name].ndim != 2:
+    if name not in channels:
         raise LightFieldError(f"{path} has no channel 'disparity'; it holds {', '.join(channels) or 'nothing'}.")
-    disparity = channels[name].astype(np.float32)
-    if text is None:
+    disparity = channels[name]
+    if KEY not in header:
         return DisparityMap(disparity, name=path.name)
+    if not isinstance(text := header[KEY], str):
+        raise LightFieldError(f"{path} is a damaged map of lfgpu: its metadata are no text.")
     return map_of(path, parse_about(path, text), disparity, channels.get("confidence"), channels.get("uncertainty"))

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from lfgpu.errors import LightFieldError
 from lfgpu.io.extras import require
 
+_CONTAINERS = "matroska,webm,mov,mp4,avi"  # MKV and WebM; MP4 and MOV; AVI
+
 
 def check_available(path: Path) -> Any:
     """The library imageio_ffmpeg; LightFieldError that names `path` and how to install it if it is missing."""
@@ -37,8 +39,9 @@ def frames(file: Path, *, name: Path | None = None, demuxer: str | None = None) 
     """
     path = name or file
     ffmpeg = check_available(path)
-    # Nothing but files: a playlist inside the file must not reach out to the network.
-    inputs = ["-protocol_whitelist", "file", *(["-f", demuxer] if demuxer else [])]
+    # Nothing but files, and no playlists: what is in the file must not reach out to others.
+    inputs = ["-protocol_whitelist", "file", "-format_whitelist", demuxer or _CONTAINERS]
+    inputs += ["-f", demuxer] if demuxer else []
     reader = ffmpeg.read_frames(str(file.resolve()), input_params=inputs, output_params=["-fps_mode", "passthrough"])
     try:
         width, height = next(reader)["size"]

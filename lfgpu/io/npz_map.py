@@ -48,7 +48,7 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
 
 def read(path: Path) -> DisparityMap:
     """The array `disparity`, whatever else there is; confidence and metadata if they are of a map by itself."""
-    arrays = load_arrays(path, (_MAP_KEY, NPZ_KEY, "confidence", "uncertainty"))
+    arrays = load_arrays(path, (_MAP_KEY, NPZ_KEY, "confidence", "uncertainty"), of_maps=True)
     disparity = as_map(path, arrays[_MAP_KEY])
     if NPZ_KEY not in arrays:
         return DisparityMap(disparity, name=path.name)

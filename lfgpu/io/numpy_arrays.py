@@ -24,12 +24,16 @@ _MOST_ARRAYS = 1000
 MAGIC, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 
 
-def load_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
+def load_arrays(path: Path, names: Sequence[str], *, of_maps: bool = False) -> dict[str, NDArray[Any]]:
     """The arrays of these names, those that are there; an .npy file holds the first one.
+
+    `of_maps` says that the file is one of maps (`check_archive`).
 
     LightFieldError if the file is damaged, holds Python objects, claims more than it can hold, or has none of them.
     """
     try:
+        if of_maps:
+            check_archive(path)
         return _archive(path, names) if head(path, 4) == ZIP else {names[0]: _file(path)}
     except (LightFieldError, OSError):
         raise

@@ -12,9 +12,9 @@ from lfgpu.data.points import point_cloud
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import DAMAGE, KEY, map_about, map_of, parse_about
+from lfgpu.io.limits import check_claim
 
 _MARK = f"{KEY} "  # what the comment begins with that holds the metadata
-_MOST_PIXELS = 1 << 28
 _RELIEF_PERCENTILES = (1, 99)
 _DEEPEST = 0.5  # of the longer side of the image
 
@@ -87,8 +87,9 @@ def read(path: Path) -> DisparityMap:
     about = parse_about(path, texts[0])
     try:
         height, width = int(about["height"]), int(about["width"])
-        if not 0 < height * width <= _MOST_PIXELS:
+        if min(height, width) < 1:
             raise ValueError("absurd size")
+        check_claim(path, (2, height, width), np.float32)
         at = vertices["row"], vertices["column"]
         disparity = np.full((height, width), np.nan, np.float32)
         disparity[at] = vertices["disparity"]
@@ -96,6 +97,8 @@ def read(path: Path) -> DisparityMap:
         if "confidence" in vertices.dtype.names:
             confidence = np.zeros((height, width), np.float32)
             confidence[at] = vertices["confidence"]
+    except LightFieldError:
+        raise
     except DAMAGE as error:
         raise LightFieldError(
             f"{path} is a damaged point cloud of lfgpu: its points are not those of a map."

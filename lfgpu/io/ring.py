@@ -1,4 +1,4 @@
-"""Frames of a camera array through shared memory: a ring buffer in a file that a producer and readers map.
+"""Frames of a camera array through shared memory: a ring buffer in a file that a producer maps and readers read.
 
 The producer never waits for a reader, and a reader never gets a frame that is half old and half new: each slot has a
 sequence number, which is odd while a frame is being written, and a reader takes a frame only if the number of that
@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -25,6 +26,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LfgpuError, LightFieldError
+from lfgpu.io.folders import not_waited_for
 
 try:
     import fcntl
@@ -303,20 +305,18 @@ class RingReader:
         _check_system()
         self.path = Path(path)
         """The file."""
+        not_waited_for(self.path)
         try:
-            self._file = self.path.open("rb")
+            self._file = self.path.open("rb", buffering=0)
         except OSError as error:
             raise LightFieldError(
                 f"{self.path} cannot be read: {error.strerror}; start the producer first, or give its file."
             ) from error
         try:
             self._kind = _kind_of(self.path, self._file)
-            self._memory = mmap.mmap(self._file.fileno(), self._kind.total, access=mmap.ACCESS_READ)
         except BaseException:
             self._file.close()
             raise
-        self._slots = [_Slot(self._memory, self._kind, index) for index in range(self._kind.slots)]
-        self._newest = np.frombuffer(self._memory, np.uint64, 1, _NEWEST_AT)
         self._last = 0
         self.repeated = 0
         """Copies that were thrown away, because the producer began to write there meanwhile."""
@@ -332,19 +332,40 @@ class RingReader:
         return self._kind.reference
 
     def read(self) -> RingFrame | None:
-        """The newest frame, if it is newer than the one that was read before; else None. Does not wait."""
-        while (newest := int(self._newest[0])) > self._last:
+        """The newest frame, if it is newer than the one that was read before; else None. Does not wait.
+
+        LightFieldError if the file was cut short meanwhile.
+        """
+        kind = self._kind
+        while (newest := self._numbers(_NEWEST_AT, 1)[0]) > self._last:
             _fence()
-            slot = self._slots[(newest - 1) % self._kind.slots]
-            if int(slot.numbers[0]) == 2 * newest:
+            at = kind.header_bytes + (newest - 1) % kind.slots * kind.slot_bytes
+            sequence, taken = self._numbers(at, 2)
+            if sequence == 2 * newest:
                 _fence()
-                views, valid, taken = slot.views.copy(), slot.valid != 0, int(slot.numbers[1])
+                views, valid = np.empty(kind.shape, kind.dtype), np.empty(len(kind.positions), np.uint8)
+                self._fill(views, at + kind.views_at)
+                self._fill(valid, at + 16)
                 _fence()
-                if int(slot.numbers[0]) == 2 * newest:
+                if self._numbers(at, 1)[0] == 2 * newest:
                     passed, self._last = newest - self._last - 1, newest
-                    return RingFrame(newest, views, valid, taken, passed)
+                    return RingFrame(newest, views, valid != 0, taken, passed)
             self.repeated += 1
         return None
+
+    def _numbers(self, at: int, count: int) -> list[int]:
+        found = np.empty(count, np.uint64)
+        self._fill(found, at)
+        return [int(number) for number in found]
+
+    def _fill(self, array: NDArray[Any], at: int) -> None:
+        """Copy a part of the file; a mapping that is cut short meanwhile would end the process."""
+        room, done = array.reshape(-1).view(np.uint8), 0
+        while done < len(room):
+            got = os.preadv(self._file.fileno(), [room[done:].data], at + done)
+            if not got:
+                raise LightFieldError(f"{self.path} was cut short while it was read; start the producer again.")
+            done += got
 
     def wait(self, stop: Callable[[], bool] = lambda: False) -> RingFrame | None:
         """The next newest frame; None when the producer has ended, or `stop` returns True. Waits."""
@@ -358,13 +379,13 @@ class RingReader:
 
     def ended(self) -> bool:
         """Whether the producer has closed the ring, or is not there any more."""
-        return bool(struct.unpack_from("<I", self._memory, _CLOSED_AT)[0]) or _lock(self._file, shared=True)
+        closed = np.empty(1, np.uint32)
+        self._fill(closed, _CLOSED_AT)
+        return bool(closed[0]) or _lock(self._file, shared=True)
 
     def close(self) -> None:
-        """Let go of the memory. May be called more than once."""
-        if not self._file.closed:
-            del self._slots, self._newest
-            self._file.close()
+        """Close the file. May be called more than once."""
+        self._file.close()
 
     def __enter__(self) -> RingReader:
         return self
@@ -373,7 +394,7 @@ class RingReader:
         self.close()
 
 
-def _kind_of(path: Path, file: BinaryIO) -> _Kind:
+def _kind_of(path: Path, file: FileIO) -> _Kind:
     """What a ring holds, from its header; LightFieldError if it is none."""
     head = file.read(_HEADER.size)
     if len(head) < _HEADER.size or head[:8] != MAGIC:
@@ -392,7 +413,7 @@ def _kind_of(path: Path, file: BinaryIO) -> _Kind:
     return kind
 
 
-def _lock(file: BinaryIO, *, shared: bool = False) -> bool:
+def _lock(file: BinaryIO | FileIO, *, shared: bool = False) -> bool:
     """Whether nobody produces into a file; if not `shared`, who asks is the producer from now on.
 
     The system takes the lock away from a process that ends, however it ends.

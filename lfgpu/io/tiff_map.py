@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow, tiff_stack
 from lfgpu.io.about import KEY, UNKNOWN_IS_NAN, map_about, map_of, parse_about
 from lfgpu.io.images import read_image
+from lfgpu.io.tiff_pages import pages
 
 _DESCRIPTION_TAG = 270
 
@@ -32,6 +34,8 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
 
 def read(path: Path) -> DisparityMap:
     """A TIFF of one channel; of others than ours nothing but the values is known."""
+    if path.is_file() and len(list(islice(pages(path), 2))) > 1:
+        raise LightFieldError(f"{path} has several pages, as a light field has; a map has one.")
     stored, _ = read_image(path, finite=False)
     if stored.shape[2] != 1:
         raise LightFieldError(f"{path} is a colour image; a map has one value per pixel.")

@@ -22,7 +22,11 @@ def recognise(path: Path) -> str | None:
     """Why a path is taken for a TIFF of several pages; None if it is not."""
     if path.suffix.lower() not in (".tif", ".tiff") or not path.is_file():
         return None
-    return "it is a TIFF file of several pages" if len(list(islice(pages(path), 2))) == 2 else None
+    try:
+        several = len(list(islice(pages(path), 2))) == 2
+    except LightFieldError:  # linked in a circle, which who reads it says
+        several = True
+    return "it is a TIFF file of several pages" if several else None
 
 
 def read_tiff_stack(path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None) -> LightField:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lfgpu.contract import KernelSet
+from lfgpu.contract import Float32Array, KernelSet
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
@@ -15,6 +15,11 @@ from lfgpu.methods.disparity_range import find_disparity_range
 
 _LEAST = 0.25  # share of the range that the views show; the found one has margins, and outliers may widen it
 _NOTHING = 0.1  # the most confidence where views show nothing
+_UNSURE = 95  # per cent of the pixels: a map is doubted if so many are not more confident than that
+
+_AT_END = 0.01  # share of the pixels at one end of the range from which on it may be too small
+_END = 1e-3  # of the width of the range: what is so near to an end lies at it
+_SAMPLES = 128  # along each side of a map
 
 _SHOW_NOTHING = (
     "Nowhere do the views look alike at one disparity only: they are noise, have no texture, or do not belong together."
@@ -59,6 +64,39 @@ def doubt_about(lf: LightField, given: tuple[float, float] | None, kernels: Kern
         f"{given[0]:.2f} to {given[1]:.2f} mostly excludes: the map may be wrong everywhere, whatever its confidence; "
         "leave the range out, or widen it."
     )
+
+
+def at_ends(disparity: Float32Array, bounds: tuple[float, float]) -> dict[str, float]:
+    """The shares of a map's pixels that lie at the "far" and at the "near" end of the range, where they are many.
+
+    Maps are clamped to the range, so surfaces beyond it lie exactly at one of its ends. In a range that holds the scene
+    hardly any pixel does.
+    """
+    samples, (low, high) = _sampled(disparity), bounds
+    close = _END * (high - low)
+    shares = {"far": float((samples <= low + close).mean()), "near": float((samples >= high - close).mean())}
+    return {end: share for end, share in shares.items() if share >= _AT_END}
+
+
+def notes_of(disparity: Float32Array, confidence: Float32Array, bounds: tuple[float, float]) -> tuple[str, ...]:
+    """Sentences about what a map itself says against it: it goes on beyond its range, or is sure of nothing."""
+    low, high = bounds
+    found = [
+        f"The disparity range from {low:.3g} to {high:.3g} px per view step may be too small: {100 * share:.0f} % of "
+        f"the map lies at its {end} end; move that end further out."
+        for end, share in at_ends(disparity, bounds).items()
+    ]
+    known = _sampled(confidence)[np.isfinite(_sampled(disparity))]
+    if known.size and np.percentile(known, _UNSURE) <= _NOTHING:
+        found.append(
+            f"The confidence is at most {_NOTHING:g} at {_UNSURE} % of the pixels: the views may not belong together "
+            "or show too little, or the range may leave the scene out."
+        )
+    return tuple(found)
+
+
+def _sampled(values: Float32Array) -> Float32Array:
+    return values[:: max(1, values.shape[0] // _SAMPLES), :: max(1, values.shape[1] // _SAMPLES)]
 
 
 def doubted(result: DepthResult, doubt: Doubt | None) -> DepthResult:

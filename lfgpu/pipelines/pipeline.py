@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
@@ -17,9 +16,11 @@ from lfgpu.data import interop
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import BackendError, LightFieldError
+from lfgpu.machine import version_of
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.measured import Measured
+from lfgpu.methods.range_check import notes_of
 from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.rehearsal import Rehearsal
 
@@ -244,9 +245,10 @@ class DepthPipeline:
         self._check()
         lf, solution, maps = self._lf, self._plan.solution(), self._plan.maps()
         position = lf.positions[lf.reference_index]
+        disparity, confidence = self._map(self._plan.disparity), self._map(self._plan.confidence)
         return DepthResult(
-            disparity=self._map(self._plan.disparity),
-            confidence=self._map(self._plan.confidence),
+            disparity=disparity,
+            confidence=confidence,
             uncertainty=self._plan.uncertainty(),
             stages=maps,
             position=(float(position[0]), float(position[1])),
@@ -259,11 +261,12 @@ class DepthPipeline:
             backend=self._backend,
             device=self.device,
             versions={
-                name: importlib.metadata.version(name)
+                name: version_of(name) or "not installed"
                 for name in ("lfgpu", *dict.fromkeys(("numpy", "scipy", package_of(self._backend))))
             },
             geometry=lf.geometry,
             name=lf.name,
+            notes=notes_of(disparity, confidence, self.bounds),
         )
 
     def stages(self) -> dict[str, Work]:

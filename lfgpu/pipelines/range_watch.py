@@ -15,12 +15,8 @@ from lfgpu.contract import Float32Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
+from lfgpu.methods.range_check import at_ends
 
-SHARE = 0.01
-"""Share of the pixels at one end of the range from which on it may be too small."""
-
-_END = 1e-3  # of the width of the range: what is so near to an end lies at it
-_SAMPLES = 128  # along each side of the map
 _BEYOND = 0.25  # of the found range, beyond an end: more than the found one has as a margin
 _BEYOND_IF_SUSPECTED = 0.05
 _PAUSE = 10.0  # seconds between two searches
@@ -53,13 +49,9 @@ class RangeWatch:
 
         Returns
         -------
-        Whether at least `SHARE` of the map lies at one end of the range.
+        Whether many pixels of the map lie at one end of the range (`at_ends`).
         """
-        samples = disparity[:: max(1, disparity.shape[0] // _SAMPLES), :: max(1, disparity.shape[1] // _SAMPLES)]
-        low, high = self._bounds
-        close = _END * (high - low)
-        shares = {"far": float((samples <= low + close).mean()), "near": float((samples >= high - close).mean())}
-        beyond = {end: share for end, share in shares.items() if share >= SHARE}
+        beyond = at_ends(disparity, self._bounds)
         if is_new or beyond.keys() - self._said.keys():
             with self._changed:
                 self._suspected |= beyond

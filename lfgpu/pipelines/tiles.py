@@ -31,6 +31,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.methods.base import Method
 from lfgpu.methods.footprint import Footprint
+from lfgpu.methods.range_check import notes_of
 from lfgpu.pipelines.pipeline import DepthPipeline, Progress
 
 _RAMP = 16  # pixels: width of the blend between two tiles
@@ -253,11 +254,11 @@ def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None], s
     status = f"{what}: {first.status}"
     if len(there) < len(results):
         status += f" {len(results) - len(there)} tiles have no estimate, because their views have no texture."
-    known = np.isfinite(disparity.values)
+    known, sure = np.isfinite(disparity.values), np.nan_to_num(confidence.values, nan=0.0)
     return replace(
         first,
         disparity=disparity.values,
-        confidence=np.nan_to_num(confidence.values, nan=0.0),
+        confidence=sure,
         uncertainty=None if first.uncertainty is None else np.where(known, uncertainty.values, np.float32(np.nan)),
         stages={name: values.values for name, values in join.items()},
         status=status,
@@ -265,6 +266,7 @@ def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None], s
         trace=_mean_trace([result.trace for result in there]),
         geometry=lf.geometry,
         name=lf.name,
+        notes=notes_of(disparity.values, sure, first.disparity_range),
     )
 
 

@@ -15,6 +15,7 @@ from lfgpu.viewer import pictures, saving
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents
 from lfgpu.viewer.facts import COLOURS, fixed
+from lfgpu.viewer.scene import LARGEST
 from lfgpu.viewer.solving import Request
 
 _LONGEST = 200  # characters of the name of a result
@@ -34,12 +35,12 @@ class Query:
         return found
 
     def number(self, name: str) -> float:
-        """A finite number."""
+        """A number of a size that pages need."""
         try:
             found = float(self.text(name))
         except ValueError:
             found = float("nan")
-        if not np.isfinite(found):
+        if not abs(found) <= LARGEST:
             raise LightFieldError(f"{name} must be a number, not {self.text(name)!r}.")
         return found
 
@@ -78,13 +79,18 @@ def _thumbnails(contents: Contents, _: Query) -> Any:
     return pictures.thumbnails(_lf(contents))
 
 
+def _level(lf: LightField, query: Query) -> int:
+    """How often a picture is halved: not so often that nothing is left."""
+    return min(max(query.whole("level"), 0), min(lf.size).bit_length() - 1)
+
+
 def _refocused(contents: Contents, query: Query) -> Any:
-    level = min(max(query.whole("level"), 0), 8)
-    return pictures.refocused(_lf(contents), query.number("disparity"), query.number("aperture"), level)
+    lf = _lf(contents)
+    return pictures.refocused(lf, query.number("disparity"), query.number("aperture"), _level(lf, query))
 
 
 def _sharp(contents: Contents, query: Query) -> Any:
-    level = min(max(query.whole("level"), 0), 8)
+    level = _level(_lf(contents), query)
     return pictures.sharp(contents, query.text("result"), query.text("stage", FINAL), level)
 
 
@@ -152,8 +158,10 @@ def _open(board: Board, wish: Mapping[str, Any]) -> None:
         raise LightFieldError("type the path of a light field, or of what lfgpu depth wrote.")
     try:
         board.open_from_page(Path(path).expanduser())
+    except LightFieldError:
+        raise
     except (OSError, RuntimeError, ValueError) as error:
-        raise LightFieldError(f"{path} cannot be opened: {error}.") from None
+        raise LightFieldError(f"{path} cannot be opened: {str(error).rstrip('.')}.") from None
 
 
 def _estimate(board: Board, wish: Mapping[str, Any]) -> None:
@@ -173,7 +181,8 @@ def _estimate(board: Board, wish: Mapping[str, Any]) -> None:
 def _are_two_numbers(values: object) -> bool:
     if not isinstance(values, list) or len(values) != 2:
         return False
-    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+    return numbers and all(abs(value) <= LARGEST for value in values)
 
 
 def _stop(board: Board, _: Mapping[str, Any]) -> None:

@@ -12,6 +12,10 @@ HOST = "127.0.0.1"
 """The viewer is reachable from this machine only."""
 
 
+LARGEST = 1e9
+"""No number of a page is larger: what is computed from it stays finite."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """What a page wants to see in space."""
@@ -46,6 +50,9 @@ class Scene:
     def of(cls, values: dict[str, Any]) -> Scene:
         """From plain values; LightFieldError if one is missing its type."""
         try:
-            return cls(**{name: type(getattr(cls, name))(value) for name, value in values.items()})
-        except (AttributeError, TypeError, ValueError) as error:
+            found = {name: type(getattr(cls, name))(value) for name, value in values.items()}
+            if not all(abs(value) <= LARGEST for value in found.values() if isinstance(value, int | float)):
+                raise ValueError("a number is too large")
+            return cls(**found)
+        except (ArithmeticError, AttributeError, TypeError, ValueError) as error:
             raise LightFieldError(f"this cannot be shown in space: {error}.") from None

@@ -23,6 +23,7 @@ from lfgpu.viewer.contents import QUANTITIES, Contents
 from lfgpu.viewer.scene import HOST, Scene
 from lfgpu.viz.panels import SLOPE, colour, encoded, rgb
 
+_EXPOSURE = 30.0  # at most, either way: every stored value is white or black before
 _LIVE_CLOUD = 0.5  # seconds between two point clouds of a stream
 _MESH_POINTS = 120_000  # of a surface
 _PAGES = {"light": (255, 255, 255), "dark": (20, 23, 28), "white": (255, 255, 255), "black": (0, 0, 0)}
@@ -286,7 +287,9 @@ def _painted(scene: Scene, contents: Contents) -> NDArray[np.uint8]:
     """The colours of the points: the view, or a map."""
     lf = contents.lf
     if scene.paint == "picture" and lf is not None:
-        picture = np.minimum(lf.image(lf.reference_index) * np.float32(2.0**scene.exposure), 1)
+        picture = np.minimum(
+            lf.image(lf.reference_index) * np.float32(2.0 ** np.clip(scene.exposure, -_EXPOSURE, _EXPOSURE)), 1
+        )
         return rgb(picture ** np.float32(1 / max(scene.gamma, 0.01)), 1.0)
     kind = scene.paint if scene.paint in QUANTITIES else "disparity"
     values = contents.map(scene.result, kind, scene.stage)

@@ -72,7 +72,7 @@ class Tab(Guarded, WebSocketHandler):
                 self.space.start_over()
             scene = wish.get("scene")
             self._scene = Scene.of(scene) if scene is not None else self._scene
-        except (ValueError, AttributeError, LfgpuError):
+        except (ValueError, AttributeError, RecursionError, LfgpuError):
             return
         if self._scene is None:
             return

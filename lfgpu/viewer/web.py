@@ -217,7 +217,7 @@ class _Do(Guarded):
             raise HTTPError(415)
         try:
             wish = json.loads(self.request.body)
-        except ValueError:
+        except (ValueError, RecursionError):
             raise HTTPError(400) from None
         if not isinstance(wish, dict):
             raise HTTPError(400)

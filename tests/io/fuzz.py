@@ -7,7 +7,10 @@ writes, calibrated cameras), damages some of its files and reads it. Damage is b
 blown up, parts of other files put in, files lost, doubled, renamed, linked in circles) or knows the format
 (`mutations.py`). Anything but what was to be read or a LightFieldError of one printable line is a failure, as are more
 memory than `MEMORY`, more than `SECONDS` and a crash: examples run in processes of their own, whose address space is
-limited. Everything happens in a temporary folder, many folders deep, so that no link and no "../.." leads out of it.
+limited. Everything happens in a temporary folder, many folders deep: no link and no "../.." leads out of it.
+
+The summary is written while it runs and when it is told to end (SIGTERM, control-C): what was tried counts. Thousands
+of small folders are made and removed; with a TMPDIR in memory (/dev/shm) that takes no disk.
 """
 
 from __future__ import annotations
@@ -36,6 +39,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.atomic import atomic_write
 from lfgpu.printable import printable
 from tests.io import mutations
 from tests.io.targets import TARGETS
@@ -43,7 +47,7 @@ from tests.io.targets import TARGETS
 MEMORY = 256 << 20  # bytes on top of what Python and the libraries take; the samples are far below a megabyte
 SPACE = 2 << 30  # of addresses: an allocation beyond it fails rather than being found out later
 SECONDS, WAITING = 20, 120  # of work; and on the clock, where others may be at work, too
-BATCH = 100  # examples for each process
+BATCH = 250  # examples for each process
 PATIENCE = 900  # seconds for each process
 _TIMERS = ((signal.ITIMER_PROF, signal.SIGPROF, SECONDS), (signal.ITIMER_REAL, signal.SIGALRM, WAITING))
 _DEEP = "a/b/c/d/e/f/g/h"  # more folders than any name in `_WORDS` leads up
@@ -200,12 +204,11 @@ def _damaged_knowingly(victim: Path, rng: np.random.Generator) -> bool:
 # --- running ---
 
 
-def one(name: str, source: Path, seed: int) -> str:
-    """Damage a copy of a sample and read it: "read", "refused", or what went wrong."""
+def one(name: str, source: Path, seed: int, within: Path) -> str:
+    """Damage a copy of a sample in a folder and read it: "read", "refused", or what went wrong."""
     rng = np.random.default_rng(seed)
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder) / _DEEP / source.name
-        place.parent.mkdir(parents=True)
+    with tempfile.TemporaryDirectory(dir=within) as folder:
+        place = Path(folder) / source.name
         if source.is_dir():
             shutil.copytree(source, place)
         else:
@@ -245,13 +248,16 @@ def _batch(names: list[str], sources: dict[str, Path], seeds: range, log: Path, 
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + SPACE, used + SPACE))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    within = log.with_suffix("") / _DEEP
+    within.mkdir(parents=True, exist_ok=True)
     with threadpool_limits(1), log.open("a") as file, Path(os.devnull).open("w") as nowhere:
         os.dup2(nowhere.fileno(), 2)
         for seed in seeds:
             name = names[seed % len(names)]
             file.write(f"{seed}\t{name}\t")
             file.flush()  # before a crash
-            file.write(repr(one(name, sources[name], seed)) + "\n")
+            file.write(repr(one(name, sources[name], seed, within)) + "\n")
         file.write(f"memory\t\t{1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)}\n")
 
 
@@ -264,6 +270,36 @@ class _Running:
     log: Path
     core: int
     until: float = field(default_factory=lambda: time.monotonic() + PATIENCE)
+
+    def count(self, tally: Tally, whole: bool = True) -> int:
+        """Count what the log of a process that ended says; how many examples it is about.
+
+        An example without a result ended the process. It is left out if the process was ended (not `whole`).
+        """
+        self.process.join()
+        tried = 0
+        for line in self.log.read_text().splitlines() if self.log.exists() else []:
+            seed, _, rest = line.partition("\t")
+            name, _, result = rest.partition("\t")
+            if seed == "memory":
+                tally.most_memory = max(tally.most_memory, int(result))
+                if int(result) > MEMORY:
+                    tally.failures.append(f"{self.log.stem} and {BATCH} more: {int(result) >> 20} MiB")
+                continue
+            if not result and not whole:
+                break
+            tried += 1
+            tally.inputs[name] += 1
+            if result == "'read'":
+                tally.read += 1
+            elif result == "'refused'":
+                tally.refused += 1
+            else:
+                ended = f"the process ended with {self.process.exitcode}"
+                tally.failures.append(f"seed {seed}, {name}: {result or ended}")
+        self.log.unlink(missing_ok=True)
+        shutil.rmtree(self.log.with_suffix(""), ignore_errors=True)
+        return tried
 
 
 def run(
@@ -301,53 +337,32 @@ def run(
         cores = sorted(os.sched_getaffinity(0))
         free = deque(cores[slot % len(cores)] for slot in range(processes))
         running: list[_Running] = []
-        while chosen and (waiting or running):
-            while waiting and free:
-                seeds, core = waiting.popleft(), free.popleft()
-                log = Path(folder) / f"{seeds.start}.log"
-                process = fork.Process(target=_batch, args=(chosen, sources, seeds, log, core))
-                process.start()
-                running.append(_Running(process, seeds, log, core))
-            wait([batch.process.sentinel for batch in running], timeout=1)
-            for batch in list(running):
-                if batch.process.is_alive() and time.monotonic() < batch.until:
-                    continue
-                if batch.process.is_alive():
-                    batch.process.kill()
-                batch.process.join()
-                running.remove(batch)
-                free.append(batch.core)
-                tried = _count(tally, batch.log, batch.process.exitcode)
-                if rest := batch.seeds[max(1, tried) :]:  # it ended at an example, or before the first
-                    waiting.appendleft(rest)
-                batch.log.unlink(missing_ok=True)
-                show(tally)
+        try:
+            while chosen and (waiting or running):
+                while waiting and free:
+                    seeds, core = waiting.popleft(), free.popleft()
+                    log = Path(folder) / f"{seeds.start}.log"
+                    process = fork.Process(target=_batch, args=(chosen, sources, seeds, log, core))
+                    process.start()
+                    running.append(_Running(process, seeds, log, core))
+                wait([batch.process.sentinel for batch in running], timeout=1)
+                for batch in list(running):
+                    if batch.process.is_alive() and time.monotonic() < batch.until:
+                        continue
+                    if batch.process.is_alive():
+                        batch.process.kill()
+                    running.remove(batch)
+                    free.append(batch.core)
+                    tried = batch.count(tally)
+                    if rest := batch.seeds[max(1, tried) :]:  # it ended at an example, or before the first
+                        waiting.appendleft(rest)
+                    show(tally)
+        finally:
+            for batch in running:  # told to end: what they have tried counts
+                batch.process.kill()
+                batch.count(tally, whole=False)
+            show(tally)
     return tally
-
-
-def _count(tally: Tally, log: Path, exit_code: int | None) -> int:
-    """Count what the log of a batch says; how many examples it is about."""
-    tried = 0
-    for line in log.read_text().splitlines() if log.exists() else []:
-        seed, name, result = line.split("\t", 2)
-        if seed == "memory":
-            tally.most_memory = max(tally.most_memory, int(result))
-            if int(result) > MEMORY:
-                tally.failures.append(f"{log.stem} and {BATCH} more: {int(result) >> 20} MiB")
-            continue
-        tried += 1
-        tally.inputs[name] += 1
-        if result == "'read'":
-            tally.read += 1
-        elif result == "'refused'":
-            tally.refused += 1
-        else:
-            tally.failures.append(f"seed {seed}, {name}: {result or f'the process ended with {exit_code}'}")
-    return tried
-
-
-def _progress(tally: Tally) -> None:
-    print(f"\r{tally.tried} inputs, {len(tally.failures)} failures", end="", file=sys.stderr, flush=True)
 
 
 def main() -> None:
@@ -359,7 +374,17 @@ def main() -> None:
     parser.add_argument("--summary", type=Path, help="write what was counted to this file, as JSON")
     arguments = parser.parse_args()
     began = time.monotonic()
-    tally = run(arguments.examples, arguments.seed, arguments.format, arguments.processes, show=_progress)
+
+    def show(tally: Tally) -> None:
+        print(f"\r{tally.tried} inputs, {len(tally.failures)} failures", end="", file=sys.stderr, flush=True)
+        if arguments.summary:
+            given = {key: getattr(arguments, key) for key in ("examples", "seed", "processes")}
+            done = {**given, "seconds": round(time.monotonic() - began, 1), **tally.summary()}
+            with atomic_write(arguments.summary) as file:
+                file.write_text(json.dumps(done, indent=1) + "\n")
+
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    tally = run(arguments.examples, arguments.seed, arguments.format, arguments.processes, show)
     print(file=sys.stderr)
     for failure in tally.failures:
         print(failure.replace("\\n", "\n"))
@@ -369,10 +394,6 @@ def main() -> None:
         f"{tally.tried} inputs: {tally.read} read, {tally.refused} refused, {len(tally.failures)} failures; "
         f"at most {tally.most_memory >> 20} MiB"
     )
-    if arguments.summary:
-        given = {key: getattr(arguments, key) for key in ("examples", "seed", "processes")}
-        done = {**given, "seconds": round(time.monotonic() - began, 1), **tally.summary()}
-        arguments.summary.write_text(json.dumps(done, indent=1) + "\n")
     sys.exit(bool(tally.failures) or tally.tried < arguments.examples)
 
 

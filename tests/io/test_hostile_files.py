@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import struct
 import subprocess
 import sys
 import tomllib
@@ -15,8 +17,10 @@ import pytest
 from samples import picture, refusal, save, save_hci
 
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io import load, read, read_map, read_result
+from lfgpu.io import ffmpeg, load, read, read_map, read_result
+from lfgpu.io.frames import write_frames
 from lfgpu.printable import printable
 
 _SPACE = 3 << 30  # bytes of addresses that a process may have: what is judged first never comes near
@@ -34,6 +38,14 @@ def in_little_memory(code: str, *arguments: Path | str) -> str:
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def test_the_tests_that_the_promises_name_are_there() -> None:
+    root = Path(__file__).parents[2]
+    named = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", (root / "SECURITY.md").read_text(encoding="utf-8"))
+    assert len(named) > 40
+    for file, test in named:
+        assert f"def {test}(" in (root / file).read_text(encoding="utf-8") or not test, test
 
 
 # --- descriptions ---
@@ -126,6 +138,14 @@ def test_hdf5_with_an_axis_of_nothing(tmp_path: Path, shape: tuple[int, ...]) ->
     assert "there is nothing in it" in refusal(lambda: read(tmp_path / "a.h5"))
 
 
+def test_playlists_do_not_reach_other_videos(tmp_path: Path, rng: np.random.Generator) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    write_frames(rng.random((3, 32, 48, 3), np.float32), tmp_path / "a.mp4")
+    (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile a.mp4\n")
+    assert len(list(ffmpeg.frames(tmp_path / "a.mp4"))) == 3
+    assert "cannot be read as a video" in refusal(lambda: list(ffmpeg.frames(tmp_path / "list.mp4")))
+
+
 # --- sizes ---
 
 
@@ -135,6 +155,21 @@ def test_a_map_that_is_mostly_not_there_takes_no_memory(tmp_path: Path) -> None:
     with file.open("r+b") as opened:
         opened.truncate(8 << 30)  # a hole in the file: it is on no disk
     assert "refused" in in_little_memory("lfgpu.load(sys.argv[1])", file)
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".ply"])
+def test_maps_that_claim_more_than_they_hold(tmp_path: Path, suffix: str) -> None:
+    file = tmp_path / f"a{suffix}"
+    DisparityMap(np.ones((8, 9), np.float32)).save(file)
+    data = bytearray(file.read_bytes())
+    if suffix == ".exr":
+        at = data.index(b"dataWindow\0box2i\0") + 21
+        assert struct.unpack("<4i", data[at : at + 16]) == (0, 0, 8, 7)
+        data[at + 8 : at + 16] = struct.pack("<2i", 29_999, 29_999)
+    else:
+        data = data.replace(b'"height": 8, "width": 9', b'"height": 14000, "width": 14000')
+    file.write_bytes(data)
+    assert "which a file of" in refusal(lambda: load(file))
 
 
 @pytest.mark.parametrize("size", [(32, 6000), (6000, 33), (8, 9), (40, 170)])
@@ -195,7 +230,15 @@ def test_results_that_unpack_to_much_are_refused_first(tmp_path: Path, name: str
     bomb(tmp_path / "result.npz", name, sizes.get(name, (1 << 27,)))
     with zipfile.ZipFile(tmp_path / "result.npz", "a") as archive, archive.open("x.npy", "w") as file:
         np.lib.format.write_array(file, np.zeros(3))
-    assert "claim 53687" in refusal(lambda: read_result(tmp_path / "result.npz"))
+    for function in (read_result, read_map):
+        assert "claim 53687" in refusal(lambda function=function: function(tmp_path / "result.npz"))
+
+
+def test_a_tiff_of_several_pages_is_no_map(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((9, 16, 16), np.float32))
+    for function in (load, read_map):
+        assert "has several pages" in refusal(lambda function=function: function(tmp_path / "a.tif"))
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".npy", ".pfm", ".png", ".tif", ".ply", ".exr"])

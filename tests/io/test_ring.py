@@ -74,25 +74,28 @@ def test_the_newest_frame_is_read(path: Path) -> None:
         assert (frame.number, frame.passed, frame.views.max()) == (10, 9, 9)
 
 
-def test_a_frame_that_is_written_over_while_it_is_copied_is_not_taken(path: Path) -> None:
+def test_a_frame_that_is_written_over_while_it_is_copied_is_not_taken(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The producer goes round the whole ring during the first copy."""
     with RingWriter(path, POSITIONS, SIZE, slots=3) as writer, RingReader(path) as reader:
         writer.write(pictures(1))
 
-        class Views:
-            def __init__(self, views: np.ndarray) -> None:
-                self.views, self.copies = views, 0
+        fill, copies = reader._fill, 0
 
-            def copy(self) -> np.ndarray:
-                first = self.views[:1].copy()
-                self.copies += 1
-                if self.copies == 1:
+        def torn(array: np.ndarray, at: int) -> None:
+            nonlocal copies
+            fill(array, at)
+            if array.ndim == 4:
+                copies += 1
+                if copies == 1:
+                    first = array[:1].copy()
                     for value in (2, 3, 4):
                         writer.write(pictures(value))
-                return np.concatenate([first, self.views[1:]])
+                    fill(array, at)
+                    array[:1] = first
 
-        torn = Views(reader._slots[0].views)
-        reader._slots[0].views = torn  # type: ignore[assignment]
+        monkeypatch.setattr(reader, "_fill", torn)
         frame = reader.read()
         assert frame is not None
         assert (frame.number, reader.repeated) == (4, 1)
@@ -197,6 +200,21 @@ def broken() -> Iterator[tuple[str, bytes, str]]:
 def test_files_that_are_no_rings(path: Path, name: str, content: bytes, sentence: str) -> None:
     path.write_bytes(content)
     with pytest.raises(lfgpu.LightFieldError, match=sentence):
+        RingReader(path)
+
+
+def test_a_ring_that_is_cut_short_while_it_is_read_ends_nothing_but_itself(path: Path) -> None:
+    with RingWriter(path, POSITIONS, SIZE) as writer, RingReader(path) as reader:
+        writer.write(pictures(1))
+        os.truncate(path, 4096)
+        with pytest.raises(lfgpu.LightFieldError, match="was cut short while it was read"):
+            reader.read()
+        os.truncate(path, 1 << 20)  # the producer has it mapped
+
+
+def test_a_pipe_in_place_of_a_ring_is_not_waited_for(path: Path) -> None:
+    os.mkfifo(path)
+    with pytest.raises(lfgpu.LightFieldError, match="neither a file nor a folder"):
         RingReader(path)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -23,9 +24,22 @@ def frames(source: str, _: Options) -> Frames:
         sys.path.insert(0, here)
     try:
         grabber = getattr(importlib.import_module(module_name), function_name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise LightFieldError(f"{source} cannot be imported: {error}.") from error
-    found = grabber() if callable(grabber) else None
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        raise LightFieldError(f"{source} cannot be imported: {str(error).rstrip('.')}.") from error
+    found = grabber() if _takes_nothing(grabber) else None
     if not isinstance(found, Iterable):
         raise LightFieldError(f"{source} must be a function without arguments that yields frames.")
     return iter(found)
+
+
+def _takes_nothing(grabber: object) -> bool:
+    """Whether something can be called without arguments, as far as it says so."""
+    if not callable(grabber):
+        return False
+    try:
+        inspect.signature(grabber).bind()
+    except TypeError:
+        return False
+    except ValueError:  # some functions in C do not say
+        return True
+    return True
