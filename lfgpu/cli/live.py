@@ -18,11 +18,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfgpu.data.lightfield import LightField
+    from lfgpu.pipelines.sources.base import Frames
     from lfgpu.pipelines.stream import DepthStream, StreamResult
 
 RECORD_FILE = "live.json"
 _REFRESH = 0.25  # seconds
 _SHOWN_AGAIN = 0.1  # seconds between two frames on the page
+_LOOK = 0.05  # seconds between two looks whether a pause has ended
 _NAMES = "disparity_{:06d}.pfm", "confidence_{:06d}.pfm"
 
 
@@ -163,11 +165,14 @@ def live(
     opened = open_source(source, options)
     first, coming = opened.first, opened.frames
     way, waiting = chosen or ("latest" if opened.is_live else "block", None)
+    switches = Switches(records=recording is not None)
+    if view:
+        coming = switches.unless_paused(coming, is_live=opened.is_live, stop=stop)
     if recording is not None:
-        coming = recorded(coming, first, recording)
+        coming = recorded(coming, first, recording, wanted=lambda: switches.recording)
     record = Record(out)
     with (
-        View(first if view else None) as page,
+        View(first if view else None, switches) as page,
         DepthStream(
             first,
             config=config,
@@ -180,6 +185,7 @@ def live(
             rectifier=rectifier,
         ) as stream,
     ):
+        page.stats = stream.stats
         watch = nullcontext() if rectifier is None else calibration.RigWatch(stream, on_finding=record.moved)
         with watch, Display(stream, metrics, quiet=quiet) as display:
             try:
@@ -264,15 +270,44 @@ class Record:
             temporary.write_text(json.dumps(about, indent=1, allow_nan=False), encoding="utf-8")
 
 
+class Switches:
+    """What a page may switch: whether frames are taken, and whether they are recorded."""
+
+    def __init__(self, *, records: bool) -> None:
+        self.records, self.recording, self.paused = records, records, False
+
+    def pause(self, on: bool) -> None:
+        """Take no frames, or take them again."""
+        self.paused = on
+
+    def record(self, on: bool) -> None:
+        """Record frames, or let them pass."""
+        self.recording = on
+
+    def unless_paused(self, frames: Frames, *, is_live: bool, stop: Callable[[], bool]) -> Frames:
+        """The frames. Those of a pause wait, and are lost where they come by themselves."""
+        for frame in frames:
+            while self.paused and not is_live and not stop():
+                time.sleep(_LOOK)
+            if stop():
+                return
+            if not self.paused:
+                yield frame
+
+
 class View:
     """The page in the browser that shows frames and maps; without a first frame there is none."""
 
-    def __init__(self, first: LightField | None) -> None:
+    def __init__(self, first: LightField | None, switches: Switches) -> None:
         self._viewer, self._next = None, 0.0
+        self.stats: Callable[[], dict[str, Any]] = dict
+        """The statistics of the stream."""
         if first is not None:
             from lfgpu.viewer import Viewer
 
             self._viewer = Viewer(first)
+            record = switches.record if switches.records else None
+            self._viewer.offer(pause=switches.pause, record=record, recording=switches.recording)
             _say(f"Open {self._viewer.url} with a browser on this machine.")
 
     def __enter__(self) -> View:
@@ -299,7 +334,15 @@ class View:
         if self._viewer is not None and result.tag is not None and result.error is None:
             shown = self._viewer.contents.lf
             views = result.tag if shown is None else result.tag.reshape(shown.views.shape)
-            self._viewer.update(result.numpy(), result.confidence(), views=views)
+            stats = self.stats()
+            self._viewer.update(
+                result.numpy(),
+                result.confidence(),
+                views=views,
+                rate=stats.get("frames_per_second"),
+                latency=result.latency,
+                dropped=stats.get("frames_dropped"),
+            )
 
 
 class Display:

@@ -135,6 +135,11 @@ class Board:
         added = [name for name in contents.entries if name not in self._contents.entries]
         self.replace(contents, newest=added[-1] if added else None)
 
+    def turn(self, number: int) -> None:
+        """Show another frame of the film. LightFieldError if there is none, or it cannot be read."""
+        with self._lock:
+            self.replace(self._contents.turned(number))
+
     def open_from_page(self, path: str | os.PathLike[str]) -> None:
         """The same for a page: LightFieldError also for what it may not open."""
         where = Path(path).resolve()
@@ -222,7 +227,7 @@ class Board:
             self.stream = replace(self.stream, rate=rate, latency=latency, dropped=dropped)
         self.tell()
 
-    def offer(self, *, pause: Switch | None = None, record: Switch | None = None) -> None:
+    def offer(self, *, pause: Switch | None = None, record: Switch | None = None, recording: bool = False) -> None:
         """Offer buttons for a stream on all pages.
 
         Parameters
@@ -232,7 +237,10 @@ class Board:
             no such button.
         record
             Called with True when somebody starts to record, and with False at the end. Default None: no such button.
+        recording
+            Whether the stream is recorded already. Default False.
         """
+        self.stream = replace(self.stream, recording=recording)
         offered = {"pause": pause, "record": record}
         self.switches = {name: switch for name, switch in offered.items() if switch is not None}
         self.tell()

@@ -8,9 +8,6 @@ from typing import Any
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer.contents import FINAL
 
-HOST = "127.0.0.1"
-"""The viewer is reachable from this machine only."""
-
 
 @dataclass(frozen=True)
 class Scene:

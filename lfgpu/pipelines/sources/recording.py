@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,18 +20,24 @@ _NAME = "frame_{:06d}"
 VIEWS_FILE = "views.npz"
 
 
-def recorded(frames: Frames, first: LightField, folder: Path) -> Frames:
+def recorded_frames(folder: Path) -> dict[int, Path]:
+    """The folders of recorded frames by their numbers, in order; empty if nothing was recorded in `folder`."""
+    found = {int(place.name.rpartition("_")[2]): place for place in folder.glob("frame_" + "[0-9]" * 6)}
+    return {number: found[number] for number in sorted(found) if (found[number] / DEFAULT_NAME).is_file()}
+
+
+def recorded(frames: Frames, first: LightField, folder: Path, *, wanted: Callable[[], bool] = lambda: True) -> Frames:
     """The same frames; each is written before it is handed on, to a folder of its own in `folder`, whole or not at all.
 
     Cameras without a picture are left out. Frames that do not fit to the first one, or lack the picture of its
-    reference view, are handed on, but not written.
+    reference view, are handed on, but not written, as are those that come while `wanted` returns False.
     """
     for number in itertools.count():
         try:
             frame = next(frames)
         except StopIteration:
             return
-        lf = _light_field(frame, first)
+        lf = _light_field(frame, first) if wanted() else None
         if lf is not None:
             with atomic_folder(folder / _NAME.format(number)) as place:
                 masks: dict[str, Any] = {} if lf.valid is None else {"valid": lf.valid}
