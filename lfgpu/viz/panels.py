@@ -35,7 +35,7 @@ LOOKS = {
     "confidence": Look("cividis", "confidence (larger is surer)"),
     "error": Look("RdBu_r", "error, px per view step (red: too near, blue: too far)"),
     "uncertainty": Look("magma", "expected error, px per view step (standard deviation)"),
-    "unexplained": Look("magma", "difference between views, share of full intensity (rms)"),
+    "unexplained": Look("magma", "rms difference of the other views, share of full intensity"),
     "predicted": Look("viridis", "predicted views: PSNR, dB (larger is better)"),
 }
 
