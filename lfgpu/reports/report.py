@@ -292,7 +292,7 @@ def _judged(found: Explanation) -> dict[str, Any]:
         limits = (sum(limits) / 2 - 0.5, sum(limits) / 2 + 0.5)
     figure, arrow = charts.cameras(found, limits)
     title = "Cameras"
-    shifts = f"colour: PSNR of each view; arrow: its shift, {arrow:.2g} px if as long as a square. R: reference"
+    shifts = f"arrow: shift of a view, {arrow:.2g} px if as long as a square"
     error = float(np.sqrt(np.nanmean(found.shift_error**2))) if np.isfinite(found.shift_error).any() else float("nan")
     predicted = 100 * float(np.delete(found.predicted, found.reference).mean()) if len(found.psnr) > 1 else 0.0
     return {
