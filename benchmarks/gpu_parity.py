@@ -7,12 +7,15 @@ L-BFGS, the sums over windows) is tested by the same matrix on a machine with a 
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from time import perf_counter
 from typing import Any
 
 from benchmarks import machine
@@ -20,40 +23,73 @@ from benchmarks.errors import BenchmarkError
 from lfgpu.io.atomic import atomic_write
 
 ROOT = Path(__file__).parents[1]
-TESTS = ("tests/kernels", "tests/test_printed_equations.py", "tests/test_pipelines.py", "tests/test_depth_pipeline.py")
+FILES = (
+    "tests/kernels/test_matrix.py",
+    "tests/kernels/test_energy.py",
+    "tests/kernels/test_occlusion_reference.py",
+    "tests/test_printed_equations.py",
+    "tests/test_pipelines.py",
+    "tests/test_depth_pipeline.py",
+)
+"""Tests of what a device computes; the other files of tests/kernels are about the reference, the checks or the CPU."""
+
+_RAN = (0, 1, 5)  # what pytest exits with: all passed, some failed, a file had no tests for the device
 RESULT = Path(__file__).with_name("results") / "gpu-parity.json"
 
 
-def run(backend: str, device: str) -> dict[str, Any]:
-    """Run the tests on a device; what passed, failed and was skipped, and the largest error of each operation."""
+def run(backend: str, device: str, say: Callable[[str], None]) -> Iterator[dict[str, Any]]:
+    """Run the tests on a device, a file after the other.
+
+    Yields after each file what was found until then: what passed, failed and was skipped, and the largest error of each
+    operation. `files` are those that were run, `left` the others.
+    """
+    about = {"date": datetime.now(UTC).isoformat(timespec="seconds"), **machine.about()}
+    errors: dict[str, float] = {}
+    count, skipped, failed, start = 0, 0, list[str](), perf_counter()
+    for index, file in enumerate(FILES):
+        say(f"{file} ({index + 1} of {len(FILES)})")
+        cases = _cases(file, backend, device)
+        for case in cases:
+            for found in case.iter("property"):
+                name, error = str(found.get("name")), float(str(found.get("value")))
+                errors[name] = max(error, errors.get(name, 0.0))
+        wrong = [case for case in cases if case.find("failure") is not None or case.find("error") is not None]
+        failed += [str(case.get("name")) for case in wrong]
+        skipped += sum(case.find("skipped") is not None for case in cases)
+        count += len(cases)
+        yield {
+            **about,
+            "backend": backend,
+            "device": device,
+            "seconds": round(perf_counter() - start, 1),
+            "files": FILES[: index + 1],
+            "left": FILES[index + 1 :],
+            "passed": count - len(failed) - skipped,
+            "skipped": skipped,
+            "failed": list(failed),
+            "errors": dict(sorted(errors.items())),
+        }
+
+
+def _cases(file: str, backend: str, device: str) -> list[ET.Element]:
+    """The outcome of each test of a file."""
     with TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"
-        command = [sys.executable, "-m", "pytest", "-q", f"--backend={backend}", f"--device={device}", *TESTS]
-        done = subprocess.run([*command, f"--junitxml={report}"], cwd=ROOT, check=False)
-        if done.returncode not in (0, 1) or not report.is_file():
-            raise BenchmarkError(f"the tests could not run on {backend} {device}; see what pytest said above.")
-        cases = list(ET.parse(report).getroot().iter("testcase"))
-    errors: dict[str, float] = {}
-    for case in cases:
-        for found in case.iter("property"):
-            name, error = str(found.get("name")), float(str(found.get("value")))
-            errors[name] = max(error, errors.get(name, 0.0))
-    failed = [
-        str(case.get("name")) for case in cases if case.find("failure") is not None or case.find("error") is not None
-    ]
-    skipped = sum(case.find("skipped") is not None for case in cases)
-    return {
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "commit": machine.commit(),
-        "machine": machine.describe(),
-        "versions": machine.versions(),
-        "backend": backend,
-        "device": device,
-        "passed": len(cases) - len(failed) - skipped,
-        "skipped": skipped,
-        "failed": failed,
-        "errors": dict(sorted(errors.items())),
-    }
+        command = [sys.executable, "-m", "pytest", "-q", f"--backend={backend}", f"--device={device}", file]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [str(ROOT), *_paths()]))}
+        done = subprocess.run(
+            [*command, "-p", "no:cacheprovider", f"--junitxml={report}"], cwd=ROOT, env=environment, check=False
+        )
+        if done.returncode not in _RAN or not report.is_file():
+            raise BenchmarkError(
+                f"the tests of {file} could not run on {backend} {device}; see what pytest said above."
+            )
+        return list(ET.parse(report).getroot().iter("testcase"))
+
+
+def _paths() -> list[str]:
+    """Folders of PYTHONPATH, absolute: the tests run in another folder."""
+    return [str(Path(path).resolve()) for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
 
 
 def save(found: dict[str, Any], path: Path) -> None:

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import sys
-import threading
-from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +15,6 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.cli import app
-from lfgpu.cli.live import Switches
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read_map, write_hci
 from lfgpu.pipelines.sources import Options, feed, open_source
@@ -87,63 +82,6 @@ def test_recording_of_a_folder(sequence: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_map(out / "disparity_000000.pfm"), want.disparity)
     np.testing.assert_array_equal(read_map(out / "confidence_000000.pfm"), want.confidence)
     assert len(list(out.iterdir())) == 3 * 2 + 1
-
-
-def test_the_page_is_told_rate_latency_and_drops_and_switches(
-    sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    told: list[dict[str, Any]] = []
-    offered: dict[str, Any] = {}
-
-    class Page:
-        """A viewer without a page, on which somebody stops the recording as soon as a map comes."""
-
-        url, contents = "http://127.0.0.1/", SimpleNamespace(lf=None)
-
-        def __init__(self, _: LightField) -> None:
-            pass
-
-        def offer(self, **switches: Any) -> None:
-            offered.update(switches)
-
-        def update(self, *_: Any, **facts: Any) -> None:
-            told.append(facts)
-            offered["record"](False)
-
-        def close(self) -> None:
-            pass
-
-    monkeypatch.setattr("lfgpu.viewer.server.Viewer", Page)
-    monkeypatch.setattr("lfgpu.cli.live._SHOWN_AGAIN", 0.0)
-    record = tmp_path / "record"
-    outcome = lfgpu_live(sequence, "--view", "--preset=fast", RANGE, "--record", record, "--policy=block", "--frames=8")
-    assert outcome.exit_code == 0, outcome.output
-    assert offered["recording"] is True
-    assert callable(offered["pause"])
-    assert all(facts["latency"] > 0 and facts["dropped"] == 0 and "rate" in facts for facts in told)
-    assert told
-    assert 0 < len(list(record.iterdir())) < 8  # the recording was stopped
-
-
-def test_a_pause_holds_frames_back_or_loses_those_that_come_by_themselves() -> None:
-    switches = Switches(records=False)
-    waits = switches.unless_paused(iter([1, 2, 3]), is_live=False, stop=lambda: False)
-    assert next(waits) == 1
-    switches.pause(True)
-    threading.Timer(0.1, switches.pause, (False,)).start()
-    assert next(waits) == 2  # after the pause
-
-    def camera() -> Iterator[int]:
-        yield 1
-        switches.pause(True)
-        yield 2
-        switches.pause(False)
-        yield 3
-
-    assert list(switches.unless_paused(camera(), is_live=True, stop=lambda: False)) == [1, 3]
-    switches.pause(True)
-    assert list(switches.unless_paused(iter([1, 2]), is_live=False, stop=lambda: True)) == []
-    assert list(switches.unless_paused(itertools.count(), is_live=True, stop=lambda: True)) == []
 
 
 def test_grabber_with_a_bad_frame_and_a_missing_camera(grabbers: None, tmp_path: Path) -> None:

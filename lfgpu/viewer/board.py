@@ -227,7 +227,7 @@ class Board:
             self.stream = replace(self.stream, rate=rate, latency=latency, dropped=dropped)
         self.tell()
 
-    def offer(self, *, pause: Switch | None = None, record: Switch | None = None, recording: bool = False) -> None:
+    def offer(self, *, pause: Switch | None = None, record: Switch | None = None) -> None:
         """Offer buttons for a stream on all pages.
 
         Parameters
@@ -237,10 +237,7 @@ class Board:
             no such button.
         record
             Called with True when somebody starts to record, and with False at the end. Default None: no such button.
-        recording
-            Whether the stream is recorded already. Default False.
         """
-        self.stream = replace(self.stream, recording=recording)
         offered = {"pause": pause, "record": record}
         self.switches = {name: switch for name, switch in offered.items() if switch is not None}
         self.tell()

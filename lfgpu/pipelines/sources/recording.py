@@ -30,7 +30,7 @@ def recorded(frames: Frames, first: LightField, folder: Path, *, wanted: Callabl
     """The same frames; each is written before it is handed on, to a folder of its own in `folder`, whole or not at all.
 
     Cameras without a picture are left out. Frames that do not fit to the first one, or lack the picture of its
-    reference view, are handed on, but not written, as are those that come while `wanted` returns False.
+    reference view, are handed on, but not written; neither are those before which `wanted` returns False.
     """
     for number in itertools.count():
         try:
