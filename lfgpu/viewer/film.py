@@ -9,7 +9,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read, read_map
-from lfgpu.pipelines.sources.recording import recorded_frames
+from lfgpu.io.description import DEFAULT_NAME
 
 _RECORD, _DISPARITY, _CONFIDENCE = "live.json", "disparity_{:06d}.pfm", "confidence_{:06d}.pfm"
 
@@ -35,7 +35,7 @@ class Film:
     @classmethod
     def of(cls, path: Path) -> Film | None:
         """The film in a folder; None if there is none."""
-        frames = recorded_frames(path)
+        frames = _recorded(path)
         return cls(path, frames) if frames else None
 
     @property
@@ -60,3 +60,9 @@ class Film:
 def holds_maps_of_frames(path: Path) -> bool:
     """Whether a folder is what `lfgpu live -o` wrote."""
     return (path / _RECORD).is_file()
+
+
+def _recorded(folder: Path) -> dict[int, Path]:
+    """The folders of recorded frames by their numbers, in order; empty if nothing was recorded in `folder`."""
+    found = {int(place.name.rpartition("_")[2]): place for place in folder.glob("frame_" + "[0-9]" * 6)}
+    return {number: found[number] for number in sorted(found) if (found[number] / DEFAULT_NAME).is_file()}

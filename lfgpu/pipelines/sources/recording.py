@@ -20,12 +20,6 @@ _NAME = "frame_{:06d}"
 VIEWS_FILE = "views.npz"
 
 
-def recorded_frames(folder: Path) -> dict[int, Path]:
-    """The folders of recorded frames by their numbers, in order; empty if nothing was recorded in `folder`."""
-    found = {int(place.name.rpartition("_")[2]): place for place in folder.glob("frame_" + "[0-9]" * 6)}
-    return {number: found[number] for number in sorted(found) if (found[number] / DEFAULT_NAME).is_file()}
-
-
 def recorded(frames: Frames, first: LightField, folder: Path, *, wanted: Callable[[], bool] = lambda: True) -> Frames:
     """The same frames; each is written before it is handed on, to a folder of its own in `folder`, whole or not at all.
 
