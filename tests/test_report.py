@@ -151,7 +151,7 @@ def test_report_says_all_and_needs_no_network(preset: str, folder: Path, tmp_pat
     assert f"{datetime.now().astimezone():%B %Y}" in page
     product = device_name(result.device)
     assert product is None or f"{result.device} ({product})" in page
-    assert "Left-over shifts of the views" in page
+    assert "away from where the cameras&#39; positions put them" in page
 
 
 def test_names_cannot_break_out_of_the_page(lf: LightField) -> None:
@@ -276,7 +276,7 @@ def test_points_of_epis_are_where_a_map_is_easy_to_judge() -> None:
 def test_a_confidence_that_hardly_any_pixel_states_has_no_point() -> None:
     diagram = Reliability(np.array([0.2, 0.9]), np.array([50.0, 90.0]), np.array([0.05, 99.95]), 0.07, 10000)
     (axes,) = charts.reliability(diagram).axes
-    (line,) = (line for line in axes.lines if line.get_label() == "right")
+    (line,) = (line for line in axes.lines if line.get_label() == "found")
     np.testing.assert_array_equal(line.get_xydata(), [[0.9, 90]])
     assert len(axes.patches) == 2
 
@@ -305,7 +305,7 @@ def test_a_report_with_what_the_judge_says(lf: LightField) -> None:
     page = html(lf, result_of(lf), explanation=found)
     assert all(escape(sentence[1:]) in page for sentence in found.findings)
     assert f"{found.mean_psnr:.1f} dB" in page
-    assert "Unexplained" in page
+    assert "Prediction error" in page
     figure, arrow = charts.cameras(found, (20.0, 40.0))
     assert arrow == pytest.approx(np.hypot(*found.shift.T).max())
     (axes,) = figure.axes

@@ -31,9 +31,9 @@ ON_ONE_PAGE = {
     "Confidence": "larger is surer",
     "Uncertainty": "standard deviation",
     "Sparsification": "pixels kept",
-    "Reliability": "stated confidence",
+    "Reliability": "share of all pixels",
     "Cameras": "PSNR, dB",
-    "Unexplained": "share of full intensity",
+    "Prediction error": "share of full intensity",
     "Time of each stage": "plane sweep",
 }
 """Titles of cards, and what stands at their lower ends."""

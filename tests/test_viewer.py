@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import re
+import socket
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -18,11 +22,13 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map, write_hci, write_pfm
-from lfgpu.viewer import pictures, saving
+from lfgpu.viewer import Viewer, pictures, saving
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.cloud import nearest_to_ray, shown_cloud, surface
 from lfgpu.viewer.contents import LIVE, TRUTH, Contents, Entry, opened, opened_all
 from lfgpu.viewer.facts import Facts, fixed
+from lfgpu.viewer.pictures import histogram
+from lfgpu.viewer.place import Place
 from lfgpu.viewer.space import framed
 from lfgpu.viz import panels as frames
 from lfgpu.viz.refocusing import all_in_focus, refocus
@@ -142,32 +148,6 @@ def test_the_points_are_those_of_the_package(most_points: int) -> None:
 # --- pictures ---
 
 
-def test_the_line_follows_the_slope_of_the_epi() -> None:
-    """The line goes through pixels of one colour: those that show the same point in all views."""
-    lf = wall(2.0)
-    wide = SIZE[1] * 10
-    plain = frames.epi_of_row(lf, 16, 12, None, wide=wide)
-    drawn = frames.epi_of_row(lf, 16, 12, 2.0, wide=wide)
-    on_line = (drawn == frames.SLOPE).all(axis=2)
-    along = plain[on_line].astype(float)
-    wrong = (frames.epi_of_row(lf, 16, 12, -2.0, wide=wide) == frames.SLOPE).all(axis=2)
-    assert along.std() < 0.3 * plain[wrong].astype(float).std()
-
-
-def test_views_of_every_kind_have_a_picture() -> None:
-    for lf in (wall(1.0), wall(1.0).subset("row"), wall(1.0).subset("column"), wall(1.0).subset([0, 4])):
-        picture = frames.view_with_epis(lf, 0, 3, 3, 1.0)
-        assert picture.dtype == np.uint8
-        assert picture.shape[2] == 3
-
-
-def test_large_views_are_drawn_smaller() -> None:
-    lf = LightField(np.zeros((2, 960, 1280, 3), np.uint8), [[0, 0], [1, 0]])
-    picture = frames.view_with_epis(lf, 0, 3, 3, 1.0)
-    assert picture.shape[0] <= 620
-    assert picture.shape[1] <= 960
-
-
 @pytest.mark.parametrize("kind", list(frames.LOOKS))
 def test_undefined_pixels_are_grey_in_every_map(kind: str) -> None:
     values = np.linspace(-1, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
@@ -175,19 +155,6 @@ def test_undefined_pixels_are_grey_in_every_map(kind: str) -> None:
     colours = frames.colour(values, frames.LOOKS[kind].colours, (-1, 1))
     assert len(set(colours[3, 4].tolist())) == 1
     assert (colours[3, 4] == colours.reshape(-1, 3)).all(axis=1).sum() == 1
-
-
-def test_the_wipe_shows_one_map_at_each_side_on_one_scale() -> None:
-    one, other = np.full(SIZE, -1, np.float32), np.full(SIZE, 1, np.float32)
-    picture = frames.map_picture(
-        frames.Shown(one, "one"), "disparity", (-1, 1), second=frames.Shown(other, "other"), wipe=0.25
-    )
-    low, high = (frames.colour(np.array([[value]], np.float32), "viridis", (-1, 1))[0, 0] for value in (-1, 1))
-    is_low, is_high = ((picture == shade).all(axis=2).any(axis=0) for shade in (low, high))
-    shown = np.flatnonzero(is_low | is_high)
-    assert is_low[shown[5]]
-    assert np.flatnonzero(is_low[: picture.shape[1] // 2]).max() < np.flatnonzero(is_high).max()
-    assert is_high.sum() > 2 * is_low.sum()
 
 
 # --- contents ---
@@ -587,3 +554,74 @@ def test_without_viser_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(LightFieldError, match=r"pip install -e '\.\[viewer\]'"):
         Viewer()
+
+
+def test_the_address_is_known_before_anything_heavy_is_imported() -> None:
+    code = (
+        "import sys\n"
+        "from lfgpu.viewer.place import Place\n"
+        "place = Place(0)\n"
+        "assert place.url.startswith('http://127.0.0.1:')\n"
+        "assert not {'numpy', 'tornado', 'scipy'} & sys.modules.keys()\n"
+        "import lfgpu.viewer.server, lfgpu.viewer.web\n"
+        "assert not {'scipy', 'matplotlib', 'warp', 'viser', 'h5py', 'dask'} & sys.modules.keys()\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+def test_who_connects_early_is_answered_later() -> None:
+    """The address is printed before the server is there."""
+    pytest.importorskip("tornado")
+    pytest.importorskip("viser")
+    place = Place(0)
+    with socket.create_connection(("127.0.0.1", place.port), 10) as early:
+        early.sendall(f"GET /{place.token}/ HTTP/1.1\r\nHost: 127.0.0.1:{place.port}\r\n\r\n".encode())
+        with Viewer(port=place) as viewer:
+            assert viewer.url == place.url
+            assert early.recv(100).startswith(b"HTTP/1.1 200")
+
+
+def test_a_port_that_is_taken_is_passed_over() -> None:
+    first = Place(0)
+    second = Place(first.port)
+    assert second.port > first.port
+    with pytest.raises(LightFieldError, match="there is no port 65536"):
+        Place(65536)
+    for place in (first, second):
+        place.socket.close()
+
+
+def test_pictures_are_of_the_frame_that_a_page_was_told() -> None:
+    board = Board()
+    board.show(wall(1.0))
+    facts = Facts(board)
+    told, kept = facts.newest()
+    lf = board.contents.lf
+    assert lf is not None
+    board.update(np.zeros(SIZE), views=np.zeros_like(lf.views))
+    assert facts.contents(told["revision"]) is kept
+    newer, contents = facts.newest()
+    assert newer["revision"] != told["revision"]
+    assert facts.contents(newer["revision"]) is contents is board.contents
+    del kept, lf
+    gc.collect()
+    assert facts.contents(told["revision"]) is None  # nobody keeps it
+
+
+def test_unknown_rates_are_not_told() -> None:
+    board = Board()
+    board.show(wall(1.0))
+    board.update(np.zeros(SIZE), rate=float("nan"), latency=0.25, dropped=3)
+    stream = json.loads(json.dumps(Facts(board).now(), allow_nan=False))["stream"]
+    assert (stream["rate"], stream["latency"], stream["dropped"]) == (None, 0.25, 3)
+
+
+@pytest.mark.parametrize(("low", "high", "bins"), [(1.0, 1.0, 5), (0.0, 1.0, 0), (0.0, 1.0, 10**6)])
+def test_a_distribution_needs_bins(low: float, high: float, bins: int) -> None:
+    with pytest.raises(LightFieldError, match="there are no"):
+        histogram(np.zeros(SIZE, np.float32), low, high, bins)
+
+
+def test_what_is_undefined_or_beyond_is_in_no_bin() -> None:
+    values = np.array([[0.1, 0.1, 0.9, 5.0, np.nan]], np.float32)
+    np.testing.assert_allclose(histogram(values, 0.0, 1.0, 2), [50, 25])

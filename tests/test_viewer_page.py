@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
-from urllib.parse import urlsplit
+from urllib.parse import parse_qs, urlsplit
 from urllib.request import Request, urlopen
 
 import numpy as np
@@ -25,8 +25,9 @@ from lfgpu import scenes
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io import load, read_map, write_hci, write_result
+from lfgpu.io import load, read_map, write_hci, write_pfm, write_result
 from lfgpu.pipelines.estimate import estimate_depth
+from lfgpu.pipelines.sources.recording import recorded
 from tests.browser import chromium, until
 
 pytest.importorskip("viser", reason="viser is not installed: pip install -e '.[viewer]'")
@@ -110,7 +111,7 @@ class Page:
             return what in key and key != before
 
         until(is_there, f"{name} shows {what!r}; it shows {self.key(name)!r}", self.tab)
-        self.tab.wait_for_timeout(60)  # for marks, which come with the next frame
+        self.still()  # for marks, which come with the next frame
         return self.pixels(name)
 
     def at(self, name: str, x: float, y: float) -> tuple[int, ...]:
@@ -135,6 +136,14 @@ class Page:
         """Move a slider."""
         code = "([id, value]) => { const e = document.getElementById(id); e.value = value; e.oninput(); }"
         self.tab.evaluate(code, [name, value])
+
+    def still(self) -> None:
+        """Wait until everything that was going to be drawn is: nothing changes from one frame to the next."""
+        self.tab.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def moved(self, name: str, condition: Callable[[tuple[float, float, float]], bool], what: str) -> None:
+        """Wait until the place of a picture on its canvas is as wanted."""
+        until(lambda: condition(self.place(name)), f"{what}; {name} is at {self.place(name)}", self.tab)
 
     def readout(self) -> str:
         return str(self.tab.inner_text("#readout"))
@@ -237,19 +246,23 @@ def test_marks_follow_the_point_through_the_views(page: Page, viewer: Viewer, lf
     at = left + (x - 2 * d + 0.5) * scale, top + (y + d + 0.5) * scale
     pink = np.argwhere((picture == MARK).all(axis=2))
     assert np.allclose(pink.mean(axis=0), (at[1], at[0]), atol=1.5)
-    page.tab.mouse.click(*page.spot("view", x - 2 * d, y + d))  # what is marked leads back to the pixel
+    page.tab.keyboard.press("Shift+ArrowLeft")  # away from there
+    until(lambda: marked(page)() == [f"{x - 1},", f"{y}"], "the next pixel is chosen", page.tab)
+    page.tab.mouse.click(*page.spot("view", x - 2 * d, y + d))  # what was marked leads back to the pixel
     page.tab.mouse.move(5, 5)
-    page.tab.wait_for_timeout(150)
-    a, b = (int(part.strip(",")) for part in marked(page)())
-    assert abs(a - x) <= 1
-    assert abs(b - y) <= 1
+
+    def is_back() -> bool:
+        a, b = (int(part.strip(",")) for part in marked(page)())
+        return abs(a - x) <= 1 and abs(b - y) <= 1
+
+    until(is_back, "the pixel is chosen again", page.tab)
 
 
 def test_epis_are_in_line_with_the_view_and_lead_to_pixels(page: Page, lf: LightField) -> None:
     page.click("view", 20, 30)
     until(lambda: page.key("epi-row").endswith(" 30"), "the EPI of the row has come", page.tab)
     until(lambda: page.key("epi-column").endswith(" 20"), "the EPI of the column has come", page.tab)
-    page.tab.wait_for_timeout(100)
+    page.still()
     left, top, scale = page.place("view")
     for name, lines in (("epi-row", lf.epi_horizontal(30)), ("epi-column", lf.epi_vertical(20))):
         picture = page.pixels(name)
@@ -272,7 +285,8 @@ def test_views_and_maps_are_enlarged_together_by_whole_numbers(page: Page, viewe
     page.tab.mouse.move(*page.spot("map", 30, 20))
     for _ in range(4):
         page.tab.mouse.wheel(0, -200)
-    page.tab.wait_for_timeout(200)
+    page.moved("map", lambda place: place[2] > 45, "the map is enlarged")
+    page.moved("view", lambda place: place[2] > 40, "the view is enlarged")
     places = [page.place(name) for name in ("map", "view")]
     sizes = [page.pixels(name).shape for name in ("map", "view")]
     for (left, top, scale), shape in zip(places, sizes, strict=True):
@@ -284,20 +298,18 @@ def test_views_and_maps_are_enlarged_together_by_whole_numbers(page: Page, viewe
         )
     left, top, scale = (int(part) for part in places[0])
     picture = page.pixels("map")
-    block = picture[top + 22 * scale : top + 23 * scale, left + 33 * scale : left + 34 * scale]
+    block = picture[top + 21 * scale : top + 22 * scale, left + 31 * scale : left + 32 * scale]
     assert (block == block[0, 0]).all()  # a pixel is a square of one colour
     limits = viewer.contents.limits("disparity")
-    np.testing.assert_allclose(block[0, 0], viridis(entry.disparity[22, 33], limits), atol=1)
-    start = page.spot("map", 33, 22)
+    np.testing.assert_allclose(block[0, 0], viridis(entry.disparity[21, 31], limits), atol=1)
+    start = page.spot("map", 31, 21)
     page.tab.mouse.move(*start)
     page.tab.mouse.down()
     page.tab.mouse.move(start[0] + 60, start[1] + 30, steps=3)
     page.tab.mouse.up()
-    page.tab.wait_for_timeout(100)
-    assert page.place("map")[:2] == (left + 60, top + 30)
+    page.moved("map", lambda place: place[:2] == (left + 60, top + 30), "the map is moved")
     page.tab.mouse.dblclick(*page.spot("map", 30, 20))
-    page.tab.wait_for_timeout(100)
-    assert page.place("map")[2] < scale
+    page.moved("map", lambda place: place[2] < scale, "everything is shown")
 
 
 def test_maps_are_compared(page: Page, viewer: Viewer) -> None:
@@ -320,15 +332,15 @@ def test_maps_are_compared(page: Page, viewer: Viewer) -> None:
     page.tab.mouse.down()
     page.tab.mouse.move(box["x"] + left + 2 * scale, box["y"] + top + 100, steps=3)
     page.tab.mouse.up()
-    page.tab.wait_for_timeout(100)
+    until(lambda: page.at("map", HOLE[2] + 2, HOLE[0] + 1) != GREY, "the wipe is drawn", page.tab)
     shows(4, 30, truth)
     page.tab.keyboard.press("t")
-    page.tab.wait_for_timeout(150)
-    assert page.tab.inner_text("#map-label") == "ground truth"
+    until(lambda: page.tab.inner_text("#map-label") == "ground truth", "the other map is shown", page.tab)
+    page.shown("map", "disparity")
     assert page.at("map", HOLE[2] + 2, HOLE[0] + 1) != GREY
     page.tab.keyboard.press("t")
-    page.tab.wait_for_timeout(150)
-    assert page.tab.inner_text("#map-label") == "fast"
+    until(lambda: page.tab.inner_text("#map-label") == "fast", "the first map is shown", page.tab)
+    page.shown("map", "disparity")
     assert page.at("map", HOLE[2] + 2, HOLE[0] + 1) == GREY
     page.tab.click("[data-value=side]")
     page.shown("other-map", "disparity")
@@ -338,6 +350,23 @@ def test_maps_are_compared(page: Page, viewer: Viewer) -> None:
     page.choose("quantity", "error")
     page.shown("map", "error")
     assert "MSE×100" in page.tab.inner_text("#scores")
+
+
+def test_the_distribution_is_that_of_the_map(page: Page, viewer: Viewer) -> None:
+    disparity = viewer.contents.entries["fast"].disparity
+    until(lambda: "disparity" in page.key("histogram"), "the distribution is drawn", page.tab)
+    asked = next(url for url in reversed(page.asked) if "data/histogram" in url and "kind=disparity" in url)
+    query = {name: found[0] for name, found in parse_qs(urlsplit(asked).query).items()}
+    bins, ends = int(query["bins"]), (float(query["low"]), float(query["high"]))
+    with urlopen(asked, timeout=10) as answer:
+        shares = np.frombuffer(answer.read(), np.float32)
+    known = disparity[np.isfinite(disparity)]
+    np.testing.assert_allclose(shares, 100 * np.histogram(known, bins, ends)[0] / known.size, atol=1e-4)
+    picture = page.pixels("histogram")
+    colour = np.array(viridis(ends[0] + (np.argmax(shares) + 0.5) / bins * (ends[1] - ends[0]), ends))
+    assert (np.abs(picture.astype(int) - colour).max(axis=2) <= 2).any()  # the highest bar, in its colour
+    page.choose("quantity", "confidence")
+    until(lambda: "confidence" in page.key("histogram"), "that of the confidence is drawn", page.tab)
 
 
 def test_colours_change_without_the_server(page: Page, viewer: Viewer, lf: LightField) -> None:
@@ -361,7 +390,7 @@ def test_colours_change_without_the_server(page: Page, viewer: Viewer, lf: Light
     page.shown("view", "1 2")
     stored = lf.views[lf.reference_index, 30, 4] / 255
     assert page.at("view", 4, 30) == pytest.approx(tuple(255 * np.minimum(1, 2 * stored) ** 0.5), abs=1)
-    assert len(page.asked) == before
+    assert not [url for url in page.asked[before:] if "data/histogram" not in url]  # its bins are those of the range
     page.tab.click("#as-stored")
     page.tab.click("#auto")
     page.choose("colours", "viridis")
@@ -528,34 +557,40 @@ def test_a_phone_shows_one_part_at_a_time(browser: Any, viewer: Viewer) -> None:
     for reach in (30, 45, 60, 80):
         fingers("Move", (x - reach, y), (x + reach, y))
     fingers("End")
-    phone.tab.wait_for_timeout(150)
+    phone.moved("map", lambda place: place[2] > 2.5 * before[2], "two fingers enlarge")
     after = phone.place("map")
-    assert after[2] > 2.5 * before[2]
     assert [round(part) for part in phone.spot("map", 24, 20)] == pytest.approx([x, y], abs=after[2])
     phone.close()
 
 
-def test_a_map_of_another_folder_joins_and_the_page_stays_as_it_is(page: Page, files: Path, viewer: Viewer) -> None:
+def test_a_map_of_another_folder_joins_and_the_page_stays_as_it_is(browser: Any, files: Path) -> None:
+    """Of its own viewer: how large the map is depends on how many maps the table has below it."""
     names = ("left", "right", "view", "map")
+    with Viewer.of([files / "boxes", files / "fast"], port=0) as viewer:
+        page = Page(browser, viewer)
 
-    def boxes() -> list[Any]:
-        return [page.tab.locator(f"#{name}").bounding_box() for name in names]
+        def boxes() -> list[Any]:
+            return [page.tab.locator(f"#{name}").bounding_box() for name in names]
 
-    before = boxes()
-    page.tab.click("#open-files")
-    page.tab.fill("#path", str(files / "boxes"))
-    page.tab.press("#path", "Enter")
-    until(lambda: page.tab.input_value("#result") == "ground truth", "the light field is alone", page.tab)
-    page.shown("map", "disparity")
-    title = page.tab.inner_text("#right-title")
-    assert "ground truth" in title
-    assert "no estimate yet" in title
-    assert page.tab.inner_text("#map-label") == "ground truth"
-    until(lambda: boxes()[:2] == before[:2], "the parts are as wide as before", page.tab, seconds=20)
-    viewer.open(files / "fast")
-    page.shown("map", "disparity")
-    until(lambda: page.tab.input_value("#result") == "fast", "the map is chosen", page.tab)
-    until(lambda: boxes() == before, "everything is as large as before", page.tab, seconds=20)
+        page.shown("map", "disparity")
+        until(lambda: page.tab.locator("#scores").is_visible(), "the table is there", page.tab)
+        page.still()
+        before = boxes()
+        page.tab.click("#open-files")
+        page.tab.fill("#path", str(files / "boxes"))
+        page.tab.press("#path", "Enter")
+        until(lambda: page.tab.input_value("#result") == "ground truth", "the light field is alone", page.tab)
+        page.shown("map", "disparity")
+        title = page.tab.inner_text("#right-title")
+        assert "ground truth" in title
+        assert "no estimate yet" in title
+        assert page.tab.inner_text("#map-label") == "ground truth"
+        until(lambda: boxes()[:2] == before[:2], "the parts are as wide as before", page.tab)
+        viewer.open(files / "fast")
+        page.shown("map", "disparity")
+        until(lambda: page.tab.input_value("#result") == "fast", "the map is chosen", page.tab)
+        until(lambda: boxes() == before, f"everything is as large as before, {before}", page.tab)
+        page.close()
 
 
 def test_a_stream_is_followed_without_scores_of_another_frame(
@@ -607,6 +642,93 @@ def test_a_stream_is_followed_without_scores_of_another_frame(
         page.close()
 
 
+def test_all_tiles_are_of_one_frame(browser: Any) -> None:
+    """Frames of one colour each, which come faster than tiles: no picture that is drawn has two colours."""
+    views = np.zeros((2, 1100, 1500, 1), np.uint8)
+    with Viewer(LightField(views, [[0, 0], [1, 0]], name="film"), port=0) as viewer:
+        page = Page(browser, viewer)
+        page.shown("view", "view")
+        page.tab.mouse.move(*page.spot("view", 700, 550))
+        for _ in range(3):
+            page.tab.mouse.wheel(0, -200)
+        page.moved("view", lambda place: place[2] >= 1, "the view is enlarged")
+        stop = threading.Event()
+
+        def push() -> None:
+            shade = 0
+            while not stop.wait(0.02):
+                shade = shade % 250 + 5
+                viewer.update(np.full((1100, 1500), shade, np.float32), views=np.full_like(views, shade))
+
+        pusher = threading.Thread(target=push)
+        pusher.start()
+        code = """() => {
+            const canvas = document.getElementById("view"), map = document.getElementById("map");
+            if (!canvas.dataset.drawn) return null;
+            const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height), found = {};
+            for (let k = 0; k < data.length; k += 4) {
+                const key = `${data[k]},${data[k + 1]},${data[k + 2]}`;
+                if (data[k + 3] === 255) found[key] = (found[key] ?? 0) + 1;
+            }
+            return [canvas.dataset.drawn, found, canvas.width * canvas.height];
+        }"""
+        try:
+            seen: set[str] = set()
+            while len(seen) < 6:
+                answer = page.tab.evaluate(code)
+                if answer is None or answer[0] in seen:
+                    page.tab.wait_for_timeout(10)
+                    continue
+                key, found, count = answer
+                seen.add(key)
+                large = [colour for colour, times in found.items() if times > 0.04 * count]
+                assert len(large) == 1, (key, found)  # the marks are small
+        finally:
+            stop.set()
+            pusher.join()
+        page.close()
+
+
+def test_a_film_is_looked_at_frame_by_frame(browser: Any, lf: LightField, tmp_path: Path) -> None:
+    frames = [replace(lf, views=np.full_like(lf.views, shade), truth=None) for shade in (40, 90, 160)]
+    for _ in recorded(iter(frames), lf, tmp_path / "film"):
+        pass
+    for number in (0, 2):  # there is no map of the second frame
+        write_pfm(tmp_path / f"maps/disparity_{number:06d}.pfm", np.full(SIZE, number + 1, np.float32))
+    (tmp_path / "maps" / "live.json").write_text("{}")
+    with Viewer.of([tmp_path / "maps", tmp_path / "film"], port=0) as viewer:
+        page = Page(browser, viewer)
+        page.shown("map", "disparity")
+
+        def shows(number: int) -> None:
+            page.says(f"Frame {number + 1} of 3", "#film-text")
+            shade = (40, 90, 160)[number]
+            until(lambda: page.at("view", 3, 3) == (shade, shade, shade), f"frame {number} is shown", page.tab)
+
+        shows(0)
+        page.tab.keyboard.press(".")
+        shows(1)
+        until(lambda: page.tab.locator("#map-note").is_visible(), "there is no map of this frame", page.tab)
+        page.tab.click("#following")
+        shows(2)
+        until(lambda: "disparity 3.000" in page.readout().replace("\n", " "), "the map is of this frame", page.tab)
+        page.tab.keyboard.press(",")
+        page.tab.keyboard.press(",")
+        shows(0)
+        until(lambda: "disparity 1.000" in page.readout().replace("\n", " "), "the map is of this frame", page.tab)
+        page.tab.click("#play")
+        shows(2)
+        page.tab.click("#play")
+        page.close()
+        with pytest.raises(LightFieldError, match="has no frame 3"):
+            viewer.turn(3)
+        (tmp_path / "film" / "frame_000001" / "views.npz").unlink()
+        with pytest.raises(LightFieldError, match="frame_000001"):
+            viewer.turn(1)
+    with pytest.raises(LightFieldError, match="give the folder of the recorded frames, too"):
+        Viewer.of([tmp_path / "maps"], port=0)
+
+
 def test_large_views_come_in_tiles_when_they_are_looked_at(browser: Any) -> None:
     views = np.random.default_rng(1).integers(0, 256, (2, 1200, 1600, 1), np.uint8)
     with Viewer(LightField(views, [[0, 0], [1, 0]], name="large"), port=0) as viewer:
@@ -619,9 +741,9 @@ def test_large_views_come_in_tiles_when_they_are_looked_at(browser: Any) -> None
         page.tab.mouse.move(*page.spot("view", 1300, 900))
         for _ in range(5):
             page.tab.mouse.wheel(0, -200)
-        page.tab.wait_for_timeout(200)
+        page.moved("view", lambda place: place[2] > 1, "the view is enlarged")
         page.shown("view", "view")
-        fine = [url for url in page.asked if f"index={index}&level=0" in url]
+        fine = [url for url in page.asked if f"index={index}&" in url and "level=0" in url]
         assert 0 < len(fine) < 12  # the whole view has 12
         assert page.at("view", 1300, 900) == (views[index, 900, 1300, 0],) * 3
         page.close()

@@ -38,8 +38,13 @@ def write_report(summary: Summary, out: Path, title: str) -> Path:
         name=title,
         lead=_lead(summary),
         tiles=_tiles(summary),
-        facts=facts(summary),
-        keys=["item", "seconds", "searched range", *(COLUMNS if any(e.get("metrics") for e in entries) else ())],
+        facts=[(label, _typeset(text)) for label, text in facts(summary)],
+        keys=[
+            "item",
+            "seconds",
+            "searched range",
+            *(map(_typeset, COLUMNS) if any(e.get("metrics") for e in entries) else ()),
+        ],
         stops=scale("disparity", (0.0, 1.0)).stops,
         unit=LOOKS["disparity"].unit,
         rows=[_row(entry) for entry in sorted(entries, key=lambda entry: entry.get("status") == DONE)],
@@ -54,7 +59,7 @@ def write_report(summary: Summary, out: Path, title: str) -> Path:
 def _lead(summary: Summary) -> str:
     """When the items were computed, and by which preset."""
     ends = [entry["began"] + entry.get("seconds", 0.0) for entry in summary.entries.values() if "began" in entry]
-    when = [f"until {date(datetime.fromtimestamp(max(ends)).astimezone())}"] if ends else []
+    when = [f"finished {date(datetime.fromtimestamp(max(ends)).astimezone())}"] if ends else []
     by = [] if summary.settings is None else [f"preset {preset(summary.settings.config)}"]
     return ", ".join(["Disparity by lfgpu", *by, *when])
 
@@ -65,9 +70,13 @@ def _tiles(summary: Summary) -> list[Tile]:
     tiles = [Tile("Done", f"{share:.4g}", "%", f"{len(done)} of {len(summary.items)} items")]
     if summary.failed:
         tiles.append(Tile("Failed", str(len(summary.failed)), "", "items; they come first below"))
-    tiles += [Tile(name, f"{value:.3f}", unit, "mean") for name, value, unit in _means(done) if name in _FIRST]
+    tiles += [
+        Tile(_typeset(name), _score(name, value), unit, f"mean of {sum(1 for e in done if e.get('metrics'))} items")
+        for name, value, unit in _means(done)
+        if name in _FIRST
+    ]
     if done:
-        tiles.append(Tile("An item", f"{median(e.get('seconds', 0.0) for e in done):.3g}", "s", "median"))
+        tiles.append(Tile("Time per item", f"{median(e.get('seconds', 0.0) for e in done):.3g}", "s", "median"))
     return tiles
 
 
@@ -91,10 +100,10 @@ def facts(summary: Summary) -> list[tuple[str, str]]:
     if times:
         parts = ", ".join(f"{name} {median(t.get(name, 0.0) for t in times):.3g}" for name in times[0])
         each = median(entry.get("seconds", 0.0) for entry in done)
-        lines.append(("an item", f"{each:.3g} s, median ({parts})"))
+        lines.append(("time per item", f"{each:.3g} s, median ({parts})"))
     if means := _means(done):
         scored = sum(1 for entry in done if entry.get("metrics"))
-        text = ", ".join(f"{name} {value:.3f} {unit}".rstrip() for name, value, unit in means)
+        text = ", ".join(f"{name} {_score(name, value)} {unit}".rstrip() for name, value, unit in means)
         lines.append(("mean scores", f"{text}, of {scored} with ground truth"))
     return lines
 
@@ -113,6 +122,15 @@ def _means(entries: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, str]]
     return [(name, value, _UNITS.get(name, "")) for name, value in mean_scores(entries).items()]
 
 
+def _score(name: str, value: float) -> str:
+    """A score with the digits that say something: shares in per cent have two."""
+    return f"{value:.2f}" if name in _UNITS else f"{value:.3f}"
+
+
+def _typeset(name: str) -> str:
+    return name.replace("x100", "\u00d7100")
+
+
 def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
     done, metrics, sizes = entry.get("status") == DONE, entry.get("metrics") or {}, entry.get("sizes", ())
     folder, seconds = quote(entry["item"]), entry.get("seconds", 0.0)
@@ -123,7 +141,9 @@ def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
         span = high - low
         numbers.append(("searched range, px", f"{low:.2f} to {high:.2f}".replace("-", "\u2212")))
     numbers += [
-        (name, f"{score:.3f} {_UNITS.get(name, '')}".rstrip()) for name, score in scores.items() if score is not None
+        (_typeset(name), f"{_score(name, score)} {_UNITS.get(name, '')}".rstrip())
+        for name, score in scores.items()
+        if score is not None
     ]
     height, width = entry.get("size") or (0, 0)
     return {

@@ -9,12 +9,17 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
 from lfgpu.cli.options import Every, Flip, FormatName, Grid, Threads
+from lfgpu.errors import LightFieldError
 
+if TYPE_CHECKING:
+    from lfgpu.viewer import Viewer
+
+T = TypeVar("T")
 _SOON = 0.4  # seconds: who reads for longer says first where to look
 
 
@@ -46,32 +51,39 @@ def view(
     ends it.
     """
     from lfgpu.cli import values
-    from lfgpu.viewer import Viewer
+    from lfgpu.viewer.place import Place
 
     values.use_threads("--threads", threads)
     reading = values.reading(format_name, grid, every, flip)
-    with Viewer(port=port, allow_open=allow_open) as viewer:
-        try:
-            loading = _begin(lambda: viewer.load(paths, **reading))
-            wait([loading], _SOON)
-            if loading.done():
-                loading.result()  # raises what was wrong
-            typer.echo(f"Open {viewer.url} with a browser on this machine; Ctrl-C ends it.")
-            with _opened(viewer.url) if show else nullcontext():
-                loading.result()
-                viewer.wait()
-        except KeyboardInterrupt:
-            typer.echo("Closed.")
+    for path in paths:
+        if not path.exists():
+            raise LightFieldError(f"{path} does not exist; give a light field, or what lfgpu depth wrote.")
+    place = Place(port)
+
+    def viewer_of_paths() -> Viewer:
+        from lfgpu.viewer import Viewer  # takes most of a second
+
+        return Viewer.of(paths, port=place, allow_open=allow_open, **reading)
+
+    try:
+        coming = _begin(viewer_of_paths)
+        wait([coming], _SOON)
+        if coming.done():
+            coming.result()  # raises what was wrong
+        typer.echo(f"Open {place.url} with a browser on this machine; Ctrl-C ends it.")
+        with _opened(place.url) if show else nullcontext(), coming.result() as viewer:
+            viewer.wait()
+    except KeyboardInterrupt:
+        typer.echo("Closed.")
 
 
-def _begin(work: Callable[[], None]) -> Future[None]:
+def _begin(work: Callable[[], T]) -> Future[T]:
     """Start work in a thread that does not keep the program from ending."""
-    future: Future[None] = Future()
+    future: Future[T] = Future()
 
     def run() -> None:
         try:
-            work()
-            future.set_result(None)
+            future.set_result(work())
         except BaseException as error:
             future.set_exception(error)
 

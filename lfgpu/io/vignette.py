@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lfgpu.data.lightfield import LightField
 
@@ -14,6 +13,8 @@ _AROUND = 16  # brightness is that of a window of a 16th of the shorter side: pa
 
 def lit(light_field: LightField) -> NDArray[np.bool_]:
     """bool [n, y, x]: where a view is at least half as bright as the reference view is around the same place."""
+    from scipy import ndimage  # not for those who read something else
+
     window = max(5, min(light_field.size) // _AROUND)
 
     def brightness(index: int) -> NDArray[np.float32]:

@@ -86,15 +86,15 @@ def sparsification(curve: Sparsification) -> Figure:
 
 
 def reliability(diagram: Reliability) -> Figure:
-    """The share of right pixels over the stated confidence; bars show how many pixels state it, if enough do."""
+    """The share of right pixels at each confidence, if enough pixels have it; bars show how many have it."""
     figure, axes = _chart()
     enough = diagram.share >= LEAST_SHARE
-    axes.plot((0, 1), (0, 100), color=_OTHER, linestyle="--", linewidth=1, label="as stated")
-    axes.bar(diagram.said, diagram.share, width=0.05, color=_LINE, label="pixels that state it")
-    axes.plot(diagram.said[enough], diagram.right[enough], color=_ACCENT, marker="o", markersize=4, label="right")
+    axes.plot((0, 1), (0, 100), color=_OTHER, linestyle="--", linewidth=1, label="ideal")
+    axes.bar(diagram.said, diagram.share, width=0.05, color=_LINE, label="share of all pixels")
+    axes.plot(diagram.said[enough], diagram.right[enough], color=_ACCENT, marker="o", markersize=4, label="found")
     axes.set_xlim(0, 1.02)
     axes.set_ylim(0, 104)
-    axes.set_xlabel("stated confidence")
+    axes.set_xlabel("confidence")
     axes.set_ylabel(f"pixels within {diagram.threshold:g} px (%)")
     _legend(axes)
     return figure

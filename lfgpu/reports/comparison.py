@@ -39,7 +39,7 @@ def write_comparison(path: Path, scenes: Sequence[Scene], scored: Table) -> None
         "comparison.html",
         title="Comparison of methods, by lfgpu",
         lead=f"{', '.join(scored.methods)} on {number}",
-        columns=[f"{name} (%)" if name.startswith("BadPix") else name for name in COLUMNS],
+        columns=[f"{name} (%)" if name.startswith("BadPix") else name.replace("x100", "×100") for name in COLUMNS],
         table=scored.scenes,
         border=scenes[0].border,
         scenes={scene.name: list(_cards(scene, scored.methods, reach)) for scene in scenes},

@@ -6,6 +6,7 @@ It is one file without scripts, and it needs no network.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
@@ -169,7 +170,9 @@ def _tiles(result: DepthResult, scored: _Scored | None, explanation: Explanation
         apart = f"and {compiling:.2f} s to compile and load kernels" if compiling else "of the estimate"
         yield Tile("Time", f"{max(total - compiling, 0.0):.2f}", "s", apart)
     if explanation is not None and np.isfinite(explanation.mean_psnr):
-        yield Tile("Predicted views", f"{explanation.mean_psnr:.1f}", "dB", "PSNR of what the map predicts")
+        yield Tile(
+            "Predicted views", f"{explanation.mean_psnr:.1f}", "dB", "PSNR of the views as the map predicts them"
+        )
     if scored is None:
         sure = 100 * float((result.confidence[np.isfinite(result.disparity)] > 0.5).mean()) if known.size else 0.0
         yield Tile("Confidence", f"{sure:.0f}", "%", "of the pixels above 0.5")
@@ -257,8 +260,12 @@ class _Scored:
             return cls([], None, [], f"The result cannot be scored: {error}")
         labels = _labels(result)
         rows = [(labels.get(name, name), _cells(m)) for name, m in scores.items()]
-        area = f"area between the curves {curve.ause:.3f} (AUSE, 0 is best)" if np.isfinite(curve.ause) else ""
-        rare = f"of the confidence, where at least {charts.LEAST_SHARE:g} % of the pixels state it"
+        area = (
+            f"bad pixels among the most confident ones; area between the curves {curve.ause:.3f} (AUSE, 0 is best)"
+            if np.isfinite(curve.ause)
+            else ""
+        )
+        rare = f"right pixels at each confidence that at least {charts.LEAST_SHARE:g} % of the pixels have"
         return cls(
             rows,
             final,
@@ -285,17 +292,19 @@ def _judged(found: Explanation) -> dict[str, Any]:
         limits = (sum(limits) / 2 - 0.5, sum(limits) / 2 + 0.5)
     figure, arrow = charts.cameras(found, limits)
     title = "Cameras"
-    shifts = f"an arrow as long as cameras are apart is a left-over shift of {arrow:.2g} px"
+    shifts = f"arrow: shift of a view, {arrow:.2g} px if as long as a square"
     error = float(np.sqrt(np.nanmean(found.shift_error**2))) if np.isfinite(found.shift_error).any() else float("nan")
     predicted = 100 * float(np.delete(found.predicted, found.reference).mean()) if len(found.psnr) > 1 else 0.0
     return {
         "findings": list(found.findings),
-        "numbers": f"Predicted are {predicted:.0f} % of the pixels of the other views, with a PSNR of "
-        f"{found.mean_psnr:.1f} dB. Left-over shifts of the views: {found.misalignment:.3f} px rms, with a standard "
-        f"error of {error:.3f} px.",
+        "numbers": f"The map predicts {predicted:.0f} % of the pixels of the other views, with a PSNR of "
+        f"{found.mean_psnr:.1f} dB. Points in the views are {found.misalignment:.3f} px (rms) away from "
+        f"where the cameras' positions put them; the standard error is {error:.3f} px.",
         "cards": [
             Card(title, shifts, drawing=charts.svg(figure, title), scale=scale_of("predicted", known, limits)),
-            map_card("Unexplained", found.unexplained, "unexplained", remark="by the map"),
+            map_card(
+                "Prediction error", found.unexplained, "unexplained", remark="of all views, at the reference's pixels"
+            ),
         ],
     }
 
@@ -314,6 +323,13 @@ def explanation_html(found: Explanation) -> str:
 def _facts(lf: LightField, origin: Origin) -> list[tuple[str, str]]:
     return [
         *((("read from", origin.source),) if origin.source else ()),
+        *((label, _typeset(text)) for label, text in _of_light_field(lf)),
+        *(("note", note) for note in lf.notes),
+    ]
+
+
+def _of_light_field(lf: LightField) -> list[tuple[str, str]]:
+    return [
         ("views", facts.views(lf)),
         *((("missing", facts.missing(lf)),) if lf.missing else ()),
         ("size", facts.size(lf)),
@@ -321,8 +337,12 @@ def _facts(lf: LightField, origin: Origin) -> list[tuple[str, str]]:
         ("offsets", facts.offsets(lf)),
         ("geometry", facts.geometry(lf.geometry)),
         ("ground truth", facts.truth(lf)),
-        *(("note", note) for note in lf.notes),
     ]
+
+
+def _typeset(text: str) -> str:
+    """Text of the command line with true signs of multiplication and minus."""
+    return re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text.replace(" x ", " \u00d7 "))
 
 
 def _run(result: DepthResult, origin: Origin) -> list[tuple[str, str]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -63,12 +64,21 @@ def _view(contents: Contents, query: Query) -> Any:
     return pictures.view_tile(_lf(contents), *at)
 
 
-def _map(contents: Contents, query: Query) -> Any:
+def _values(contents: Contents, query: Query) -> NDArray[np.float32]:
     name, kind = query.text("result"), query.text("kind")
     values = contents.map(name, kind, query.text("stage", FINAL))
     if values is None:
         raise LightFieldError(f"there is no {kind} of {name!r}.")
-    return pictures.map_tile(values, *(query.whole(name) for name in ("level", "column", "row")))
+    return values
+
+
+def _map(contents: Contents, query: Query) -> Any:
+    return pictures.map_tile(_values(contents, query), *(query.whole(name) for name in ("level", "column", "row")))
+
+
+def _histogram(contents: Contents, query: Query) -> Any:
+    ends = query.number("low"), query.number("high")
+    return pictures.histogram(_values(contents, query), *ends, query.whole("bins"))
 
 
 def _epi(contents: Contents, query: Query) -> Any:
@@ -118,6 +128,7 @@ def _at(contents: Contents, query: Query) -> Any:
 DATA: dict[str, Callable[[Contents, Query], Any]] = {
     "view": _view,
     "map": _map,
+    "histogram": _histogram,
     "epi": _epi,
     "thumbnails": _thumbnails,
     "refocused": _refocused,
@@ -193,10 +204,18 @@ def _switch(board: Board, wish: Mapping[str, Any]) -> None:
     board.switch(str(wish.get("name")), bool(wish.get("on")))
 
 
+def _turn(board: Board, wish: Mapping[str, Any]) -> None:
+    number = wish.get("frame")
+    if not isinstance(number, int):
+        raise LightFieldError("the frame must be a whole number.")
+    board.turn(number)
+
+
 ACTIONS: dict[str, Callable[[Board, Mapping[str, Any]], None]] = {
     "open": _open,
     "estimate": _estimate,
     "stop": _stop,
     "switch": _switch,
+    "turn": _turn,
 }
 """What is done for a page."""

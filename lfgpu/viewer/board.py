@@ -135,6 +135,11 @@ class Board:
         added = [name for name in contents.entries if name not in self._contents.entries]
         self.replace(contents, newest=added[-1] if added else None)
 
+    def turn(self, number: int) -> None:
+        """Show another frame of the film. LightFieldError if there is none, or it cannot be read."""
+        with self._lock:
+            self.replace(self._contents.turned(number))
+
     def open_from_page(self, path: str | os.PathLike[str]) -> None:
         """The same for a page: LightFieldError also for what it may not open."""
         where = Path(path).resolve()

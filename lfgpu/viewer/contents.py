@@ -19,6 +19,7 @@ from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import holds_map, load, read
 from lfgpu.metrics import Metrics, evaluate
+from lfgpu.viewer.film import Film, holds_maps_of_frames
 from lfgpu.viz.scales import error_reach, scale_limits
 
 TRUTH = "ground truth"
@@ -112,7 +113,9 @@ class Contents:
     lf: LightField | None = None
     entries: dict[str, Entry] = field(default_factory=dict)
     frame: int = 0
-    """Number of the frame of a stream whose views are shown; 0 before the first one."""
+    """Number of the frame of a stream or a film whose views are shown; 0 before the first one of a stream."""
+    film: Film | None = None
+    """The film that the light field is a frame of; None if it is none."""
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -248,6 +251,25 @@ class Contents:
         newer = replace(self, lf=replace(self.lf, views=views, truth=None), frame=frame)
         return newer.with_entry(LIVE, replace(entry, frame=frame))
 
+    def turned(self, number: int) -> Contents:
+        """Another frame of the film, with its map if there is one; LightFieldError if it is none of them."""
+        film = self.film
+        if film is None:
+            raise LightFieldError("what is shown is no film: it has no other frames.")
+        lf = film.light_field(number)
+        if self.lf is not None and lf.size != self.lf.size:
+            raise LightFieldError(f"{film.frames[number]} has views of another size than the other frames.")
+        entries = dict(self.entries)
+        if film.maps is not None:
+            found, name = film.map(number), film.maps.name
+            entries.pop(name, None)
+            if found is not None:
+                entries = {name: Entry.of(found, number), **entries}
+        contents = replace(self, lf=lf, frame=number, entries={})
+        for name, entry in entries.items():
+            contents = contents.with_entry(name, entry)
+        return contents
+
     def free_name(self, wanted: str) -> str:
         """`wanted`, with a number if that name is taken."""
         names, number = set(self.all_entries()), 2
@@ -268,6 +290,12 @@ def opened(path: Path, into: Contents) -> Contents:
     """
     if not path.exists():
         raise LightFieldError(f"{path} does not exist; give a light field, or what lfgpu depth wrote.")
+    if holds_maps_of_frames(path):
+        if into.film is None:
+            raise LightFieldError(f"{path} holds maps of many frames; give the folder of the recorded frames, too.")
+        return replace(into, film=replace(into.film, maps=path)).turned(into.frame)
+    if (film := Film.of(path)) is not None:
+        return Contents(film=film).turned(next(iter(film.frames)))
     if not holds_map(path):
         return Contents(read(path, allow_missing=True))
     found, lf = load(path), into.lf
@@ -277,6 +305,10 @@ def opened(path: Path, into: Contents) -> Contents:
         lf = lf.with_reference(lf.index_of(found.position[1], found.position[0]))
     name = path.name if path.is_dir() else path.stem
     return replace(into, lf=lf).with_entry(into.free_name(name), Entry.of(found))
+
+
+def _is_map(path: Path) -> bool:
+    return holds_maps_of_frames(path) or holds_map(path)
 
 
 def _shown_view(result: ViewsResult, lf: LightField | None) -> int:
@@ -307,9 +339,9 @@ def opened_all(paths: Sequence[Path], **reading: Any) -> Contents:
     if reading:
         contents = Contents(read(paths[0], **{"allow_missing": True, **reading}))
         paths = paths[1:]
-    for path in sorted(paths, key=holds_map):  # False first: the light field is what maps are fitted to
+    for path in sorted(paths, key=_is_map):  # False first: the light field is what maps are fitted to
         before = contents.lf
         contents = opened(path, contents)
-        if before is not None and contents.lf is not None and contents.lf.views is not before.views:
+        if before is not None and not _is_map(path):
             raise LightFieldError(f"{path} is a second light field; only one can be looked at, with maps of it.")
     return contents

@@ -6,15 +6,18 @@ import dataclasses
 import math
 import threading
 from functools import cache
+from pathlib import Path
 from time import perf_counter
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 
-from lfgpu.config import parameters
+from lfgpu.config import Config, parameters
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
 from lfgpu.io import MAP_FORMATS
-from lfgpu.methods import METHODS, PRESETS
+from lfgpu.methods import METHODS, PRESETS, nearest_preset
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import LIVE, QUANTITIES, TRUTH, Contents, Entry
 from lfgpu.viewer.pictures import wire_type
@@ -23,11 +26,23 @@ COLOURS = ("viridis", "cividis", "magma", "turbo", "gray", "RdBu_r", "viridis_r"
 """Colour maps of matplotlib that pages may choose."""
 
 _SCALE_AGE = 1.0  # seconds after which the scales of a stream are measured again
-_WRITTEN = (".npz", ".pfm", ".exr", ".ply", ".png", ".tif")
+_WRITTEN = {
+    ".npz": "everything: maps of all stages, confidence, parameters; for lfgpu and NumPy",
+    ".pfm": "disparity as float32, as the HCI benchmark takes it",
+    ".exr": "disparity, confidence, uncertainty and depth as float32 (OpenEXR)",
+    ".ply": "coloured points; in metres if the cameras are known",
+    ".png": "disparity in 16 bits; scale and offset stand in the text of the file",
+    ".tif": "disparity as float32",
+}
+"""Formats in which pages save results, and what they hold."""
 
 
 class Facts:
-    """The facts of a board, computed when they are asked for and something has changed."""
+    """The facts of a board, computed when they are asked for and something has changed.
+
+    Contents have a number, their revision. A page asks for pictures of the revision that it was told, so that all of
+    them are of one frame of a stream. Who has told a page of a revision keeps its contents, else they are forgotten.
+    """
 
     def __init__(self, board: Board) -> None:
         self._board, self._lock = board, threading.Lock()
@@ -36,23 +51,41 @@ class Facts:
         self._scales: dict[str, Any] = {}
         self._measured = -math.inf
         self._views, self._revision = 0, 0
+        self._told = WeakValueDictionary[int, Contents]()
 
     def now(self) -> dict[str, Any]:
         """The state as plain values. May be called from any thread."""
-        with self._lock:
-            return self._now()
+        return self.newest()[0]
 
-    def _now(self) -> dict[str, Any]:
-        board, contents = self._board, self._board.contents
+    def newest(self) -> tuple[dict[str, Any], Contents]:
+        """The state as plain values, and the contents that it is of. May be called from any thread."""
+        with self._lock:
+            contents = self._board.contents
+            state = self._now(contents)
+            self._told[state["revision"]] = contents
+            return state, contents
+
+    def contents(self, revision: int) -> Contents | None:
+        """The contents of a revision; None if they are forgotten."""
+        return self._told.get(revision)
+
+    def _now(self, contents: Contents) -> dict[str, Any]:
+        board = self._board
         if contents is not self._of:
             self._revision += 1
             live = self._of is not None and contents.frame + self._of.frame > 0 and contents.frame != self._of.frame
-            if not live or perf_counter() - self._measured > _SCALE_AGE:
+            if contents.film is not None and self._of is not None and contents.film.path == _path(self._of):
+                self._scales = {
+                    kind: {**found, "limits": self._scales.get(kind, found)["limits"]}
+                    for kind, found in _scales(contents).items()
+                }
+            elif not live or perf_counter() - self._measured > _SCALE_AGE:
                 self._scales, self._measured = _scales(contents), perf_counter()
             if self._of is None or contents.lf is not self._of.lf:
                 self._views += 1
             self._contents, self._of = _facts(contents), contents
         progress, loading, stream = board.solver.progress, board.loading, board.stream
+        measured = {name: _known(getattr(stream, name)) for name in ("rate", "latency")}
         return {
             **self._contents,
             "revision": self._revision,
@@ -61,7 +94,7 @@ class Facts:
             "newest": board.newest,
             "loading": None if loading is None else {"text": loading[0], "seconds": perf_counter() - loading[1]},
             "progress": dataclasses.asdict(progress),
-            "stream": {**dataclasses.asdict(stream), "switches": list(board.switches)},
+            "stream": {**dataclasses.asdict(stream), **measured, "switches": list(board.switches)},
         }
 
 
@@ -86,8 +119,8 @@ def fixed() -> dict[str, Any]:
         },
         "quantities": {name: dataclasses.asdict(quantity) for name, quantity in QUANTITIES.items()},
         "formats": [
-            {"suffix": suffix, "about": entry.description}
-            for suffix in _WRITTEN
+            {"suffix": suffix, "about": about}
+            for suffix, about in _WRITTEN.items()
             for entry in MAP_FORMATS
             if suffix in entry.suffixes and entry.write is not None and entry.is_available
         ],
@@ -121,7 +154,12 @@ def _facts(contents: Contents) -> dict[str, Any]:
         "metric": contents.geometry is not None,
         "results": [_result(contents, name, entry) for name, entry in contents.all_entries().items()],
         "frame": contents.frame,
+        "film": None if contents.film is None else list(contents.film.frames),
     }
+
+
+def _path(contents: Contents) -> Path | None:
+    return None if contents.film is None else contents.film.path
 
 
 def _light_field(lf: LightField, contents: Contents) -> dict[str, Any]:
@@ -146,9 +184,7 @@ def _result(contents: Contents, name: str, entry: Entry) -> dict[str, Any]:
     scores, result = contents.scores(name), entry.result
     about = ""
     if result is not None:
-        seconds = result.timings.get("total")
-        took = "" if seconds is None else f", {seconds:.2g} s"
-        about = f"{result.config.method} with {result.backend} on {result.device}{took}. {result.status}"
+        about = f"{_preset(result.config)}; {result.backend} on {result.device}{_took(result)}. {result.status}"
     return {
         "name": name,
         "isTruth": name == TRUTH and name not in contents.entries,
@@ -162,10 +198,22 @@ def _result(contents: Contents, name: str, entry: Entry) -> dict[str, Any]:
         else {
             "mse": _number(scores.mse_100),
             "bad07": _number(scores.badpix_07),
+            "bad03": _number(scores.badpix_03),
             "bad01": _number(scores.badpix_01),
             "q25": _number(scores.q25),
         },
     }
+
+
+def _preset(config: Config) -> str:
+    name, changed = nearest_preset(config)
+    return f"Preset {name}" if not changed else f"Preset {name}, changed"
+
+
+def _took(result: DepthResult) -> str:
+    """How long an estimate took; the time until kernels were ready is none of it."""
+    total = result.timings.get("total")
+    return "" if total is None else f", {max(total - result.timings.get('compile', 0.0), 0.0):.2g} s"
 
 
 def _scales(contents: Contents) -> dict[str, Any]:
@@ -176,6 +224,10 @@ def _scales(contents: Contents) -> dict[str, Any]:
         if extent is not None:
             found[kind] = {"limits": contents.limits(kind), "extent": extent}
     return found
+
+
+def _known(value: float | None) -> float | None:
+    return None if value is None else _number(value)
 
 
 def _number(value: float) -> float | None:

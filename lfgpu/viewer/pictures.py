@@ -17,17 +17,17 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer.contents import QUANTITIES, Contents
-from lfgpu.viz.refocusing import all_in_focus, refocus, spread, within
-from lfgpu.viz.splines import LINEAR
 
 TILE = 512
 """Pixels along each side of a tile; those at the right and the lower end are smaller."""
 
 _FOCUS_VIEWS = 49  # of a refocused picture, so that it follows its slider
 _SHARP_VIEWS = 25  # of a picture that is in focus everywhere
+_QUICK_VIEWS = 13  # of one that is sent smaller, so that it comes soon
 _MET = 0.75  # pixels: a point that is not farther from a place is seen there
 _THUMBNAILS = 640  # pixels: the sides of all thumbnails together, about
 _LARGEST_THUMBNAIL = 96
+_MOST_BINS = 1024
 
 
 _small = WeakKeyDictionary[LightField, dict[tuple[int, int], tuple[NDArray[Any], NDArray[np.bool_]]]]()
@@ -68,6 +68,21 @@ def map_tile(values: NDArray[np.float32], level: int, column: int, row: int) -> 
     return np.ascontiguousarray(values[y, x][:: 2**level, :: 2**level], np.float32)
 
 
+def histogram(values: NDArray[np.float32], low: float, high: float, bins: int) -> NDArray[np.float32]:
+    """Percent of the pixels of a map in each of equal bins from `low` to `high`; those that are undefined do not count.
+
+    Raises
+    ------
+    LightFieldError
+        If there are no such bins.
+    """
+    if not (low < high and 1 <= bins <= _MOST_BINS):
+        raise LightFieldError(f"there are no {bins} bins from {low} to {high}.")
+    known = values[np.isfinite(values)]
+    counts = np.histogram(known, bins, (low, high))[0]
+    return (counts * (100 / max(1, known.size))).astype(np.float32)
+
+
 def epi(lf: LightField, along: str, at: int) -> NDArray[Any]:
     """The EPI [view, pixel, c] of an image row ("row") or column ("column"); LightFieldError if there is none."""
     height, width = lf.size
@@ -90,6 +105,9 @@ def thumbnails(lf: LightField) -> NDArray[np.uint8]:
 
 def refocused(lf: LightField, disparity: float, aperture: float | None, level: int) -> NDArray[Any]:
     """The view [y, x, c] of a lens focused on a disparity, 2**level times smaller. See `lfgpu.refocus`."""
+    from lfgpu.viz.refocusing import refocus, spread, within  # SciPy takes a while; pages come first
+    from lfgpu.viz.splines import LINEAR
+
     chosen = spread(lf, _FOCUS_VIEWS, within(lf, aperture))
     if len(chosen) == 1:
         return _small_view(lf, level, lf.reference_index)[0]
@@ -105,10 +123,13 @@ def sharp(contents: Contents, name: str, stage: str, level: int) -> NDArray[Any]
     LightFieldError
         If there is no map.
     """
+    from lfgpu.viz.refocusing import all_in_focus, spread
+    from lfgpu.viz.splines import LINEAR
+
     lf, entry = contents.lf, contents.all_entries().get(name)
     if lf is None or entry is None:
         raise LightFieldError("a picture that is in focus everywhere needs a map; press Estimate.")
-    few = _smaller(lf, level, spread(lf, _SHARP_VIEWS))
+    few = _smaller(lf, level, spread(lf, _QUICK_VIEWS if level else _SHARP_VIEWS))
     step = 2**level
     values = DisparityMap(np.ascontiguousarray(entry.stage(stage)[::step, ::step]) / np.float32(step))
     return _encoded(all_in_focus(few, values, order=LINEAR), lf)

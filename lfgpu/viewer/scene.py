@@ -8,9 +8,6 @@ from typing import Any
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer.contents import FINAL
 
-HOST = "127.0.0.1"
-"""The viewer is reachable from this machine only."""
-
 
 LARGEST = 1e9
 """No number of a page is larger: what is computed from it stays finite."""

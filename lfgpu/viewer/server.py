@@ -14,6 +14,7 @@ from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.extras import how_to_install
 from lfgpu.viewer.board import Board
+from lfgpu.viewer.place import Place
 
 _NEEDED = ("tornado", "viser")
 
@@ -34,7 +35,8 @@ class Viewer(Board):
     lf, result
         What to show first; None for nothing yet.
     port
-        Of 127.0.0.1; the next free one if it is taken. 0 takes any. Default 8080.
+        Of 127.0.0.1; the next free one if it is taken. 0 takes any. Or a `Place`, which is taken already. Default
+        8080.
     allow_open
         Whether pages may open any path that its owner can read; else those only that `of` or `load` was given, and what
         lies in them. Default False.
@@ -50,7 +52,7 @@ class Viewer(Board):
         lf: LightField | None = None,
         result: DepthResult | DisparityMap | None = None,
         *,
-        port: int = 8080,
+        port: int | Place = 8080,
         allow_open: bool = False,
     ) -> None:
         missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
@@ -64,11 +66,17 @@ class Viewer(Board):
             self.show(lf, result)
         elif result is not None:
             self.add(result)
-        self._server = Server(self, port)
+        self._place = port if isinstance(port, Place) else Place(port)
+        self._server = Server(self, self._place)
 
     @classmethod
     def of(
-        cls, paths: Sequence[str | os.PathLike[str]], *, port: int = 8080, allow_open: bool = False, **reading: Any
+        cls,
+        paths: Sequence[str | os.PathLike[str]],
+        *,
+        port: int | Place = 8080,
+        allow_open: bool = False,
+        **reading: Any,
     ) -> Viewer:
         """A viewer of files: at most one light field, and maps of it.
 
@@ -112,7 +120,7 @@ class Viewer(Board):
     @property
     def url(self) -> str:
         """Where the page is; whoever knows it can use the page."""
-        return f"http://127.0.0.1:{self._server.port}/{self._server.token}/"
+        return self._place.url
 
     def close(self) -> None:
         """Stop the solver, tell all tabs and free the port."""

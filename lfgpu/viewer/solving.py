@@ -12,7 +12,6 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LfgpuError
 from lfgpu.methods import method_of
-from lfgpu.pipelines.estimate import estimate_depth
 
 
 @dataclass(frozen=True)
@@ -83,6 +82,8 @@ class Solver:
             self._thread.join(timeout)
 
     def _work(self, request: Request) -> None:
+        from lfgpu.pipelines.estimate import estimate_depth  # takes a while; pages come first
+
         start = perf_counter()
         config = request.config
         method = method_of(config)

@@ -20,7 +20,8 @@ from lfgpu.errors import LightFieldError
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud, surface
 from lfgpu.viewer.contents import QUANTITIES, Contents
-from lfgpu.viewer.scene import HOST, Scene
+from lfgpu.viewer.place import HOST
+from lfgpu.viewer.scene import Scene
 from lfgpu.viz.panels import SLOPE, colour, encoded, rgb
 
 _EXPOSURE = 30.0  # at most, either way: every stored value is white or black before

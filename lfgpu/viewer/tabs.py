@@ -7,6 +7,8 @@ import json
 import logging
 import secrets
 import threading
+from collections import deque
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
@@ -15,8 +17,10 @@ from tornado.web import HTTPError
 from tornado.websocket import WebSocketClosedError, WebSocketHandler, websocket_connect
 
 from lfgpu.errors import LfgpuError
+from lfgpu.viewer.contents import Contents
 from lfgpu.viewer.guard import Guarded
-from lfgpu.viewer.scene import HOST, Scene
+from lfgpu.viewer.place import HOST
+from lfgpu.viewer.scene import Scene
 
 if TYPE_CHECKING:
     from lfgpu.viewer.space import Space
@@ -25,6 +29,7 @@ LARGEST = 2**28
 """Bytes of a message of the scene in space."""
 
 _PAUSE = 0.04  # seconds between two messages about the state
+_PATIENCE = 3.0  # seconds: a page that has not taken a state until then is told the next one
 
 
 class Tab(Guarded, WebSocketHandler):
@@ -37,7 +42,9 @@ class Tab(Guarded, WebSocketHandler):
 
     async def open(self, *_: str, **__: str) -> None:
         self.identity = secrets.token_urlsafe(12)
-        self._changed, self._gone = asyncio.Event(), False
+        self._changed, self._taken, self._gone = asyncio.Event(), asyncio.Event(), False
+        self._told = 0  # the revision of the state that it was told last
+        self._kept = deque[Contents](maxlen=2)  # what the page shows, and what it was told last
         self._starting: asyncio.Task[None] | None = None
         self._scene: Scene | None = None
         self.site.tabs[self.identity] = self
@@ -54,8 +61,14 @@ class Tab(Guarded, WebSocketHandler):
             while not self._gone:
                 await self._changed.wait()
                 self._changed.clear()
-                state = await self.site.apart(self.site.facts.now)
+                state, contents = await self.site.apart(self.site.facts.newest)
+                if not self._kept or contents is not self._kept[-1]:
+                    self._kept.append(contents)
+                self._taken.clear()
+                self._told = state["revision"]
                 await self.write_message({"state": state})
+                with suppress(asyncio.TimeoutError):  # pages in the background may not answer
+                    await asyncio.wait_for(self._taken.wait(), _PATIENCE)
                 if self.space is not None:
                     self.space.refresh()
                 await asyncio.sleep(_PAUSE)
@@ -68,6 +81,10 @@ class Tab(Guarded, WebSocketHandler):
         """A scene that the page wants to see in space, or the wish to start over there."""
         try:
             wish = json.loads(text)
+            if wish.get("taken") == self._told:
+                self._taken.set()
+            if wish.keys() <= {"taken"}:
+                return
             if wish.get("startOver") and self.space is not None:
                 self.space.start_over()
             scene = wish.get("scene")
@@ -114,6 +131,7 @@ class Tab(Guarded, WebSocketHandler):
             return
         self._gone = True
         self._changed.set()
+        self._taken.set()
         self.site.tabs.pop(self.identity, None)
         if self.space is not None:
             threading.Thread(target=self.space.close, daemon=True).start()

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 import json
 import logging
-import secrets
-import socket
 import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -17,19 +14,18 @@ from urllib.parse import quote
 
 import numpy as np
 from tornado.httpserver import HTTPServer
-from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
 
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer.answers import ACTIONS, DATA, FILES, Query
 from lfgpu.viewer.board import Board
+from lfgpu.viewer.contents import Contents
 from lfgpu.viewer.facts import Facts
 from lfgpu.viewer.guard import Guarded, Nothing, Site
-from lfgpu.viewer.scene import HOST
+from lfgpu.viewer.place import Place
 from lfgpu.viewer.tabs import LARGEST, InSpace, Tab
 
 _PAGE = Path(__file__).parent / "page"
-_PORTS = 1000  # that are tried if the first one is taken
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; font-src 'self'; "
     "connect-src 'self' ws:; frame-src 'self'; base-uri 'none'; form-action 'none'; "
@@ -45,17 +41,15 @@ class Server:
     ----------
     board
         What it shows.
-    port
-        Of 127.0.0.1; the next free one if it is taken. 0 takes any.
+    place
+        Where it answers.
     """
 
-    def __init__(self, board: Board, port: int) -> None:
-        self.board, self.facts = board, Facts(board)
-        self.token = secrets.token_urlsafe(24)
+    def __init__(self, board: Board, place: Place) -> None:
+        self.board, self.facts, self.token = board, Facts(board), place.token
         self.pool: Executor = ThreadPoolExecutor(4, "lfgpu-page")
         self.tabs: dict[str, Tab] = {}
-        self._sockets = _bound(port)
-        self.port: int = self._sockets[0].getsockname()[1]
+        self._socket = place.socket
         self._loop = asyncio.new_event_loop()
         self._stop: asyncio.Event | None = None
         self._ready = threading.Event()
@@ -108,7 +102,7 @@ class Server:
             websocket_max_message_size=LARGEST,
         )
         server = HTTPServer(application)
-        server.add_sockets(self._sockets)
+        server.add_socket(self._socket)
         end = self.board.listen(lambda: self.call_soon(self._tell))
         self._ready.set()
         await self._stop.wait()
@@ -123,18 +117,6 @@ class Server:
     def _tell(self) -> None:
         for tab in self.tabs.values():
             tab.wake()
-
-
-def _bound(port: int) -> list[socket.socket]:
-    for attempt in range(port, port + _PORTS):
-        try:
-            return bind_sockets(attempt, HOST, socket.AF_INET)
-        except OSError as error:
-            if error.errno not in (errno.EADDRINUSE, errno.EACCES) or attempt >= 65535:
-                raise LightFieldError(
-                    f"port {attempt} cannot be used: {error.strerror}; give another --port."
-                ) from None
-    raise LightFieldError(f"ports {port} to {port + _PORTS - 1} are taken; give another --port.")
 
 
 class _Page(Guarded, StaticFileHandler):
@@ -165,13 +147,24 @@ def _words(handler: RequestHandler) -> Query:
     return Query({name: handler.get_query_argument(name, strip=False) for name in handler.request.query_arguments})
 
 
+def _contents(site: Site, query: Query) -> Contents:
+    """The contents of the revision that is asked for, those of now if none is; 410 if they are forgotten."""
+    if not query.text("of", ""):
+        return site.board.contents
+    found = site.facts.contents(query.whole("of"))
+    if found is None:
+        raise HTTPError(410)
+    return found
+
+
 class _Data(Guarded):
     """What the page draws: arrays as their bytes, with their shape and type as headers, or JSON."""
 
     async def get(self, _: str, what: str) -> None:
         if what not in DATA:
             raise HTTPError(404)
-        found = await self.or_sentence(self.site.apart(DATA[what], self.site.board.contents, _words(self)))
+        query = _words(self)
+        found = await self.or_sentence(self.site.apart(lambda: DATA[what](_contents(self.site, query), query)))
         if isinstance(found, np.ndarray):
             self.set_header("Content-Type", "application/octet-stream")
             self.set_header("X-Shape", ",".join(map(str, found.shape)))
@@ -190,7 +183,7 @@ class _File(Guarded):
         if what == "space":
             work = site.apart(_picture_in_space, site, query)
         elif what in FILES:
-            work = site.apart(FILES[what], site.board.contents, query)
+            work = site.apart(lambda: FILES[what](_contents(site, query), query))
         else:
             raise HTTPError(404)
         found = await self.or_sentence(work)

@@ -26,9 +26,9 @@ def light_field_html(lf: LightField) -> str:
     x, y = width // 2, height // 2
     cards = [view_card("Reference view", rgb(lf.views[lf.reference_index], lf.scale))]
     if len(lf.row()) > 1:
-        cards.append(drawn_card(f"EPI of row {y}", epi_of_row(lf, x, y, None, wide=_WIDE)))
+        cards.append(drawn_card(f"EPI of row {y}", epi_of_row(lf, y, wide=_WIDE)))
     if len(lf.column()) > 1:
-        cards.append(drawn_card(f"EPI of column {x}", epi_of_column(lf, x, y, None, wide=_WIDE)))
+        cards.append(drawn_card(f"EPI of column {x}", epi_of_column(lf, x, wide=_WIDE)))
     u, v = lf.positions[lf.reference_index]
     grid = "not in a grid" if lf.grid_shape is None else f"in a grid of {lf.grid_shape[0]} × {lf.grid_shape[1]}"
     truth = "none" if lf.truth is None else "known" if lf.reference_truth() is not None else "of another view"

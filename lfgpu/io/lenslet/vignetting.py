@@ -7,7 +7,6 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lfgpu.io.lenslet.lattice import Microlenses
 
@@ -134,6 +133,8 @@ class MeanMicrolens:
 
     def at(self, offset: Float32Array) -> Float32Array:
         """Its value at offsets [2, ...] (along, across) from the lens's centre, in pixels."""
+        from scipy import ndimage  # not for those who read something else
+
         return np.asarray(
             ndimage.map_coordinates(
                 self.table, (offset[::-1] * _BINS + self._half).astype(np.float32), order=1, mode="nearest"
@@ -149,6 +150,8 @@ class MeanMicrolens:
         return values
 
     def _estimate(self, mosaic: Float32Array, grid: Microlenses, colours: NDArray[np.int64]) -> Float32Array:
+        from scipy import ndimage
+
         side = 2 * self._half + 1
         lenses, bins, values = [], [], []
         for rows in _strips(mosaic.shape, grid):

@@ -157,8 +157,8 @@ class MatchingPlan:
         trace = tuple(math.sqrt(self._kernels.number(move) / (height * width)) for move in self._moves)
         return Solution(
             converged=trace[-1] <= _CONVERGED,
-            status=f"Views that agree differ by {self._noise:.2g} in intensity. Alignment: the last of "
-            f"{len(trace)} iterations moved pixels by {trace[-1]:.2g} px (rms).",
+            status=f"Noise between views: {self._noise:.2g} of full intensity. The last step of the "
+            f"alignment moved pixels by {trace[-1]:.2g} px (rms).",
             iterations=len(trace),
             evaluations=len(trace),
             trace=trace,

@@ -30,15 +30,20 @@ export function drawScale(canvas, { colours, low, high, extent }) {
   context.fillStyle = context.strokeStyle = styles.getPropertyValue("--ink").trim();
   context.font = "12px system-ui, sans-serif";
   context.textBaseline = "middle";
-  const step = niceStep(span / Math.max(2, (bottom - top) / 56)), digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + slack; k++) {
-    const y = bottom - ((k * step - low) / span) * (bottom - top);
+  for (const [value, text] of ticks(low, high, (bottom - top) / 56)) {
+    const y = bottom - ((value - low) / span) * (bottom - top);
     context.fillRect(left + wide, y - 0.5, 4, 1);
-    context.fillText((k * step).toFixed(Math.min(digits, 8)).replace("-", "−"), left + wide + 8, y);
+    context.fillText(text, left + wide + 8, y);
   }
 }
 
-function niceStep(least) {
-  const power = 10 ** Math.floor(Math.log10(least));
-  return power * [1, 2, 5, 10].find((factor) => factor * power >= least * 0.999);
+/** Round numbers between two ends as [value, text], not more than about `most`. */
+export function ticks(low, high, most) {
+  const least = (high - low) / Math.max(2, most), power = 10 ** Math.floor(Math.log10(least));
+  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= least * 0.999);
+  const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), found = [];
+  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-6 * (high - low); k++) {
+    found.push([k * step, (k * step).toFixed(Math.min(digits, 8)).replace("-", "−")]);
+  }
+  return found;
 }

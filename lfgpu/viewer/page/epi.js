@@ -30,9 +30,9 @@ export class Epi {
     canvas.addEventListener("click", (event) => this.#clicked(event));
   }
 
-  /** Ask for the EPI through a pixel; `key` changes with the views. */
-  fetch(at, key) {
-    if (this.#found?.at !== at || this.#found?.key !== key) this.ask({ along: this.along, at, key });
+  /** Ask for the EPI through a pixel, of the views of a state of the server. */
+  fetch(at, { views: key, revision: of }) {
+    if (this.#found?.at !== at || this.#found?.key !== key) this.ask({ along: this.along, at, key, of });
     else this.draw();
   }
 

@@ -37,16 +37,17 @@ function openSaving({ state, ui }) {
   $("save-view").disabled = !state.lightField;
   $("save-space").disabled = ui.right !== "space";
   $("save-space").title = ui.right === "space" ? "As the frame shows it, without marks" : "Open the tab 3D first";
-  const plain = [state.lightField?.name, chosen ? ui.result : ""].filter(Boolean).join("-");
+  const of = state.lightField?.name ?? "", result = chosen ? ui.result : "";
+  const plain = result.startsWith(of) ? result || of : [of, result].filter(Boolean).join("-");
   $("save-name").value = plain.replace(/[^\p{L}\p{N}.+-]+/gu, "_") || "lfgpu";
   $("saving").showModal();
 }
 
 const name = () => $("save-name").value.trim() || "lfgpu";
 
-function save({ ui }, what, query) {
+function save({ ui, state }, what, query) {
   const suffix = what === "result" ? "" : `-${what === "figure" ? ui.quantity : "3d"}`;
-  orTell(() => download(what, { result: ui.result, stage: ui.stage, name: name() + suffix, ...query }));
+  orTell(() => download(what, { result: ui.result, stage: ui.stage, of: state.revision, name: name() + suffix, ...query }));
 }
 
 async function savePicture(source, as) {

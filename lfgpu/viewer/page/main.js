@@ -6,6 +6,8 @@ import { $, element, fill, number, orTell, tell } from "./elements.js";
 import { Epi } from "./epi.js";
 import { Estimate } from "./estimate.js";
 import { setUpFiles } from "./files.js";
+import { Film } from "./film.js";
+import { Histogram } from "./histogram.js";
 import { Picture, drawCross } from "./picture.js";
 import { act, connect, newest, values } from "./server.js";
 import { Space } from "./space.js";
@@ -14,6 +16,7 @@ import { Thumbnails, neighbour } from "./thumbnails.js";
 import { onArrival } from "./tiles.js";
 import { Viewport } from "./viewport.js";
 
+const COLOURS = { RdBu_r: "blue, white, red", viridis_r: "viridis, reversed", gray: "grey" }; // names for people
 const NOTHING = "", FINAL = "final", PICTURE = "picture";
 const phone = matchMedia("(max-width: 760px)"), dark = matchMedia("(prefers-color-scheme: dark)");
 
@@ -46,7 +49,7 @@ function mapSource(name, kind = ui.quantity, stage = FINAL) {
   const { colours, low, high } = scale(kind);
   return {
     key: `map ${one.identity} ${kind} ${stage}${kind === "error" ? ` ${state.views}` : ""}`, size: state.size, what: "map", isMap: true,
-    query: { result: name, kind, stage }, look: `${colours} ${low} ${high}`,
+    query: { result: name, kind, stage, of: state.revision }, look: `${colours} ${low} ${high}`,
     paint: (data, shape) => paintMap(data, shape, { colours, low, high }),
   };
 }
@@ -57,15 +60,15 @@ function viewSource(index = ui.view) {
   const common = { size: state.size, look: `${exposure} ${gamma}`, paint: (data, shape) => paintView(data, shape, { exposure, gamma }) };
   const one = entry(ui.result);
   if (ui.left === "refocused") {
-    const query = { disparity: ui.focus, aperture: ui.aperture };
+    const query = { disparity: ui.focus, aperture: ui.aperture, of: state.revision };
     return { ...common, key: `refocused ${state.views} ${ui.focus} ${ui.aperture}`, what: "refocused", query, whole: true };
   }
   if (ui.left === "sharp") {
     if (!one) return null;
-    const query = { result: ui.result, stage: ui.stage };
+    const query = { result: ui.result, stage: ui.stage, of: state.revision };
     return { ...common, key: `sharp ${state.views} ${one.identity} ${ui.stage}`, what: "sharp", query, whole: true };
   }
-  return { ...common, key: `view ${state.views} ${index}`, what: "view", query: { index } };
+  return { ...common, key: `view ${state.views} ${index}`, what: "view", query: { index, of: state.revision } };
 }
 
 /** Where the pixel is in a view; null where that is not known. */
@@ -113,9 +116,11 @@ const epis = [
   new Epi($("epi-row"), "row", view, epiState, (index, x) => choose(x, ui.pixel[1], index, 1)),
   new Epi($("epi-column"), "column", view, epiState, (index, y) => choose(ui.pixel[0], y, index, 0)),
 ];
+const histogram = new Histogram($("histogram"));
+const film = new Film(() => state, () => [view, map, otherMap].every((one) => one.isComplete));
 const thumbnails = new Thumbnails($("thumbnails"), () => ({ lf: lf(), current: ui.view, look: look() }), (index) => ui.set({ view: index, left: "view" }));
 
-const here = (x, y, index) => ({ x, y, index, result: ui.result, stage: ui.stage, other: ui.other });
+const here = (x, y, index) => ({ x, y, index, result: ui.result, stage: ui.stage, other: ui.other, of: state.revision });
 
 /** Choose the point that a pixel of a view shows; `keep` is the coordinate that stays as it is (an EPI has only one). */
 async function choose(x, y, index, keep = -1) {
@@ -151,7 +156,7 @@ function findPixel() {
 
 // --- where things stand ---
 
-const GAP = 6, BAR = 68; // pixels
+const GAP = 6, BAR = 68, LEAST_HISTOGRAM = 96; // pixels
 
 /** The view as large as it can be, the EPIs directly under and beside it. */
 function layoutViews() {
@@ -167,11 +172,11 @@ function layoutViews() {
   const scale = Math.max(0.01, Math.min((across - column) / width, (down - row) / height));
   const [wide, high] = [Math.floor(width * scale), Math.floor(height * scale)];
   const rest = (room, count) => {
-    const side = Math.min(count * 24, 264, room - GAP);
+    const side = Math.min(count * 32, 340, room - GAP);
     return side > count ? count * Math.floor(side / count) : Math.floor(side);
   };
-  $("epi-row").hidden = !row;
-  $("epi-column").hidden = !column;
+  $("epi-row").parentElement.hidden = !row;
+  $("epi-column").parentElement.hidden = !column;
   $("cross").style.gridTemplate = [high, ...(row ? [rest(down - high, light.row.length)] : [])].map((side) => `${side}px`).join(" ")
     + ` / ${[wide, ...(column ? [rest(across - wide, light.column.length)] : [])].map((side) => `${side}px`).join(" ")}`;
 }
@@ -180,8 +185,9 @@ function layoutViews() {
 function layoutMaps(count) {
   const box = $("maps"), pane = box.parentElement;
   if (!box.offsetParent || !state?.size) return;
-  const others = [...pane.children].filter((child) => child !== box).reduce((sum, child) => sum + child.offsetHeight, 0);
-  const [height, width] = state.size, across = box.clientWidth - BAR - GAP, down = pane.clientHeight - others - 2 * GAP;
+  const others = [...pane.children].filter((child) => child !== box && child !== $("histogram")).reduce((sum, child) => sum + child.offsetHeight, 0);
+  const below = pane.clientHeight > 480 ? LEAST_HISTOGRAM : 0;
+  const [height, width] = state.size, across = box.clientWidth - BAR - GAP, down = pane.clientHeight - others - below - 2 * GAP;
   const fit = (columns, rows) => Math.min((across - (columns - 1) * GAP) / columns / width, (down - (rows - 1) * GAP) / rows / height);
   const isBeside = count > 1 && fit(2, 1) >= fit(1, 2), [columns, rows] = count === 1 ? [1, 1] : isBeside ? [2, 1] : [1, 2];
   const scale = Math.max(0.01, fit(columns, rows)), repeat = (times, side) => `repeat(${times}, ${Math.floor(side * scale)}px)`;
@@ -221,8 +227,10 @@ const signed = (value) => (value > 0 ? "+" : "") + short(value);
 function showEpis() {
   const light = lf();
   if (!light || !ui.pixel) return;
-  if (light.row.length > 1) epis[0].fetch(ui.pixel[1], state.views);
-  if (light.column.length > 1) epis[1].fetch(ui.pixel[0], state.views);
+  label("epi-row-label", `EPI, y ${ui.pixel[1]}`);
+  label("epi-column-label", `EPI, x ${ui.pixel[0]}`);
+  if (light.row.length > 1) epis[0].fetch(ui.pixel[1], state);
+  if (light.column.length > 1) epis[1].fetch(ui.pixel[0], state);
 }
 
 let thumbnailsAt = -Infinity; // those of a stream are asked for once a second
@@ -232,7 +240,7 @@ function showThumbnails() {
   if (!lf()) return;
   const isDue = !state.frame || performance.now() - thumbnailsAt > 1000;
   if (isDue) thumbnailsAt = performance.now();
-  thumbnails.fetch(isDue ? state.views : thumbnails.key);
+  thumbnails.fetch(isDue ? state.views : thumbnails.key, state.revision);
   $("view-name").replaceChildren(...viewName());
 }
 
@@ -250,9 +258,10 @@ function showMaps() {
   otherMap.show(isSide ? second : null);
   const firstName = mode === "flip" && ui.flipped ? named(ui.other) : one && named(ui.result, ui.stage);
   label("map-label", one && (mode === "wipe" ? `◀ ${firstName}` : firstName));
-  label("wipe-label", mode === "wipe" ? `${named(ui.other)} ▶` : other && !second && `${named(ui.other)}: no ${quantity.label.toLowerCase()}`);
+  const lacks = other?.isTruth && ui.quantity === "error" ? "errors are against the ground truth" : `${named(ui.other)} has no ${quantity.label.toLowerCase()}`;
+  label("wipe-label", mode === "wipe" ? `${named(ui.other)} ▶` : other && !second && lacks);
   label("other-label", isSide && named(ui.other));
-  label("map-note", !one && "No map yet: press Estimate.");
+  label("map-note", !one && `No map yet: press Estimate${phone.matches ? " in Settings" : ""}.`);
   const unit = quantity.unit && ` (${quantity.unit})`, hint = [quantity.hint, "grey: undefined"].filter(Boolean).join("; ");
   if (ui.right === "space" && one) {
     $("right-title").replaceChildren(element("b", { textContent: ui.mesh ? "Surface" : "Points" }), ` of ${named(ui.result, ui.stage)}`);
@@ -261,16 +270,27 @@ function showMaps() {
     const what = first ? element("b", { textContent: quantity.label }) : element("b", { textContent: `No ${quantity.label.toLowerCase()}` });
     $("right-title").replaceChildren(what, ` of ${named(ui.result, ui.stage)}${unit}`);
     if (one.isTruth && !state.results.some((each) => !each.isTruth)) $("right-title").append("; no estimate yet");
-    else if (one.earlier) $("right-title").append("; of an earlier frame");
+    else if (one.earlier) $("right-title").append("; of another frame");
   }
   $("right-title").title = hint;
+  showHistogram();
   const { colours, low, high } = scale();
   drawScale($("colour-bar"), first || second ? scale() : { low: 0, high: 0 });
-  fill($("colours"), Object.keys(fixed.colours).map((name) => [name, name]), colours);
+  fill($("colours"), Object.keys(fixed.colours).map((name) => [name, COLOURS[name] ?? name]), colours);
   for (const [id, value] of [["low", low], ["high", high]]) {
     if (document.activeElement !== $(id)) $(id).value = Number(value.toPrecision(5));
   }
   $("auto").disabled = !ui.ranges[ui.quantity];
+}
+
+/** How the values of the map are distributed, with that of the chosen pixel. */
+function showHistogram() {
+  const source = mapSource(ui.result, ui.quantity, ui.stage), quantity = fixed.quantities[ui.quantity];
+  $("histogram").hidden = !source || ui.right === "space";
+  histogram.show(source && {
+    key: source.key, query: source.query, scale: scale(), value: ui.found?.values[ui.quantity] ?? NaN,
+    title: `Distribution of ${quantity.label.toLowerCase()}`,
+  });
 }
 
 function label(id, text) {
@@ -283,7 +303,7 @@ function showChoices() {
   const quantities = Object.entries(fixed.quantities).filter(([name]) => state.results.some((one) => one.kinds.includes(name)));
   $("quantity").disabled = $("result").disabled = $("other").disabled = !state.results.length;
   fill($("quantity"), quantities.map(([name, { label }]) => [name, label]), ui.quantity);
-  const names = state.results.map(({ name, isTruth, earlier }) => [name, isTruth ? "ground truth" : earlier ? `${name} (earlier frame)` : name]);
+  const names = state.results.map(({ name, isTruth, earlier }) => [name, isTruth ? "ground truth" : earlier ? `${name} (another frame)` : name]);
   fill($("result"), names.length ? names : [[NOTHING, "none yet"]], ui.result);
   fill($("other"), [[NOTHING, "nothing"], ...names.filter(([name]) => name !== ui.result)], ui.other);
   const one = entry(ui.result);
@@ -292,14 +312,13 @@ function showChoices() {
   $("compare").hidden = !ui.other;
   select("compare", ui.compare, "aria-checked");
   $("about").textContent = one?.isTruth
-    ? "The ground truth: it is not an estimate." : [one?.about, one?.earlier && "It belongs to an earlier frame."].filter(Boolean).join(" ");
+    ? "The ground truth: it is not an estimate." : [one?.about, one?.earlier && "It belongs to another frame."].filter(Boolean).join(" ");
   const scored = state.results.filter(({ scores }) => scores);
   $("scores").hidden = !scored.length;
   const cell = (value, digits) => element("td", { textContent: value === null ? "–" : value.toFixed(digits) });
-  $("scores").tBodies[0].replaceChildren(...scored.map(({ name, scores: { mse, bad07, bad01, q25 } }) => element(
+  $("scores").tBodies[0].replaceChildren(...scored.map(({ name, scores: { mse, bad07, bad03, bad01, q25 } }) => element(
     "tr", { className: name === ui.result ? "chosen" : "" }, element("td", { textContent: name, title: name }),
-    cell(mse, 2), element("td", { textContent: bad07 === null ? "–" : `${bad07.toFixed(2)} %` }),
-    element("td", { textContent: bad01 === null ? "–" : `${bad01.toFixed(1)} %` }), cell(q25, 2),
+    cell(mse, 2), cell(bad07, 2), cell(bad03, 2), cell(bad01, 1), cell(q25, 2),
   )));
   const paints = [...(lf() ? [[PICTURE, "picture"]] : []), ...quantities.map(([name, { label }]) => [name, label.toLowerCase()])];
   if (!paints.some(([name]) => name === ui.paint)) ui.paint = paints[0]?.[0] ?? PICTURE;
@@ -367,6 +386,7 @@ ui.on("pixel result stage other", findPixel);
 ui.on("found view left", () => {
   [view, map, otherMap].forEach((one) => one.draw());
   epis.forEach((one) => one.draw());
+  showHistogram();
 });
 ui.on("quantity result stage other compare flipped colourMaps ranges right mesh", showMaps);
 ui.on("quantity result stage other compare metric paint", showChoices);
@@ -393,6 +413,7 @@ function take(next) {
   later = null;
   takenAt = performance.now();
   takeNow(next);
+  send({ taken: next.revision });
 }
 
 function takeLater() {
@@ -420,13 +441,14 @@ function takeNow(next) {
   $("left").hidden = !lf();
   document.querySelector("main").hidden = $("readout").hidden = !state.size;
   $("nothing").hidden = Boolean(state.size || state.loading);
-  $("views-section").hidden = !lf();
+  for (const id of ["views-section", "brightness-section"]) $(id).hidden = !lf();
+  for (const id of ["map-section", "colours-section"]) $(id).hidden = !state.results.length;
   document.querySelector("main").classList.toggle("maps-only", !lf());
   document.querySelector("nav [data-value=view]").disabled = !lf();
   if (!lf() && document.body.dataset.show === "view") showPart("map");
   if (!before || other || state.revision !== before.revision) {
     document.title = [lf()?.name, "lfgpu"].filter(Boolean).join(" – ");
-    $("name").textContent = lf()?.name ?? "";
+    $("name").textContent = lf()?.name ?? state.results[0]?.name ?? "";
     $("facts").textContent = facts();
     showChoices();
     showLeft();
@@ -438,6 +460,7 @@ function takeNow(next) {
   }
   showLoading();
   showStream();
+  film.show();
   estimate.progress(state.progress, Boolean(lf()));
   space.refresh();
 }
@@ -559,6 +582,9 @@ const KEYS = {
   m: () => showPart("map"),
   d: () => showPart("space"),
   s: () => $("save-files").click(),
+  ",": () => film.step(-1),
+  ".": () => film.step(1),
+  p: () => film.toggle(),
   "?": () => $("help").showModal(),
 };
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };

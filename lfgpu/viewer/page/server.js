@@ -10,7 +10,7 @@ async function checked(answer) {
   try {
     sentence = (await answer.json()).error ?? sentence;
   } catch { /* no sentence came with it */ }
-  throw new Error(sentence);
+  throw Object.assign(new Error(sentence), { isGone: answer.status === 410 });
 }
 
 /** An array from the server: { data, shape }. */

@@ -23,11 +23,18 @@ export class Thumbnails {
     });
   }
 
-  async fetch(key) {
+  async fetch(key, of) {
     if (key === this.key) return this.draw();
     this.key = key;
-    const { data, shape: [count, height, width] } = await array("thumbnails");
+    let found;
+    try {
+      found = await array("thumbnails", { of });
+    } catch { // the server has gone, or what was asked for has: the next state asks again
+      if (key === this.key) this.key = null;
+      return undefined;
+    }
     if (key !== this.key) return undefined;
+    const { data, shape: [count, height, width] } = found;
     this.#sprites = Array.from({ length: count }, (_, n) => ({
       data: data.subarray(n * height * width * 3, (n + 1) * height * width * 3), shape: [height, width, 3],
     }));

@@ -77,8 +77,9 @@ function work() {
   }
 }
 
-/** One that fails is not asked for again; a tile of what has been replaced meanwhile is no news. */
+/** One that fails is not asked for again, unless the state that it was asked of is forgotten: then with the next one. */
 function fail(key, source, error) {
+  if (error.isGone) return;
   known.set(key, {});
   if (source.whole) tell(error.message);
 }

@@ -1,0 +1,63 @@
+"""Where a page is: a port of this machine and a token. It imports little, so that the address is known at once."""
+
+from __future__ import annotations
+
+import errno
+import secrets
+import socket
+
+from lfgpu.errors import LightFieldError
+
+HOST = "127.0.0.1"
+"""The viewer is reachable from this machine only."""
+
+_PORTS = 1000  # that are tried if the first one is taken
+_LAST = 65535
+_WAITING = 128  # connections that wait until they are answered
+
+
+class Place:
+    """A port that is taken, and a token. Who connects before somebody answers there waits.
+
+    Parameters
+    ----------
+    port
+        Of 127.0.0.1; the next free one if it is taken. 0 takes any.
+
+    Raises
+    ------
+    LightFieldError
+        If no port can be taken.
+    """
+
+    def __init__(self, port: int) -> None:
+        self.socket = _bound(port)
+        self.port: int = self.socket.getsockname()[1]
+        self.token = secrets.token_urlsafe(24)
+        """The first part of every path."""
+
+    @property
+    def url(self) -> str:
+        """The address of the page; whoever knows it can use the page."""
+        return f"http://{HOST}:{self.port}/{self.token}/"
+
+
+def _bound(port: int) -> socket.socket:
+    if not 0 <= port <= _LAST:
+        raise LightFieldError(f"there is no port {port}; give one from 0 to {_LAST} as --port.")
+    for attempt in range(port, min(port + _PORTS, _LAST + 1)):
+        taken = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        taken.setblocking(False)
+        try:
+            taken.bind((HOST, attempt))
+            taken.listen(_WAITING)
+        except OSError as error:
+            taken.close()
+            if error.errno not in (errno.EADDRINUSE, errno.EACCES):
+                raise LightFieldError(
+                    f"port {attempt} cannot be used: {error.strerror}; give another --port."
+                ) from None
+            continue
+        return taken
+    raise LightFieldError(f"ports {port} to {min(port + _PORTS - 1, _LAST)} are taken; give another --port.")
