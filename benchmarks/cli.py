@@ -9,6 +9,7 @@ writes the figures of all pages from the committed results.
 from __future__ import annotations
 
 from dataclasses import asdict
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -25,7 +26,6 @@ from benchmarks import (
     files,
     flicker,
     gallery,
-    gpu_parity,
     live,
     live_stages,
     machine,
@@ -55,6 +55,7 @@ from lfgpu.cli.failures import Group
 from lfgpu.io.atomic import check_writable
 from lfgpu.threads import get_threads
 
+PARITY_RESULT = Path(__file__).with_name("results") / "gpu-parity.json"
 _PIPELINES_HELP = f'{", ".join(pipelines.NAMES)}; default: all; or "none".'
 app = typer.Typer(
     name="benchmarks",
@@ -565,15 +566,29 @@ def gpu_parity_(
     backend: Annotated[str, typer.Option(metavar="NAME")] = "warp",
     device: Annotated[str, typer.Option(metavar="DEVICE")] = "cuda:0",
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = (
-        gpu_parity.RESULT
+        PARITY_RESULT
     ),
+    commit: Annotated[
+        str | None, typer.Option(metavar="ID", help="What the file names, in a copy of the project without git.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Processes that share the device; default: by the cores.")
+    ] = None,
 ) -> None:
-    """Test every operation on a GPU against the reference; the file names the commit. Exits with 1 on failures."""
+    """Test every operation on a GPU against the reference; the file names the commit. Exits with 1 on failures.
+
+    The file is written after each test function. If it holds an unfinished run of the same commit and device, that is
+    continued.
+    """
+    if find_spec("pytest") is None:
+        raise BenchmarkError("this runs the tests, and pytest is not installed: pip install pytest pytest-xdist.")
+    from benchmarks import gpu_parity
+
     check_writable(out, folder=False)
-    found = gpu_parity.run(_known_backend(backend), device)
+    many = gpu_parity.workers() if workers is None else workers
+    found = gpu_parity.run(_known_backend(backend), device, out, commit=commit, workers=many)
     if not found["passed"]:
         raise BenchmarkError(f"nothing could be tested on {backend} {device}: is the device there?")
-    gpu_parity.save(found, out)
     typer.echo(f"{found['passed']} passed, {found['skipped']} skipped, {len(found['failed'])} failed: {out}")
     if found["failed"]:
         raise typer.Exit(1)
