@@ -133,7 +133,8 @@ def launch_tiles(
     kernel: Any, dim: list[int], inputs: list[Any], outputs: list[Any], *, device: Any, block_dim: int
 ) -> None:
     """Launch a kernel whose threads work together on tiles, as `launch` does."""
-    _launched(lambda: wp.launch_tiled(kernel, dim, inputs, outputs, device=device, block_dim=block_dim), kernel, device)
+    options = {"dim": dim, "inputs": inputs, "outputs": outputs, "device": device, "block_dim": block_dim}
+    _launched(lambda: wp.launch_tiled(kernel, **options), kernel, device)
 
 
 def _launched(start: Callable[[], None], kernel: Any, device: Any) -> None:
