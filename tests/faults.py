@@ -162,7 +162,7 @@ FAULTS = (
         "bounds that hold a pixel on a GPU",
         "kernels/warp/gpu_lbfgs.py",
         "direction.data[i] = held || stopped ? 0.f : step;",
-        "direction.data[i] = held ? 0.f : step;",
+        "direction.data[i] = stopped ? 0.f : step;",
         (_GPU, "-k", "lbfgs and equals"),
     ),
     Fault(

@@ -31,7 +31,7 @@ CHOSEN = (
     r"nlm_average-(colour|window-wider|one-pixel|wide|many-slices)",
     r"z_buffer-(grey-float32|one-pixel|work-for)",
     r"alignment-(grey-float32|one-pixel-wide|work-for)",
-    r"lbfgs-(memory-of-one|curved-valley|as-many|curvature-and)",
+    r"lbfgs-(memory-of-one|curved-valley|as-many|curvature-and|work-for)",
     r"dot-",
 )
 """Of the matrix, by name."""
