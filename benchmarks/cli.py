@@ -1,15 +1,14 @@
 """The command line: `python -m benchmarks [options]` measures; `table`, `plot` and `compare` look at what was found.
 
 `accuracy` scores a population of light fields, `ablation` leaves ingredients out, `rendering` renders views that were
-left out, `misalignment` lines up cameras that were moved, `live`, `rectify`, `ring`, `flicker` and `soak` are about
-streams, `scaling` takes several GPUs, `tiles` limits the memory, `gallery` draws the picture of the README, `figures`
-writes the figures of all pages from the committed results.
+left out, `misalignment` lines up cameras that were moved, `judge` looks for a single view that was moved, `live`,
+`rectify`, `ring`, `flicker`, `drift` and `soak` are about streams, `scaling` takes several GPUs, `tiles` limits the
+memory, `gallery` draws the picture of the README, `figures` writes the figures of all pages from the committed results.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from importlib.util import find_spec
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -21,17 +20,21 @@ from benchmarks import (
     cases,
     compare,
     confidence,
+    drift,
     error_sheet,
     figures,
     files,
     flicker,
     gallery,
+    gpu_parity,
+    judge,
     live,
     live_stages,
     machine,
     merge,
     misalignment,
     moving,
+    native,
     operations,
     paper,
     pipelines,
@@ -55,7 +58,6 @@ from lfgpu.cli.failures import Group
 from lfgpu.io.atomic import check_writable
 from lfgpu.threads import get_threads
 
-PARITY_RESULT = Path(__file__).with_name("results") / "gpu-parity.json"
 _PIPELINES_HELP = f'{", ".join(pipelines.NAMES)}; default: all; or "none".'
 app = typer.Typer(
     name="benchmarks",
@@ -114,7 +116,7 @@ def measure(
     )
     if out is not None:
         check_writable(out, folder=False)
-    _finish(suite.run(plan, lambda what: typer.echo(what, err=True)), out)
+    _finish(suite.run(plan, _say), out)
 
 
 @app.command("ablation")
@@ -139,7 +141,7 @@ def ablation_(
     )
     if out is not None:
         check_writable(out, folder=False)
-    _finish(ablation.run(plan, lambda what: typer.echo(what, err=True)), out)
+    _finish(ablation.run(plan, _say), out)
 
 
 @app.command("accuracy")
@@ -178,9 +180,7 @@ def accuracy_(
             check_writable(path, folder=False)
     old = results.load(baseline) if baseline != population.BASELINE or baseline.exists() else None
     pictures: list[population.Picture] = []
-    run = population.run(
-        where, _names(presets), _names(ranges), lambda what: typer.echo(what, err=True), pictures.append, made
-    )
+    run = population.run(where, _names(presets), _names(ranges), _say, pictures.append, made)
     if sheet is not None and pictures:
         error_sheet.write(pictures, sheet)
     _finish(run, out)
@@ -205,14 +205,11 @@ def confidence_(
         check_writable(out, folder=False)
     held = [name for name in population.light_fields(folders) if name not in _names(develop)]
 
-    def say(what: str) -> None:
-        typer.echo(what, err=True)
-
-    fitted = confidence.samples(folders, _names(develop), _names(presets), say)
+    fitted = confidence.samples(folders, _names(develop), _names(presets), _say)
     if fit:
-        fitted += confidence.own_samples(_names(presets), say)
+        fitted += confidence.own_samples(_names(presets), _say)
     weights = confidence.fit(fitted) if fit else confidence.NOW
-    checked = confidence.samples(folders, held, _names(presets), say)
+    checked = confidence.samples(folders, held, _names(presets), _say)
     for table in confidence.tables(checked or fitted, weights):
         show.table(table)
     if out is not None:
@@ -238,7 +235,7 @@ def rendering_(
         data,
         preset=preset,
         every=every,
-        say=lambda what: typer.echo(what, err=True),
+        say=_say,
     )
     typer.echo(rendering.markdown(rows), nl=False)
 
@@ -260,7 +257,7 @@ def files_(
     """Read each real file and estimate its depth, and hold one map against Lytro's own."""
     if out is not None:
         check_writable(out)
-    rows, found = files.run(data, preset=preset, out=out, say=lambda what: typer.echo(what, err=True))
+    rows, found = files.run(data, preset=preset, out=out, say=_say)
     typer.echo(files.markdown(rows, found))
 
 
@@ -270,16 +267,24 @@ def flicker_(
     frames: Annotated[int, typer.Option(min=6)] = 24,
     period: Annotated[int, typer.Option(min=1, help="Frames in which things go round; fewer is faster.")] = 240,
     noise: Annotated[float, typer.Option(help="Of the views, intensities being 0 to 1.")] = 0.01,
+    seeds: Annotated[str, typer.Option(metavar="N,...", help="Of the scenes, a film for each.")] = "0,1,2,3",
     presets: Annotated[str, typer.Option(metavar="NAME,...")] = "accurate,fast",
+    pasts: Annotated[str, typer.Option(metavar="NAME,...", help="How the last map is used.")] = ",".join(flicker.PASTS),
     device: Device = None,
     out: Out = None,
 ) -> None:
-    """How much maps of a moving scene change where nothing does, with and without the last map, and their errors."""
+    """How much maps of moving scenes change where nothing does, with and without the last map, and their errors."""
+    if unknown := [name for name in _names(pasts) if name not in flicker.PASTS]:
+        raise BenchmarkError(f"unknown past {unknown[0]!r}; there are {', '.join(flicker.PASTS)}.")
     case = cases.parse(case_name)
     film = moving.Film(case.grid, case.size, frames, period, noise)
-    rows = flicker.run(film, tuple(_names(presets)), device, lambda what: typer.echo(what, err=True))
-    live.save(out, {"film": asdict(film), "rows": [asdict(row) for row in rows]})
-    flicker.show(rows)
+    found, about = [], {**machine.about(), "film": asdict(film)}
+    for seed in map(int, _names(seeds)):
+        one = replace(film, seed=seed)
+        for row in flicker.run(one, tuple(_names(presets)), tuple(_names(pasts)), device, _say):
+            found.append(row)
+            live.save(out, {**about, "rows": [asdict(row) for row in found]})  # as far as it is
+    flicker.show(found)
 
 
 @app.command("live")
@@ -301,20 +306,23 @@ def live_(
         _live_stages(tuple(_names(case_names)), tuple(_names(presets)), device, out)
         return
     plan = live.Plan(tuple(_names(case_names)), tuple(_names(presets)), frames, seconds, budget, device)
-    rows = live.run(plan, lambda what: typer.echo(what, err=True))
-    live.save(out, {"rows": [asdict(row) for row in rows]})
-    live.show(rows)
+    found, about = [], machine.about()
+    for row in live.run(plan, _say):
+        found.append(row)
+        live.save(out, {**about, "rows": [asdict(row) for row in found]})  # as far as it is
+    live.show(found)
 
 
 def _live_stages(case_names: tuple[str, ...], presets: tuple[str, ...], device: str | None, out: Path | None) -> None:
-    rows = []
+    rates = live_stages.rates(device)
+    rows, about = [], {**machine.about(), "rates": asdict(rates)}
     for name in case_names:
         case = cases.parse(name)
         film = moving.Film(case.grid, case.size, 1)
-        rates, some = live_stages.run(name, film, presets, device, lambda what: typer.echo(what, err=True))
-        rows += some
-    found = [{**asdict(row), "limit": row.limit} for row in rows]
-    live.save(out, {"rates": asdict(rates), "operations": found})
+        for row in live_stages.run(name, film, presets, device, rates, _say):
+            rows.append(row)
+            found = [{**asdict(row), "limit": row.limit} for row in rows]
+            live.save(out, {**about, "operations": found})  # as far as it is
     live_stages.show(rates, rows)
 
 
@@ -342,7 +350,9 @@ def ring_(
 def misalignment_(
     scene_names: Annotated[
         list[str],
-        typer.Argument(metavar="SCENE...", help="Folders of light fields with truth, or scenes of the package."),
+        typer.Argument(
+            metavar="SCENE...", help="Folders of light fields with truth, or scenes as boxes-11, NAME-SEED."
+        ),
     ],
     arrays: Annotated[str, typer.Option(metavar="NAME,...", help="Which views are used.")] = ",".join(
         misalignment.ARRAYS
@@ -355,6 +365,7 @@ def misalignment_(
     crop: Annotated[int, typer.Option(min=64, help="Longest side of the middle of the views that is used.")] = 512,
     preset: Annotated[str, typer.Option(metavar="NAME")] = "accurate",
     device: Device = None,
+    append: Annotated[bool, typer.Option("--append", help="Add to the rows that the output has.")] = False,
     out: Out = None,
 ) -> None:
     """Errors of maps with cameras as they should be, misaligned, and lined up by `refine`, with the true range."""
@@ -362,12 +373,40 @@ def misalignment_(
         check_writable(out, folder=False)
     chosen = tuple(disturbances or misalignment.DISTURBANCES)
     plan = misalignment.Plan(tuple(scene_names), tuple(_names(arrays)), chosen, seeds, crop, preset, device)
+    before = misalignment.load(out) if append and out is not None and out.exists() else []
+    found, about = [], machine.about()
+    for row in misalignment.run(plan, _say):
+        found.append(row)
+        live.save(out, {**about, "rows": [asdict(row) for row in (*before, *found)]})  # as far as it is
+    misalignment.show(found)
+
+
+@app.command("judge")
+def judge_(
+    scene_names: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SCENE...", help="Folders of light fields with truth, or scenes as boxes-11, NAME-SEED."
+        ),
+    ],
+    draws: Annotated[int, typer.Option(min=1, help="Draws over all scenes.")] = 100,
+    shift: Annotated[float, typer.Option(min=0.01, help="By how many pixels a view is moved.")] = 0.2,
+    crop: Annotated[int, typer.Option(min=64, help="Side of the part of the views that is used.")] = 192,
+    preset: Annotated[str, typer.Option(metavar="NAME")] = "fast",
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Move one view in a random direction: is it found, and is nothing said without that?"""
+    if out is not None:
+        check_writable(out, folder=False)
+    plan = judge.Plan(tuple(scene_names), draws, shift, crop, preset, device)
     about = {"machine": machine.describe(), "versions": machine.versions(), "commit": machine.commit()}
     found = []
-    for row in misalignment.run(plan, lambda what: typer.echo(what, err=True)):
-        found.append(row)
-        live.save(out, {**about, "plan": asdict(plan), "rows": [asdict(row) for row in found]})  # as far as it is
-    misalignment.show(found)
+    for draw in judge.run(plan, lambda what: typer.echo(what, err=True)):
+        found.append(draw)
+        rows = [asdict(one) for one in found]  # as far as it is
+        live.save(out, {**about, "plan": judge.named(plan), "summary": judge.summary(found), "draws": rows})
+    judge.show(found)
 
 
 @app.command("rectify")
@@ -385,24 +424,12 @@ def rectify_(
     if out is not None:
         check_writable(out, folder=False)
     chosen = tuple(_known_backend(name) for name in _names(backends))
-    found = rectify.run(
-        tuple(cases.find(name) for name in _names(case_names)),
-        preset,
-        chosen,
-        device,
-        lambda what: typer.echo(what, err=True),
-        seconds=seconds,
-    )
-    live.save(
-        out,
-        {
-            "machine": machine.describe(),
-            "versions": machine.versions(),
-            "commit": machine.commit(),
-            "rig": asdict(rectify.RIG),
-            "rows": [{**asdict(row), "added_ms": row.added_ms} for row in found],
-        },
-    )
+    some = tuple(cases.find(name) for name in _names(case_names))
+    found, about = [], {**machine.about(), "rig": asdict(rectify.RIG)}
+    for row in rectify.run(some, preset, chosen, device, _say, seconds=seconds):
+        found.append(row)
+        rows = [{**asdict(row), "added_ms": row.added_ms} for row in found]
+        live.save(out, {**about, "rows": rows})  # as far as it is
     rectify.show(found)
 
 
@@ -412,16 +439,70 @@ def soak_(
     case_name: Annotated[str, typer.Option("--case", metavar="ROWSxCOLUMNSxHEIGHTxWIDTH")] = "5x5x128x128",
     preset: Annotated[str, typer.Option(metavar="NAME")] = "accurate",
     seed: Annotated[int, typer.Option(min=0)] = 0,
+    rectified: Annotated[
+        bool, typer.Option("--rectify", help="Frames are raw pictures of a rig, rectified on the device.")
+    ] = False,
     device: Device = None,
     out: Out = None,
 ) -> None:
     """Frames with random drop-outs, cuts and errors for a long time; exits with 1 if memory grows or one is lost."""
+    if out is not None:
+        check_writable(out, folder=False)
     case = cases.parse(case_name)
-    plan = soak.Plan(frames, case.grid, case.size, preset, seed, device)
-    found = soak.run(plan, lambda what: typer.echo(what, err=True))
-    live.save(out, asdict(found))
+    plan = soak.Plan(frames, case.grid, case.size, preset, seed, device, rectified)
+    about = {**machine.about(), "plan": asdict(plan)}
+    for found in soak.run(plan, _say):
+        live.save(out, {**about, **asdict(found)})  # as far as it is
     for line in found.lines():
         typer.echo(line)
+    if found.problems:
+        raise typer.Exit(1)
+
+
+@app.command("native")
+def native_(
+    case_names: Annotated[str, typer.Option("--cases", metavar="NAME,...")] = "7x7x375x375",
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = "accurate,fast",
+    threads: Annotated[str, typer.Option(metavar="N,...", help="Of the CPU.")] = "2,16",
+    frames: Annotated[int, typer.Option(min=2, help="How many are cast.")] = 4,
+    repeats: Annotated[int, typer.Option(min=1, help="How often they are played.")] = 5,
+    device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu or cuda:0.")] = "cpu",
+    out: Out = None,
+) -> None:
+    """Time of a frame by the exported C++ program and by Python; exits with 1 if their maps differ."""
+    if out is not None:
+        check_writable(out, folder=False)
+    counts = tuple(int(n) for n in _names(threads))
+    plan = native.Plan(tuple(_names(case_names)), tuple(_names(presets)), frames, repeats, counts, device)
+    found, about = [], {**machine.about(), "plan": asdict(plan)}
+    for row in native.run(plan, _say):
+        found.append(row)
+        live.save(out, {**about, "rows": [asdict(row) for row in found]})  # as far as it is
+    native.show(found)
+    if not all(row.same_bits for row in found):
+        raise typer.Exit(1)
+
+
+@app.command("drift")
+def drift_(
+    hours: Annotated[float, typer.Option(min=0.001, help="Of simulated time.")] = 8.0,
+    every: Annotated[float, typer.Option(min=0.1, help="Simulated seconds from look to look.")] = 10.0,
+    amplitude: Annotated[float, typer.Option(min=0, max=0.5, help="How far gains go up and down, as a share.")] = 0.1,
+    case_name: Annotated[str, typer.Option("--case", metavar="ROWSxCOLUMNSxHEIGHTxWIDTH")] = "3x3x96x96",
+    preset: Annotated[str, typer.Option(metavar="NAME")] = "fast",
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Cameras whose gains drift for hours of simulated time; exits with 1 if their tones do not follow."""
+    if out is not None:
+        check_writable(out, folder=False)
+    case = cases.parse(case_name)
+    plan = drift.Plan(hours, every, amplitude, case.grid, case.size, preset, seed, device)
+    about = {**machine.about(), "plan": asdict(plan)}
+    for found in drift.run(plan, _say):
+        live.save(out, {**about, **found.summary()})  # as far as it is
+    drift.show(found)
     if found.problems:
         raise typer.Exit(1)
 
@@ -448,7 +529,7 @@ def scaling_(
     plan = scaling.Plan(
         tuple(cases.find(n) for n in _names(case_names)), tuple(_names(presets)), names, wanted, how, seconds
     )
-    rows = scaling.run(plan, lambda what: typer.echo(what, err=True))
+    rows = scaling.run(plan, _say)
     if out is not None:
         scaling.save(rows, out)
     typer.echo(scaling.table(rows), nl=False)
@@ -477,7 +558,7 @@ def batches_(
         [(gpus, int(n)) for n in _names(per_gpu) for gpus in wanted],
         items=items,
         threads=threads,
-        say=lambda what: typer.echo(what, err=True),
+        say=_say,
     )
     if out is not None:
         scaling.save(rows, out)
@@ -566,27 +647,13 @@ def gpu_parity_(
     backend: Annotated[str, typer.Option(metavar="NAME")] = "warp",
     device: Annotated[str, typer.Option(metavar="DEVICE")] = "cuda:0",
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = (
-        PARITY_RESULT
+        gpu_parity.RESULT
     ),
-    commit: Annotated[
-        str | None, typer.Option(metavar="ID", help="What the file names, in a copy of the project without git.")
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(min=1, metavar="N", help="Processes that share the device; default: by the cores.")
-    ] = None,
 ) -> None:
-    """Test every operation on a GPU against the reference; the file names the commit. Exits with 1 on failures.
-
-    The file is written after each test function. If it holds an unfinished run of the same commit and device, that is
-    continued.
-    """
-    if find_spec("pytest") is None:
-        raise BenchmarkError("this runs the tests, and pytest is not installed: pip install pytest pytest-xdist.")
-    from benchmarks import gpu_parity
-
+    """Test every operation on a GPU against the reference; the file names the commit. Exits with 1 on failures."""
     check_writable(out, folder=False)
-    many = gpu_parity.workers() if workers is None else workers
-    found = gpu_parity.run(_known_backend(backend), device, out, commit=commit, workers=many)
+    for found in gpu_parity.run(_known_backend(backend), device, _say):
+        gpu_parity.save(found, out)  # as far as it is
     if not found["passed"]:
         raise BenchmarkError(f"nothing could be tested on {backend} {device}: is the device there?")
     typer.echo(f"{found['passed']} passed, {found['skipped']} skipped, {len(found['failed'])} failed: {out}")
@@ -612,7 +679,7 @@ def paper_(
         raise BenchmarkError(f"unknown experiment {unknown[0]!r}; there are {', '.join(sorted(known))}.")
     if out is not None:
         check_writable(out, folder=False)
-    found = paper.run(data, _names(names), pictures, lambda what: typer.echo(what, err=True), _names(presets))
+    found = paper.run(data, _names(names), pictures, _say, _names(presets))
     if out is not None:
         results.save(found, out)
     for rows in (paper.forms(found), paper.experiments(found)):
@@ -644,6 +711,10 @@ def _finish(run: results.Run, out: Path | None) -> None:
     show.terminal(run)
     if not any(record.seconds for record in run.records):
         raise BenchmarkError("nothing could be measured, see above.")
+
+
+def _say(what: str) -> None:
+    typer.echo(what, err=True)
 
 
 def _names(text: str) -> list[str]:

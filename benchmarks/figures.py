@@ -17,6 +17,7 @@ row of `TABLES`.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -304,6 +305,35 @@ def _tiles(folder: Path) -> str:
     return _as_table(rows, 3)
 
 
+def _misalignment(folder: Path) -> str:
+    """BadPix(0.03) less the median error with right, disturbed and lined up cameras, and the shifts of the views."""
+    columns = ("scene, views, px", "disturbance", "undisturbed", "disturbed", "lined up", "shifts before", "after")
+    rows = []
+    for r in value(folder, "misalignment.json", "rows"):
+        array = _ARRAYS.get(r["array"], r["array"].replace("x", " × ")).format(r["views"])
+        levels = (f"{r[name]['level_03']:.1f}" for name in ("right", "wrong", "refined"))
+        shifts = (tables.NONE if r[name] is None else f"{r[name]:.3f}" for name in ("off_px", "left_px"))
+        how = "all five" if r["disturbance"].count(",") == 4 else r["disturbance"].replace("=", " ")
+        rows.append((f"`{r['scene']}`, {array}, {r['crop']}", how, *levels, *shifts))
+    return _as_table([columns, *sorted(rows)], 2)
+
+
+def _judge(folder: Path) -> str:
+    """How often a moved view was found, by scene."""
+    draws = value(folder, "judge.json", "draws")
+    scenes = {**{d["scene"]: [e for e in draws if e["scene"] == d["scene"]] for d in draws}, "all": draws}
+    columns = ("scene", "draws", "found by `check`", "by the quick look", "false alarms", "shift off by at most, px")
+    rows: list[tuple[str, ...]] = [columns]
+    for name, some in scenes.items():
+        counts = (str(sum(bool(d[key]) for d in some)) for key in ("is_found", "is_found_quickly", "false_alarms"))
+        off = max(math.dist(d["found"], d["moved"]) for d in some)
+        rows.append((f"`{name}`" if name != "all" else name, str(len(some)), *counts, f"{off:.3f}"))
+    return _as_table(rows, 1)
+
+
+_ARRAYS = {"star": "star of {}", "row": "row of {}", "irregular": "{} in no grid"}
+
+
 def _as_table(rows: Sequence[tuple[str, ...]], labels: int) -> str:
     return show.markdown_table(tables.Table("", rows[0], labels, rows[1:]))
 
@@ -342,6 +372,8 @@ TABLES: Mapping[str, Table] = {
     "paper": Table(("paper-accuracy.json",), _paper),
     "formulas": Table((), _formulas),
     "forms": Table(("paper.json",), _forms),
+    "judge": Table(("judge.json",), _judge),
+    "misalignment": Table(("misalignment.json",), _misalignment),
     "pipelines": Table(H200, _pipelines),
     "runs": Table(RUNS, _runs),
     "tiles": Table(("tiles.json",), _tiles),

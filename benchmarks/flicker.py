@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from statistics import fmean, median
+from statistics import fmean, geometric_mean, median
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -19,20 +21,28 @@ _SETTLED = 3  # frames after which a map rests on several
 
 @dataclass(frozen=True)
 class Row:
-    """One way of taking frames, means over them: errors as in DESIGN section 8, flicker in 1/1000 px per view step."""
+    """One way of taking a film, means over its frames.
 
+    Errors are MSE x 100 and per cent, over the pixels that are known; `unknown` is the share of the others, per cent.
+    Flicker is in 1/1000 px per view step.
+    """
+
+    seed: int
     preset: str
     past: str
     mse_100: float
     badpix_07: float
     badpix_03: float
     badpix_01: float
+    unknown: float
     flicker: float
     flicker_median: float
     flicker_still: float
     flicker_moving: float
     work_ms: float
 
+
+_COMPARED = "mse_100", "badpix_07", "badpix_01", "flicker", "flicker_still", "flicker_moving"
 
 PASTS = {
     "none": None,
@@ -42,50 +52,69 @@ PASTS = {
 }
 
 
-def run(film: Film, presets: tuple[str, ...], device: str | None, say: Any) -> list[Row]:
+def run(
+    film: Film, presets: tuple[str, ...], pasts: tuple[str, ...], device: str | None, say: Callable[[str], None]
+) -> Iterator[Row]:
     """Take the film in each way."""
-    say(f"casting {film.count} frames")
+    say(f"seed {film.seed}: casting {film.count} frames")
     frames, motions = film.frames(), list(film.motions())
-    rows = []
     for preset in presets:
-        for past, prior in PASTS.items():
-            say(f"{preset}, past: {past}")
+        for past in pasts:
+            prior = PASTS[past]
+            say(f"seed {film.seed}, {preset}, past: {past}")
             with DepthStream(
                 frames[0], config=preset, disparity_range=RANGE, device=device, prior=prior, policy="block", cut=1.0
             ) as stream:
                 maps = [stream.push(lf.views).numpy() for lf in frames]
                 work = stream.stats()["work_p50_ms"]
             metrics = [evaluate(one, lf.truth.disparity) for one, lf in zip(maps, frames, strict=True) if lf.truth]
-            rows.append(_row(preset, past, maps, metrics[_SETTLED:], motions, work))
-    return rows
+            yield _row(film.seed, preset, past, maps, metrics[_SETTLED:], motions, work)
 
 
-def _row(preset: str, past: str, maps: list[Float32Array], metrics: list[Any], motions: list[Any], work: float) -> Row:
+def _row(
+    seed: int,
+    preset: str,
+    past: str,
+    maps: list[Float32Array],
+    metrics: list[Any],
+    motions: list[Any],
+    work: float,
+) -> Row:
     changes = [m.flicker(*maps[i : i + 2]) * 1000 for i, m in enumerate(motions)][_SETTLED:]
-    still = [m.still() for m in motions][_SETTLED:]
+    known = [~np.isnan(change) for change in changes]
+    still = [m.still()[k] for m, k in zip(motions[_SETTLED:], known, strict=True)]
+    changes = [change[k] for change, k in zip(changes, known, strict=True)]
     return Row(
+        seed,
         preset,
         past,
         fmean(m.mse_100 for m in metrics),
         fmean(m.badpix_07 for m in metrics),
         fmean(m.badpix_03 for m in metrics),
         fmean(m.badpix_01 for m in metrics),
-        fmean(float(c.mean()) for c in changes),
+        100 * fmean(float(np.isnan(one).mean()) for one in maps[_SETTLED:]),
+        _mean(changes),
         median(float(np.median(c)) for c in changes),
-        fmean(float(c[s].mean()) for c, s in zip(changes, still, strict=True)),
-        fmean(float(c[~s].mean()) for c, s in zip(changes, still, strict=True) if not s.all()),
+        _mean([c[s] for c, s in zip(changes, still, strict=True)]),
+        _mean([c[~s] for c, s in zip(changes, still, strict=True)]),
         work,
     )
 
 
+def _mean(frames: list[NDArray[np.float64]]) -> float:
+    """Of the means of those frames that have pixels of the kind; NaN if none has."""
+    means = [float(values.mean()) for values in frames if values.size]
+    return fmean(means) if means else float("nan")
+
+
 def show(rows: list[Row]) -> None:
-    """A table; all numbers are the lower the better."""
-    table = Table(
-        "preset", "past", "MSE x100", "BadPix 0.07", "0.03", "0.01", "flicker", "median", "still", "moving", "ms"
-    )
+    """A table; all numbers are the lower the better. Over several films, what the past changes is said in ratios."""
+    table = Table("seed", "preset", "past", "MSE x100", "BadPix 0.07", "0.03", "0.01", "unknown, %")
+    for name in ("flicker", "median", "still", "moving", "ms"):
+        table.add_column(name)
     for row in rows:
-        numbers = list(asdict(row).values())[2:]
-        table.add_row(row.preset, row.past, *(f"{number:.2f}" for number in numbers))
+        numbers = list(asdict(row).values())[3:]
+        table.add_row(str(row.seed), row.preset, row.past, *(f"{number:.2f}" for number in numbers))
     console = Console(highlight=False)
     console.width = max(console.width, 110)
     console.print(table)
@@ -93,3 +122,18 @@ def show(rows: list[Row]) -> None:
         "Flicker: mean |change of the map along the true motion, less the true change|, 1/1000 px per view step, where "
         "a surface is seen before and after; its median; its mean where nothing moves, and on what moves."
     )
+    for preset, past, ratios in against_none(rows):
+        said = ", ".join(f"{name} {mean:.3f} (worst {worst:.3f})" for name, (mean, worst) in ratios.items())
+        console.print(f"{preset}, past {past} to none, geometric means over films: {said}.")
+
+
+def against_none(rows: list[Row]) -> Iterator[tuple[str, str, dict[str, tuple[float, float]]]]:
+    """(preset, past, ratios): geometric mean and largest ratio over the films to the same film without a past."""
+    none = {(row.seed, row.preset): row for row in rows if row.past == "none"}
+    for preset, past in dict.fromkeys((row.preset, row.past) for row in rows if row.past != "none"):
+        some = [row for row in rows if (row.preset, row.past) == (preset, past) and (row.seed, preset) in none]
+        if some:
+            ratios = {
+                name: [getattr(row, name) / getattr(none[row.seed, preset], name) for row in some] for name in _COMPARED
+            }
+            yield preset, past, {name: (geometric_mean(found), max(found)) for name, found in ratios.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -72,9 +72,8 @@ def save(out: Path | None, found: dict[str, Any]) -> None:
             temporary.write_text(json.dumps(found, indent=1), encoding="utf-8")
 
 
-def run(plan: Plan, say: Say) -> list[Row]:
+def run(plan: Plan, say: Say) -> Iterator[Row]:
     """Measure all presets, cold and warm, on all cases."""
-    rows = []
     for case in plan.cases:
         say(f"{case}: casting {plan.frames} frames")
         size = cases.parse(case)
@@ -83,8 +82,7 @@ def run(plan: Plan, say: Say) -> list[Row]:
         for preset in plan.presets:
             for warm in (True, False):
                 say(f"{case} {preset} {'warm' if warm else 'cold'}")
-                rows.append(_measured(case, preset, warm, frames, cold, plan))
-    return rows
+                yield _measured(case, preset, warm, frames, cold, plan)
 
 
 def _measured(

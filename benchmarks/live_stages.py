@@ -8,7 +8,7 @@ that of its floating point operations, where they are counted, at the rate of lo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -108,9 +108,10 @@ class _Watched:
         return call
 
 
-def rates(device: str) -> Rates:
+def rates(device: str | None) -> Rates:
     """What the device does at best: a copy of long vectors, and chains of multiply-adds."""
     kernels = load()
+    device = pick_device(kernels, device)
     stop, capture = clock.stopper(kernels, device), clock.capturer(kernels, device)
     x, y = (kernels.zeros((_LENGTH // 8192, 8192), device) for _ in range(2))
     kernels.fill(1.0, x)
@@ -125,11 +126,13 @@ def rates(device: str) -> Rates:
     return Rates(8 * _LENGTH / copy.seconds.median, 2 * _CHAINS * _CHAIN * 4 / multiply.seconds.median)
 
 
-def run(case: str, film: Film, presets: tuple[str, ...], device: str | None, say: Any) -> tuple[Rates, list[Row]]:
-    """Measure all operations of the presets on one case."""
+def run(
+    case: str, film: Film, presets: tuple[str, ...], device: str | None, found: Rates, say: Callable[[str], None]
+) -> Iterator[Row]:
+    """Measure all operations of the presets on one case, on a device of those rates."""
     kernels = load()
     device = pick_device(kernels, device)
-    found, rows = rates(device), []
+    say(f"{case}: casting a frame")
     lf = film.frames()[0]
     for preset in presets:
         say(f"{case} {preset}: operations")
@@ -148,8 +151,7 @@ def run(case: str, film: Film, presets: tuple[str, ...], device: str | None, say
             calls = list(log)
             for name in dict.fromkeys(call.name for call in calls):
                 some = [call for call in calls if call.name == name]
-                rows.append(_measured(case, preset, warm, name, some, kernels, device, found))
-    return found, rows
+                yield _measured(case, preset, warm, name, some, kernels, device, found)
 
 
 def _measured(

@@ -15,6 +15,11 @@ ROOT = Path(__file__).parents[1]
 _PACKAGES = ("lfgpu", "warp-lang", "taichi", "numpy", "scipy")
 
 
+def about() -> dict[str, Any]:
+    """What a result file says about where it comes from: machine, versions, commit."""
+    return {"machine": describe(), "versions": versions(), "commit": commit()}
+
+
 def describe() -> dict[str, Any]:
     """CPU model, cores that may be used, memory, GPUs and their driver, system, Python."""
     gpus = nvidia_smi("name") or []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -57,6 +58,7 @@ class Row:
     scene: str
     array: str
     views: int
+    crop: int
     disturbance: str
     seed: int
     preset: str
@@ -88,7 +90,7 @@ def run(plan: Plan, say: Say) -> Iterator[Row]:
             raise BenchmarkError(f"unknown array {array!r}; there are {', '.join(ARRAYS)} and other ROWSxCOLUMNS.")
     parsed = {how: Misalignment.parse(how) for how in plan.disturbances}
     for scene in plan.scenes:
-        source = _source(scene)
+        source = recording(scene)
         for array in plan.arrays:
             if (lf := _chosen(source(None), array)) is None:
                 say(f"{scene} has no views for {array}")
@@ -125,7 +127,9 @@ def _measured(
         replace(camera, size=size, principal_point=(camera.principal_point[0] - left, camera.principal_point[1] - top))
         for camera in disturbed.cameras
     ]
-    bounds = _range(wrong)
+    # The part of the shifts in proportion to the offsets moves all disparities alike, and stays.
+    level = 0.0 if moved is not None and moved.any() else _level(wrong, cameras)
+    bounds = _range(wrong, level)
     try:
         found = refine(
             wrong, positions=bool(misalignment.position), disparity_range=bounds, device=plan.device, model="similarity"
@@ -135,15 +139,16 @@ def _measured(
     except LightFieldError as error:
         refined, status, homographies = wrong, str(error), None
     return Row(
-        scene,
+        Path(scene).name,
         array,
         len(chosen.views),
+        max(size),
         how,
         seed,
         plan.preset,
         right,
-        _scored(wrong, plan),
-        _scored(refined, plan),
+        _scored(wrong, plan, level),
+        _scored(refined, plan, level),
         _left(wrong, cameras, None, moved),
         _left(wrong, cameras, homographies, moved),
         status,
@@ -153,10 +158,15 @@ def _measured(
 # --- steps ---
 
 
-def _source(scene: str) -> Callable[[NDArray[np.float64] | None], LightField]:
-    """A light field in a folder, or a scene of the package, rendered from displaced cameras if asked."""
-    if scene in scenes.NAMES and not Path(scene).exists():
-        return lambda moved: scenes.make(scene, grid=(9, 9), size=(256, 256), seed=7, noise=0.004, displaced=moved)
+def recording(scene: str) -> Callable[[NDArray[np.float64] | None], LightField]:
+    """A light field in a folder, or a scene of the package by name and seed, "boxes-11", rendered from displaced
+    cameras if asked."""
+    name, _, seed = scene.partition("-")
+    if name in scenes.NAMES and not Path(scene).exists():
+        if not (seed or "7").isdecimal():
+            raise BenchmarkError(f"unknown scene {scene!r}; write NAME-SEED, as boxes-11.")
+        number = int(seed or "7")
+        return lambda moved: scenes.make(name, grid=(9, 9), size=(256, 256), seed=number, noise=0.004, displaced=moved)
     ((_, path),) = light_fields([Path(scene)]).items()
     lf = read(path)
 
@@ -207,22 +217,27 @@ def _cropped(lf: LightField, crop: int) -> LightField:
     return lf.crop(slice(top, top + height), slice(left, left + width))
 
 
-def _range(lf: LightField) -> tuple[float, float]:
+def _range(lf: LightField, level: float = 0.0) -> tuple[float, float]:
+    """The true range of disparities, all of which are higher by `level`."""
     truth = lf.reference_truth()
     if truth is None:
         raise BenchmarkError(f"{lf.name} has no truth of its reference view to score by.")
-    return float(np.nanmin(truth.disparity)) - _MARGIN, float(np.nanmax(truth.disparity)) + _MARGIN
+    return (
+        float(np.nanmin(truth.disparity)) - _MARGIN + level,
+        float(np.nanmax(truth.disparity)) + _MARGIN + level,
+    )
 
 
-def _scored(lf: LightField, plan: Plan) -> Scores:
-    """Scores of a map with the true range."""
+def _scored(lf: LightField, plan: Plan, level: float = 0.0) -> Scores:
+    """Scores of a map with the true range, moved by `level`."""
     truth = lf.reference_truth()
     assert truth is not None
-    result: DepthResult = estimate_depth(lf, config=plan.preset, disparity_range=_range(lf), device=plan.device)  # type: ignore[arg-type]
+    bounds = _range(lf, level)
+    result: DepthResult = estimate_depth(lf, config=plan.preset, disparity_range=bounds, device=plan.device)  # type: ignore[arg-type]
     found = evaluate(result, truth)
     error = float(np.nanmedian(result.disparity - truth.disparity))
-    level = evaluate(result.disparity - error, truth)
-    return Scores(found.mse_100, found.badpix_07, found.badpix_03, found.badpix_01, level.badpix_03)
+    levelled = evaluate(result.disparity - error, truth)
+    return Scores(found.mse_100, found.badpix_07, found.badpix_03, found.badpix_01, levelled.badpix_03)
 
 
 def _left(
@@ -234,6 +249,17 @@ def _left(
     """Shift of the views, rms along each axis, of where pixels are looked up against where they should be."""
     if moved is not None and moved.any():
         return None  # what parallax does of it differs from pixel to pixel
+    rest = consensus.without_gauge(_shifts(lf, cameras, homographies), lf.offsets)
+    return float(np.sqrt((rest**2).mean()))
+
+
+def _level(lf: LightField, cameras: Sequence[Camera]) -> float:
+    """By how much the shifts of the cameras raise all disparities, pixels per view step."""
+    return float((_shifts(lf, cameras, None) * lf.offsets).sum() / (lf.offsets**2).sum())
+
+
+def _shifts(lf: LightField, cameras: Sequence[Camera], homographies: NDArray[np.float64] | None) -> NDArray[np.float64]:
+    """[n, 2], pixels to the right and down from where things should be to where they are looked up, on average."""
     height, width = lf.size
     y, x = np.mgrid[: height - 1 : 7j, : width - 1 : 7j]
     pixels = np.stack([x, y], axis=-1)
@@ -242,8 +268,17 @@ def _left(
         should = real.project(ideal.rays(pixels) @ np.asarray(ideal.rotation) @ np.asarray(real.rotation).T)
         looked_up = pixels if homographies is None else through(homographies[n], pixels)
         shifts.append((looked_up - should).mean(axis=(0, 1)))
-    rest = consensus.without_gauge(np.array(shifts), lf.offsets)
-    return float(np.sqrt((rest**2).mean()))
+    return np.array(shifts)
+
+
+def load(path: Path) -> list[Row]:
+    """The rows of a file; BenchmarkError if it is none of these."""
+    scores = ("right", "wrong", "refined")
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
+        return [Row(**{**row, **{name: Scores(**row[name]) for name in scores}}) for row in rows]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BenchmarkError(f"{path} holds no rows of `benchmarks misalignment`.") from error
 
 
 def show(rows: list[Row]) -> None:
@@ -257,7 +292,7 @@ def show(rows: list[Row]) -> None:
         numbers = (row.right.badpix_03, row.wrong.badpix_03, row.refined.badpix_03)
         levels = (row.right.level_03, row.refined.level_03)
         table.add_row(
-            Path(row.scene).name,
+            row.scene,
             row.array,
             row.disturbance,
             *(f"{number:.1f}" for number in (*numbers, *levels)),

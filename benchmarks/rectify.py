@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,12 +64,12 @@ def run(
     say: Say,
     *,
     seconds: float = 5.0,
-) -> list[Row]:
+) -> Iterator[Row]:
     """Measure all cases on all backends that have the device, each time for so many seconds at most."""
-    rows = []
     for case in cases:
         say(f"{case.name}: casting a scene and disturbing its cameras")
-        raw, rectifier, host_ms = _rig(case)
+        scene = scenes.make("boxes", grid=case.grid, size=case.size, seed=0, noise=0.005)
+        pictures, rectifier, host_ms = raw(scene)
         for backend in backends:
             try:
                 place = pick_device(load(backend), device)
@@ -77,13 +77,11 @@ def run(
                 say(f"{case.name} {backend}: {error}")
                 continue
             say(f"{case.name} {backend} {place}")
-            rows.append(_measured(case, preset, backend, place, raw, rectifier, host_ms, seconds))
-    return rows
+            yield _measured(case, preset, backend, place, pictures, rectifier, host_ms, seconds)
 
 
-def _rig(case: Case) -> tuple[LightField, Rectifier, float]:
-    """Raw pictures, their rectifier, and milliseconds that the host takes to rectify them."""
-    lf = scenes.make("boxes", grid=case.grid, size=case.size, seed=0, noise=0.005)
+def raw(lf: LightField) -> tuple[LightField, Rectifier, float]:
+    """Pictures that `RIG` takes of a scene, their rectifier, and milliseconds that the host takes to rectify them."""
     wrong = disturb(lf, RIG)
     made = rectify(wrong.light_field, calibration=Calibration(wrong.cameras, "rig", "lfgpu"))
     assert made.rig is not None
@@ -100,13 +98,13 @@ def _measured(
     preset: str,
     backend: str,
     device: str,
-    raw: LightField,
+    pictures: LightField,
     rectifier: Rectifier,
     host_ms: float,
     seconds: float,
 ) -> Row:
     kernels = load(backend)
-    rectified = rectifier.rectified(raw, kernels, device)
+    rectified = rectifier.rectified(pictures, kernels, device)
     used = method_of(preset).used_views(rectified)
 
     def timed(work: Callable[[], None]) -> float:
@@ -123,27 +121,27 @@ def _measured(
 
     options = {"config": preset, "disparity_range": _RANGE, "backend": backend_named(backend), "device": device}
     plain = DepthPipeline(rectified, **options)  # type: ignore[arg-type]
-    whole = DepthPipeline(raw, rectifier=rectifier, measured=plain.measured, **options)  # type: ignore[arg-type]
+    whole = DepthPipeline(pictures, rectifier=rectifier, measured=plain.measured, **options)  # type: ignore[arg-type]
     return Row(
         case.name,
         preset,
         backend,
         device,
-        len(raw.views),
+        len(pictures.views),
         len(used),
-        timed(Rectification(rectifier, raw, kernels, device).work),
-        timed(Rectification(rectifier, raw, kernels, device, used=used).work),
+        timed(Rectification(rectifier, pictures, kernels, device).work),
+        timed(Rectification(rectifier, pictures, kernels, device, used=used).work),
         frame(plain),
         frame(whole),
         host_ms,
-        _error(raw, rectifier, rectified),
+        _error(pictures, rectifier, rectified),
     )
 
 
-def _error(raw: LightField, rectifier: Rectifier, rectified: LightField) -> float:
+def _error(pictures: LightField, rectifier: Rectifier, rectified: LightField) -> float:
     """Against the reference in the last view."""
     reference = load("reference")
-    found = Rectification(rectifier, raw, reference, "cpu", used=[len(raw.views) - 1])
+    found = Rectification(rectifier, pictures, reference, "cpu", used=[len(pictures.views) - 1])
     found.work()
     return float(np.abs(reference.numpy(found.views)[0] - rectified.views[-1]).max())
 

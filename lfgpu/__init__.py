@@ -36,7 +36,8 @@ if TYPE_CHECKING:
     from lfgpu.pipelines.grouper import FrameGroup, FrameGrouper
     from lfgpu.pipelines.pipeline import DepthPipeline
     from lfgpu.pipelines.rectifier import Rectifier
-    from lfgpu.pipelines.stream import DepthStream, FrameDroppedError, StreamResult
+    from lfgpu.pipelines.stream import DepthStream
+    from lfgpu.pipelines.stream_result import FrameDroppedError, StreamResult
     from lfgpu.reports.report import write_report
     from lfgpu.threads import get_threads, set_threads
     from lfgpu.viewer import Viewer
@@ -55,7 +56,7 @@ _HOMES = {
     "DepthStream": "pipelines.stream",
     "DisparityMap": "data.result",
     "Explanation": "calibration",
-    "FrameDroppedError": "pipelines.stream",
+    "FrameDroppedError": "pipelines.stream_result",
     "FrameGroup": "pipelines.grouper",
     "FrameGrouper": "pipelines.grouper",
     "Geometry": "data.geometry",
@@ -68,7 +69,7 @@ _HOMES = {
     "Rectifier": "pipelines.rectifier",
     "RenderedView": "viz.rendering",
     "Renderer": "viz.rendering",
-    "StreamResult": "pipelines.stream",
+    "StreamResult": "pipelines.stream_result",
     "TemporalPrior": "methods.temporal_prior",
     "Viewer": "viewer",
     "ViewsResult": "data.views_result",

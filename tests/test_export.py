@@ -15,7 +15,8 @@ from lfgpu.kernels.warp import recording as exporting
 from typer.testing import CliRunner
 
 import lfgpu
-from lfgpu import scenes
+from lfgpu import Rectifier, scenes
+from lfgpu.calibration import Calibration, Misalignment, disturb, rectify, write_rectified
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import write_hci
@@ -106,6 +107,35 @@ def test_each_frame_on_its_own(program: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.fromfile(tmp_path / "maps.raw", np.float32).reshape(want.shape), want)
 
 
+def raw_film() -> tuple[list[np.ndarray], Rectifier]:
+    """The film as cameras record it that are out of line, and what puts it right."""
+    wrong = Misalignment(shift=1, roll=0.3, distortion=0.02, gain=0.1, vignetting=0.1)
+    seen = [disturb(lf, wrong, seed=2).light_field for lf in film()]
+    cameras = disturb(film()[0], wrong, seed=2).cameras
+    made = rectify(seen[0], calibration=Calibration(cameras, "rig", "lfgpu"))
+    return [lf.views for lf in seen], made.rectifier()
+
+
+@pytest.mark.parametrize("config", ["accurate", "fast"])
+def test_raw_pictures_are_rectified_without_python(program: Path, tmp_path: Path, config: str) -> None:
+    """All views are used by `accurate`, a star of them by `fast`."""
+    raw, rectifier = raw_film()
+    first = rectifier.pictures(raw[0])
+    lfgpu.export_pipeline(first, tmp_path / "out", config=config, disparity_range=RANGE, rectifier=rectifier)
+    np.stack(raw).tofile(tmp_path / "frames.raw")
+    options = {"config": config, "disparity_range": RANGE, "device": "cpu", "policy": "block"}
+    with lfgpu.DepthStream(first, rectifier=rectifier, **options) as stream:
+        results = [stream.push(views) for views in raw]
+        want = np.array([[r.numpy(), r.confidence()] for r in results])
+    done = replayed(program, tmp_path / "out", tmp_path / "frames.raw", tmp_path / "maps.raw", "--threads", "2")
+    assert done.returncode == 0, done.stderr
+    got = np.fromfile(tmp_path / "maps.raw", np.float32).reshape(want.shape)
+    np.testing.assert_array_equal(got, want)
+    with lfgpu.DepthStream(first, **options) as stream:
+        assert not np.array_equal(stream.push(raw[0]).numpy(), want[0, 0], equal_nan=True)
+    assert "raw pictures" in (tmp_path / "out" / "README.txt").read_text()
+
+
 USER = r"""
 #include <lfgpu_replay.h>
 #include <cstdio>
@@ -181,6 +211,18 @@ def test_command_and_what_it_writes(tmp_path: Path) -> None:
     assert about["disparity_range"] == [-1, 1]
     assert str(9 * SIZE[0] * SIZE[1] * 3) in (tmp_path / "out" / "README.txt").read_text()
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {path.name for path in NATIVE.glob("*replay*")}
+
+
+def test_command_with_a_rectifier(tmp_path: Path) -> None:
+    wrong = disturb(film()[0], Misalignment(shift=1), seed=2)
+    write_hci(wrong.light_field, tmp_path / "in")
+    write_rectified(
+        rectify(wrong.light_field, calibration=Calibration(wrong.cameras, "rig", "lfgpu")), tmp_path / "rig"
+    )
+    options = ["--preset=fast", "--disparity-range=-1,1", f"--rectify={tmp_path / 'rig'}"]
+    outcome = CliRunner().invoke(app, ["export", str(tmp_path / "in"), "-o", str(tmp_path / "out"), *options])
+    assert outcome.exit_code == 0, outcome.output
+    assert json.loads((tmp_path / "out" / "pipeline.json").read_text())["rectified"]
 
 
 def test_command_reads_as_depth_does(tmp_path: Path) -> None:

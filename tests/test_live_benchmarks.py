@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import clock, flicker, live_stages, moving, ring, soak
+from benchmarks import clock, flicker, gpu_parity, live_stages, moving, native, ring, soak
 from benchmarks.cli import app
 from lfgpu import scenes
+from lfgpu.calibration import RigWatch
 from lfgpu.io.ring import RingReader, RingWriter
+from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.stream import DepthStream
 
 FILM = moving.Film((3, 3), (64, 72), 4, period=40)
@@ -65,13 +69,19 @@ def test_motion_in_other_views(truth: list[np.ndarray]) -> None:
 
 def test_flicker_command_finds_that_the_past_helps(tmp_path: Path) -> None:
     out = tmp_path / "flicker.json"
-    arguments = ["flicker", "--case=3x3x64x64", "--frames=8", "--presets=fast", "--device=cpu", "-o", str(out)]
-    outcome = CliRunner().invoke(app, arguments)
+    arguments = ["flicker", "--case=3x3x64x64", "--frames=8", "--seeds=0", "--presets=fast", "--device=cpu"]
+    outcome = CliRunner().invoke(app, [*arguments, "-o", str(out)])
     assert outcome.exit_code == 0, outcome.output
     rows = {row["past"]: row for row in json.loads(out.read_text())["rows"]}
     assert list(rows) == list(flicker.PASTS)
     assert rows["whole"]["flicker_median"] < 0.7 * rows["none"]["flicker_median"]
-    assert "flicker" in outcome.stdout
+    assert "geometric means over films" in outcome.stdout
+
+
+def test_flicker_command_with_a_past_that_is_none() -> None:
+    outcome = CliRunner().invoke(app, ["flicker", "--pasts=some"])
+    assert outcome.exit_code == 1
+    assert "costs only" in outcome.stderr
 
 
 def test_live_command(tmp_path: Path) -> None:
@@ -132,6 +142,30 @@ def test_cases_that_are_none() -> None:
     assert "ROWSxCOLUMNSxHEIGHTxWIDTH" in outcome.stderr
 
 
+def test_parity_is_written_file_by_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that a run that is ended keeps what it has."""
+    options = '    parser.addoption("--backend"), parser.addoption("--device")'
+    (tmp_path / "conftest.py").write_text(f"def pytest_addoption(parser):\n{options}\n")
+    (tmp_path / "test_one.py").write_text('def test_it(record_property):\n    record_property("splat", 0.25)\n')
+    monkeypatch.setattr(gpu_parity, "ROOT", tmp_path)
+    monkeypatch.setattr(gpu_parity, "FILES", ("test_one.py", "not_there.py"))
+    out = tmp_path / "parity.json"
+    outcome = CliRunner().invoke(app, ["gpu-parity", "--device=cpu", "-o", str(out)])
+    assert outcome.exit_code == 1
+    assert "not_there" in outcome.stderr
+    found = json.loads(out.read_text())
+    assert (found["files"], found["left"]) == (["test_one.py"], ["not_there.py"])
+    assert (found["passed"], found["failed"], found["errors"]) == (1, [], {"splat": 0.25})
+
+
+def test_parity_takes_all_files_of_kernels_that_ask_for_a_device() -> None:
+    asking = re.compile(r"^def test_.*\b(target|other):", re.MULTILINE | re.DOTALL)
+    folder = Path(__file__).with_name("kernels")
+    wanted = {f"tests/kernels/{path.name}" for path in folder.glob("test_*.py") if asking.search(path.read_text())}
+    assert wanted - {"tests/kernels/test_warp_threads.py"} <= set(gpu_parity.FILES)
+    assert wanted
+
+
 # --- the soak ---
 
 
@@ -139,8 +173,13 @@ def plan(frames: int) -> soak.Plan:
     return soak.Plan(frames, (3, 3), (24, 24), "fast", 0, "cpu", burst=12)
 
 
+def soaked(frames: int) -> soak.Found:
+    *_, found = soak.run(plan(frames), quiet)
+    return found
+
+
 def test_soak() -> None:
-    found = soak.run(plan(SOAK), quiet)
+    found = soaked(SOAK)
     assert found.problems == []
     stats = found.stats
     assert stats["frames_pushed"] == SOAK + 2
@@ -149,14 +188,37 @@ def test_soak() -> None:
         assert stats[name] > SOAK / 500
 
 
+def test_soak_of_raw_pictures(tmp_path: Path) -> None:
+    out = tmp_path / "soak.json"
+    arguments = ["soak", "--frames=30", "--case=3x3x48x48", "--preset=fast", "--rectify", "--device=cpu"]
+    outcome = CliRunner().invoke(app, [*arguments, "-o", str(out)])
+    assert outcome.exit_code == 0, outcome.output
+    found = json.loads(out.read_text())
+    assert found["plan"]["rectified"]
+    assert found["problems"] == []
+    assert found["stats"]["frames_pushed"] == 32
+
+
+def test_soak_that_is_ended_leaves_what_it_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    looks = iter([None, None])
+    monkeypatch.setattr(soak, "_look", lambda found: next(looks))
+    out = tmp_path / "soak.json"
+    options = ["--frames=20", "--case=3x3x24x24", "--preset=fast", "--device=cpu", f"--out={out}"]
+    CliRunner().invoke(app, ["soak", *options])
+    assert json.loads(out.read_text())["stats"]["frames_pushed"] == 3
+
+
 def test_soak_notices_a_lost_count(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(DepthStream, "_fail", lambda self, result, error: result._fail(error))
-    assert any("counts are wrong" in problem for problem in soak.run(plan(40), quiet).problems)
+    assert any("counts are wrong" in problem for problem in soaked(40).problems)
 
 
 def test_soak_notices_a_bad_frame_that_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(DepthStream, "_checked_valid", lambda self, valid: np.ones(9, bool))
-    assert any("was taken" in problem for problem in soak.run(plan(100), quiet).problems)
+    monkeypatch.setattr(Intake, "checked_valid", lambda self, valid: np.ones(9, bool))
+    monkeypatch.setattr(soak, "_BAD", 0.5)
+    one_by_one = replace(plan(40), burst=1)  # none is dropped
+    *_, found = soak.run(one_by_one, quiet)
+    assert any("was taken" in problem for problem in found.problems)
 
 
 def test_soak_notices_memory_that_grows() -> None:
@@ -171,7 +233,7 @@ def test_soak_notices_another_map_at_the_end(monkeypatch: pytest.MonkeyPatch) ->
     """As there is if it still starts from the last one."""
     monkeypatch.setattr(DepthStream, "restart", lambda self: None)
     monkeypatch.setattr(soak, "_CUT", 0.0)
-    assert any("another map" in problem for problem in soak.run(plan(40), quiet).problems)
+    assert any("another map" in problem for problem in soaked(40).problems)
 
 
 def test_what_rectification_adds_is_measured(tmp_path: Path) -> None:
@@ -185,3 +247,45 @@ def test_what_rectification_adds_is_measured(tmp_path: Path) -> None:
     assert row["error"] < 0.51  # whole numbers are stored
     assert min(row["all_ms"], row["used_ms"], row["frame_ms"], row["rectified_ms"], row["host_ms"]) > 0
     assert row["added_ms"] == pytest.approx(row["rectified_ms"] - row["frame_ms"])
+
+
+def test_a_program_whose_maps_differ_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whose maps are all 0, and which says the times that it likes; `test_export` has the real one."""
+    program = tmp_path / "replay"
+    said = "4 frames, 1 without the map before; 1.50 ms each in the median, 2.50 ms for 99 %"
+    size = 2 * 2 * 4 * 32 * 32
+    program.write_text(f'#!/bin/sh\nhead -c {size} /dev/zero > "$3"\necho "{said}" >&2\n')
+    program.chmod(0o755)
+    monkeypatch.setattr(native, "_built", lambda sources, build: program)
+    out = tmp_path / "native.json"
+    options = ["--cases=3x3x32x32", "--presets=fast", "--threads=2", "--frames=2", "--repeats=2", f"--out={out}"]
+    outcome = CliRunner().invoke(app, ["native", *options])
+    assert outcome.exit_code == 1, outcome.output
+    (row,) = json.loads(out.read_text())["rows"]
+    assert (row["threads"], row["native_p50"], row["native_p99"], row["same_bits"]) == (2, 1.5, 2.5, False)
+    assert 0 < row["python_p50"] <= row["python_p99"]
+
+
+# --- hours of drifting gains ---
+
+DRIFT = ["drift", "--hours=0.04", "--every=10", "--amplitude=0.3", "--case=3x3x48x48", "--device=cpu"]
+
+
+def test_tones_follow_gains_that_drift(tmp_path: Path) -> None:
+    out = tmp_path / "drift.json"
+    outcome = CliRunner().invoke(app, [*DRIFT, f"--out={out}"])
+    assert outcome.exit_code == 0, outcome.output
+    found = json.loads(out.read_text())
+    assert found["count"] == 14
+    assert found["problems"] == []
+    last = found["looks"][-1]
+    assert last["drifted"] > 0.02
+    assert last["left"] < 0.5 * last["drifted"]
+    assert found["left_rms_most"] < 0.03
+
+
+def test_tones_that_do_not_follow_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(RigWatch, "_equalise", lambda self, found: None)
+    outcome = CliRunner().invoke(app, DRIFT)
+    assert outcome.exit_code == 1
+    assert "% of their brightness" in " ".join(outcome.stdout.split())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import types
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -339,11 +339,19 @@ class _Page:
     def __init__(self, lf: LightField) -> None:
         self.contents = types.SimpleNamespace(lf=lf)
         self.shown: list[tuple[np.ndarray, np.ndarray]] = []
+        self.facts: list[dict[str, Any]] = []
         self.closed = False
 
-    def update(self, disparity: Any, confidence: Any, *, views: Any) -> None:
+    def update(self, disparity: Any, confidence: Any, *, views: Any, **facts: Any) -> None:
         assert confidence.shape == disparity.shape
         self.shown.append((disparity, views))
+        self.facts.append(facts)
+
+    def offer(self, **switches: Any) -> None:
+        self.switches = switches
+
+    def switch(self, name: str, on: bool) -> None:
+        self.switches[name](on)
 
     def close(self) -> None:
         self.closed = True
@@ -362,9 +370,12 @@ def test_the_page_shows_maps_with_their_own_frames(monkeypatch: pytest.MonkeyPat
             yield buffer
 
     options: dict[str, Any] = {"config": "fast", "disparity_range": (-1, 1), "device": "cpu"}
-    with live.View(film()[0]) as page, lfgpu.DepthStream(film()[0], policy="block", prior=None, **options) as stream:
-        feed(stream, frames(), tag=page.kept, on_done=page.show)
+    stream = lfgpu.DepthStream(film()[0], policy="block", prior=None, **options)
+    with live.View(film()[0], records=False) as page, stream:
+        feed(stream, frames(), tag=page.kept, on_done=partial(page.show, stream))
     (shown,) = pages
+    assert shown.switches["record"] is None  # nothing to switch
+    assert all(facts["rate"] >= 0 and 0 < facts["latency"] < 600 and facts["dropped"] == 0 for facts in shown.facts)
     assert shown.closed
     for (_, views), lf in zip(shown.shown, film(), strict=True):
         np.testing.assert_array_equal(views, lf.views)
@@ -372,6 +383,35 @@ def test_the_page_shows_maps_with_their_own_frames(monkeypatch: pytest.MonkeyPat
     np.testing.assert_array_equal(shown.shown[0][0], want)
 
 
+def test_what_is_switched_on_the_page(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """After the first frame the stream is paused for two questions, and then nothing is recorded any more."""
+    pages: list[_Page] = []
+    monkeypatch.setattr("lfgpu.viewer.Viewer", lambda lf: pages.append(_Page(lf)) or pages[-1])
+    monkeypatch.setattr("lfgpu.pipelines.sources.feeding._ASKED_AGAIN", 0.0)
+    asked: list[int] = []
+
+    def stop() -> bool:
+        asked.append(stream.stats()["frames_pushed"])
+        if len(asked) == 2:
+            pages[0].switch("pause", True)
+        if len(asked) == 4:
+            assert stream.stats()["frames_done"] == 1  # its map was waited for
+            pages[0].switch("record", False)
+            pages[0].switch("pause", False)
+        return False
+
+    options: dict[str, Any] = {"config": "fast", "disparity_range": (-1, 1), "device": "cpu"}
+    stream = lfgpu.DepthStream(film()[0], policy="block", **options)
+    with live.View(film()[0], records=True) as page, stream:
+        frames = recorded(iter(film()), film()[0], tmp_path, wanted=page.records)
+        feed(stream, frames, stop=stop, hold=page.pauses)
+    assert asked[:5] == [0, 1, 1, 1, 2]
+    assert [folder.name for folder in tmp_path.iterdir()] == ["frame_000000"]
+    assert stream.stats()["frames_done"] == len(film())
+
+
 def test_without_a_page_no_frame_is_kept() -> None:
-    with live.View(None) as page:
+    with live.View(None, records=True) as page:
+        assert page.records()
+        assert not page.pauses()
         assert page.kept(0, film()[0].views) is None

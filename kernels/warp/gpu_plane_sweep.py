@@ -54,7 +54,7 @@ _SWEEP_STRIP = """
     for (int r = 0; r < STRIP + 2; ++r)
         for (int c = 0; c < CHANNELS; ++c)
             color[r][c] = image.data[within(y + r - 1, height) * width + column].c[c];
-    // Of a sweep of what is seen, the sums are those past either surface; of one by view sets, those of each set.
+    // Of a sweep of what is seen, the sums are those past each surface; of one by view sets, those of each set.
     float cost[STRIP] = {}, number[STRIP] = {}, sums[SETS][STRIP] = {}, counts[SETS][STRIP] = {};
     const float deepest = limits.data[l];
 
@@ -99,7 +99,7 @@ _SWEEP_STRIP = """
                 if (SEEN && takes) {
                     const size_t there = n * plane + (row + dy + down) * width + x + dx + right;
                     front = nearest.data[there];
-                    sure = certain.data[there];
+                    if (SETS > 1) sure = certain.data[there];
                 }
                 float size = 0.f, slope = 0.f, along = 0.f;
                 for (int c = 0; c < CHANNELS; ++c) {
@@ -115,7 +115,7 @@ _SWEEP_STRIP = """
                         sums[0][r - 2] += robust;
                         counts[0][r - 2] += 1.f;
                     }
-                    if (takes && sure <= deepest) {
+                    if (SETS > 1 && takes && sure <= deepest) {
                         sums[SETS - 1][r - 2] += robust;
                         counts[SETS - 1][r - 2] += 1.f;
                     }
@@ -198,7 +198,7 @@ def pack_kernel(channels: int, stored: Any) -> Any:
 
 @once
 def sweep_kernel(channels: int, stored: Any, sums: int, seen: bool, set_penalty: float) -> Any:
-    """The kernel for so many sums: of view sets or, if `seen`, of views that see a pixel past either surface."""
+    """The kernel for so many sums: of view sets or, if `seen`, of views that see a pixel past each surface, 1 or 2."""
     pixel, kept_pixel = pixel_type(channels), kept_type(channels, stored)
     code = _SWEEP_STRIP
     for name, value in (

@@ -25,7 +25,7 @@ wp.set_module_options({"enable_backward": False})
 _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
 _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 _STRIP = 16  # rows of sums that stay in a cache of a CPU
-_SURFACES = 2  # past which views see a pixel: the nearest one, and what is certain of it
+_SURFACES = 2  # past which views see a pixel, at most: the nearest one, and what is certain of it
 
 _SWEEP = """
     const int height = image.shape[1], width = image.shape[2], views_there = order.shape[0];
@@ -37,7 +37,7 @@ _SWEEP = """
     float* const levels = differences + (size_t)3 * CHANNELS * wide;  // [2, CHANNELS, width], between two columns
     float* const group = levels + (size_t)2 * CHANNELS * width;       // [2, STRIP, width]: cost and count
     float* const sums = group + 2 * strip;                            // [view_sets, 2, STRIP, width]
-    const bool seen = nearest.data;                                   // the sums are those past either surface
+    const bool seen = nearest.data;                                   // the sums are those past each surface
     auto least_of = [](auto a, auto b) { return a < b ? a : b; };
     auto size_of = [](float a) { return a < 0.f ? -a : a; };
     auto within = [](int i, int size) { return i < 0 ? 0 : i < size ? i : size - 1; };
@@ -138,8 +138,11 @@ _SWEEP = """
                 auto recorded = [&](int x) { return mask[x + near_x] != 0.f; };
                 auto sees = [&](int x) { return surface[x + near_x] <= deepest; };
                 auto past = [&](int x) { return sure[x + near_x] <= deepest; };
-                if (seen && valid.data) add(Both(), recorded, sees, past);
-                else if (seen) add(Both(), all, sees, past);
+                const bool both = seen && view_sets > 1;
+                if (both && valid.data) add(Both(), recorded, sees, past);
+                else if (both) add(Both(), all, sees, past);
+                else if (seen && valid.data) add(One(), recorded, sees, past);
+                else if (seen) add(One(), all, sees, past);
                 else if (valid.data) add(One(), recorded, all, all);
                 else add(One(), all, all, all);
             }
@@ -335,10 +338,6 @@ class _PlaneSweep:
         if not self._device.is_cpu:
             self._views = wp.empty((n, height, width), dtype=kept_type(channels, stored), device=self._device)
             self._pack = pack_kernel(channels, stored)
-            self._kernel = {
-                seen: sweep_kernel(channels, stored, _SURFACES if seen else self._view_sets, seen, _PENALTY)
-                for seen in (False, True)
-            }
             return
         self._kernels = _cpu_kernels(channels, stored)
         self._views = wp.empty((n, channels, height, width), dtype=_kept(stored), device="cpu")
@@ -351,14 +350,16 @@ class _PlaneSweep:
         self._sweep(None, None, self._view_sets, 1.0, 0.0, volume_out)
 
     def by_visibility(self, nearest: Any, certain: Any, volume_out: Any) -> None:
-        self._sweep(nearest, certain, _SURFACES, self._least, self._penalty, volume_out)
+        surfaces = 1 if nearest.ptr == certain.ptr else _SURFACES  # one surface needs no second sum
+        self._sweep(nearest, certain, surfaces, self._least, self._penalty, volume_out)
 
     def _sweep(self, nearest: Any, certain: Any, sums: int, least: float, penalty: float, volume_out: Any) -> None:
         _, height, width, _ = self._shape
         planned = [nearest, certain, self._order, self._members, self._shifts, self._deepest]
         if not self._device.is_cpu:
             seen = nearest is not None
-            kernel, dim = self._kernel[seen], threads_of(self._count, height, width, seen=seen)
+            kernel = sweep_kernel(self._shape[3], self._stored, sums, seen, _PENALTY)
+            dim = threads_of(self._count, height, width, seen=seen)
             inputs = [self._views, self._image, *planned, *self._numbers, least, penalty]
             launch(kernel, dim, inputs, [volume_out], device=self._device, block_dim=BLOCK)
             return

@@ -92,7 +92,9 @@ _FITS: dict[str, Callable[[Any], bool]] = {
     "metrics": lambda value: value is None or _are(lambda score: score is None or _is_number(score))(value),
     "disparity_range": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)),
     "size": lambda value: isinstance(value, list) and len(value) == 2 and all(map(_is_number, value)),
-    "notes": lambda value: isinstance(value, list) and all(isinstance(note, str) for note in value),
+    **dict.fromkeys(
+        ("notes", "remarks"), lambda value: isinstance(value, list) and all(isinstance(v, str) for v in value)
+    ),
 }
 """What the entries of a line have to be that are used."""
 

@@ -129,7 +129,7 @@ def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "name": entry["item"],
         "error": "" if done else entry.get("error", ""),
-        "notes": entry.get("notes", []),
+        "notes": [*entry.get("notes", []), *entry.get("remarks", [])],
         "link": f"{folder}/{ITEM_REPORT if ITEM_REPORT in sizes else ''}" if done else "",
         "view": f"{folder}/{VIEW_FILE}" if VIEW_FILE in sizes else "",
         "picture": f"{folder}/{PREVIEW_FILE}" if PREVIEW_FILE in sizes else "",

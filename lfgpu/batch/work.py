@@ -113,15 +113,19 @@ def work(job: Job, device: str | None = None) -> dict[str, Any]:
 
 
 def _done(job: Job, device: str | None) -> dict[str, Any]:
+    from lfgpu.calibration import judged
     from lfgpu.io import atomic_folder
 
     clock = _Clock()
     lf = _read(job.item.source, job.settings)
     clock.lap("read")
     result = _estimate(lf, job, pick_device(load(job.settings.backend), device))
+    clock.lap("estimate")
     if not job.item.sequence:  # it would be said of each frame
         result = doubted(result, doubt_about(lf, job.settings.disparity_range))
-    clock.lap("estimate")
+        with suppress(LightFieldError):  # the map says nothing of the cameras
+            result = judged(lf, result, backend=job.settings.backend, device=result.device, quickly=True)
+    clock.lap("judge")
     scores = _scores(lf, result)
     out = Path(job.out, job.item.name)
     out.parent.mkdir(parents=True, exist_ok=True)  # other workers may create it at the same time
@@ -144,6 +148,7 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
         "device": result.device,
         "converged": result.converged,
         "notes": [*lf.notes, *result.notes],
+        "remarks": list(result.remarks),
         "times": clock.laps,
     }
 

@@ -3,6 +3,7 @@
 from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.export import export_scene
 from lfgpu.calibration.formats import Calibration, read_calibration, write_cameras
+from lfgpu.calibration.glance import glance
 from lfgpu.calibration.judge import Explanation, explain, remarks, residual_pictures
 from lfgpu.calibration.misalign import Disturbed, Misalignment, disturb
 from lfgpu.calibration.parallel import CameraInfo, camera_info
@@ -33,6 +34,7 @@ __all__ = [
     "explain",
     "export_scene",
     "fit_rig",
+    "glance",
     "judged",
     "load_pictures",
     "read_calibration",

@@ -107,12 +107,31 @@ def choose_points(
         known &= lf.valid[lf.reference_index]
     far = float(np.nanmin(disparity)) if known.any() else 0.0
     map_ = np.where(known, disparity, far).astype(np.float32)
+    flat = ndimage.maximum_filter(map_, 5) - ndimage.minimum_filter(map_, 5) <= _EDGE / farthest(lf)
+    y, x, tile = textured(lf, flat & inner(known), most)
+    visible = np.empty((len(lf.views), len(y)), np.float32)
+    field = kernels.field(map_, device)
+    for first in range(0, len(lf.views), _AT_ONCE):
+        offsets = lf.offsets[first : first + _AT_ONCE]
+        seen = kernels.zeros((len(offsets), height, width), device)
+        kernels.visible(field, kernels.field(offsets, device), tolerance=_TOLERANCE / farthest(lf), visible_out=seen)
+        visible[first : first + _AT_ONCE] = kernels.numpy(seen)[:, y, x]
+    return Points(x.astype(np.float64), y.astype(np.float64), map_[y, x].astype(np.float64), visible, tile)
+
+
+def inner(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """[y, x], what is known less a margin of three pixels."""
+    return np.asarray(ndimage.binary_erosion(known, iterations=3, border_value=0))
+
+
+def textured(
+    lf: LightField, usable: NDArray[np.bool_], most: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Rows, columns and tiles of up to `most` pixels of the reference with texture, where they are usable [y, x]."""
     image = ndimage.gaussian_filter(grey(lf, lf.reference_index), 0.7)
     strength = np.hypot(ndimage.sobel(image, 0), ndimage.sobel(image, 1)) / 8
-    flat = ndimage.maximum_filter(map_, 5) - ndimage.minimum_filter(map_, 5) <= _EDGE / farthest(lf)
-    usable = flat & ndimage.binary_erosion(known, iterations=3, border_value=0) & (strength >= _LEAST_GRADIENT)
-    side = max(height, width) / _TILES
-    rows, columns = np.nonzero(usable)
+    side = max(lf.size) / _TILES
+    rows, columns = np.nonzero(usable & (strength >= _LEAST_GRADIENT))
     tiles = (rows / side).astype(np.intp) * _TILES + (columns / side).astype(np.intp)
     share = max(1, most // max(1, len(np.unique(tiles))))
     order = np.lexsort((-strength[rows, columns], tiles))
@@ -120,15 +139,7 @@ def choose_points(
     rank = np.arange(len(order)) - np.repeat(starts, np.diff([*starts, len(order)]))
     # Of each part every third of the strongest three times as many: neighbours tell the same.
     kept = order[(rank < 3 * share) & (rank % 3 == 0)] if len(order) > most else order
-    y, x = rows[kept], columns[kept]
-    visible = np.empty((len(lf.views), len(kept)), np.float32)
-    field = kernels.field(map_, device)
-    for first in range(0, len(lf.views), _AT_ONCE):
-        offsets = lf.offsets[first : first + _AT_ONCE]
-        seen = kernels.zeros((len(offsets), height, width), device)
-        kernels.visible(field, kernels.field(offsets, device), tolerance=_TOLERANCE / farthest(lf), visible_out=seen)
-        visible[first : first + _AT_ONCE] = kernels.numpy(seen)[:, y, x]
-    return Points(x.astype(np.float64), y.astype(np.float64), map_[y, x].astype(np.float64), visible, tiles[kept])
+    return rows[kept], columns[kept], tiles[kept]
 
 
 class Surface:

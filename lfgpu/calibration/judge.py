@@ -191,7 +191,7 @@ def explain(
     wrong = _signs(lf, disparity, points, kernels, device)
     cameras = _cameras(lf, points)
     if wrong is not None:
-        findings.append(_SIGNS[wrong])
+        findings.append(SIGNS[wrong])
     elif not _as_good_as_plane(lf, disparity, errors, kernels, device):
         findings.append(
             "the map predicts the views worse than a plane does: it belongs to another light field or view, or the "
@@ -285,9 +285,34 @@ def look(
         wrong = _signs(lf, disparity, points, kernels, device) if axes else None
     cameras = _cameras(lf, points, steps=_QUICK_STEPS, colours=colours)
     moved = tuple(_placement(lf, cameras)) if wrong is None else ()
-    findings = (*moved, *_brightness(lf, cameras)) if wrong is None else (_SIGNS[wrong],)
+    findings = (*moved, *_brightness(lf, cameras)) if wrong is None else (SIGNS[wrong],)
     turned = np.deg2rad(cameras["rotation"])
     return Look(findings, moved, cameras["shift"], turned, cameras["scale"], cameras["gain"], cameras["offset"])
+
+
+def array_wide(lf: LightField, points: Points) -> tuple[str, ...]:
+    """What stands out about the cameras at some points, those findings left out that are about single views."""
+    cameras = _cameras(lf, points, steps=_QUICK_STEPS, colours=False)
+    return (*_placement(lf, cameras, single=False), *_brightness(lf, cameras, single=False))
+
+
+def part_of(lf: LightField, *, views: int, pixels: int) -> tuple[LightField, tuple[slice, slice]]:
+    """A light field of at most so many of the views, and of their middle with at most so many pixels in all; and which
+    rows and columns these are.
+
+    The reference is among the views; the others are drawn, the same in every run, so that any fault that many views
+    have is found in them.
+    """
+    others = np.flatnonzero(np.arange(len(lf.views)) != lf.reference_index)
+    drawn = np.random.default_rng(0).permutation(others)[: views - 1]
+    chosen = [int(n) for n in np.sort(np.append(drawn, lf.reference_index))]
+    height, width = lf.size
+    share = min(1.0, float(np.sqrt(pixels / (len(chosen) * height * width))))
+    rows, columns = (max(1, round(side * share)) for side in lf.size)
+    top, left = (height - rows) // 2, (width - columns) // 2
+    window = slice(top, top + rows), slice(left, left + columns)
+    part = lf if share == 1 else lf.crop(*window)  # first, so that of mapped views little is read
+    return (part if len(chosen) == len(lf.views) else part.subset(chosen)), window
 
 
 def residual_pictures(
@@ -410,7 +435,7 @@ def _prediction(
         return psnr, predicted, np.where(times > 0, np.sqrt(total / times), np.float32(np.nan)).astype(np.float32)
 
 
-_SIGNS = {
+SIGNS = {
     "v": "rows and columns of cameras are counted in opposite senses (one axis has the wrong sign): read it with "
     "--flip v, or with --flip u if near comes out as far.",
     "uv": "what the map takes for far hides what it takes for near (both axes have the wrong sign): read it with "
@@ -507,8 +532,8 @@ def _sentences(lf: LightField, cameras: dict[str, Any]) -> list[str]:
     return [*_placement(lf, cameras), *_brightness(lf, cameras)]
 
 
-def _placement(lf: LightField, cameras: dict[str, Any]) -> list[str]:
-    """What stands out about where cameras stand and look."""
+def _placement(lf: LightField, cameras: dict[str, Any], *, single: bool = True) -> list[str]:
+    """What stands out about where cameras stand and look, of single ones if wished."""
     offsets, radius = lf.offsets, float(np.hypot(*lf.size)) / 2
     said = []
     shift = cameras["shift"]
@@ -520,9 +545,9 @@ def _placement(lf: LightField, cameras: dict[str, Any]) -> list[str]:
             f"the views are out of line by {rms:.2g} px (rms along each axis); line them up with `lfgpu rectify "
             "--refine`."
         )
-    else:
+    elif single:
         moved = consensus.outliers(shift, offsets, cameras["shift_error"], least=_MOVED)
-        said += _single(lf, moved, lambda n: f"{_direction(*rest[n])} of where it should be", "line up")
+        said += _single(lf, moved, lambda n: f"{_direction(*rest[n])} where it should be", "line up")
     shape = np.stack([np.deg2rad(cameras["rotation"]), cameras["scale"]], axis=1) * radius
     errors = np.stack([np.deg2rad(cameras["rotation_error"]), cameras["scale_error"]], axis=1) * radius
     rest_shape = consensus.smooth_rest(shape, offsets)
@@ -537,6 +562,8 @@ def _placement(lf: LightField, cameras: dict[str, Any]) -> list[str]:
                 "--refine`."
             )
             continue
+        if not single:
+            continue
         out = consensus.outliers(shape[:, one], offsets, errors[:, one], least=_TURNED)
 
         def amount_of(n: int, k: int = k, more: str = more, less: str = less) -> str:
@@ -548,8 +575,8 @@ def _placement(lf: LightField, cameras: dict[str, Any]) -> list[str]:
     return said
 
 
-def _brightness(lf: LightField, cameras: dict[str, Any]) -> list[str]:
-    """What stands out about how bright views are."""
+def _brightness(lf: LightField, cameras: dict[str, Any], *, single: bool = True) -> list[str]:
+    """What stands out about how bright views are, of single ones if wished."""
     offsets, said = lf.offsets, list[str]()
     bright = np.log(np.maximum(cameras["brightness"], 1e-3))[:, None]
     rest_bright = consensus.smooth_rest(bright, offsets)[:, 0]
@@ -558,7 +585,7 @@ def _brightness(lf: LightField, cameras: dict[str, Any]) -> list[str]:
             f"the views differ in brightness by {100 * float(np.sqrt((rest_bright**2).mean())):.2g} % (rms); equalise "
             "them with `lfgpu rectify --equalise`."
         )
-    else:
+    elif single:
         unequal = consensus.outliers(bright, offsets, np.zeros_like(bright), least=_BRIGHTER)
         said += _single(
             lf,
@@ -592,10 +619,10 @@ def _single(lf: LightField, chosen: NDArray[np.bool_], what: Any, remedy: str) -
 
 
 def _direction(x: float, y: float) -> str:
-    """A shift in words: "0.20 px to the right and 0.11 px below"; parts that are small against the other left out."""
+    """A shift in words: "0.20 px to the right of and 0.11 px below"; small parts left out."""
     parts = []
     if abs(x) >= 0.25 * abs(y):
-        parts.append(f"{abs(x):.2f} px to the {'right' if x > 0 else 'left'}")
+        parts.append(f"{abs(x):.2f} px to the {'right' if x > 0 else 'left'} of")
     if abs(y) >= 0.25 * abs(x):
         parts.append(f"{abs(y):.2f} px {'below' if y > 0 else 'above'}")
     return " and ".join(parts)

@@ -37,6 +37,7 @@ _AUDIBLE = 0.005  # share of the brightness rms: the same for tones
 _FEWEST = 200  # points
 _LEAST_CONTRAST = 1e-3
 _NOT_WORSE = 0.05  # dB
+_LEVEL_MATTERS = 0.005  # pixels per view step: half of what the finest BadPix allows
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +55,10 @@ class Refinement:
         float64 [n, 2], pixels to the right and down by which the middle of a given view stood off, and standard error.
     rotation, scale
         float64 [n], degrees clockwise and share by which a given view was turned and larger.
+    level_error
+        Standard deviation, pixels per view step, of the one number by which all disparities may be off: the plane of
+        disparity 0 cannot be told from the views. It follows from the size of the shifts, as if they were independent
+        of each other: σ / √(Σ ‖o‖²) with the offsets o of the views. 0 if views were not moved.
     position_change
         float64 [n, 2], view steps that were added to the positions.
     tones
@@ -72,6 +77,7 @@ class Refinement:
     shift_error: Float64Array
     rotation: Float64Array
     scale: Float64Array
+    level_error: float
     position_change: Float64Array
     tones: Tones
     psnr_before: float
@@ -225,7 +231,7 @@ class _Search:
         rotation = np.rad2deg(self.warps[:, 2]) if shape > 2 else np.zeros(len(lf.views))
         scale = self.warps[:, 3].copy() if shape > 2 else np.zeros(len(lf.views))
         found = Refinement(
-            lf, homographies, self.warps[:, :2] * self._radius, error, rotation, scale, self.shifted, self.tones,
+            lf, homographies, self.warps[:, :2] * self._radius, error, rotation, scale, 0.0, self.shifted, self.tones,
             np.nan, np.nan, False, "nothing is worth changing: the views fit together as they are.",
         )  # fmt: skip
         if not geometric and tonal < _AUDIBLE:
@@ -241,9 +247,13 @@ class _Search:
             )
         moved = f"lined up ({rms:.2f} px rms)" if geometric else "left where they are"
         lined_up = self._full(homographies if geometric else None)
+        level_error = _level_error(found.shift, lf.offsets) if geometric else 0.0
+        if level_error > _LEVEL_MATTERS:
+            lined_up = replace(lined_up, notes=(*lined_up.notes, _level_note(lf, bundle, level_error)))
         return replace(
             found,
             light_field=lined_up,
+            level_error=level_error,
             homographies=homographies if geometric else np.tile(np.eye(3), (len(lf.views), 1, 1)),
             psnr_before=before,
             psnr_after=after,
@@ -338,6 +348,27 @@ def _with_reference_fixed(warps: Float64Array, model: str, reference: int, offse
     slope = float((fixed[:, :2] * offsets).sum()) / total
     fixed[:, :2] -= slope * offsets
     return np.asarray(fixed)
+
+
+def _level_error(shift: Float64Array, offsets: Float64Array) -> float:
+    """How far a part of independent shifts [n, 2] in proportion to the offsets may be, pixels per view step."""
+    free = 2 * len(shift) - 3  # the reference stands still, and one part in proportion is taken out
+    return float(np.sqrt((shift**2).sum() / max(free, 1) / (offsets**2).sum()))
+
+
+def _level_note(lf: LightField, bundle: Bundle, error: float) -> str:
+    said = (
+        "Lined up by what the views show: all disparities may be off by the same number, about "
+        f"{error:.2g} px per view step (one standard deviation), as views do not tell the plane of disparity 0; a "
+        "calibration does."
+    )
+    if lf.geometry is None:
+        return said
+    middle = float(np.median(bundle.disparity))
+    depth, other = (float(lf.geometry.depth(d)) for d in (middle, middle + error))
+    if not np.isfinite(depth + other):
+        return said
+    return f"{said} At a depth of {depth:.3g} m that is {abs(depth - other):.2g} m."
 
 
 def _without_scale(shifted: Float64Array, lf: LightField) -> Float64Array:

@@ -25,6 +25,7 @@ _FLAT = 0.3  # of the extent in the plane: rms distance of cameras from it that 
 _LINE = 0.1  # of the longer extent: cameras with less of the shorter one stand in a line
 _ASKEW = math.cos(math.radians(60))
 _ASPECT = 0.005  # by which the shapes of pictures and of the calibration's pictures may differ
+_ALONG = 0.5  # sine: cameras in a line that look at a smaller angle to it stand behind each other
 _SAME = 1e-9
 
 
@@ -115,6 +116,14 @@ class Rig:
                 "other cameras."
             )
         kept = np.ones(len(views), np.bool_) if valid is None else np.asarray(valid.any(axis=(1, 2)))
+        lost = [camera.name for camera, is_kept in zip(self.cameras, kept, strict=True) if not is_kept]
+        told = f"{lost[0]}{f' and {len(lost) - 1} more' if lost[1:] else ''}" if lost else ""
+        if kept.sum() < 2:
+            raise LightFieldError(
+                f"{told} show nothing of what {self.cameras[self.reference].name} shows: the cameras look in different "
+                "directions, or the calibration is of other cameras."
+            )
+        notes = (f"Left out, as nothing of it is in the common frame: {told}.",) if lost else ()
         return LightField(
             views[kept],
             self.positions[kept],
@@ -122,7 +131,7 @@ class Rig:
             valid=None if valid is None else valid[kept],
             geometry=self.geometry,
             name=pictures.name,
-            notes=(*pictures.notes, *self.notes),
+            notes=(*pictures.notes, *self.notes, *notes),
         )
 
 
@@ -264,7 +273,7 @@ def _axes(centres: Float64Array, forward: Float64Array, right: Float64Array) -> 
         z = directions[2] * np.sign(directions[2] @ mean or 1.0)
     else:  # in a line: the normal that is nearest to where the cameras look
         z = mean - (mean @ directions[0]) * directions[0]
-    if np.linalg.norm(z) < _SAME or np.linalg.norm(mean) < _SAME:
+    if np.linalg.norm(z) <= _ALONG * np.linalg.norm(mean):
         raise LightFieldError("the cameras look along the line on which they stand; they must stand side by side.")
     z = z / np.linalg.norm(z)
     x = right.mean(0)

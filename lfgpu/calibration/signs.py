@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lfgpu.calibration.bundle import Points, grey
+from lfgpu.calibration.sweep import LABELS, patches, sweep
 from lfgpu.contract import Float64Array, KernelSet
 from lfgpu.data.lightfield import LightField
 
@@ -27,8 +27,8 @@ _WAYS: dict[Signs | None, tuple[tuple[int, int], tuple[int, int]]] = {
 _TURNED = ((0, 1), (-1, 0))  # transposed and one axis turned round: a quarter turn of the array
 _POINTS = 400
 _VIEWS = 12
-_LABELS = 65
 _PARALLAX = 6.0  # pixels by which the views that are compared move at most, about
+_AGREE = 0.15  # of the contrast: where patches differ by less, the way that was told is right
 _BETTER = 0.92  # of the median cost: how much better another way must be,
 _SURE = 5.0  # and by how many standard errors of the mean over points
 _HIDES_BETTER = 0.85  # of the loss: how much better the other order of depth must be
@@ -51,18 +51,19 @@ def wrong_axis(lf: LightField, points: Points, largest: float) -> Signs | None:
     order = beside[np.argsort(np.abs(distance[beside] - wanted), kind="stable")]
     chosen = _spread_over_angles(order, offsets)
     step = np.random.default_rng(0).permutation(len(points.x))[:_POINTS]
-    dy, dx = np.mgrid[-2:3, -2:3].reshape(2, -1) * 1.0
-    x, y = points.x[step][:, None] + dx, points.y[step][:, None] + dy
-    patch = ndimage.map_coordinates(grey(lf, lf.reference_index), [y, x], order=1, mode="nearest")
+    x, y = points.x[step].astype(np.intp), points.y[step].astype(np.intp)
+    patch = patches(grey(lf, lf.reference_index), x, y)
     pictures = [grey(lf, int(n)) for n in chosen]
-    labels = np.linspace(-1.2 * largest, 1.2 * largest, _LABELS)
+    labels = np.linspace(-1.2 * largest, 1.2 * largest, LABELS)
     costs: dict[Signs | None, Float64Array] = {}
     for way, matrix in (*_WAYS.items(), ("turned", _TURNED)):
         moved = offsets[chosen] @ np.array(matrix, np.float64).T
-        cost = _sweep(patch, pictures, moved, x, y, labels)
+        cost, _ = sweep(patch, pictures, moved, x, y, labels)
         name: Signs | None = "transposed" if way == "turned" else way  # type: ignore[assignment]
         if name not in costs or np.median(cost) < np.median(costs[name]):
             costs[name] = cost
+        if name is None and np.median(cost) < _AGREE:
+            return None
     best = min(costs, key=lambda way: float(np.median(costs[way])))
     gain = costs[None] - costs[best]
     sure = gain.mean() > _SURE * gain.std() / np.sqrt(len(gain))
@@ -102,11 +103,11 @@ def near_and_far_swapped(lf: LightField, disparity: NDArray[np.float32], kernels
             told[place] &= lf.valid[n]
         # Brightness of the whole view is no matter of what hides what.
         seen = coverage[place] >= 0.5
+        if not seen.any():
+            continue
         recorded = recorded * (right[place][seen].mean() / max(float(recorded[seen].mean()), 1e-6))
         for k, view in enumerate((right[place], other[place])):
             loss[k] += np.minimum(np.abs(view - recorded).mean(-1), 0.1)[told[place]].sum()
-    if __import__("os").environ.get("DBG"):
-        print(told.sum(), loss[1] / max(loss[0], 1e-9))
     return bool(told.sum() >= _FEWEST and loss[1] < _HIDES_BETTER * loss[0])
 
 
@@ -116,31 +117,3 @@ def _spread_over_angles(order: NDArray[np.intp], offsets: Float64Array) -> NDArr
     sector = np.floor((angle + np.pi) / (2 * np.pi) * 8).astype(int) % 8
     rank = np.array([(sector[:i] == s).sum() for i, s in enumerate(sector)])
     return np.asarray(order[np.lexsort((np.arange(len(order)), rank))][:_VIEWS])
-
-
-def _sweep(
-    patch: Float64Array,
-    pictures: list[NDArray[np.float32]],
-    offsets: Float64Array,
-    x: Float64Array,
-    y: Float64Array,
-    labels: Float64Array,
-) -> Float64Array:
-    """The least cost [p] of each point: mean absolute difference of patches without their means, in the better half of
-    the views."""
-    best = np.full(len(patch), np.inf)
-    plain = _plain(patch)
-    for d in labels:
-        costs = [
-            np.abs(_plain(ndimage.map_coordinates(picture, [y - d * dv, x - d * du], order=1, mode="nearest")) - plain)
-            for picture, (du, dv) in zip(pictures, offsets, strict=True)
-        ]
-        better = np.sort(np.stack(costs).mean(2), axis=0)[: (3 * len(pictures) + 3) // 4]
-        best = np.minimum(best, better.mean(0))
-    return best
-
-
-def _plain(patch: Float64Array) -> Float64Array:
-    """Patches [p, k] without their mean and contrast."""
-    centred = patch - patch.mean(1, keepdims=True)
-    return np.asarray(centred / (np.abs(centred).mean(1, keepdims=True) + 3e-3))

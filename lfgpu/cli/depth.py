@@ -167,8 +167,7 @@ def depth(
     lf = _chosen(lf, place, pattern)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)
-    if max_memory is None:
-        result = _judged(lf, result, estimation)
+    result = _judged(lf, result, estimation)
     if fill:
         result = filled(result)
     if views:
@@ -194,11 +193,13 @@ def depth(
 
 
 def _judged(lf: LightField, result: DepthResult, estimation: Estimation) -> DepthResult:
-    """The result after a look at the cameras; as it is where the map says nothing of them."""
+    """The result after a look at the cameras, at a part of them if memory is limited; as it is where the map says
+    nothing of them."""
     from lfgpu.calibration import judged
 
+    quickly = estimation.max_memory is not None
     try:
-        return judged(lf, result, backend=estimation.backend, device=estimation.device)
+        return judged(lf, result, backend=estimation.backend, device=estimation.device, quickly=quickly)
     except LightFieldError:
         return result
 

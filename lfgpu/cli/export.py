@@ -27,6 +27,14 @@ def export(
     cold: Annotated[
         bool, typer.Option("--cold", help="Estimate each frame independently, without the temporal prior.")
     ] = False,
+    rectify: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Output of `lfgpu rectify` for these cameras. INPUT and all frames are raw pictures, which the C++ "
+            "program rectifies.",
+        ),
+    ] = None,
     settings: Parameters = None,
     format_name: FormatName = None,
     grid: Grid = None,
@@ -35,6 +43,7 @@ def export(
     allow_missing: AllowMissing = False,
 ) -> None:
     """Write the estimate for light fields like INPUT as files, and a C++ program that runs them without Python."""
+    from lfgpu.calibration import read_rectifier
     from lfgpu.io import check_writable, read
     from lfgpu.methods.temporal_prior import TemporalPrior
     from lfgpu.pipelines.export import export_pipeline
@@ -44,5 +53,9 @@ def export(
     bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
     reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
     prior = None if cold else TemporalPrior()
-    export_pipeline(read(source, **reading), out, config=config, disparity_range=bounds, device=device, prior=prior)
+    lf = read(source, **reading)
+    rectifier = None if rectify is None else read_rectifier(rectify)
+    if rectifier is not None:
+        lf = rectifier.pictures(lf.views, white=lf.white)
+    export_pipeline(lf, out, config=config, disparity_range=bounds, device=device, prior=prior, rectifier=rectifier)
     typer.echo(f"Wrote the pipeline and its C++ library to {out}; README.txt there says how to build and run it.")

@@ -1,4 +1,4 @@
-"""`lfgpu info`: how a light field is read, without computing anything."""
+"""`lfgpu info`: how a light field is read, and what stands out about its cameras at a glance."""
 
 from __future__ import annotations
 
@@ -25,7 +25,11 @@ def info(
         ),
     ] = None,
 ) -> None:
-    """Show how a light field is read: format, grid, views, cameras, ground truth. Missing views are no error here."""
+    """Show how a light field is read: format, grid, views, cameras, ground truth. Missing views are no error here.
+
+    A note says so if views show nothing, or if a glance finds cameras that do not fit together (see lfgpu check).
+    """
+    from lfgpu.calibration import glance
     from lfgpu.cli import values
     from lfgpu.cli.console import heading, lines, output, waiting
     from lfgpu.io import inside, read, recognise, write_description
@@ -46,6 +50,7 @@ def info(
     with waiting(f"reading {source.name}"):
         lf = read(source, format=name, allow_missing=True, grid=shape, every=every, flip=flip)
         doubt = shows_nothing(lf)
+        fault = glance(lf) if doubt is None else None
     left_out: tuple[str, ...] = ()
     if write is not None:
         told = {"path": source, "format": name, "grid": shape, "every": every, "flip": flip}
@@ -63,7 +68,8 @@ def info(
             ("geometry", facts.geometry(lf.geometry)),
             ("ground truth", facts.truth(lf)),
             *held.facts,
-            *(("note", note) for note in (*lf.notes, *((doubt,) if doubt else ()))),
+            *(("note", note) for note in (*lf.notes, doubt) if note),
+            *((("cameras", fault),) if fault else ()),
             *((("written", str(write)),) if write is not None else ()),
             *(("left out", sentence) for sentence in left_out),
         ],

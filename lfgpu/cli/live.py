@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfgpu.data.lightfield import LightField
-    from lfgpu.pipelines.stream import DepthStream, StreamResult
+    from lfgpu.pipelines.stream import DepthStream
+    from lfgpu.pipelines.stream_result import StreamResult
 
 RECORD_FILE = "live.json"
 _REFRESH = 0.25  # seconds
@@ -74,7 +75,8 @@ def live(
         bool,
         typer.Option(
             "--view",
-            help="Show frames and maps in the browser, about ten a second; with --rectify the raw frames.",
+            help="Show frames and maps in the browser, about ten a second, with a button that pauses the stream; with "
+            "--rectify the raw frames.",
         ),
     ] = False,
     recording: Annotated[
@@ -82,7 +84,8 @@ def live(
         typer.Option(
             "--record",
             metavar="FOLDER",
-            help="Folder in which each frame is kept before it is estimated, to be played again as SOURCE.",
+            help="Folder in which each frame is kept before it is estimated, to be played again as SOURCE; the page of "
+            "--view has a button that stops and resumes it.",
         ),
     ] = None,
     grid: Annotated[
@@ -130,6 +133,7 @@ def live(
     message says if cameras have moved.
     """
     from contextlib import nullcontext
+    from functools import partial
 
     from lfgpu import calibration
     from lfgpu.io import check_writable, read
@@ -163,11 +167,9 @@ def live(
     opened = open_source(source, options)
     first, coming = opened.first, opened.frames
     way, waiting = chosen or ("latest" if opened.is_live else "block", None)
-    if recording is not None:
-        coming = recorded(coming, first, recording)
     record = Record(out)
     with (
-        View(first if view else None) as page,
+        View(first if view else None, records=recording is not None) as page,
         DepthStream(
             first,
             config=config,
@@ -180,6 +182,8 @@ def live(
             rectifier=rectifier,
         ) as stream,
     ):
+        if recording is not None:
+            coming = recorded(coming, first, recording, wanted=page.records)
         watch = nullcontext() if rectifier is None else calibration.RigWatch(stream, on_finding=record.moved)
         with watch, Display(stream, metrics, quiet=quiet) as display:
             try:
@@ -189,8 +193,9 @@ def live(
                     max_fps=max_fps,
                     most=frames,
                     stop=stop,
+                    hold=page.pauses,
                     tag=page.kept,
-                    on_done=_all(record.add, display.look, page.show),
+                    on_done=_all(record.add, display.look, partial(page.show, stream)),
                 )
             except KeyboardInterrupt:
                 stream.close(finish=False)
@@ -265,14 +270,21 @@ class Record:
 
 
 class View:
-    """The page in the browser that shows frames and maps; without a first frame there is none."""
+    """The page in the browser that shows frames and maps, and what is switched there.
 
-    def __init__(self, first: LightField | None) -> None:
+    Without a first frame there is none. `records` says whether frames are recorded, so that this can be switched.
+    """
+
+    def __init__(self, first: LightField | None, *, records: bool) -> None:
         self._viewer, self._next = None, 0.0
+        self._paused, self._records = False, records
         if first is not None:
             from lfgpu.viewer import Viewer
 
             self._viewer = Viewer(first)
+            self._viewer.offer(pause=self._pause, record=self._record if records else None)
+            if records:
+                self._viewer.switch("record", True)
             _say(f"Open {self._viewer.url} with a browser on this machine.")
 
     def __enter__(self) -> View:
@@ -281,6 +293,20 @@ class View:
     def __exit__(self, *_: object) -> None:
         if self._viewer is not None:
             self._viewer.close()
+
+    def pauses(self) -> bool:
+        """Whether the stream is paused."""
+        return self._paused
+
+    def records(self) -> bool:
+        """Whether frames are to be recorded."""
+        return self._records
+
+    def _pause(self, on: bool) -> None:
+        self._paused = on
+
+    def _record(self, on: bool) -> None:
+        self._records = on
 
     def kept(self, _: int, views: Any) -> Any:
         """A copy of the views of a frame that will be shown, and None for the others."""
@@ -294,12 +320,20 @@ class View:
         except LightFieldError:  # the stream says what is wrong with it
             return None
 
-    def show(self, result: StreamResult) -> None:
-        """Show a result whose frame was kept."""
+    def show(self, stream: DepthStream, result: StreamResult) -> None:
+        """Show a result whose frame was kept, and how the stream fares."""
         if self._viewer is not None and result.tag is not None and result.error is None:
             shown = self._viewer.contents.lf
             views = result.tag if shown is None else result.tag.reshape(shown.views.shape)
-            self._viewer.update(result.numpy(), result.confidence(), views=views)
+            stats = stream.stats()
+            self._viewer.update(
+                result.numpy(),
+                result.confidence(),
+                views=views,
+                rate=stats["frames_per_second"],
+                latency=result.latency,
+                dropped=stats["frames_dropped"],
+            )
 
 
 class Display:

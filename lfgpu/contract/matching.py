@@ -49,7 +49,7 @@ class PlaneSweep(Protocol):
         `least` views.
         View n sees it if d_l >= nearest [n, y, x] - tolerance at the pixel nearest to p - d_l o_n, and likewise for
         `certain`: see `KernelSet.z_buffer`. Where a surface might lie farther away than `nearest` says, `certain` has
-        it farther away, and hides less.
+        it farther away, and hides less. One array for both is one surface; then the first mean is all there is.
         """
 
 

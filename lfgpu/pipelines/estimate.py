@@ -58,7 +58,8 @@ def estimate_depth(
     -------
     DepthResult
         Disparity, confidence and depth of the reference view, each [y, x] at full resolution. Its `notes` say so if the
-        given range leaves out what the views show, or if they show nothing.
+        given range leaves out what the views show, or if they show nothing. Whether cameras stand where they should is
+        not looked at: `lfgpu.calibration.judged(lf, result)` does that.
 
     Raises
     ------

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from importlib.resources import files
@@ -21,6 +22,7 @@ from lfgpu.io.atomic import atomic_folder, check_writable
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import LivePlan
 from lfgpu.methods.temporal_prior import TemporalPrior
+from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.stream import CUT, SEEN_CHANGE
 from lfgpu.threads import limited_threads
 
@@ -44,8 +46,9 @@ The pipeline needs Warp {version} and the same kind of processor as the one it w
 
 After the last line, other projects find the library by find_package(lfgpu_replay) and link lfgpu::lfgpu_replay.
 
-frames.raw holds one frame after the other. Each frame has {frame_bytes} bytes: the views [n, y, x, c] = {shape},
-{dtype}. For each frame, maps.raw gets {map_bytes} bytes of disparity and as many of confidence, both float32 [y, x].
+frames.raw holds one frame after the other. Each frame has {frame_bytes} bytes: {frames}, [n, y, x, c] =
+{shape}, {dtype}. For each frame, maps.raw gets {map_bytes} bytes of disparity and as many of
+confidence, both float32 [y, x].
 {start} The maps are bit-identical to those of lfgpu on the same
 device, whatever the number of threads.
 """
@@ -53,6 +56,7 @@ _STARTS = {
     True: "A frame starts from the map before, as in a DepthStream, but the first one and those after a scene cut.",
     False: "Each frame is estimated on its own.",
 }
+_RAW = " It is rectified first; the tables for that are in the recorded operations."
 _WARM = "warm.wrp, warm_modules/          the same for frames that start from the map before\n"
 
 
@@ -65,6 +69,7 @@ def export_pipeline(
     backend: BackendName = DEFAULT,
     device: str | None = "cpu",
     prior: TemporalPrior | None = TemporalPrior(),  # noqa: B008 - it is frozen
+    rectifier: Rectifier | None = None,
 ) -> None:
     """Write a pipeline as files that a program runs through Warp's C interface; all files or none.
 
@@ -83,6 +88,10 @@ def export_pipeline(
     prior
         How strongly a map follows the previous one, as for `DepthStream`; None estimates each frame independently.
         Default `TemporalPrior()`.
+    rectifier
+        Rectifies the raw pictures of each frame in the same work, as for `DepthStream`. Then `lf` and all frames are
+        raw pictures in the order of its cameras (`Rectifier.pictures`); its tables and tones become part of the files.
+        Default None: views are as they should be.
 
     Raises
     ------
@@ -101,20 +110,37 @@ def export_pipeline(
             "another preset (`lfgpu export --help` lists them)."
         )
     device = pick_device(kernels, device)
+    pictures = lf
+    if rectifier is not None:
+        lf = rectifier.rectified(pictures, kernels, device)
     used = method.used_views(lf)
     with limited_threads(1):  # the work of other threads would not be recorded
         with kernels.asking(device):
             measured = method.measure(lf, kernels, device, disparity_range=disparity_range)
             some = lf if len(used) == len(lf.views) else lf.subset(used)
-            views = kernels.image(some.views, device)
+            rectification = None
+            if rectifier is not None:
+                rectification = Rectification(rectifier, pictures, kernels, device, used=used)
+                frames, views = rectification.pictures, rectification.views
+            else:
+                frames = views = kernels.image(some.views, device)
             plan = method.live_plan(
                 some, measured, kernels, device, streaming=streaming, prior=prior or TemporalPrior()
             )
-            cold, warm = plan.levels[-1][1], None if prior is None else plan.warm_levels[-1][1]
+
+            def whole(work: Callable[[Array], None]) -> Callable[[], None]:
+                def call() -> None:
+                    if rectification is not None:
+                        rectification.work()
+                    work(views)
+
+                return call
+
+            cold, warm = whole(plan.levels[-1][1]), None if prior is None else whole(plan.warm_levels[-1][1])
             for work in (cold, *([warm] if warm is not None else [])):
-                work(views)
+                work()
         with atomic_folder(out) as folder:
-            save = partial(_save, plan, views, recording, folder, device)
+            save = partial(_save, plan, frames, recording, folder, device)
             found = save("pipeline.wrp", cold, state_in=False)
             if warm is not None:
                 found |= save("warm.wrp", warm, state_in=True)
@@ -128,6 +154,7 @@ def export_pipeline(
                 "disparity_range": list(measured.disparity_range),
                 "config": as_dict(configured(config)),
                 "prior": None if prior is None else asdict(prior),
+                "rectified": rectifier is not None,
             }
             (folder / "pipeline.json").write_text(json.dumps(about, indent=1), encoding="utf-8")
             state = list(plan.state) if warm is not None else []
@@ -146,17 +173,17 @@ def export_pipeline(
             text = [f"{name} {_words(value)}" for name, value in lines.items()]
             text += [f"kernel {_words(kernel)}" for kernel in sorted(found)]
             (folder / "replay.txt").write_text("\n".join([*text, ""]), encoding="utf-8")
-            _explain(folder, lf, device, recording, is_warm=warm is not None)
+            _explain(folder, pictures, device, recording, is_warm=warm is not None, is_raw=rectifier is not None)
 
 
 def _save(
     plan: LivePlan,
-    views: Array,
+    frames: Array,
     recording: Recording,
     folder: Path,
     device: str,
     name: str,
-    work: Any,
+    work: Callable[[], None],
     *,
     state_in: bool,
 ) -> set[tuple[str, str, int, str]]:
@@ -164,18 +191,18 @@ def _save(
     state = plan.state
     maps = {"disparity": plan.disparity, "confidence": plan.confidence}
     inputs = {
-        "views": views,
+        "views": frames,
         **({name: array for name, array in state.items() if name not in maps} if state_in else {}),
     }
     outputs = {**maps, **({} if state_in else state)}
-    return set(recording.save(partial(work, views), folder / name, device=device, inputs=inputs, outputs=outputs))
+    return set(recording.save(work, folder / name, device=device, inputs=inputs, outputs=outputs))
 
 
 def _words(value: Any) -> str:
     return " ".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
 
 
-def _explain(folder: Path, lf: LightField, device: str, recording: Recording, *, is_warm: bool) -> None:
+def _explain(folder: Path, lf: LightField, device: str, recording: Recording, *, is_warm: bool, is_raw: bool) -> None:
     """Write the sources of the library and the program, and what to do with them."""
     readme = _README.format(
         device=device,
@@ -186,7 +213,8 @@ def _explain(folder: Path, lf: LightField, device: str, recording: Recording, *,
         shape=list(lf.views.shape),
         dtype=lf.views.dtype,
         map_bytes=4 * lf.size[0] * lf.size[1],
-        start=_STARTS[is_warm],
+        frames="raw pictures of the cameras" if is_raw else "the views",
+        start=_STARTS[is_warm] + (_RAW if is_raw else ""),
     )
     (folder / "README.txt").write_text(readme, encoding="utf-8")
     for name in _SOURCES:

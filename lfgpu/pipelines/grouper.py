@@ -28,7 +28,7 @@ class FrameGroup:
     views
         [n, y, x, c]; 0 where a camera is missing.
     valid
-        bool [n], which cameras are there: `DepthStream.push(group.views, valid=group.valid, tag=group.stamp)`.
+        bool [n], which cameras are there: `DepthStream.push(group.views, valid=group.valid, stamps=group.stamps)`.
     stamps
         float64 [n], seconds, as the recorder gave them; NaN where a camera is missing.
     """
@@ -63,7 +63,7 @@ class FrameGrouper:
         grouper.add(camera, picture, stamp)
         # in another thread:
         for group in grouper:
-            stream.push(group.views, valid=group.valid, tag=group.stamp)
+            stream.push(group.views, valid=group.valid, stamps=group.stamps)
 
     A group is given out when all cameras are there, or when a picture comes that is `patience` younger: what is missing
     then is lost. Only stamps decide, no clock of this machine.

@@ -1,22 +1,32 @@
 """Whether the disparity range of a stream is too small for what comes.
 
-Maps are clamped to the range, so surfaces beyond it lie exactly at one of its ends. In a range that holds the scene
-hardly any pixel does.
+Maps are clamped to the range, so surfaces beyond it often lie exactly at one of its ends. But what has no texture may
+lie there by chance, and what has some may take any other disparity. So the ends of the maps only raise a suspicion; the
+views decide, by the range that is found in them.
 """
 
 from __future__ import annotations
 
+import threading
+from time import monotonic
+
 from lfgpu.contract import Float32Array
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.methods.disparity_range import find_disparity_range
 
 SHARE = 0.01
-"""Share of the pixels at one end of the range from which on it counts as too small."""
+"""Share of the pixels at one end of the range from which on it may be too small."""
 
 _END = 1e-3  # of the width of the range: what is so near to an end lies at it
 _SAMPLES = 128  # along each side of the map
+_BEYOND = 0.25  # of the found range, beyond an end: more than the found one has as a margin
+_BEYOND_IF_SUSPECTED = 0.05
+_PAUSE = 10.0  # seconds between two searches
 
 
 class RangeWatch:
-    """Looks at the maps of a stream and says, once for each end, that the range is too small.
+    """Looks at the maps of a stream, and says once for each end that the range is too small.
 
     Parameters
     ----------
@@ -27,31 +37,70 @@ class RangeWatch:
     def __init__(self, bounds: tuple[float, float]) -> None:
         self._bounds = bounds
         self._said: dict[str, str] = {}
+        self._suspected: dict[str, float] = {}  # share of the map at each end, since the last search
+        self._changed = threading.Condition()
+        self._wanted = self._closed = False
+        self._next = -float("inf")
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """What has been said, one sentence for each end of the range."""
         return tuple(self._said.values())
 
-    def look(self, index: int, disparity: Float32Array) -> tuple[bool, tuple[str, ...]]:
-        """Look at the map [y, x] of a frame.
+    def look(self, disparity: Float32Array, *, is_new: bool) -> bool:
+        """Look at a map [y, x], and ask for a search if need be; `is_new` says that the scene is another one.
 
         Returns
         -------
-        Whether the range was too small for it, and the sentences that are new.
+        Whether at least `SHARE` of the map lies at one end of the range.
         """
         samples = disparity[:: max(1, disparity.shape[0] // _SAMPLES), :: max(1, disparity.shape[1] // _SAMPLES)]
         low, high = self._bounds
         close = _END * (high - low)
         shares = {"far": float((samples <= low + close).mean()), "near": float((samples >= high - close).mean())}
         beyond = {end: share for end, share in shares.items() if share >= SHARE}
-        new = tuple(self._sentence(end, share, index) for end, share in beyond.items() if end not in self._said)
-        self._said |= dict(zip((end for end in beyond if end not in self._said), new, strict=True))
-        return bool(beyond), new
+        if is_new or beyond.keys() - self._said.keys():
+            with self._changed:
+                self._suspected |= beyond
+                self._wanted = True
+                self._changed.notify()
+        return bool(beyond)
 
-    def _sentence(self, end: str, share: float, index: int) -> str:
+    def wait(self) -> bool:
+        """Wait until views are to be searched. False after `close`."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._wanted or self._closed)
+            self._changed.wait_for(lambda: self._closed, max(0.0, self._next - monotonic()))
+            return not self._closed
+
+    def search(self, lf: LightField, what: str) -> tuple[str, ...]:
+        """Find the range in views; `what` they are. Returns the sentences that are new."""
+        with self._changed:
+            self._next, self._wanted = monotonic() + _PAUSE, False
+            suspected, self._suspected = self._suspected, {}
+        try:
+            found = find_disparity_range(lf)
+        except LightFieldError:  # nothing in these views says how far away it is
+            return ()
+        (low, high), width = self._bounds, found[1] - found[0]
+        new = {}
+        for end, excess in (("far", low - found[0]), ("near", found[1] - high)):
+            bound = _BEYOND_IF_SUSPECTED if end in suspected else _BEYOND
+            if excess > bound * width and end not in self._said:
+                new[end] = self._sentence(end, suspected.get(end), found, what)
+        self._said |= new
+        return tuple(new.values())
+
+    def close(self) -> None:
+        """No search is wanted any more."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def _sentence(self, end: str, share: float | None, found: tuple[float, float], what: str) -> str:
         low, high = self._bounds
+        part = "" if share is None else f", and {100 * share:.0f} % of a map lies at its {end} end"
         return (
-            f"The disparity range from {low:.3g} to {high:.3g} px per view step is too small for what comes: "
-            f"{100 * share:.0f} % of the map of frame {index} lies at its {end} end; move that end further out."
+            f"The disparity range from {low:.3g} to {high:.3g} px per view step is too small for what comes: {what} "
+            f"show about {found[0]:.3g} to {found[1]:.3g}{part}; move the {end} end further out."
         )

@@ -10,7 +10,6 @@ import queue
 import threading
 import weakref
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Integral, Real
@@ -22,19 +21,20 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from lfgpu._backends import DEFAULT, load, pick_device
 from lfgpu.config import Config
-from lfgpu.contract import Float32Array, Float64Array, KernelSet
-from lfgpu.data import interop
-from lfgpu.data.lightfield import LightField, check_scaled
+from lfgpu.contract import Float64Array, KernelSet
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import BackendError, LfgpuError, LightFieldError
 from lfgpu.methods import configured, method_of
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.pipelines import stream_stats
 from lfgpu.pipelines.inbox import POLICIES, Inbox
+from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.range_watch import RangeWatch
 from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.snapshots import Snapshots
-from lfgpu.threads import get_threads
+from lfgpu.pipelines.stamps import StampWatch, checked_stamps, checked_tolerance
+from lfgpu.pipelines.stream_result import FrameDroppedError, OnResult, StreamResult
 
 _USUAL_NOISE = 0.004  # intensity: the noise of cameras of which nothing is known
 SEEN_CHANGE = 4.0
@@ -43,100 +43,10 @@ SEEN_CHANGE = 4.0
 CUT = 0.5
 """Share of the samples that must have changed for a frame to start without the previous map."""
 
-_AT_ONCE = 2**22  # bytes: up to this size, one thread copies as fast as several
-_MOST_COPIERS = 8
 _MOST_WAITING = 1000
 _SMOOTHING = 0.1  # weight of the latest frame in the mean time of a level of work
 
 _LOG = logging.getLogger(__name__)
-
-OnResult = Callable[["StreamResult"], None]
-"""Called with each result, from a thread of the stream."""
-
-
-class FrameDroppedError(LfgpuError):
-    """A frame was dropped, because frames came too fast or the stream was closed."""
-
-
-class StreamResult:
-    """The result of one frame. At first it is pending; then it holds a map and a confidence, or an error.
-
-    Attributes
-    ----------
-    index
-        Number of the frame, from 0, in the order of `push`.
-    tag
-        The `tag` that was given to `push`, such as a time stamp.
-    cold
-        Whether the map was estimated without the previous one. `cut` is True if a change of the scene was the reason.
-    steps
-        Number of alignment steps.
-    latency
-        Seconds from `push` to the map on the host; NaN until then. `work` is the device time, seconds.
-    """
-
-    def __init__(self, index: int, tag: Any, valid: NDArray[np.bool_]) -> None:
-        self.index, self.tag, self.valid = index, tag, valid
-        self.cold, self.cut, self.steps = True, False, 0
-        self.latency = self.work = float("nan")
-        self._pushed, self._ready = perf_counter(), threading.Event()
-        self._error: LfgpuError | None = None
-        self._lease: Any = None
-
-    @property
-    def done(self) -> bool:
-        """Whether there is a map or an error."""
-        return self._ready.is_set()
-
-    @property
-    def dropped(self) -> bool:
-        """Whether the frame was dropped."""
-        return isinstance(self._error, FrameDroppedError)
-
-    @property
-    def error(self) -> LfgpuError | None:
-        """Why there is no map; None if there is a map, or if the result is pending."""
-        return self._error
-
-    def wait(self, timeout: float | None = None) -> bool:
-        """Wait until `done`, at most `timeout` seconds (None: no limit). Returns `done`."""
-        return self._ready.wait(timeout)
-
-    def numpy(self) -> Float32Array:
-        """A copy of the disparity, float32 [y, x], pixels per view step. Waits; raises `error` if there is one."""
-        return np.asarray(self._maps().numpy(0))
-
-    def confidence(self) -> Float32Array:
-        """A copy of the confidence, float32 [y, x], 0 to 1. Waits and raises as `numpy`."""
-        return np.asarray(self._maps().numpy(1))
-
-    @property
-    def device_disparity(self) -> Any:
-        """The disparity in device memory, with DLPack and `__cuda_array_interface__`; not copied.
-
-        Waits and raises as `numpy`. The memory belongs to this frame while this result, or an array made from it,
-        exists. After that a later frame reuses it. So wait until your reads have finished before you drop the result.
-        """
-        return self._maps().shared(0)
-
-    @property
-    def device_confidence(self) -> Any:
-        """The confidence in device memory; as `device_disparity`."""
-        return self._maps().shared(1)
-
-    def _maps(self) -> Any:
-        self._ready.wait()
-        if self._error is not None:
-            raise self._error
-        return self._lease
-
-    def _finish(self, lease: Any) -> None:
-        self._lease = lease
-        self._ready.set()
-
-    def _fail(self, error: LfgpuError) -> None:
-        self._error = error
-        self._ready.set()
 
 
 @dataclass
@@ -206,6 +116,10 @@ class DepthStream:
         Rectifies the raw pictures of each frame on the device, in the same graph as the estimate. Then `lf` and all
         frames are raw pictures in the order of its cameras (`Rectifier.pictures`). Default None: views are as they
         should be.
+    tolerance
+        Seconds by which the `stamps` of one frame may differ, > 0. Frames whose stamps differ by more are counted
+        (`frames_out_of_step`) and a sentence is added to `warnings`, once; they are estimated all the same. Default
+        None: any.
 
     Raises
     ------
@@ -231,9 +145,12 @@ class DepthStream:
         end_on_error: bool = False,
         measured: Measured | None = None,
         rectifier: Rectifier | None = None,
+        tolerance: float | None = None,
     ) -> None:
         _check(cut, budget_ms)
+        checked_tolerance(tolerance)
         most = _waiting(policy, waiting)
+        given = disparity_range is not None or measured is not None
         method, kernels = method_of(config), load(backend)
         streaming = kernels.streaming
         if streaming is None:
@@ -244,13 +161,12 @@ class DepthStream:
             lf = rectifier.rectified(pictures, kernels, self.device)
         self._kernels, self._rectifier = kernels, rectifier
         self.config, self.geometry, self.name = configured(config), lf.geometry, lf.name
-        self._expected, self._grid = (lf.views.shape, lf.views.dtype), lf.grid_shape
         self._used = method.used_views(lf)
-        self._reference, self._all = lf.reference_index, len(self._used) == len(lf.views)
+        self._intake = Intake(lf, self._used, self.device)
 
         with kernels.asking(self.device):
             self.measured = measured or method.measure(lf, kernels, self.device, disparity_range=disparity_range)
-            lf = lf if self._all else lf.subset(self._used)
+            lf = lf if len(self._used) == len(lf.views) else lf.subset(self._used)
             self._rectification: Rectification | None = None
             if rectifier is not None:
                 self._rectification = Rectification(rectifier, pictures, kernels, self.device, used=self._used)
@@ -279,6 +195,9 @@ class DepthStream:
         self._fresh = True  # whether there is no previous map to start from
         self.on_result, self._end_on_error = on_result, end_on_error
         self._watch = RangeWatch(self.bounds)
+        # A range that was found was found in these views; a stream that was made without a frame has none.
+        self._first = self._like if given and np.any(self._like.views) else None
+        self._stamps = StampWatch(tolerance, self._used)
         self._logged: set[tuple[object, ...]] = set()
         self._process = os.getpid()
 
@@ -287,13 +206,11 @@ class DepthStream:
         self._asked_for: Snapshots[tuple[LightField, StreamResult]] = Snapshots()
         self._returned, self._buffers = False, 0
         slots = [self._transport.slot() for _ in range(most + 2)]
-        self._copying = max(1, min(_MOST_COPIERS, get_threads(), len(self._used)))
-        self._copiers = ThreadPoolExecutor(self._copying, thread_name_prefix="lfgpu-copy")
         self._inbox: Inbox[StreamResult, Any] = Inbox(policy, most, slots, self._drop)
         self._under_way: queue.SimpleQueue[tuple[StreamResult, Any, _Level] | None] = queue.SimpleQueue()
         self._threads = [
             threading.Thread(target=target, name=f"lfgpu-{name}", daemon=True)
-            for name, target in (("solve", self._serve), ("deliver", self._deliver))
+            for name, target in (("solve", self._serve), ("deliver", self._deliver), ("range", self._watch_range))
         ]
         for thread in self._threads:
             thread.start()
@@ -343,16 +260,24 @@ class DepthStream:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the stream as a whole, a sentence each, such as a disparity range that is too small.
+        """What is wrong with the stream as a whole, a sentence each: a disparity range that is too small, cameras that
+        do not record together.
 
-        Each is also logged once by `logging`.
+        The range is held against the one that is found in the first views, in those after a cut, and in those of a map
+        of which at least 1 % lies at one end; at most every ten seconds, beside the work on frames. Each sentence is
+        also logged once by `logging`.
         """
-        return self._watch.warnings
+        return (*self._watch.warnings, *self._stamps.warnings)
 
     # --- pushing frames ---
 
     def push(
-        self, frame: Any, *, valid: Sequence[bool] | NDArray[np.bool_] | None = None, tag: Any = None
+        self,
+        frame: Any,
+        *,
+        valid: Sequence[bool] | NDArray[np.bool_] | None = None,
+        stamps: Sequence[float] | NDArray[np.floating[Any]] | None = None,
+        tag: Any = None,
     ) -> StreamResult:
         """Add a frame. May be called from any thread. The array may be changed as soon as this returns.
 
@@ -365,6 +290,9 @@ class DepthStream:
         valid
             bool [n], False for cameras without a picture; their views are not read. The reference view and at least one
             other used view must be valid. Default None: all are valid.
+        stamps
+            [n], when each picture was taken, seconds on one clock; those of cameras without a picture are not read.
+            They become `StreamResult.stamps` and are compared with the stream's `tolerance`. Default None: not known.
         tag
             Any object; it becomes `StreamResult.tag`. Default None.
 
@@ -380,15 +308,16 @@ class DepthStream:
         """
         if os.getpid() != self._process:  # its threads are not here
             raise LfgpuError("the stream belongs to the process that made it; create one in this process.")
-        there = np.ones(self._expected[0][0], bool) if valid is None else valid
+        there = np.ones(self._intake.count, bool) if valid is None else valid
         with self._numbering:
             self._inbox.refuse_if_closed()
             result = StreamResult(self._index, tag, np.asarray(there))
             self._index += 1
             self._counters.add("frames_pushed")
         try:
-            result.valid = self._checked_valid(there)
-            checked, on_gpu = self._checked(frame)
+            result.valid = self._intake.checked_valid(there)
+            result.stamps = None if stamps is None else checked_stamps(stamps, result.valid)
+            checked, on_gpu = self._intake.checked(frame)
             slot = self._inbox.slot()
         except LightFieldError as error:
             self._fail(result, error)
@@ -400,7 +329,7 @@ class DepthStream:
             self._fail(result, _cannot_be_taken(error))
             return result
         try:
-            self._fill(slot, checked, result.valid, on_gpu=on_gpu)
+            self._intake.fill(slot, checked, result.valid, self._transport if on_gpu else None)
         except Exception as error:  # the library of the frame may raise anything; only this frame fails
             self._inbox.give_back(slot)
             known = error if isinstance(error, LightFieldError) else _cannot_be_taken(error)
@@ -459,11 +388,12 @@ class DepthStream:
         -------
         Counts: `frames_pushed`, which is the sum of `frames_done`, `frames_dropped`, `frames_failed` and
         `frames_in_work`; `frames_cold`, `frames_with_missing_views`, `frames_over_budget`, `frames_beyond_range` (at
-        least 1 % of the map lies at one end of the disparity range), `scene_cuts`, `callback_errors`, `warnings`,
-        `frames_waiting`. Rate: `frames_per_second` over the last two seconds. Times over the latest
-        1024 results, NaN if there is none: `latency_p50_ms`, `latency_p95_ms`, `latency_p99_ms` from `push` to the map
-        on the host, and `work_p50_ms` and so on for the device. Memory: `result_buffers`, the number of results that
-        memory is allocated for; it grows if more results are held.
+        least 1 % of the map lies at one end of the disparity range), `frames_out_of_step` (the stamps differ by more
+        than the tolerance), `scene_cuts`, `callback_errors`, `warnings`, `frames_waiting`. Rate: `frames_per_second`
+        over the last two seconds. Times over the latest 1024 results, NaN if there is none: `latency_p50_ms`,
+        `latency_p95_ms`, `latency_p99_ms` from `push` to the map on the host, and `work_p50_ms` and so on for the
+        device. Memory: `result_buffers`, the number of results that memory is allocated for; it grows if more results
+        are held.
         """
         return {
             **self._counters.stats(),
@@ -487,9 +417,10 @@ class DepthStream:
         self._inbox.close(finish=finish)
         if threading.current_thread() in self._threads:
             return
+        self._watch.close()
         for thread in self._threads:
             thread.join()
-        self._copiers.shutdown()
+        self._intake.close()
         _open.discard(self)
         with self._numbering:
             if not self._returned:
@@ -504,81 +435,6 @@ class DepthStream:
 
     def __exit__(self, kind: object, *_: object) -> None:
         self.close(finish=kind is None)
-
-    # --- taking frames ---
-
-    def _checked_valid(self, valid: Any) -> NDArray[np.bool_]:
-        there = np.asarray(valid)
-        if there.shape != self._expected[0][:1] or there.dtype != np.bool_:
-            raise LightFieldError(
-                f"valid must be bool [{self._expected[0][0]}], one value for each view; found {there.dtype} "
-                f"{list(there.shape)}."
-            )
-        if not there[self._reference]:
-            raise LightFieldError(
-                f"the reference view (index {self._reference}) is missing, but its disparity is estimated; give its "
-                "picture."
-            )
-        if there[self._used].sum() < 2:
-            raise LightFieldError("of the used views only the reference view is valid; depth needs at least one more.")
-        return there
-
-    def _checked(self, frame: Any) -> tuple[Any, bool]:
-        """The frame as [n, y, x, c], a NumPy array if it is on the host; and whether it is on the GPU."""
-        place = interop.place_of("views", frame)
-        found, shape = interop.kind_of("views", frame)
-        expected, dtype = self._expected
-        others = [expected[:3]] if expected[3] == 1 else []
-        if self._grid is not None and self._grid[0] * self._grid[1] == expected[0]:
-            others += [(*self._grid, *form[1:]) for form in (expected, *others)]
-        if found != str(dtype) or shape not in (expected, *others):
-            raise LightFieldError(
-                f"views must be {dtype} {list(expected)}, like those that the stream was made for; found {found} "
-                f"{list(shape)}."
-            )
-        if place == "cpu":
-            return interop.on_host("views", frame).reshape(expected), False
-        if self.device == "cpu" or place not in (self.device, interop.SOME_GPU):
-            raise LightFieldError(f"views are on {place}, but the stream is on {self.device}; copy them there first.")
-        if shape != expected:
-            if not hasattr(frame, "reshape"):
-                raise LightFieldError(f"views on a GPU must have the shape {list(expected)}; found {list(shape)}.")
-            frame = frame.reshape(expected)
-        return frame, True
-
-    def _fill(self, slot: Any, frame: Any, valid: NDArray[np.bool_], *, on_gpu: bool) -> None:
-        slot.is_resident = on_gpu
-        slot.present[:] = valid[self._used]
-        if on_gpu:
-            self._transport.enter()
-            self._transport.take(frame, slot, None if self._all else self._used)
-            return
-
-        def copy(place: int) -> None:
-            view = self._used[place]
-            if not valid[view]:
-                slot.host[place] = 0  # the memory may hold NaN
-                return
-            slot.host[place] = frame[view]
-            if frame.dtype.kind == "f":
-                low, high = float(slot.host[place].min()), float(slot.host[place].max())
-                if not np.isfinite(low + high):
-                    raise LightFieldError(f"view {view} holds NaN or infinity; set valid[{view}] to False.")
-                check_scaled(f"view {view}", low, high)
-
-        def copy_some(places: range) -> None:
-            for place in places:
-                copy(place)
-
-        count, parts = len(self._used), 1 if slot.host.nbytes < _AT_ONCE else self._copying
-        cuts = [count * part // parts for part in range(parts + 1)]
-        others = [self._copiers.submit(copy_some, range(*cuts[part : part + 2])) for part in range(1, parts)]
-        try:
-            copy_some(range(*cuts[:2]))
-        finally:
-            wait(others)  # the slot must not be returned before
-        for other in others:
-            other.result()
 
     # --- the work ---
 
@@ -698,11 +554,13 @@ class DepthStream:
     def _complete(self, result: StreamResult, maps: Any, work: float) -> None:
         result.latency, result.work = perf_counter() - result._pushed, work
         over = self._budget is not None and work * 1000 > self._budget
+        apart, warned = self._stamps.look(result.index, result.stamps)
         extra = {
             "frames_cold": result.cold,
             "scene_cuts": result.cut,
             "frames_with_missing_views": not result.valid.all(),
             "frames_over_budget": over,
+            "frames_out_of_step": apart,
         }
         self._counters.done(result.latency, work, *(name for name, counts in extra.items() if counts))
         result._finish(self._transport.lease(maps))
@@ -716,11 +574,27 @@ class DepthStream:
                 if self._end_on_error:
                     said = f"{type(error).__name__}: {error}".rstrip(": ")
                     self._inbox.close(finish=False, reason=f"on_result failed ({said})")
-        beyond, new = self._watch.look(result.index, result._maps().numpy(0))
-        if beyond:
+        if self._watch.look(result._maps().numpy(0), is_new=result.cut):
             self._counters.add("frames_beyond_range")
-        for sentence in new:
+        for sentence in warned:
             _LOG.warning(sentence)
+
+    def _watch_range(self) -> None:
+        """The loop of the thread that finds the range of some frames, to hold it against that of the stream."""
+        lf, what = self._first, "the first views"
+        self._first = None
+        while True:
+            try:
+                new = () if lf is None else self._watch.search(lf, what)
+            except Exception as error:  # the maps do not need it
+                self._log("the disparity range of a frame could not be found", error)
+                return
+            for sentence in new:
+                _LOG.warning(sentence)
+            shown = self._asked_for.get(None) if self._watch.wait() else None
+            if shown is None:
+                return
+            lf, what = shown[0], f"the views of frame {shown[1].index}"
 
     def _log(self, what: str, error: BaseException) -> None:
         """Log an exception with its traceback; of those from one line of code only the first."""

@@ -22,6 +22,7 @@ _HELP = {
     "frames_with_missing_views": "Results with missing views.",
     "frames_over_budget": "Results that exceeded the time budget.",
     "frames_beyond_range": "Results with at least 1 % of the pixels at one end of the disparity range.",
+    "frames_out_of_step": "Results whose time stamps differ by more than the tolerance.",
     "callback_errors": "Exceptions of the callback.",
 }
 

@@ -109,6 +109,7 @@ def test_cameras_off_the_plane_are_right_at_one_depth() -> None:
     [
         ([(0, 0, 0), (0, 0, 0)], "in one place"),
         ([(0, 0, 0), (0, 0, 1), (0, 0.0, 2)], "along the line"),
+        ([(0, 0, 0), (0.01, 0, 1), (0, 0.01, 2)], "along the line"),
         ([(0, 0, 0), (1, 0, 1), (0, 1, -1), (1, 1, 2), (0.5, 0.5, -2)], "plane|degrees away"),
     ],
 )
@@ -129,6 +130,23 @@ def test_calibrations_of_other_pictures_are_refused(boxes: LightField) -> None:
     away = (*cameras[:8], replace(cameras[8], rotation=turned((0, 2.0, 0))))
     with pytest.raises(LightFieldError, match=r"view_008\.png looks 1\d+ degrees away"):
         rectify(boxes, calibration=known(away))
+
+
+def test_cameras_that_see_nothing_of_what_the_others_see(boxes: LightField) -> None:
+    """One is left out with a note; if only the reference is left, there is no light field."""
+    cameras = ideal_cameras(boxes)
+
+    def away(camera: Camera, angle: float) -> Camera:
+        turn = turned((0, angle, 0)) @ np.asarray(camera.rotation)
+        return replace(camera, rotation=turn, translation=-turn @ camera.centre)
+
+    one = tuple(away(camera, 0.9) if n == 2 else camera for n, camera in enumerate(cameras))
+    found = rectify(boxes, calibration=known(one)).light_field
+    assert len(found.views) == 8
+    assert any("Left out, as nothing of it is in the common frame: view_002.png" in note for note in found.notes)
+    apart = tuple(away(camera, 0.9 * (n % 3 - 1)) for n, camera in enumerate(cameras))
+    with pytest.raises(LightFieldError, match=r"show nothing of what view_00\d\.png shows"):
+        rectify(boxes, calibration=known(apart))
 
 
 def test_a_calibration_of_larger_pictures_is_scaled(boxes: LightField) -> None:
@@ -169,10 +187,27 @@ def test_cameras_off_by_pixels_are_found_in_small_pictures() -> None:
     assert found.psnr_after > found.psnr_before + 4.5
 
 
+def test_the_level_that_views_do_not_tell_is_said(boxes: LightField) -> None:
+    """Over draws, maps of lined up views are off by a constant of the size that is said."""
+    assert boxes.truth is not None
+    off, said = [], []
+    for seed in range(4):
+        wrong = disturb(boxes, Misalignment(shift=0.6), seed=seed)
+        found = refine(wrong.light_field, model="shift", disparity_range=(-2.5, 2.5))
+        map_ = lfgpu.estimate_depth(found.light_field, config="fast", disparity_range=(-2.5, 2.5))
+        off.append(float(np.nanmedian((map_.disparity - boxes.truth.disparity)[15:-15, 15:-15])))
+        said.append(found.level_error)
+        assert any(f"about {found.level_error:.2g} px per view step" in note for note in found.light_field.notes)
+        assert any(" m that is " in note for note in found.light_field.notes)  # the geometry is known
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(np.mean(said), rel=0.7)
+    assert np.mean(said) == pytest.approx(0.6 / np.sqrt((boxes.offsets**2).sum()), rel=0.3)
+
+
 def test_what_is_right_is_left_alone(boxes: LightField) -> None:
     found = refine(boxes)
     assert not found.kept
     assert found.light_field is boxes
+    assert found.level_error == 0
     assert "nothing" in found.status
 
 

@@ -17,7 +17,7 @@ def plane_sweep(desk: Desk, i: SimpleNamespace) -> Outputs:
     offsets, view_sets = desk.field(i.offsets), desk.field(i.view_sets)
     plan = desk.kernels.plane_sweep(i.recorded.shape, offsets, view_sets, **i.options)
     shape = (i.options["count"], *i.image.shape[:2])
-    out = {"view_sets": desk.out(shape), "seen": desk.out(shape)}
+    out = {name: desk.out(shape) for name in ("view_sets", "seen", "seen_past_one")}
     other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
     plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
     plan.by_visibility(desk.field(i.nearest[:, ::-1]), desk.field(i.certain[:, ::-1]), out["view_sets"])
@@ -25,6 +25,8 @@ def plane_sweep(desk: Desk, i: SimpleNamespace) -> Outputs:
     plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
     plan.by_view_sets(out["view_sets"])
     plan.by_visibility(desk.field(i.nearest), desk.field(i.certain), out["seen"])
+    surface = desk.field(i.nearest)
+    plan.by_visibility(surface, surface, out["seen_past_one"])
     return out
 
 

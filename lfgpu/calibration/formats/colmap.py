@@ -91,7 +91,9 @@ def _sentences(folder: Path, what: str) -> Iterator[None]:
         raise LightFieldError(f"{folder} cannot be read: {error.strerror or error}.") from error
     except LightFieldError as error:
         raise LightFieldError(f"{folder}: {error}") from error
-    except (ValueError, IndexError) as error:
+    except IndexError as error:
+        raise LightFieldError(f"{folder} holds a damaged {what} of COLMAP: a line has too few entries.") from error
+    except ValueError as error:
         raise LightFieldError(f"{folder} holds a damaged {what} of COLMAP: {error}.") from error
 
 

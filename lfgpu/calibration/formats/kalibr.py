@@ -26,7 +26,7 @@ def kalibr_cameras(path: Path, table: Mapping[Any, Any]) -> list[Camera]:
         try:
             if entry["camera_model"] != "pinhole" or entry["distortion_model"] not in _LENSES:
                 raise LightFieldError(
-                    f"{path}: {name} is {entry['camera_model']} with {entry['distortion_model']}; lenses that are "
+                    f"{name} is {entry['camera_model']} with {entry['distortion_model']}; lenses that are "
                     "known are pinhole with radtan, equidistant or none."
                 )
             if found:
@@ -54,7 +54,7 @@ def kalibr_cameras(path: Path, table: Mapping[Any, Any]) -> list[Camera]:
         except (TypeError, ValueError, AttributeError) as error:
             raise LightFieldError(f"{path}: {name} has wrong entries: {error}.") from error
     if not found:
-        raise LightFieldError(f"{path} has no cam0, cam1, ...")
+        raise LightFieldError(f"{path} has no cam0, cam1, ...; give a camchain of Kalibr.")
     return found
 
 

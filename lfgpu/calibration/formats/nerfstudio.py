@@ -23,7 +23,10 @@ _LENS = {"pinhole": ("k1", "k2", "p1", "p2", "k3"), "fisheye": ("k1", "k2", "k3"
 def nerfstudio_cameras(path: Path, table: Mapping[str, Any]) -> list[Camera]:
     """The cameras of all frames, in their order."""
     try:
-        return [_camera({**table, **frame}) for frame in table["frames"]]
+        frames = table["frames"]
+        if not isinstance(frames, list) or not all(isinstance(frame, Mapping) for frame in frames):
+            raise ValueError("frames must be a list of tables")
+        return [_camera({**table, **frame}) for frame in frames]
     except LightFieldError as error:
         raise LightFieldError(f"{path}: {error}") from error
     except KeyError as error:

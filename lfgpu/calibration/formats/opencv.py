@@ -74,11 +74,13 @@ def _camera(path: Path, index: int, entry: Any) -> Camera:
             if key in entry:
                 return entry[key]
         if default is None:
-            raise LightFieldError(f"{path}: {name} has no {keys[0]} ({' or '.join(keys[1:])}).")
+            raise LightFieldError(f"{name} has no {keys[0]} ({' or '.join(keys[1:])}).")
         return default
 
-    size = entry.get("image_size") or [entry.get("image_width"), entry.get("image_height")]
     try:
+        size = entry.get("image_size")
+        if size is None:
+            size = [one(("image_width", "image_size")), one(("image_height", "image_size"))]
         return _made(
             numbers(one(_MATRIX), 3, 3),
             numbers(one(_LENS, ()), -1),

@@ -9,7 +9,10 @@ from typing import Any
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.pipelines.sources.base import Frames
-from lfgpu.pipelines.stream import DepthStream, StreamResult
+from lfgpu.pipelines.stream import DepthStream
+from lfgpu.pipelines.stream_result import StreamResult
+
+_ASKED_AGAIN = 0.05  # seconds between two questions whether to hold on
 
 
 def feed(
@@ -19,6 +22,7 @@ def feed(
     max_fps: float | None = None,
     most: int | None = None,
     stop: Callable[[], bool] = lambda: False,
+    hold: Callable[[], bool] = lambda: False,
     tag: Callable[[int, Any], Any] = lambda index, _: index,
     on_done: Callable[[StreamResult], None] | None = None,
 ) -> None:
@@ -37,6 +41,8 @@ def feed(
         Largest number of frames; None (default) takes all.
     stop
         Asked before each frame; when it returns True, no more are taken. Default: never.
+    hold
+        Asked before each frame; while it returns True, no frame is taken. Default: never.
     tag
         Called as tag(index, views) for the `tag` of each result. Default: the index.
     on_done
@@ -54,6 +60,10 @@ def feed(
     next_time = time.perf_counter()
     index = 0
     while (most is None or index < most) and not stop():
+        if hold():
+            look(wait=True)
+            time.sleep(_ASKED_AGAIN)
+            continue
         if max_fps is not None:
             time.sleep(max(0.0, next_time - time.perf_counter()))
             next_time = max(next_time, time.perf_counter()) + 1 / max_fps

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,18 +20,18 @@ _NAME = "frame_{:06d}"
 VIEWS_FILE = "views.npz"
 
 
-def recorded(frames: Frames, first: LightField, folder: Path) -> Frames:
+def recorded(frames: Frames, first: LightField, folder: Path, *, wanted: Callable[[], bool] = lambda: True) -> Frames:
     """The same frames; each is written before it is handed on, to a folder of its own in `folder`, whole or not at all.
 
     Cameras without a picture are left out. Frames that do not fit to the first one, or lack the picture of its
-    reference view, are handed on, but not written.
+    reference view, are handed on, but not written; neither are those before which `wanted` returns False.
     """
     for number in itertools.count():
         try:
             frame = next(frames)
         except StopIteration:
             return
-        lf = _light_field(frame, first)
+        lf = _light_field(frame, first) if wanted() else None
         if lf is not None:
             with atomic_folder(folder / _NAME.format(number)) as place:
                 masks: dict[str, Any] = {} if lf.valid is None else {"valid": lf.valid}

@@ -1,0 +1,127 @@
+"""How frames come into a stream: they are checked, and copied to where they wait for the device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract.streaming import Slot, Transport
+from lfgpu.data import interop
+from lfgpu.data.lightfield import LightField, check_scaled
+from lfgpu.errors import LightFieldError
+from lfgpu.threads import get_threads
+
+_AT_ONCE = 2**22  # bytes: up to this size, one thread copies as fast as several
+_MOST_COPIERS = 8
+
+
+class Intake:
+    """Takes frames of one kind, from any thread.
+
+    Parameters
+    ----------
+    lf
+        A light field of that kind, with all views.
+    used
+        Indices of the views that are used; the others are not looked at.
+    device
+        Where the stream is.
+    """
+
+    def __init__(self, lf: LightField, used: Sequence[int], device: str) -> None:
+        self._expected, self._grid = (lf.views.shape, lf.views.dtype), lf.grid_shape
+        self._used, self._all, self._reference = list(used), len(used) == len(lf.views), lf.reference_index
+        self._device = device
+        self._copying = max(1, min(_MOST_COPIERS, get_threads(), len(self._used)))
+        self._copiers = ThreadPoolExecutor(self._copying, thread_name_prefix="lfgpu-copy")
+
+    @property
+    def count(self) -> int:
+        """How many views a frame has."""
+        return int(self._expected[0][0])
+
+    def close(self) -> None:
+        """End the threads that copy; no frame comes any more."""
+        self._copiers.shutdown()
+
+    def checked_valid(self, valid: Any) -> NDArray[np.bool_]:
+        """Which cameras have a picture, bool [n]; LightFieldError if that cannot be."""
+        there = np.asarray(valid)
+        if there.shape != self._expected[0][:1] or there.dtype != np.bool_:
+            raise LightFieldError(
+                f"valid must be bool [{self._expected[0][0]}], one value for each view; found {there.dtype} "
+                f"{list(there.shape)}."
+            )
+        if not there[self._reference]:
+            raise LightFieldError(
+                f"the reference view (index {self._reference}) is missing, but its disparity is estimated; give its "
+                "picture."
+            )
+        if there[self._used].sum() < 2:
+            raise LightFieldError("of the used views only the reference view is valid; depth needs at least one more.")
+        return there
+
+    def checked(self, frame: Any) -> tuple[Any, bool]:
+        """The frame as [n, y, x, c], a NumPy array if it is on the host; and whether it is on the GPU.
+
+        LightFieldError if it is of another kind; whatever the library of the frame raises.
+        """
+        place = interop.place_of("views", frame)
+        found, shape = interop.kind_of("views", frame)
+        expected, dtype = self._expected
+        others = [expected[:3]] if expected[3] == 1 else []
+        if self._grid is not None and self._grid[0] * self._grid[1] == expected[0]:
+            others += [(*self._grid, *form[1:]) for form in (expected, *others)]
+        if found != str(dtype) or shape not in (expected, *others):
+            raise LightFieldError(
+                f"views must be {dtype} {list(expected)}, like those that the stream was made for; found {found} "
+                f"{list(shape)}."
+            )
+        if place == "cpu":
+            return interop.on_host("views", frame).reshape(expected), False
+        if self._device == "cpu" or place not in (self._device, interop.SOME_GPU):
+            raise LightFieldError(f"views are on {place}, but the stream is on {self._device}; copy them there first.")
+        if shape != expected:
+            if not hasattr(frame, "reshape"):
+                raise LightFieldError(f"views on a GPU must have the shape {list(expected)}; found {list(shape)}.")
+            frame = frame.reshape(expected)
+        return frame, True
+
+    def fill(self, slot: Slot, frame: Any, valid: NDArray[np.bool_], transport: Transport | None) -> None:
+        """Copy a checked frame to where it waits; `transport` takes it if it is on the GPU, and is None if not."""
+        slot.is_resident = transport is not None
+        slot.present[:] = valid[self._used]
+        if transport is not None:
+            transport.enter()
+            transport.take(frame, slot, None if self._all else self._used)
+            return
+
+        def copy(place: int) -> None:
+            view = self._used[place]
+            if not valid[view]:
+                slot.host[place] = 0  # the memory may hold NaN
+                return
+            slot.host[place] = frame[view]
+            if frame.dtype.kind == "f":
+                low, high = float(slot.host[place].min()), float(slot.host[place].max())
+                if not np.isfinite(low + high):
+                    raise LightFieldError(f"view {view} holds NaN or infinity; set valid[{view}] to False.")
+                check_scaled(f"view {view}", low, high)
+
+        def copy_some(places: range) -> None:
+            for place in places:
+                copy(place)
+
+        count, parts = len(self._used), 1 if slot.host.nbytes < _AT_ONCE else self._copying
+        cuts = [count * part // parts for part in range(parts + 1)]
+        others = [self._copiers.submit(copy_some, range(*cuts[part : part + 2])) for part in range(1, parts)]
+        try:
+            copy_some(range(*cuts[:2]))
+        finally:
+            wait(others)  # the slot must not be returned before
+        for other in others:
+            other.result()
