@@ -30,6 +30,7 @@ class Fault:
 
 _PRINTED = "tests/test_printed_equations.py"
 _MATRIX = "tests/kernels/test_matrix.py"
+_GPU = "tests/kernels/test_gpu_kernels.py"
 FAULTS = (
     Fault(
         "λ doubled",
@@ -108,6 +109,104 @@ FAULTS = (
         "move = tuple((1 if axis else -1) * disparity * lf.offsets[n, axis] for axis in (1, 0))",
         ("tests/test_render.py", "-k", "shifts_each_view"),
     ),
+    Fault(
+        "taps in the row before a GPU's tile",
+        "kernels/warp/gpu_data_term.py",
+        "y0 = tile_y * tile_height - 1;",
+        "y0 = tile_y * tile_height;",
+        (_GPU, "-k", "data_term and equals"),
+    ),
+    Fault(
+        "strips beyond the first list of a GPU's tile",
+        "kernels/warp/gpu_data_term.py",
+        "for (int first = 0; first < candidates; first += LIST) {\n        if (first)",
+        "for (int first = 0; first < min(candidates, LIST); first += LIST) {\n        if (first)",
+        (_GPU, "-k", "data_term and equals"),
+    ),
+    Fault(
+        "the mask of the data term on a GPU",
+        "kernels/warp/gpu_data_term.py",
+        "if not valid or valid[i] != 0.0:",
+        "if not valid or valid[i] != 2.0:",
+        (_GPU, "-k", "data_term and equals"),
+    ),
+    Fault(
+        "a sweep's rows below the view on a GPU",
+        "kernels/warp/gpu_plane_sweep.py",
+        "bool takes = part && inside && (unsigned)(row + dy) < rows_inside;",
+        "bool takes = part && inside;",
+        (_GPU, "-k", "plane_sweep and equals"),
+    ),
+    Fault(
+        "the mask of a sweep on a GPU",
+        "kernels/warp/gpu_plane_sweep.py",
+        "is_valid = right ? is_counted(b) : is_counted(a);",
+        "is_valid = is_counted(a);",
+        (_GPU, "-k", "plane_sweep and equals"),
+    ),
+    Fault(
+        "the row of neighbours at the top on a GPU",
+        "kernels/warp/nlm.py",
+        "above = y >= dy, inner",
+        "above = y > dy, inner",
+        (_GPU, "-k", "nlm_laplacian and equals"),
+    ),
+    Fault(
+        "the right border of the ratio on a GPU",
+        "kernels/warp/nlm.py",
+        "if (y >= dy && (unsigned)(x - dx) < (unsigned)width) add(w[-step], p - step);",
+        "if (y >= dy) add(w[-step], p - step);",
+        (_GPU, "-k", "nlm_ratio and equals"),
+    ),
+    Fault(
+        "the weight of the second pixel of a pair in averages on a GPU",
+        "kernels/warp/cost_volume.py",
+        "weights.data[k * size + p + (after ? 0 : q)]",
+        "weights.data[k * size + p]",
+        (_GPU, "-k", "nlm_average and equals"),
+    ),
+    Fault(
+        "what threads of a path tell each other on a GPU",
+        "kernels/warp/semi_global.py",
+        "below = group > 0 ? lasts[side][group - 1][lane] : INFINITY;",
+        "below = group > 0 ? firsts[side][group - 1][lane] : INFINITY;",
+        (_GPU, "-k", "semi_global and equals"),
+    ),
+    Fault(
+        "a barrier between the threads of a path on a GPU",
+        "kernels/warp/semi_global.py",
+        "            __syncthreads();\n",
+        "",
+        (_GPU, "-k", "semi_global and equals"),
+    ),
+    Fault(
+        "the last part of the inner products on a GPU",
+        "kernels/warp/gpu_lbfgs.py",
+        "part += TURNS) total",
+        "part += TURNS) if (part < parts - 1) total",
+        (_GPU, "-k", "lbfgs and equals"),
+    ),
+    Fault(
+        "bounds that hold a pixel on a GPU",
+        "kernels/warp/gpu_lbfgs.py",
+        "direction.data[i] = held || stopped ? 0.f : step;",
+        "direction.data[i] = stopped ? 0.f : step;",
+        (_GPU, "-k", "lbfgs and equals"),
+    ),
+    Fault(
+        "the order of disparities below 0 in a GPU's z-buffer",
+        "kernels/warp/alignment.py",
+        "if (bits < 0) atomicMin((unsigned*)place, (unsigned)bits);",
+        "if (bits < 0) atomicMax((unsigned*)place, (unsigned)bits);",
+        (_GPU, "-k", "z_buffer and equals"),
+    ),
+    Fault(
+        "the views after the first batch of a GPU",
+        "kernels/warp/alignment.py",
+        "inputs, out = [room[k], reach, threads], nearest_out[start:end]",
+        "inputs, out = [room[k], reach, threads], nearest_out[: end - start]",
+        (_GPU, "-k", "batches"),
+    ),
 )
 
 
@@ -122,6 +221,8 @@ def noticed(fault: Fault) -> bool:
                 shutil.copy(source, folder)
         broken = Path(folder) / fault.file
         text = broken.read_text(encoding="utf-8")
+        if fault.old not in text:
+            raise SystemExit(f"{fault.name}: {fault.file} holds no {fault.old!r} any more.")
         broken.write_text(text.replace(fault.old, fault.new), encoding="utf-8")
         command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *fault.tests]
         environment = {**os.environ, "PYTHONPATH": folder}

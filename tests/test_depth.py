@@ -56,8 +56,9 @@ def scores(lf: LightField, result: DepthResult) -> dict[str, Metrics]:
     return {stage: evaluate(values, truth.disparity) for stage, values in result.stages.items()}
 
 
-def difference(one: np.ndarray, other: np.ndarray) -> float:
-    return float(np.median(np.abs(one - other)))
+def difference(one: np.ndarray, other: np.ndarray, share: float = 0.95) -> float:
+    """What that share of the differences is at most, pixels per view step."""
+    return float(np.quantile(np.abs(one - other), share))
 
 
 # --- accuracy ---
@@ -139,7 +140,7 @@ def test_grey_is_colour_of_three_equal_channels() -> None:
     grey = small(channels=1)
     colour = LightField(np.repeat(grey.views, 3, axis=3), grey.positions, reference=grey.reference)
     one, other = (estimate_depth(lf, config=CONVERGED, disparity_range=RANGE).disparity for lf in (grey, colour))
-    assert difference(one, other) < 1e-3
+    assert difference(one, other, 0.5) < 1e-3  # 95 % of them are below 0.011 only
 
 
 def test_float32_is_uint16_without_its_rounding() -> None:

@@ -21,7 +21,7 @@ from lfgpu.pipelines.pipeline import DepthPipeline
 
 RANGE = (-1.5, 1.5)
 CONFIG = SynthesisConfig().with_values({"prior.window": 5, "refinement.max_iterations": 8})
-SAME = 1e-3  # pixels per view step, median: sums are in an order that a GPU decides
+SAME = 1e-3  # pixels per view step, 95 % quantile: sums are in an order that a GPU decides
 
 
 @cache
@@ -55,7 +55,7 @@ def assert_same(one: np.ndarray, other: np.ndarray, target: Any) -> None:
         np.testing.assert_array_equal(one, other)
     else:
         np.testing.assert_array_equal(np.isnan(one), np.isnan(other))
-        assert np.nanmedian(np.abs(one - other)) <= SAME
+        assert np.nanquantile(np.abs(one - other), 0.95) <= SAME
 
 
 @pytest.mark.parametrize("damaged", [False, True], ids=["whole", "damaged"])
@@ -84,9 +84,9 @@ def test_captured_run_is_the_uncaptured_one(target: Any) -> None:
     pipeline = made(scene(), target)
     uncaptured = ran(pipeline)
     pipeline.run()
-    assert np.median(np.abs(ran(pipeline) - uncaptured)) <= SAME
+    assert np.quantile(np.abs(ran(pipeline) - uncaptured), 0.95) <= SAME
     other = ran(made(scene(1), target))
-    assert np.median(np.abs(ran(pipeline, scene(1).views) - other)) <= SAME
+    assert np.quantile(np.abs(ran(pipeline, scene(1).views) - other), 0.95) <= SAME
 
 
 @pytest.mark.parametrize("solver", ["propagation.solver", "refinement.solver"])

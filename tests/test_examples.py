@@ -82,4 +82,5 @@ def test_compare_backends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lfgpu, "describe_backends", lambda: quick, raising=False)
     results = example("compare_backends").main(size=(24, 32))
     assert {"warp", "reference"} <= results.keys()
-    assert np.median(np.abs(results["warp"].disparity - results["reference"].disparity)) < 1e-3
+    apart = np.abs(results["warp"].disparity - results["reference"].disparity)
+    assert np.quantile(apart, 0.95) < 1e-3

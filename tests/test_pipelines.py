@@ -21,9 +21,9 @@ CONVERGED = SynthesisConfig().with_values(
     {"prior.window": 7, "refinement.tolerance": 1e-6, "refinement.max_iterations": 500}
 )
 """Minima are compared, not the iterations at which minimisations happened to stop."""
-NEAR = 1e-3  # pixels per view step: the median of the differences between two maps
-MOSTLY_NEAR = 1e-3  # their 95 % quantile
-SAME_CONFIDENCE = 0.03  # the largest difference: what hides what is decided by whole pixels
+MOSTLY_NEAR = 1e-3  # pixels per view step: the 95 % quantile of the differences between two maps
+SAME_CONFIDENCE = 0.02  # the largest difference: what hides what is decided by whole pixels
+MOSTLY_SAME_CONFIDENCE = 2e-3  # the 98 % quantile of the differences
 DEFINED = 0.005  # the share of pixels whose coherence may lie on the other side of the threshold
 
 
@@ -69,9 +69,10 @@ def assert_same(one: DepthResult, other: DepthResult) -> None:
         defined = [np.isfinite(result.stages[stage]) for result in (one, other)]
         assert (defined[0] != defined[1]).mean() <= DEFINED, stage
         difference = np.abs(one.stages[stage] - other.stages[stage])[defined[0] & defined[1]]
-        assert np.median(difference) <= NEAR, stage
         assert np.quantile(difference, 0.95) <= MOSTLY_NEAR, stage
-    assert np.abs(one.confidence - other.confidence).max() <= SAME_CONFIDENCE
+    apart = np.abs(one.confidence - other.confidence)
+    assert apart.max() <= SAME_CONFIDENCE
+    assert np.quantile(apart, 0.98) <= MOSTLY_SAME_CONFIDENCE
     assert reasons(one) == reasons(other)
     assert one.converged
     assert other.converged

@@ -8,7 +8,6 @@ from typing import Any
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer.contents import FINAL
 
-
 LARGEST = 1e9
 """No number of a page is larger: what is computed from it stays finite."""
 

@@ -83,6 +83,14 @@ SPLAT_CASES = (
     SplatCase("grid with holes", offsets=tuple(grid(3, 3)[k] for k in (0, 1, 3, 5, 8)), dtype="uint8"),
     SplatCase("work for several threads", size=(61, 38), offsets=grid(5, 5), masked=True),
     SplatCase("views of a benchmark", size=(5, 6), offsets=grid(9, 9), masked=True),
+    SplatCase("several tiles of a GPU", size=(37, 131), offsets=grid(2, 2), channels=1, masked=True),
+    SplatCase(
+        "more strips than a GPU lists at a time",
+        size=(121, 157),
+        channels=1,
+        disparities=(-60.0, 60.0),
+        offsets=((1.0, -0.5), (-0.75, 0.25)),
+    ),
 )
 
 

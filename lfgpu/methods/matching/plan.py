@@ -16,6 +16,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import minimum_filter
 
 from lfgpu.contract import REDUCTION, WHITE, Array, Float32Array, KernelSet
 from lfgpu.data.lightfield import LightField, farthest
@@ -76,6 +77,10 @@ class MatchingPlan:
         self._offsets = kernels.field(lf.offsets, device)
         self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
         self._known = None if lf.valid is None else kernels.field(lf.valid[lf.reference_index], device)
+        # Where a patch holds a pixel that the reference did not record, it is like no other patch.
+        patch = config.prior.patch
+        alike = None if lf.valid is None else minimum_filter(lf.valid[lf.reference_index], patch, mode="nearest")
+        self._alike = None if alike is None else kernels.field(alike, device)
         self._far = None if lf.valid is None else kernels.field(np.full(lf.size, bounds[0]), device)
         self._unknown = None if lf.valid is None else kernels.field(np.full(lf.size, np.nan), device)
         held = config.hole_filling.stiffness * config.alignment.robust**2  # as strongly as one similar neighbour
@@ -277,8 +282,8 @@ class MatchingPlan:
             share=config.boundaries.share,
             disparity_out=self.disparity,
         )
-        if self._known is not None:  # what the reference did not record is like nothing, and is left as it is
-            self._kernels.select(self._known, self._curvature, self._held, self._curvature)
+        if self._alike is not None:  # what is like nothing has nothing to be filled from, and is left as it is
+            self._kernels.select(self._alike, self._curvature, self._held, self._curvature)
         self._hole_filling.run(
             self.disparity,
             self._curvature,

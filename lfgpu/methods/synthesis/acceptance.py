@@ -17,7 +17,6 @@ _ROBUST = 0.005  # intensity at the usual noise: larger differences from the mea
 _TOLERANCE = 1.2  # pixels in the farthest view: a surface hides only what lies behind it by more
 _REACH = 1  # pixels around a surface in another view that it hides, too: there both sides mix
 _STIFFNESS = 0.1  # 1 / pixel²: curvature over robust² at which the confidence is a half
-_NOTHING = 1e-30  # added to a denominator that may be 0; slopes are above 1e-12
 
 
 class Acceptance:
@@ -76,10 +75,12 @@ class Acceptance:
         k.axpby(-1.0, loss, 0.0, loss, loss)
         k.clamp(gain, 0.0, 1.0, gain)
         k.clamp(loss, 0.0, 1.0, loss)
-        # The parabola through both derivatives has its minimum at gain / (gain + loss) of the way.
+        # The parabola through both derivatives has its minimum at gain / (gain + loss) of the way. Another one, as wide
+        # as that of a pixel whose confidence is a half, holds the pixel where it is: no evidence moves nothing.
         k.axpby(1.0, gain, 1.0, loss, loss)
-        k.axpby(1.0, loss, _NOTHING, self._prior.ones, loss)
-        k.divide(gain, loss, gain)
+        k.multiply(change, change, self._slope)
+        k.axpby(1.0, loss, self._no_texture, self._slope, loss)
+        k.divide(gain, loss, gain)  # 0 where nothing would change
         k.multiply(gain, change, change)
         k.axpby(1.0, start, 1.0, change, disparity)
 

@@ -1,0 +1,181 @@
+"""The Warp backend as a GPU runs it, on a CPU: `KERNELS` is that backend.
+
+The package `kernels/warp` is imported a second time. What it asks a device for (`is_cpu`, `is_cuda`) is answered as a
+GPU would, so that it takes the paths of a GPU. Memory stays the CPU's. Warp runs each block of threads as fibers
+(`wp.config.enable_cpu_blocks`), which take turns: a thread runs until it waits. Native code gets what CUDA has and a
+CPU has not, in terms of that: memory that a block shares, barriers, shuffles, votes, atomics.
+
+What this cannot show: rounding of a GPU's own functions, memory that threads reach in another order, time.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import re
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, SourceFileLoader
+from pathlib import Path
+from types import ModuleType
+from typing import Any, cast
+
+import warp as wp
+
+from lfgpu import kernels
+from lfgpu.contract import KernelSet
+
+NAME = "lfgpu_gpu_blocks"
+FOLDER = Path(next(iter(kernels.__path__))) / "warp"
+BLOCK = 256  # threads of a block where a launch does not say
+PARTS = 8  # blocks that share a sum, instead of 128: threads that take turns take long
+ON_HOST = ("asking", "control", "memory", "recording", "sharing", "staging", "streaming", "transport")
+"""Modules about memory and streams, for which the device stays what it is."""
+
+# Static lambdas need not be captured by other lambdas. Whole blocks and warps wait, as the kernels are launched with
+# multiples of them. A thread that waits too long goes on: the result is wrong then, which a test wants to see.
+_PRELUDE = """
+    #define __CUDA_ARCH__ 900
+    #define __shared__ static
+    #define alignas(size) __attribute__((aligned(size)))
+    struct int4 { int x, y, z, w; };
+    struct uint2 { unsigned x, y; };
+    struct uint4 { unsigned x, y, z, w; };
+    struct float4 { float x, y, z, w; };
+    static const auto make_int4 = [](int x, int y, int z, int w) { return int4{x, y, z, w}; };
+    static const auto min = [](auto a, auto b) { return b < a ? b : a; };
+    static const auto max = [](auto a, auto b) { return a < b ? b : a; };
+    // Of a number and what is none, the number.
+    static const auto fminf = [](float a, float b) { return a != a ? b : b != b ? a : b < a ? b : a; };
+    static const auto fmaxf = [](float a, float b) { return a != a ? b : b != b ? a : a < b ? b : a; };
+    static const auto __float_as_int = [](float value) { return __builtin_bit_cast(int, value); };
+    static const auto __int_as_float = [](int value) { return __builtin_bit_cast(float, value); };
+    static const auto __uint_as_float = [](unsigned value) { return __builtin_bit_cast(float, value); };
+    static const auto __float2int_rn = [](float value) { return (int)__builtin_rintf(value); };
+    static const auto __ldcs = [](auto* place) { return *place; };
+    static const auto __byte_perm = [](unsigned x, unsigned y, unsigned selector) {
+        const unsigned long long both = (unsigned long long)y << 32 | x;
+        unsigned result = 0;
+        for (int i = 0; i < 4; ++i) result |= (unsigned)(both >> 8 * (selector >> 4 * i & 7) & 0xff) << 8 * i;
+        return result;
+    };
+    static const auto atomicAdd = [](auto* place, auto value) { const auto old = *place; *place += value; return old; };
+    static const auto atomicMax = [](auto* place, auto value) {
+        const auto old = *place;
+        *place = old < value ? value : old;
+        return old;
+    };
+    static const auto atomicMin = [](auto* place, auto value) {
+        const auto old = *place;
+        *place = value < old ? value : old;
+        return old;
+    };
+    static int gpu_arrived[33], gpu_turns[33];  // of the block, and of each of its warps
+    static unsigned long long gpu_told[2][32][32];  // by turns, so that one wait is enough
+    static const auto gpu_wait = [](int group, int members) {
+        const int turn = gpu_turns[group];
+        if (++gpu_arrived[group] == members) {
+            gpu_arrived[group] = 0;
+            ++gpu_turns[group];
+        }
+        for (int tries = 0; gpu_turns[group] == turn && tries < 2000; ++tries) wp_cpu_tile_sync();
+    };
+    static const auto __syncthreads = []() { gpu_wait(0, WP_TILE_BLOCK_DIM); };
+    static const auto __syncwarp = []() { gpu_wait(1 + wp_cpu_get_thread_idx() / 32, 32); };
+    // Tells the other lanes of the warp a value, and returns that of lane `from`.
+    static const auto gpu_ask = [](auto value, int from) {
+        const int warp = wp_cpu_get_thread_idx() / 32, lane = wp_cpu_get_thread_idx() % 32;
+        auto& told = gpu_told[gpu_turns[1 + warp] & 1][warp];
+        auto answer = value;
+        __builtin_memcpy(&told[lane], &value, sizeof(value));
+        __syncwarp();
+        __builtin_memcpy(&answer, &told[from & 31], sizeof(value));
+        return answer;
+    };
+    static const auto __shfl_xor_sync = [](unsigned, auto value, int mask) {
+        return gpu_ask(value, wp_cpu_get_thread_idx() % 32 ^ mask);
+    };
+    static const auto __shfl_up_sync = [](unsigned, auto value, int by) {
+        const int lane = wp_cpu_get_thread_idx() % 32;
+        return gpu_ask(value, lane < by ? lane : lane - by);
+    };
+    static const auto __shfl_down_sync = [](unsigned, auto value, int by) {
+        const int lane = wp_cpu_get_thread_idx() % 32;
+        return gpu_ask(value, lane + by > 31 ? lane : lane + by);
+    };
+    static const auto __ballot_sync = [](unsigned, bool yes) {
+        const int warp = wp_cpu_get_thread_idx() / 32, turn = gpu_turns[1 + warp] & 1;
+        gpu_ask(yes, 0);
+        unsigned votes = 0;
+        for (int lane = 0; lane < 32; ++lane) votes |= (unsigned)((gpu_told[turn][warp][lane] & 1) << lane);
+        return votes;
+    };
+    static const auto __any_sync = [](unsigned mask, bool yes) { return __ballot_sync(mask, yes) != 0u; };
+"""
+_POSTLUDE = """
+    #undef __CUDA_ARCH__
+    #undef __shared__
+    #undef alignas
+"""
+
+
+def _native(code: str) -> Callable[[Callable[..., Any]], Any]:
+    return cast("Callable[[Callable[..., Any]], Any]", wp.func_native(_PRELUDE + code + _POSTLUDE))
+
+
+class _Loader(SourceFileLoader):
+    """Imports a file of the Warp backend with the answers of a GPU; no compiled copy is kept or used."""
+
+    def get_code(self, fullname: str) -> Any:
+        text = Path(self.path).read_text(encoding="utf-8")
+        if Path(self.path).stem not in ON_HOST:
+            text = re.sub(r"\b[\w.]+\.is_cpu\b", "False", text)
+            text = re.sub(r"\b[\w.]+\.is_cuda\b", "True", text)
+            text = text.replace("@wp.func_native(", "@_native(")
+        text = re.sub(r"^(_?PARTS) = 128\b", rf"\1 = {PARTS}", text, flags=re.MULTILINE)
+        text = re.sub(r'(\bmodule ?= ?f?")lfgpu_', rf"\1{NAME}_", text)
+        return compile(text, self.path, "exec", dont_inherit=True)
+
+    def exec_module(self, module: ModuleType) -> None:
+        vars(module)["_native"] = _native
+        super().exec_module(module)
+
+
+class _Finder(MetaPathFinder):
+    """Finds the second copy of the package."""
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        package, _, leaf = name.partition(".")
+        if package != NAME:
+            return None
+        file = FOLDER / (f"{leaf}.py" if leaf else "__init__.py")
+        if not file.is_file():
+            return None
+        loader = _Loader(name, str(file))
+        return importlib.util.spec_from_file_location(
+            name, file, loader=loader, submodule_search_locations=None if leaf else [str(FOLDER)]
+        )
+
+
+def load() -> KernelSet:
+    """The backend. Its work has to be done `in_blocks`."""
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Finder())  # before the one that would find the package as it is
+    return cast("KernelSet", importlib.import_module(NAME).KERNELS)
+
+
+@contextmanager
+def in_blocks() -> Iterator[None]:
+    """Warp launches blocks of threads on the CPU meanwhile, of `BLOCK` where a launch does not say."""
+    before, launch = wp.config.enable_cpu_blocks, wp.launch
+
+    def of_blocks(*arguments: Any, block_dim: int | None = None, **options: Any) -> Any:
+        return launch(*arguments, block_dim=BLOCK if block_dim is None else block_dim, **options)
+
+    wp.config.enable_cpu_blocks, wp.launch = True, of_blocks
+    try:
+        yield
+    finally:
+        wp.config.enable_cpu_blocks, wp.launch = before, launch

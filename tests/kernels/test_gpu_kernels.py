@@ -1,0 +1,93 @@
+"""What the Warp backend has for GPUs, on a CPU: blocks of threads as `gpu_blocks` runs them, against the reference.
+
+The cases are those that differ in what a GPU decides for itself: tiles, strips, blocks and their edges, channels, how
+pixels are packed, masks. Each kind of kernel takes seconds to compile, so these are not all cases of the matrix:
+`python -m benchmarks gpu-parity --device cuda` runs all of them on a GPU.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import checks
+import gpu_blocks
+import numpy as np
+import pytest
+import warp as wp
+from test_matrix import CELLS, MAKERS, cell
+
+from lfgpu.contract import KernelSet
+
+CHOSEN = (
+    r"data_term-(grey-uint8-masked|colour-float16-masked|partly-out|all-out|one-pixel-high|several-tiles|more-strips)",
+    r"data_term-views-of-a-benchmark",
+    r"plane_sweep-(grey-uint8-masked|one-pixel-high|high|wide|corner-reference)",
+    r"semi_global-(colour|slices-for|many-slices|wide|work-for)",
+    r"nlm_(laplacian|ratio|plane)-(colour|one-pixel|window-wider)",
+    r"nlm_neighbors-(colour|one-pixel)",
+    r"nlm_average-(colour|window-wider|one-pixel|wide|many-slices)",
+    r"z_buffer-(grey-float32|one-pixel|work-for)",
+    r"alignment-(grey-float32|one-pixel-wide|work-for)",
+    r"lbfgs-(memory-of-one|curved-valley|as-many|curvature-and|work-for)",
+    r"dot-",
+)
+"""Of the matrix, by name."""
+
+
+def chosen(name: str) -> bool:
+    return any(re.match(pattern, name) for pattern in CHOSEN)
+
+
+@pytest.fixture(scope="module")
+def gpu() -> Iterator[KernelSet]:
+    kernels = gpu_blocks.load()
+    with gpu_blocks.in_blocks():
+        yield kernels
+
+
+@pytest.mark.parametrize(("operation", "case"), [param for param in CELLS if chosen(str(param.id))])
+def test_operation_equals_the_reference(gpu: KernelSet, operation: checks.Operation, case: Any) -> None:
+    inputs, want = cell(f"{operation}-{case}")
+    checks.check_value(gpu, "cpu", operation, inputs, case.tolerance, want)
+
+
+BATCHES = (
+    ("alignment", "_BUFFER", 1, "z_buffer-(colour|work-for)"),
+    ("occlusion", "_BUFFER", 1, "z_buffered_data_term-colour-u"),
+    ("views", "_BATCH", 2, "normalization-(grey-uint16-masked|one-pixel-high)"),
+)
+"""A module, what limits the views that it works on at a time, a limit that gives several batches, and cases."""
+
+
+@pytest.mark.parametrize(("module", "limit", "small", "pattern"), BATCHES, ids=[batch[0] for batch in BATCHES])
+def test_views_come_in_batches(
+    gpu: KernelSet, module: str, limit: str, small: int, pattern: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.modules[f"{gpu_blocks.NAME}.{module}"], limit, small)
+    some = [param for param in CELLS if re.match(pattern, str(param.id))]
+    assert some
+    for param in some:
+        operation, case = param.values
+        inputs, want = cell(str(param.id))
+        checks.check_value(gpu, "cpu", operation, inputs, case.tolerance, want)  # type: ignore[union-attr, arg-type]
+
+
+def test_the_paths_are_those_of_a_gpu(gpu: KernelSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Native code that only a GPU has is what ran: kernels of blocks, by the names of their modules."""
+    launched: set[str] = set()
+    start = wp.launch
+
+    def seen(kernel: Any, *arguments: Any, **options: Any) -> Any:
+        launched.add(kernel.module.name)
+        return start(kernel, *arguments, **options)
+
+    monkeypatch.setattr(wp, "launch", seen)
+    for name in ("data_term-two-by-two", "plane_sweep-two-by-two", "nlm_ratio-one-pixel", "semi_global-one-pixel"):
+        operation, case = next(param.values for param in CELLS if param.id == name)
+        checks.compute(gpu, "cpu", operation, MAKERS[operation.inputs](case, np.random.default_rng(0)))  # type: ignore[union-attr]
+    for part in ("gpu_data_term", "gpu_plane_sweep", "nlm_gpu_ratio", "gpu_semi_global"):
+        assert any(part in module for module in launched), (part, launched)
+    assert all(module.startswith(gpu_blocks.NAME) for module in launched)
