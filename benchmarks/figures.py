@@ -362,7 +362,7 @@ ACCURACY = newest(path.name for path in RESULTS.glob("accuracy-*.json"))
 """The accuracy of the newest version that was measured."""
 PUBLISHED = "published.json"
 """What others publish about their methods, each with its source."""
-H200 = ("h200.json", "h200-17x17.json")
+H200 = ("h200-pipelines.json", "h200.json", "h200-17x17.json")  # what is newer comes first
 RUNS = ("cpu-2-cores.json", "h200-machine-cpu.json", "h200-taichi.json", *H200, "ablation.json")
 TABLES: Mapping[str, Table] = {
     "ablation": Table(("ablation.json",), _ablation),

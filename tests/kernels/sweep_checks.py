@@ -102,7 +102,8 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
     views, offsets = values["recorded"], values["offsets"]
     inputs = {name: kernels.image(values[name], device) for name in ("image", "recorded")}
     inputs["valid"] = kernels.field(values["valid"], device)
-    inputs["certain"] = kernels.field(1 - values["valid"], device)
+    certain = kernels.zeros(values["valid"].shape, device)
+    ones = kernels.field(np.ones_like(values["valid"]), device)
     plan = kernels.plane_sweep(
         views.shape,
         kernels.field(offsets, device),
@@ -125,6 +126,7 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
     def work() -> None:
         plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
         plan.by_view_sets(volumes["view_sets"])
-        plan.by_visibility(inputs["valid"], inputs["certain"], volumes["seen"])  # surfaces at 0 and 1
+        kernels.axpby(1.0, ones, -1.0, inputs["valid"], certain)
+        plan.by_visibility(inputs["valid"], certain, volumes["seen"])  # surfaces at 0 and 1
 
     return Program(inputs, work, volumes)
