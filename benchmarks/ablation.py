@@ -106,7 +106,7 @@ VARIANTS = (
     Variant("sweep: twice the step", {"sweep.step": 0.8}),
     Variant("noise not measured", {"sweep.noise": 0.004}),
     Variant("no semi-global matching", {"semi_global.small_penalty": 0, "semi_global.large_penalty": 0}),
-    Variant("steps twice as dear", {"semi_global.small_penalty": 0.0005, "semi_global.large_penalty": 0.01}),
+    Variant("steps twice as dear", {"semi_global.small_penalty": 0.001, "semi_global.large_penalty": 0.007}),
     Variant("steps cheaper at edges of the image", {"semi_global.contrast": 0.05}),
     Variant("costs over 5 pixels", {"semi_global.window": 5}),
     Variant("costs over 9 pixels, as all else", {"semi_global.window": 9}),
@@ -121,7 +121,7 @@ VARIANTS = (
     # Stiffness is in units of the curvature over robust²: it stays what it is in absolute terms.
     Variant(
         "alignment: not robust",
-        {"alignment.robust": 0.5, "alignment.stiffness": 0.1 / 100**2, "hole_filling.stiffness": 0.01 / 100**2},
+        {"alignment.robust": 1.0, "alignment.stiffness": 0.1 / 100**2, "hole_filling.stiffness": 0.02 / 100**2},
     ),
     Variant("alignment: across surfaces", {"alignment.support": 100}),
     Variant("alignment: no stiffness", {"alignment.stiffness": 0}),

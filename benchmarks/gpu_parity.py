@@ -27,6 +27,7 @@ FILES = (
     "tests/kernels/test_matrix.py",
     "tests/kernels/test_energy.py",
     "tests/kernels/test_occlusion_reference.py",
+    "tests/kernels/test_smoothing.py",
     "tests/test_printed_equations.py",
     "tests/test_pipelines.py",
     "tests/test_depth_pipeline.py",

@@ -176,7 +176,7 @@ FAULTS = (
         "a barrier between the threads of a path on a GPU",
         "kernels/warp/semi_global.py",
         "            __syncthreads();\n",
-        "",
+        "            ;  // no barrier\n",
         (_GPU, "-k", "semi_global and equals"),
     ),
     Fault(

@@ -45,8 +45,8 @@ def test_the_notebook_runs_and_shows_what_it_says(tmp_path: Path) -> None:
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", ())]
     shown = [output.data["text/html"] for output in outputs if "text/html" in output.get("data", {})]
     assert [
-        next(word for word in ("EPI of row", "Uncertainty", "Left-over shifts") if word in page) for page in shown
-    ] == ["EPI of row", "Uncertainty", "Left-over shifts"], "the light field, the result, the judge"
+        next(word for word in ("EPI of row", "Uncertainty", "Prediction error") if word in page) for page in shown
+    ] == ["EPI of row", "Uncertainty", "Prediction error"], "the light field, the result, the judge"
     said = "".join(output.text for output in outputs if output.output_type == "stream" and output.name == "stdout")
     assert "BadPix(0.07)" in said
     assert any("image/png" in output.get("data", {}) for output in outputs), "the refocused picture"

@@ -36,6 +36,8 @@ def glance(lf: LightField) -> str | None:
     part, _ = part_of(lf, views=_VIEWS, pixels=_PIXELS)
     known = np.ones(part.size, np.bool_) if part.valid is None else part.valid[part.reference_index]
     y, x, tile = textured(part, inner(known), _POINTS)
+    if not len(x):
+        return None
     try:
         low, high = find_disparity_range(part, load(DEFAULT), "cpu")
     except LightFieldError:

@@ -103,9 +103,9 @@ def doubted(result: DepthResult, doubt: Doubt | None) -> DepthResult:
     """A result with a note of what is to be said against it. Where views show nothing, it is not confident, either."""
     if doubt is None:
         return result
-    result = replace(result, notes=(*result.notes, doubt.note))
     if not doubt.is_of_nothing:
-        return result
+        return replace(result, notes=(doubt.note, *result.notes))
+    result = replace(result, notes=(doubt.note,))  # what else the map says against itself means nothing, either
     low, high = result.disparity_range
     unknown = np.float32((high - low) / math.sqrt(12))  # of a number that may be any in the range
     return replace(

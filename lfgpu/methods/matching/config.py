@@ -23,8 +23,8 @@ class SweepConfig(Section):
     step: float = number(0.4, 0.02, 2.0, "distance between two disparities, pixels in the farthest view")
     max_labels: int = number(256, 3, 4096, "most disparities; a range that needs more gets longer steps")
     noise: float = number(
-        0.0, 0.0, 1.0, "difference between views that agree, intensity, once they are smoothed; 0 measures it. "
-        "Thresholds on what views may differ by grow with it"
+        0.0, 0.0, 1.0, "difference between views that agree, intensity; 0 measures it. Thresholds on what views may "
+        "differ by grow with it, and how far views are smoothed"
     )  # fmt: skip
     smoothing: float = number(
         2.0, 0.0, 100.0, "pixels of a view that differ by this, in units of its grain, are alike and averaged before "

@@ -11,7 +11,7 @@ from lfgpu.data.lightfield import LightField, farthest
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.noise import measured_grain, measured_noise, smoothing_deviation
+from lfgpu.methods.matching.noise import measured_grain, measured_noise, of_given_noise, smoothing_deviation
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.matching.sweep import labels, used_views
 from lfgpu.methods.matching.temporal import TemporalMatching
@@ -55,16 +55,20 @@ class Matching(Method[MatchingConfig]):
         return used_views(lf, self.config.sweep.views)
 
     def measured(self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str) -> Measured:
-        config, grain = self.config.sweep, measured_grain(lf)
+        config = self.config.sweep
+        if config.noise:
+            return Measured(bounds, *of_given_noise(config.noise, config))
+        grain = measured_grain(lf)
         deviation = smoothing_deviation(grain, config)
-        noise = config.noise or measured_noise(lf, bounds, config, kernels, device, deviation=deviation)
-        return Measured(bounds, noise, grain)
+        return Measured(bounds, measured_noise(lf, bounds, config, kernels, device, deviation=deviation), grain)
 
     def given(
         self, lf: LightField, disparity_range: tuple[float, float] | None, noise: float | None = None
     ) -> Measured | None:
         known = self.config.sweep.noise or noise
-        return None if disparity_range is None or known is None else Measured(checked_range(disparity_range, lf), known)
+        if disparity_range is None or known is None:
+            return None
+        return Measured(checked_range(disparity_range, lf), *of_given_noise(known, self.config.sweep))
 
     def same_surface(self, lf: LightField) -> float:
         return self.config.alignment.support / farthest(lf.offsets)

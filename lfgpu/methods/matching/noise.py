@@ -21,6 +21,8 @@ _Stage = TypeVar("_Stage", bound=Section)
 _SAMPLE = 256  # pixels, side of what the noise is measured in
 _USUAL_NOISE = 0.004  # intensity: what the defaults are meant for
 _LEAST_NOISE, _LEAST_SMOOTHED, _MOST_NOISE = 0.7, 0.3, 5.0  # in units of that: of views as they are, and smoothed
+_CLEAN = 0.0035  # intensity: what views without grain differ by, as they are interpolated
+_LEFT = 0.3  # of the grain in their difference when they are smoothed
 _SEEN = 0.65  # of the grain of views that is seen in their difference, which is interpolated and truncated
 _GRAIN_WINDOW = 7  # pixels
 _GRAIN_SAMPLE = 512  # pixels, side of what the grain is measured in
@@ -46,6 +48,14 @@ def measured_grain(lf: LightField) -> float:
     if lf.valid is not None:
         counts &= minimum_filter(lf.valid[lf.reference_index], _GRAIN_WINDOW + 2, mode="nearest")[1:-1, 1:-1]
     return float(np.percentile(sizes[counts], _GRAIN_SHARE)) if counts.any() else 0.0
+
+
+def of_given_noise(noise: float, config: SweepConfig) -> tuple[float, float]:
+    """Noise once they are smoothed, and grain, of views that differ by `noise` as they are, if nothing is measured."""
+    grain = math.sqrt(max(0.0, noise**2 - _CLEAN**2)) / _SEEN
+    if smoothing_deviation(grain, config) is None:
+        return noise, grain
+    return min(noise, math.hypot(_CLEAN, _LEFT * noise)), grain
 
 
 def smoothing_deviation(grain: float | None, config: SweepConfig) -> float | None:
