@@ -29,12 +29,13 @@ from lfgpu.pipelines import tiles
 ROOT = Path(__file__).parents[1]
 RANGE = (-0.8, 0.8)
 TOLERANCE = 1e-3  # pixels per view step
+SIDE = 280  # pixels
 
 
 @pytest.fixture(scope="module")
 def scene() -> LightField:
     """With noise, so that nothing is as it is by chance, and larger than two tiles and their halos."""
-    return scenes.make("boxes", grid=(5, 5), size=(216, 216), disparity_range=(-0.7, 0.7), noise=0.01, seed=5)
+    return scenes.make("boxes", grid=(5, 5), size=(SIDE, SIDE), disparity_range=(-0.7, 0.7), noise=0.01, seed=5)
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +53,16 @@ def whole(scene: LightField, parameters: Config) -> DepthResult:
 
 
 def halo(lf: LightField, config: Config) -> tuple[int, int]:
-    return method_of(config).halo(lf, Measured(RANGE))
+    return method_of(config).halo(lf, given(lf, config))
+
+
+def given(lf: LightField, config: Config) -> Measured:
+    return method_of(config).given(lf, RANGE) or Measured(RANGE)
 
 
 def memory_for(lf: LightField, config: Config, height: int, width: int) -> int:
     """What makes tiles of that size the largest ones that fit."""
-    needed = method_of(config).footprint(lf, Measured(RANGE), on_gpu=False).bytes(height, width)
+    needed = method_of(config).footprint(lf, given(lf, config), on_gpu=False).bytes(height, width)
     return needed + lf.views.nbytes + 4 * 8 * lf.size[0] * lf.size[1]
 
 
@@ -136,7 +141,7 @@ def test_several_devices_give_the_same(scene: LightField, parameters: Config) ->
     """Each in a thread with a pipeline of its own, here twice the CPU."""
     config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
     edge = halo(scene, config)
-    plan = tiles.plan_tiles(scene.size, edge, Footprint(1.0, 0), 216 * 216)
+    plan = tiles.plan_tiles(scene.size, edge, Footprint(1.0, 0), SIDE * SIDE)
     assert len(plan.starts) > 1
     options = {"config": config, "disparity_range": RANGE, "backend": "warp", "deterministic": False}
     one = tiles._estimate_all(scene, method_of(config), plan, ["cpu"], options, None)
@@ -149,16 +154,16 @@ def test_several_devices_give_the_same(scene: LightField, parameters: Config) ->
 
 def test_a_tile_that_shows_nothing_does_not_end_the_others(scene: LightField, parameters: Config) -> None:
     views = scene.views.copy()
-    views[:, :, :191] = 0
+    views[:, :, : SIDE - 40] = 0
     config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
     dark = replace(scene, views=views, truth=None)
-    width = tiles._cuts(216, halo(dark, config)[1])[-1][1]
-    assert width < 191
-    found = in_tiles(dark, config, memory_for(dark, config, 216, width))
+    width = tiles._cuts(SIDE, halo(dark, config)[1])[-1][1]
+    assert width < SIDE - 40
+    found = in_tiles(dark, config, memory_for(dark, config, SIDE, width))
     assert "have no estimate" in found.status
     assert np.isnan(found.disparity[:, 0]).all()
     assert (found.confidence[:, 0] == 0).all()
-    assert np.isfinite(found.disparity[:, 215]).all()
+    assert np.isfinite(found.disparity[:, SIDE - 1]).all()
 
 
 def test_masks_are_those_of_each_tile(scene: LightField, parameters: Config) -> None:
@@ -167,8 +172,8 @@ def test_masks_are_those_of_each_tile(scene: LightField, parameters: Config) -> 
     masked = replace(scene, valid=valid)
     config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
     whole = estimate_depth(masked, config=config, disparity_range=RANGE, device="cpu")
-    width = tiles._cuts(216, halo(masked, config)[1])[1][1]
-    found = in_tiles(masked, config, memory_for(masked, config, 216, width))
+    width = tiles._cuts(SIDE, halo(masked, config)[1])[1][1]
+    found = in_tiles(masked, config, memory_for(masked, config, SIDE, width))
     assert found.status.startswith("2 tiles")
     np.testing.assert_array_equal(np.isnan(found.disparity), ~valid[scene.reference_index])
     assert np.nanmax(np.abs(found.disparity - whole.disparity)) < TOLERANCE
