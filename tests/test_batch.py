@@ -900,6 +900,7 @@ def test_a_name_that_is_no_text_is_written_out_in_the_report(recorded: Path, tmp
     items = find_items([str(recorded / "scene_0")], sequence=False)[0]
     batch = Batch(items, tmp_path, FAST)
     batch.summary.entries["scene_0"] = {"item": "scene_0", "status": FAILED, "error": "no \ud800 text"}
+    batch.summary.entries["\ud800"] = {"item": "\ud800", "status": FAILED, "error": "damaged"}
     assert "no \\ud800 text" in write_report(batch.summary, tmp_path, "a").read_text(encoding="utf-8")
 
 

@@ -131,9 +131,17 @@ def _typeset(name: str) -> str:
     return name.replace("x100", "\u00d7100")
 
 
+def _link(name: str) -> str:
+    """A name as part of an address, also one that is not UTF-8, or that a damaged manifest holds."""
+    try:
+        return quote(name.encode(errors="surrogateescape"))
+    except UnicodeEncodeError:
+        return quote(name.encode(errors="surrogatepass"))
+
+
 def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
     done, metrics, sizes = entry.get("status") == DONE, entry.get("metrics") or {}, entry.get("sizes", ())
-    folder, seconds = quote(entry["item"]), entry.get("seconds", 0.0)
+    folder, seconds = _link(entry["item"]), entry.get("seconds", 0.0)
     scores = {name: metrics.get(key) for name, key in COLUMNS.items()}
     numbers, span = [("seconds", f"{seconds:.2f}")], None
     if done and "disparity_range" in entry:

@@ -65,8 +65,8 @@ class Images(Protocol):
     ) -> None:
         """Means over REDUCTION x REDUCTION pixels of scale * views [n, y, x, c], uint16 with `WHITE` for 1, rounded.
 
-        Rows and columns that are left over have no part. `valid_out` [n, y, x] is 1 where all of a block's pixels are
-        valid, else 0; it is None if `valid` is.
+        Both sides of the views are at least REDUCTION pixels. Rows and columns that are left over have no part.
+        `valid_out` [n, y, x] is 1 where all of a block's pixels are valid, else 0; it is None if `valid` is.
         """
 
     def resample(self, pictures: Array, places: Array, tones: Array, *, white: float, views_out: Array) -> None:

@@ -243,7 +243,10 @@ def _middle(centres: NDArray[np.float64]) -> int:
 def _image(file: Path, name: str) -> Path | None:
     if not name or Path(name).name != name or "\0" in name:
         raise LightFieldError(f"{file} is damaged: {name[:60]!r} is no name of an image.")
-    return next((path for place in _PLACES if (path := file.parent / place.format(name)).is_file()), None)
+    try:
+        return next((path for place in _PLACES if (path := file.parent / place.format(name)).is_file()), None)
+    except OSError:  # longer than names can be
+        raise LightFieldError(f"{file} is damaged: {name[:60]!r}... is no name of an image.") from None
 
 
 def _views(images: list[Path], reference: int) -> tuple[NDArray[Any], NDArray[np.float32] | None, tuple[str, ...]]:

@@ -166,6 +166,7 @@ def test_what_is_refused(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixt
     says("several cameras in one place", frames=[listed[0], *listed])
     says("has 1 cameras", frames=listed[:1])
     says("'a/../b' is no name of an image", frames=[{**listed[0], "name": "a/../b"}, *listed[1:]])
+    says("is no name of an image", frames=[{**listed[0], "name": 400 * "x"}, *listed[1:]])
     says("lacks the images of 1 of 15 cameras, such as x", frames=[*listed[:-1], {**listed[-1], "name": "x"}])
     says("of the type 'PANO'", camera__type="PANO")
     says("says 50 x 40 px, but the images are 48 x 40", resolution=[50, 40])
