@@ -51,7 +51,7 @@ def measured_grain(lf: LightField) -> float:
 
 
 def of_given_noise(noise: float, config: SweepConfig) -> tuple[float, float]:
-    """Noise once they are smoothed, and grain, of views that differ by `noise` as they are, if nothing is measured."""
+    """The noise of smoothed views, and the grain, if views as they are differ by `noise` and nothing is measured."""
     grain = math.sqrt(max(0.0, noise**2 - _CLEAN**2)) / _SEEN
     if smoothing_deviation(grain, config) is None:
         return noise, grain
@@ -73,7 +73,7 @@ def measured_noise(
     *,
     deviation: float | None = None,
 ) -> float:
-    """How much views differ where they agree, intensity, smoothed by a deviation if it is given.
+    """How much views differ where they agree, intensity. With a `deviation` they are smoothed by it first.
 
     It is the median of the least costs in the middle of the image, of the half of its pixels where they vary most: what
     has no texture agrees at all disparities.

@@ -40,12 +40,8 @@ class ReducedSweep:
     ) -> None:
         height, width = (side // REDUCTION for side in lf.size)
         shape = len(lf.views), height, width, lf.channels
-        self._kernels, self._reference, self._scale, self._weight = (
-            kernels,
-            lf.reference_index,
-            scale,
-            config.reduced_weight,
-        )
+        self._kernels, self._reference, self._scale = kernels, lf.reference_index, scale
+        self._weight = config.reduced_weight
         self._views, self._image = kernels.zeros_image(shape, device, np.uint16), kernels.zeros_image(shape[1:], device)
         self._valid = kernels.zeros(shape[:3], device)
         self._volume = kernels.zeros((place[2], height, width), device)
