@@ -27,8 +27,8 @@ class SweepConfig(Section):
         "differ by grow with it, and how far views are smoothed"
     )  # fmt: skip
     smoothing: float = number(
-        2.0, 0.0, 100.0, "pixels of a view that differ by this are alike, and are averaged before views are compared; in "
-        "units of the grain, the noise of one view; 0 compares views as they are"
+        2.0, 0.0, 100.0, "pixels of a view that differ by this are alike, and are averaged before views are compared; "
+        "in units of the grain, the noise of one view; 0 compares views as they are"
     )  # fmt: skip
     reduced_weight: float = number(
         0.15, 0.0, 10.0, "weight of the costs of reduced views, a quarter as wide and as high, in the first sweep; 0 "
