@@ -31,8 +31,8 @@ class Scene:
 
 
 SCENES = (
-    Scene("boxes", (300, 320)),
-    Scene("textureless", (300, 320), 0.01),
+    Scene("boxes", (320, 340)),
+    Scene("textureless", (320, 340), 0.01),
     Scene("textureless", (600, 640), 0.01),  # with patches larger than the halo
 )
 
