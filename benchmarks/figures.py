@@ -298,11 +298,13 @@ def _experiments(folder: Path) -> str:
 
 
 def _tiles(folder: Path) -> str:
-    rows = [("scene", "preset", "stage", "largest, px", "share above 0.001 px", "share above 0.01 px")]
+    rows = [("scene", "size", "preset", "stage", "largest, px", "share above 0.001 px", "share above 0.01 px")]
     for r in value(folder, "tiles.json", "rows"):
         shares = (f"{r[name]:.2f} %" for name in ("above 0.001", "above 0.01"))
-        rows.append((f"`{r['scene']}`", f"`{r['preset']}`", r["stage"], f"{r['largest']:.2g}", *shares))
-    return _as_table(rows, 3)
+        height, width = r["size"]
+        what = f"`{r['scene']}`", f"{height} × {width}", f"`{r['preset']}`", r["stage"]
+        rows.append((*what, f"{r['largest']:.2g}", *shares))
+    return _as_table(rows, 4)
 
 
 def _misalignment(folder: Path) -> str:

@@ -207,6 +207,55 @@ FAULTS = (
         "inputs, out = [room[k], reach, threads], nearest_out[: end - start]",
         (_GPU, "-k", "batches"),
     ),
+    Fault(
+        "raw intensities in half precision on a GPU",
+        "lfgpu/methods/synthesis/model.py",
+        "np.float16 if on_gpu and config.detail_scale > 0 else",
+        "np.float16 if on_gpu else",
+        (_GPU, "-k", "printed"),
+    ),
+    Fault(
+        "pixels that most views contradict are moved",
+        "lfgpu/methods/synthesis/acceptance.py",
+        "        k.multiply(self._agreeing, change, change)\n",
+        "",
+        (_PRINTED, "-k", "no_map_worse and bars"),
+    ),
+    Fault(
+        "tiles that begin between reduced pixels",
+        "lfgpu/pipelines/tiles.py",
+        "    steps = (length - side) // REDUCTION\n    return [REDUCTION * round(k * steps",
+        "    steps = length - side\n    return [round(k * steps",
+        ("tests/test_tiles.py", "-k", "every_pixel"),
+    ),
+    Fault(
+        "paths shorter than patches without texture",
+        "lfgpu/methods/matching/method.py",
+        "_PATHS = 60",
+        "_PATHS = 40",
+        ("tests/test_tiles.py", "-k", "patches_without"),
+    ),
+    Fault(
+        "similarity in proportion to the noise",
+        "lfgpu/methods/matching/noise.py",
+        "prior=_times(math.sqrt(times), config.prior",
+        "prior=_times(times, config.prior",
+        ("tests/test_matching.py", "-k", "noise"),
+    ),
+    Fault(
+        "grain from the median window",
+        "lfgpu/methods/matching/noise.py",
+        "_GRAIN_SHARE = 5 ",
+        "_GRAIN_SHARE = 50 ",
+        ("tests/test_matching.py", "-k", "grain_is_that"),
+    ),
+    Fault(
+        "holes filled with certainties that the noise does not scale",
+        "lfgpu/methods/matching/hole_filling.py",
+        "1 / (self._config.stiffness * noise)",
+        "1 / self._config.stiffness",
+        ("tests/test_matching.py", "-k", "filled or outlines"),
+    ),
 )
 
 

@@ -17,7 +17,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.methods import PRESETS, method_of
 from lfgpu.methods.matching import plan
 from lfgpu.methods.matching.config import SweepConfig
-from lfgpu.methods.matching.noise import in_units_of, measured_noise
+from lfgpu.methods.matching.noise import in_units_of, measured_grain, measured_noise
 from lfgpu.methods.matching.sweep import labels, used_views, view_sets
 from lfgpu.metrics import Metrics, evaluate, sparsification
 from lfgpu.pipelines.estimate import estimate_depth
@@ -244,6 +244,15 @@ def test_noise_is_measured_and_borne() -> None:
         for name in ("accurate", "paper")
     )
     assert matching.badpix_07 < 0.7 * synthesis.badpix_07
+
+
+def test_grain_is_that_of_the_smooth_part() -> None:
+    """A fifth of the picture is smooth, the rest is textured; texture is no noise."""
+    rng = np.random.default_rng(0)
+    image = np.full((120, 120, 3), 0.5)
+    image[24:] += rng.uniform(-0.2, 0.2, (96, 120, 3))
+    views = np.tile(image + rng.normal(0, 0.01, image.shape), (3, 3, 1, 1, 1)).astype(np.float32)
+    assert measured_grain(LightField.from_grid(views)) == pytest.approx(0.01, rel=0.2)
 
 
 def test_differences_of_intensity_go_with_the_noise() -> None:

@@ -59,7 +59,7 @@ def test_they_leave_the_rest_as_it_is(target: Any) -> None:
         maps.append(pipeline.disparity())
     np.testing.assert_array_equal(maps[0], maps[2])
     whole = lfgpu.estimate_depth(replace(lf, valid=None), config="fast", disparity_range=RANGE, device="cpu")
-    assert np.nanmedian(np.abs(maps[0] - whole.disparity)) < 0.01
+    assert np.nanquantile(np.abs(maps[0] - whole.disparity), 0.95) < 0.01
 
 
 def test_tiles_have_the_same_holes() -> None:
