@@ -143,6 +143,31 @@ def test_maps_of_all_views_come_back(tmp_path: Path) -> None:
     assert "choose one with .map(index)" in refusal(lambda: written.save(tmp_path / "all.pfm"))
 
 
+@pytest.mark.parametrize(
+    ("array", "value", "said"),
+    [
+        ("positions", np.float64(3), "positions is float64 of shape (), not float64 (3, 2)"),
+        ("positions", np.zeros((2, 2)), "positions is float64 of shape (2, 2), not float64 (3, 2)"),
+        ("positions", np.full((3, 2), np.nan), "positions are not finite"),
+        ("disparities", np.float32(3), "disparities is float32 of shape (), not float32 (0, 5, 7)"),
+        ("confidences", np.zeros((3, *SHAPE)), "confidences is float64 of shape (3, 5, 7), not float32 (3, 5, 7)"),
+        ("keys", np.array([0, 3]), "keys name views beyond the 3 that it has"),
+        ("keys", np.int64(0), "iteration over a 0-d array"),
+        ("timings", np.array('{"total": null}'), "damaged result"),
+        ("timings", np.array("[1]"), "damaged result"),
+    ],
+)
+def test_damaged_maps_of_all_views_are_refused(array: str, value: Any, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "views.npz"
+    maps_of_all_views().save(path)
+    with np.load(path) as loaded:
+        arrays = {name: loaded[name] for name in loaded.files}
+    np.savez(path, **{**arrays, array: value})
+    text = refusal(lambda: load(path))
+    assert "is a damaged result of lfgpu" in text
+    assert said in text
+
+
 def test_a_folder_that_depth_wrote(tmp_path: Path) -> None:
     written = a_result()
     written.save(tmp_path / "result.npz")

@@ -125,6 +125,20 @@ def check_regions_stay_apart(kernels: KernelSet, device: str, rng: np.random.Gen
     assert share >= 0.01, "what is not valid stays as it was, instead of being a mean with what is"
 
 
+def check_masked_pixels_say_nothing(kernels: KernelSet, device: str, rng: np.random.Generator) -> None:
+    """What stands in pixels that are not valid, NaN included, makes no difference anywhere, smoothed or reduced."""
+    views = rng.random((2, 21, 45, 3)).astype(np.float32)
+    valid = (rng.random(views.shape[:3]) < 0.6).astype(np.float32)
+    valid[:, :9, :12] = 0
+    for name, operation in (("smoothing", SMOOTH), ("reducing", REDUCE)):
+        found = []
+        for masked in (0.0, 1.0, np.nan):
+            shown = np.where(valid[..., None] != 0, views, np.float32(masked))
+            i = SimpleNamespace(views=shown, valid=valid, by_block=valid, scale=1.0, deviation=0.3)
+            found.append(compute(kernels, device, operation, i)["views"])
+        assert all((other == found[0]).all() for other in found), f"{name} looks at what is not valid"
+
+
 def check_channels_are_alike_together(kernels: KernelSet, device: str, rng: np.random.Generator) -> None:
     """Three channels that are the same give what one of them gives alone."""
     grey = rng.random((2, 11, 14, 1))
