@@ -48,10 +48,10 @@ def _sum_around(image: Array) -> Array:
 def reduce_views(views: Array, valid: Array | None, *, scale: float, views_out: Array, valid_out: Array | None) -> None:
     n, height, width, channels = views_out.shape
     rows, columns = height * REDUCTION, width * REDUCTION
-    known = np.ones(views.shape[:3], np.bool_) if valid is None else np.asarray(valid, np.bool_)
+    known = np.ones(views.shape[:3], np.bool_) if valid is None else valid != 0
     blocks = views[:, :rows, :columns].reshape(n, height, REDUCTION, width, REDUCTION, channels).astype(np.float64)
     counts = known[:, :rows, :columns].reshape(n, height, REDUCTION, width, REDUCTION, 1)
     sums = np.where(counts, blocks, 0).sum((2, 4))
     views_out[:] = _stored(scale * sums / np.maximum(counts.sum((2, 4)), 1))
     if valid_out is not None:
-        valid_out[:] = counts.all((2, 4))[..., 0]
+        valid_out[:] = counts.all((2, 4, 5))
