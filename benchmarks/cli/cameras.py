@@ -39,6 +39,12 @@ def misalignment_(
 def judge_(
     scene_names: Scenes,
     draws: Annotated[int, typer.Option(min=1, help="Draws over all scenes.")] = 100,
+    first: Annotated[int, typer.Option(min=0, help="Seed of the first draw.")] = 0,
+    undisturbed: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LIGHT_FIELD", help="Also look at this one, with nothing moved; may be repeated."),
+    ] = None,
+    noises: Annotated[int, typer.Option(min=0, help="How often noise is added to each of these.")] = 3,
     shift: Annotated[float, typer.Option(min=0.01, help="By how many pixels a view is moved.")] = 0.2,
     crop: Annotated[int, typer.Option(min=64, help="Side of the part of the views that is used.")] = 192,
     preset: Annotated[str, typer.Option(metavar="NAME")] = "fast",
@@ -47,14 +53,23 @@ def judge_(
 ) -> None:
     """Move one view in a random direction: is it found, and is nothing said without that?"""
     check_out(out)
-    plan = judge.Plan(tuple(scene_names), draws, shift, crop, preset, device)
+    plan = judge.Plan(tuple(scene_names), draws, first, tuple(undisturbed or ()), noises, shift, crop, preset, device)
     about = machine.about()
-    found = []
+    found: list[judge.Draw] = []
+    silences: list[judge.Silence] = []
+
+    def save() -> None:  # as far as it is
+        summary = {**(judge.summary(found) if found else {}), **judge.alarms(silences)}
+        rows = {"draws": [asdict(one) for one in found], "undisturbed": [asdict(one) for one in silences]}
+        live.save(out, {**about, "plan": judge.named(plan), "summary": summary, **rows})
+
+    for silence in judge.undisturbed(plan, say):
+        silences.append(silence)
+        save()
     for draw in judge.run(plan, say):
         found.append(draw)
-        rows = [asdict(one) for one in found]  # as far as it is
-        live.save(out, {**about, "plan": judge.named(plan), "summary": judge.summary(found), "draws": rows})
-    judge.show(found)
+        save()
+    judge.show(found, silences)
 
 
 def rectify_(

@@ -79,7 +79,7 @@ class Synthesis(Method[SynthesisConfig]):
             batch, lines = 0, 2 * line * 4 * channels
         judged = 0
         if self.config.refinement.acceptance == "by-pixel":
-            judged = count * (channels + 1) * stored + 4 * count + 5 * 4
+            judged = 2 * count * (channels + 1) * stored + 4 * count + 6 * 4
         lines += 4 * 4 + judged
         per_pixel = host + views + details + 8 * count + batch + lines + weights + solvers + masks
         return Footprint(per_pixel, GPU_CONTEXT if on_gpu else PROCESS)
