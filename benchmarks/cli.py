@@ -3,7 +3,8 @@
 `accuracy` scores a population of light fields, `ablation` leaves ingredients out, `rendering` renders views that were
 left out, `misalignment` lines up cameras that were moved, `judge` looks for a single view that was moved, `live`,
 `rectify`, `ring`, `flicker`, `drift` and `soak` are about streams, `scaling` takes several GPUs, `tiles` limits the
-memory, `gallery` draws the picture of the README, `figures` writes the figures of all pages from the committed results.
+memory, `viewer` asks for pictures as pages do, `gallery` draws the picture of the README, `figures` writes the figures
+of all pages from the committed results.
 """
 
 from __future__ import annotations
@@ -52,6 +53,7 @@ from benchmarks import (
     tables,
     tile_differences,
     tiles,
+    viewer,
 )
 from benchmarks.errors import BenchmarkError
 from lfgpu._backends import list_backends
@@ -614,6 +616,23 @@ def tile_differences_(
     live.save(out, {**tile_differences.about(), "rows": rows})
     for row in rows:
         typer.echo(", ".join(f"{name} {value}" for name, value in row.items()))
+
+
+@app.command("viewer")
+def viewer_(
+    case_name: Annotated[str, typer.Option("--case", metavar="ROWSxCOLUMNSxHEIGHTxWIDTH")] = "17x17x960x1280",
+    times: Annotated[int, typer.Option(min=1, help="Requests after the first one; their median is given.")] = 5,
+    out: Out = None,
+) -> None:
+    """What each kind of picture costs the server of `lfgpu view`: CPU time and wall time."""
+    if out is not None:
+        check_writable(out, folder=False)
+    costs: list[viewer.Cost] = []
+    about = machine.about()
+    for cost in viewer.run(cases.parse(case_name), times, _say):
+        costs.append(cost)
+        live.save(out, {**about, "case": case_name, "pictures": [asdict(one) for one in costs]})  # as far as it is
+    viewer.show(costs)
 
 
 @app.command()
