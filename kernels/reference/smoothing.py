@@ -54,4 +54,4 @@ def reduce_views(views: Array, valid: Array | None, *, scale: float, views_out: 
     sums = np.where(counts, blocks, 0).sum((2, 4))
     views_out[:] = _stored(scale * sums / np.maximum(counts.sum((2, 4)), 1))
     if valid_out is not None:
-        valid_out[:] = counts.all((2, 4))[..., 0]
+        valid_out[:] = counts.all((2, 4, 5))

@@ -131,7 +131,7 @@ _PIXEL = (
     constexpr float near[] = {NEAR};
     constexpr int tall = ROWS + 2 * REACH, wide = COLUMNS + 2 * REACH;
     __shared__ float colors[CHANNELS][tall + 2][wide + 2], guides[CHANNELS][tall][wide];
-    __shared__ float knowns[tall + 2][wide + 2], counts[tall][wide];  // 1 where valid; counts are 0 outside of the frame
+    __shared__ float knowns[tall + 2][wide + 2], counts[tall][wide];  // 1 where valid; counts: 0 outside the frame
     const int height = views.shape[1], width = views.shape[2], threads = ROWS * COLUMNS;
     const long long view = (long long)n * height * width;
     const float unit = 1.f / (CHANNELS * deviation * deviation);
