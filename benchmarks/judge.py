@@ -16,7 +16,7 @@ from scipy import ndimage
 from benchmarks.errors import BenchmarkError
 from benchmarks.misalignment import recording
 from lfgpu import LightField, estimate_depth, explain
-from lfgpu.calibration import remarks
+from lfgpu.calibration import judged
 
 Say = Callable[[str], None]
 _TURN = 22.5  # degrees by which the direction that is found may differ: half the way between two of eight directions
@@ -83,7 +83,7 @@ def _drawn(scene: str, lf: LightField, seed: int, plan: Plan) -> Draw:
     column, row = (int(k) for k in lf.positions[index])
     result = estimate_depth(wrong, config=plan.preset, device=plan.device)  # type: ignore[arg-type]
     explanation = explain(wrong, result, device=plan.device)
-    quick = remarks(wrong, result, device=plan.device)
+    quick = judged(wrong, result, device=plan.device).remarks
     undisturbed = estimate_depth(right, config=plan.preset, device=plan.device)  # type: ignore[arg-type]
     found = explanation.shift[index]
     turn = np.angle(complex(*found) / complex(*moved), deg=True)
@@ -99,7 +99,7 @@ def _drawn(scene: str, lf: LightField, seed: int, plan: Plan) -> Draw:
         names(explanation.findings, (row, column)) and bool(abs(turn) <= _TURN),
         quick,
         names(quick, (row, column)),
-        remarks(right, undisturbed, device=plan.device),
+        judged(right, undisturbed, device=plan.device).remarks,
     )
 
 
