@@ -25,7 +25,8 @@ from lfgpu import scenes
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io import load, read_map, write_hci, write_pfm, write_result
+from lfgpu.io import load, read_map, write_hci, write_result
+from lfgpu.io.live_maps import fingerprint, write_live_map
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.sources.recording import recorded
 from tests.browser import chromium, until
@@ -693,9 +694,11 @@ def test_a_film_is_looked_at_frame_by_frame(browser: Any, lf: LightField, tmp_pa
     frames = [replace(lf, views=np.full_like(lf.views, shade), truth=None) for shade in (40, 90, 160)]
     for _ in recorded(iter(frames), lf, tmp_path / "film"):
         pass
-    for number in (0, 2):  # there is no map of the second frame
-        write_pfm(tmp_path / f"maps/disparity_{number:06d}.pfm", np.full(SIZE, number + 1, np.float32))
-    (tmp_path / "maps" / "live.json").write_text("{}")
+    log = [{"frame": n, "reference": fingerprint(frame.views[lf.reference_index])} for n, frame in enumerate(frames)]
+    log[1]["error"] = "this frame was dropped"
+    for number in (0, 2):
+        write_live_map(tmp_path / "maps", number, np.full(SIZE, number + 1, np.float32), np.ones(SIZE, np.float32))
+    (tmp_path / "maps" / "live.json").write_text(json.dumps({"frames": log}))
     with Viewer.of([tmp_path / "maps", tmp_path / "film"], port=0) as viewer:
         page = Page(browser, viewer)
         page.shown("map", "disparity")

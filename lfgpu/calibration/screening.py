@@ -1,9 +1,9 @@
 """A screening of the cameras: whether a look at them may find anything at all.
 
 Nearly all light fields are right, and a look (`lfgpu.calibration.judge.look`) takes longer than a fast map. The
-screening compares all views with the reference at some hundred points, smoothed by the cubic B-spline, which needs no
-filter over whole pictures. One linear step says how each view would have to move, turn, grow and change in brightness.
-Half of what would be a finding makes it worth a look, and so does noise of that size.
+screening compares all views with the reference at some hundred points, and reads no more of the views than these. One
+linear step says how each view would have to move, turn, grow and change in brightness. Half of what would be a finding
+makes it worth a look, and so does noise of that size.
 """
 
 from __future__ import annotations
