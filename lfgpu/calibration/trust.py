@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import erf
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.calibration.judge import Look, checked, look, part_of
@@ -69,6 +68,8 @@ def judged(
         return result
     if not found.moved:
         return replace(result, remarks=found.findings)
+    from scipy.special import erf  # slow to import, and rarely needed
+
     spread = spread_of(lf, found, method_of(result.config).used_views(lf))
     uncertainty = None if result.uncertainty is None else np.hypot(result.uncertainty, spread)
     share = erf(_WITHIN / (np.sqrt(2) * np.maximum(spread, 1e-9))).astype(np.float32)
