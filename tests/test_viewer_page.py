@@ -509,6 +509,11 @@ def test_points_are_drawn_and_saved_without_marks(page: Page, tmp_path: Path) ->
 
     found = until(saved, "points are in the picture", page.tab)[0]
     assert (found[:3, :3] == 255).all()  # the background of a light page
+    box = page.tab.locator("#space-frame").bounding_box()
+    for column in (found[:, int(box["width"]) :], page.pixels("space-bar")):  # beside the points stands their scale
+        shades = colormaps["cividis"]([0.25, 0.5, 0.75], bytes=True)[:, :3].astype(int)
+        assert all((np.abs(column - shade).max(axis=-1) <= 2).sum() > 10 for shade in shades)
+    page.says("colour: confidence", "#right-title")
     pink = (found[..., 0] > 200) & (found[..., 1] < 120) & (found[..., 2] > 90)
     assert not pink.any()  # there is none in the colours of the confidence
     page.tab.keyboard.press("Escape")

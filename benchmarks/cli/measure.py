@@ -20,6 +20,7 @@ from benchmarks import (
     scaling,
     suite,
     tiles,
+    viewer,
 )
 from benchmarks.cli.options import (
     Backends,
@@ -32,7 +33,7 @@ from benchmarks.cli.options import (
     known_backend,
     listed,
 )
-from benchmarks.cli.outputs import check_out, finish, say
+from benchmarks.cli.outputs import check_out, collected, finish, say
 from benchmarks.errors import BenchmarkError
 from lfgpu._backends import list_backends
 from lfgpu.io.atomic import check_writable
@@ -195,6 +196,17 @@ def tiles_(
     for found in tiles.measure(cases.find(case_name), preset, device, limits):
         for name, value in found.items():
             typer.echo(f"{name:<12} {value}")
+
+
+def viewer_(
+    case_name: Annotated[str, typer.Option("--case", metavar="ROWSxCOLUMNSxHEIGHTxWIDTH")] = "17x17x960x1280",
+    times: Annotated[int, typer.Option(min=1, help="Requests after the first one; their median is given.")] = 5,
+    out: Out = None,
+) -> None:
+    """What each kind of picture costs the server of `lfgpu view`: CPU time and wall time."""
+    check_out(out)
+    about = {**machine.about(), "case": case_name}
+    viewer.show(collected(viewer.run(cases.parse(case_name), times, say), out, about, key="pictures"))
 
 
 def _gpu_counts(text: str, there: int) -> tuple[int, ...]:

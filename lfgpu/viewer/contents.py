@@ -42,6 +42,12 @@ class Quantity:
     colours: str
     """The name of a colour map of matplotlib."""
 
+    @property
+    def title(self) -> str:
+        """The words beside a scale."""
+        unit = f" ({self.unit})" if self.unit else ""
+        return f"{self.label.lower()}{unit}" + (f"\n{self.hint}" if self.hint else "")
+
 
 _STEP = "px per view step"
 QUANTITIES = {

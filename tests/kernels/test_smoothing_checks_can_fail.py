@@ -115,7 +115,7 @@ FAULTS = (
     Fault("over all pixels", "reduce_views", text("np.maximum(counts.sum((2, 4)), 1)", "REDUCTION**2"), REDUCE),
     Fault("mask of another view", "reduce_views", argument(1, of_all), REDUCE),
     Fault("only 1 is valid", "reduce_views", argument(1, np.floor), REDUCE),
-    Fault("any valid", "reduce_views", text("counts.all((2, 4))", "counts.any((2, 4))"), REDUCE),
+    Fault("any valid", "reduce_views", text("counts.all((2, 4, 5))", "counts.any((2, 4, 5))"), REDUCE),
     Fault("mask not written", "reduce_views", argument(1, lambda _: None), REDUCE),
     Fault("mask not written, seen in a program", "reduce_views", text("valid_out[:]", "_"), PROGRAM),
     Fault("last rows instead of those left over", "reduce_views", text(VIEWS, "views[:, -rows:, :columns]"), REDUCE),
