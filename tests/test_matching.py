@@ -183,12 +183,8 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> 
     assert lf.truth is not None
     assert ((result.confidence > 0) & (result.confidence <= 1)).all()
     curve = sparsification(result.disparity, result.confidence, lf.truth.disparity)
-    rise = np.diff(curve.bad).max()
-    assert curve.ause < most + 0.02
-    assert rise < 0.65
-    # Per cent: a handful of pixels among the few that are left last.
-    if not (curve.ause < most and rise < 0.6):
-        pytest.xfail(f"the bounds are {most} and 0.6; AUSE is {curve.ause:.3f}, and bad pixels rise by {rise:.2f} %")
+    assert curve.ause < most
+    assert np.diff(curve.bad).max() < 0.6  # per cent: a handful of pixels among the few that are left last
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
@@ -209,16 +205,12 @@ def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     assert np.concatenate([*expected.values()]).mean() - np.concatenate([*right.values()]).mean() < 0.05
     good, confidence = (np.concatenate([of[name] for name in ("boxes", "planes", "bars")]) for of in (right, expected))
     assert abs(good.mean() - confidence.mean()) < 0.05
-    farthest = 0.0
     for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.0)):
         there = (confidence > low) & (confidence <= high)
         assert there.sum() > 250
         too_low = good[there].mean() - confidence[there].mean()
         # What is said to be uncertain may be right more often than that; what is said to be sure must be.
-        assert -0.2 < too_low < 0.4 if low < 0.9 else abs(too_low) < 0.03
-        farthest = max(farthest, abs(too_low))
-    if not farthest < 0.3:
-        pytest.xfail(f"the bound of each bin is 0.3; the confidence is off by {farthest:.2f}, to the low side")
+        assert -0.2 < too_low < 0.3 if low < 0.9 else abs(too_low) < 0.03
 
 
 def test_confidence_is_low_where_the_map_differs_from_the_matches() -> None:
@@ -287,14 +279,9 @@ def test_masked_pixels_say_nothing() -> None:
     away = np.minimum(np.maximum(y, x) - 7, np.maximum(lf.size[0] - y, lf.size[1] - x) - 8)  # from both corners
     apart = np.abs(one - two)
     assert np.isnan(one).sum() == np.isnan(two).sum() == 2 * 8 * 8
-    near, beyond, far = (float(apart[away >= pixels].max()) for pixels in (8, 12, 16))
-    assert near < 0.03
-    assert beyond < 1e-3
-    assert far < 1e-3
-    if not (near < 0.02 and far < 1e-5):
-        pytest.xfail(
-            f"the bounds are 0.02 and 1e-5; what stands in masked pixels moves others by {near:.2g}, {far:.1g}"
-        )
+    assert apart[away >= 8].max() < 0.02
+    assert apart[away >= 12].max() < 1e-3
+    assert apart[away >= 16].max() < 1e-5
 
 
 def test_views_without_texture_are_refused() -> None:
