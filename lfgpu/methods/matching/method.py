@@ -20,7 +20,7 @@ from lfgpu.methods.temporal_prior import TemporalPrior
 
 _SLICES = 16  # that work on a CPU is cut into, some of which have a workspace of their own
 _REDUCED = 3  # pixels of reduced views: differences, and what is interpolated between them
-_PATHS = 40  # pixels at the edge of a tile from which semi-global matching learns where its paths come from
+_PATHS = 60  # pixels at the edge of a tile from which semi-global matching learns where its paths come from
 
 
 class Matching(Method[MatchingConfig]):
