@@ -104,17 +104,16 @@ def test_a_line_of_views_has_the_maps_of_that_line_only(line: str, other: str) -
 # --- by-pixel acceptance ---
 
 
-@pytest.mark.parametrize(
-    ("name", "noise"), [("boxes", 0.0), ("planes", 0.0), ("textureless", 0.0), ("relief", 0.0), ("boxes", 0.02)]
-)
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("name", scenes.NAMES)
 def test_the_refinement_leaves_no_map_worse(name: str, noise: float) -> None:
     lf = scenes.make(name, grid=(7, 7), size=(112, 112), noise=noise)
     assert lf.truth is not None
     maps = lfgpu.estimate_depth(lf, config="paper", disparity_range=RANGE, device="cpu").stages
     before, after = (lfgpu.evaluate(maps[stage], lf.truth.disparity) for stage in ("propagate", "refine"))
-    assert after.badpix_07 <= before.badpix_07 + 0.05
+    assert after.badpix_07 <= before.badpix_07
     assert after.badpix_01 <= before.badpix_01
-    assert after.mse_100 <= 1.02 * before.mse_100
+    assert after.mse_100 <= before.mse_100
 
 
 def test_without_acceptance_it_does() -> None:

@@ -25,7 +25,8 @@ from lfgpu import scenes
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io import load, read_map, write_hci, write_pfm, write_result
+from lfgpu.io import load, read_map, write_hci, write_result
+from lfgpu.io.live_maps import fingerprint, write_live_map
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.sources.recording import recorded
 from tests.browser import chromium, until
@@ -508,6 +509,11 @@ def test_points_are_drawn_and_saved_without_marks(page: Page, tmp_path: Path) ->
 
     found = until(saved, "points are in the picture", page.tab)[0]
     assert (found[:3, :3] == 255).all()  # the background of a light page
+    box = page.tab.locator("#space-frame").bounding_box()
+    for column in (found[:, int(box["width"]) :], page.pixels("space-bar")):  # beside the points stands their scale
+        shades = colormaps["cividis"]([0.25, 0.5, 0.75], bytes=True)[:, :3].astype(int)
+        assert all((np.abs(column - shade).max(axis=-1) <= 2).sum() > 10 for shade in shades)
+    page.says("colour: confidence", "#right-title")
     pink = (found[..., 0] > 200) & (found[..., 1] < 120) & (found[..., 2] > 90)
     assert not pink.any()  # there is none in the colours of the confidence
     page.tab.keyboard.press("Escape")
@@ -693,9 +699,11 @@ def test_a_film_is_looked_at_frame_by_frame(browser: Any, lf: LightField, tmp_pa
     frames = [replace(lf, views=np.full_like(lf.views, shade), truth=None) for shade in (40, 90, 160)]
     for _ in recorded(iter(frames), lf, tmp_path / "film"):
         pass
-    for number in (0, 2):  # there is no map of the second frame
-        write_pfm(tmp_path / f"maps/disparity_{number:06d}.pfm", np.full(SIZE, number + 1, np.float32))
-    (tmp_path / "maps" / "live.json").write_text("{}")
+    log = [{"frame": n, "reference": fingerprint(frame.views[lf.reference_index])} for n, frame in enumerate(frames)]
+    log[1]["error"] = "this frame was dropped"
+    for number in (0, 2):
+        write_live_map(tmp_path / "maps", number, np.full(SIZE, number + 1, np.float32), np.ones(SIZE, np.float32))
+    (tmp_path / "maps" / "live.json").write_text(json.dumps({"frames": log}))
     with Viewer.of([tmp_path / "maps", tmp_path / "film"], port=0) as viewer:
         page = Page(browser, viewer)
         page.shown("map", "disparity")

@@ -7,20 +7,12 @@ from typing import Any
 
 import checks
 import numpy as np
-import pytest
+import programs
 import smoothing_checks
 from lfgpu.kernels.reference import smoothing
+from single_faults import Check, Fault, single_fault_tests
 from smoothing_cases import STEP, SmoothingCase, smoothing_inputs
-from test_checks_can_fail import (
-    REFERENCE,
-    Check,
-    Fault,
-    argument,
-    changing_its_input,
-    option,
-    rewritten,
-    with_operation,
-)
+from ways_to_be_wrong import argument, changing_its_input, option, rewritten
 
 from lfgpu.contract import KernelSet
 
@@ -38,7 +30,7 @@ SMOOTH_BRIGHT, REDUCE_BRIGHT = (value_of(operation, BEYOND) for operation in smo
 
 def PROGRAM(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
     make = smoothing_checks.showing_less_noise
-    checks.check_program(kernels, "cpu", make, checks.program_inputs(make, rng))
+    programs.check_program(kernels, "cpu", make, programs.program_inputs(make, rng))
 
 
 CONSTANT: Check = lambda kernels, _: smoothing_checks.check_constant_stays(kernels, "cpu")  # noqa: E731
@@ -141,22 +133,7 @@ FAULTS = (
 )
 
 
-@pytest.fixture
-def rng() -> np.random.Generator:
-    """The same numbers each time: among new ones, a fault might now and then make no difference."""
-    return np.random.default_rng(0)
-
-
-@pytest.mark.parametrize("fault", FAULTS, ids=str)
-def test_single_fault_is_caught(fault: Fault, rng: np.random.Generator) -> None:
-    kernels = fault.kernels
-    with pytest.raises(AssertionError):
-        fault.check(kernels, rng)
-
-
-def test_reference_passes_every_check_that_catches_faults(rng: np.random.Generator) -> None:
-    for check in {fault.check for fault in FAULTS}:
-        check(with_operation("dot", REFERENCE.dot), rng)
+test_single_fault_is_caught, test_reference_passes_every_check_that_catches_faults = single_fault_tests(FAULTS)
 
 
 def test_every_operation_has_a_fault_that_its_check_catches() -> None:

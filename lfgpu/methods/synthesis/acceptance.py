@@ -3,7 +3,8 @@
 The additive model of the refinement does not know what hides what, and moves pixels beside outlines away from the
 truth. The judge does: it compares the views where nothing nearer hides the pixel, each with their robust mean
 (`lfgpu.contract.Alignment`). Its derivative along the change of a pixel is known at both ends, so that the change is
-cut where the views agree best between them.
+cut where the views agree best between them. That says something near the truth only: a pixel that was given to the
+wrong surface would go anywhere. Where most views disagree with the mean at the start, pixels stay where they are.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from lfgpu.methods.prior import NonLocalMeans
 
 _GRADIENT_WEIGHT = 2.0  # of image gradients against intensities
 _ROBUST = 0.005  # intensity at the usual noise: larger differences from the mean of the views count less
+_UNLIMITED = 10.0  # intensity: all views count the same
+_LEAST_SHARE = 0.1  # of the curvature of all views that those have that agree, at which a pixel is moved half as far
 _TOLERANCE = 1.2  # pixels in the farthest view: a surface hides only what lies behind it by more
 _REACH = 1  # pixels around a surface in another view that it hides, too: there both sides mix
 _STIFFNESS = 0.1  # 1 / pixel²: curvature over robust² at which the confidence is a half
@@ -46,16 +49,19 @@ class Acceptance:
         self._apart = 2.0 * float(farthest(lf.offsets)) ** 2
         self._nearest = kernels.zeros(shape[:3], device)
         self._hiding = kernels.z_buffer(shape, offsets, reach=reach)
-        self._align = kernels.alignment(
-            shape,
-            offsets,
-            scale=lf.scale,
-            gradient_weight=_GRADIENT_WEIGHT,
-            robust=_ROBUST * noise,
-            tolerance=_TOLERANCE / farthest(lf.offsets),
+        self._align, self._align_all = (
+            kernels.alignment(
+                shape,
+                offsets,
+                scale=lf.scale,
+                gradient_weight=_GRADIENT_WEIGHT,
+                robust=robust,
+                tolerance=_TOLERANCE / farthest(lf.offsets),
+            )
+            for robust in (_ROBUST * noise, _UNLIMITED)
         )
-        self._change, self._slope, self._curvature, self._gain, self._loss = (
-            kernels.zeros(lf.size, device) for _ in range(5)
+        self._change, self._slope, self._curvature, self._gain, self._loss, self._agreeing = (
+            kernels.zeros(lf.size, device) for _ in range(6)
         )
 
     def run(self, image: Array, views: Array, valid: Array | None, start: Array, disparity: Array) -> None:
@@ -66,11 +72,13 @@ class Acceptance:
         """
         k, change, gain, loss = self._kernels, self._change, self._gain, self._loss
         self._align.load(image, views, valid)
+        self._align_all.load(image, views, valid)
         self._hiding(start, self._nearest)
         k.axpby(1.0, disparity, -1.0, start, change)
         k.clamp(change, -self._longest, self._longest, change)
         k.axpby(1.0, start, 1.0, change, disparity)
         self._improvement(start, gain)
+        self._agreement(start)
         self._improvement(disparity, loss)
         k.axpby(-1.0, loss, 0.0, loss, loss)
         k.clamp(gain, 0.0, 1.0, gain)
@@ -82,6 +90,7 @@ class Acceptance:
         k.axpby(1.0, loss, self._no_texture, self._slope, loss)
         k.divide(gain, loss, gain)  # 0 where nothing would change
         k.multiply(gain, change, change)
+        k.multiply(self._agreeing, change, change)
         k.axpby(1.0, start, 1.0, change, disparity)
 
     def judge(self, disparity: Array, confidence_out: Array) -> None:
@@ -109,3 +118,17 @@ class Acceptance:
         self._align(disparity, self._nearest, self._curvature, self._slope)
         self._kernels.multiply(self._slope, self._change, self._slope)
         self._prior.mean(self._slope, improvement_out)
+
+    def _agreement(self, start: Array) -> None:
+        """agreeing = f² / (f² + _LEAST_SHARE²), f the share of the curvature at the start that agreeing views have.
+
+        `_improvement` was called for the start. Where there is no texture it is 0.
+        """
+        k, prior, some, all_ = self._kernels, self._prior, self._agreeing, self._loss
+        prior.mean(self._curvature, some)
+        self._align_all(start, self._nearest, self._curvature, self._slope)
+        prior.mean(self._curvature, all_)
+        k.multiply(some, some, some)
+        k.multiply(all_, all_, all_)
+        k.axpby(1.0, some, _LEAST_SHARE**2, all_, all_)
+        k.divide(some, all_, some)

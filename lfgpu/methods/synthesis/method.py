@@ -14,6 +14,7 @@ from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.noise import measured_noise
 from lfgpu.methods.measured import Measured, checked_range
 from lfgpu.methods.synthesis.config import SynthesisConfig
+from lfgpu.methods.synthesis.model import compared_as
 from lfgpu.methods.synthesis.plan import SynthesisPlan
 from lfgpu.methods.synthesis.units import spread
 
@@ -69,7 +70,8 @@ class Synthesis(Method[SynthesisConfig]):
         solvers = 4 * 64 if on_gpu else 4 * 40  # the history of L-BFGS and its workspace
         line = len(lf.row()) + len(lf.column())
         if on_gpu:
-            details = count * 2 * (channels + (4 if channels == 3 else 2))  # plain and packed, in half precision
+            size = np.dtype(compared_as(self.config.refinement, on_gpu=True)).itemsize
+            details = count * size * (channels + (4 if channels == 3 else 2))  # plain and packed
             batch = min(count, _NORMALISED) * (2 * 4 * channels + 3 * 4)
             lines = line * channels * stored + 4 * _TENSORS * 4 * channels
         else:
@@ -77,7 +79,7 @@ class Synthesis(Method[SynthesisConfig]):
             batch, lines = 0, 2 * line * 4 * channels
         judged = 0
         if self.config.refinement.acceptance == "by-pixel":
-            judged = count * (channels + 1) * stored + 4 * count + 5 * 4
+            judged = 2 * count * (channels + 1) * stored + 4 * count + 6 * 4
         lines += 4 * 4 + judged
         per_pixel = host + views + details + 8 * count + batch + lines + weights + solvers + masks
         return Footprint(per_pixel, GPU_CONTEXT if on_gpu else PROCESS)
