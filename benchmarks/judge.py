@@ -15,20 +15,26 @@ from scipy import ndimage
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.misalignment import recording
-from lfgpu import LightField, estimate_depth, explain
-from lfgpu.calibration import remarks
+from lfgpu import LightField, estimate_depth, explain, read
+from lfgpu.calibration import judged
 
 Say = Callable[[str], None]
 _TURN = 22.5  # degrees by which the direction that is found may differ: half the way between two of eight directions
+_NOISE = 0.005, 0.03  # standard deviation that is added, at least and at most
 _NAMED = re.compile(r"the view at row (\d+), column (\d+) is [^;:]* where it should be")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Draws are dealt to the scenes in turn; `crop` is the side of the part of the views that is looked at, pixels."""
+    """Draws are dealt to the scenes in turn, seeds are counted from `first`; `crop` is the longest side of the part of
+    the views that is looked at, pixels. In `undisturbed` light fields nothing is moved: a part of each is looked at as
+    it is, and `noises` times with noise added."""
 
     scenes: tuple[str, ...]
     draws: int
+    first: int
+    undisturbed: tuple[str, ...]
+    noises: int
     shift: float
     crop: int
     preset: str
@@ -59,10 +65,56 @@ class Draw:
     """Of the quick look at the same part of the undisturbed views."""
 
 
+@dataclass(frozen=True)
+class Silence:
+    """A part of a light field in which nothing was moved, with noise of that standard deviation added, and what was
+    said of it all the same."""
+
+    scene: str
+    seed: int
+    views: int
+    corner: tuple[int, int]
+    noise: float
+    findings: tuple[str, ...]
+    quick: tuple[str, ...]
+
+
+def undisturbed(plan: Plan, say: Say) -> Iterator[Silence]:
+    """Look at light fields in which nothing was moved, as they are and with noise."""
+    for scene in plan.undisturbed:
+        lf = light_field(scene)
+        for seed in range(plan.first, plan.first + plan.noises + 1):
+            say(f"{scene}, nothing moved, draw {seed}")
+            yield _left_alone(Path(scene).name, lf, seed, plan)
+
+
+def light_field(scene: str) -> LightField:
+    """Any light field that lfgpu reads, or a scene of the package by name and seed, "boxes-11"."""
+    return read(Path(scene), allow_missing=True) if Path(scene).exists() else recording(scene)(None)
+
+
+def _left_alone(scene: str, lf: LightField, seed: int, plan: Plan) -> Silence:
+    random = np.random.default_rng(seed)
+    sides = [min(side, plan.crop) for side in lf.size]
+    top, left = (int(random.integers(0, whole - side + 1)) for whole, side in zip(lf.size, sides, strict=True))
+    part = lf.crop(slice(top, top + sides[0]), slice(left, left + sides[1]))
+    noise = float(random.uniform(*_NOISE)) if seed > plan.first else 0.0
+    if noise:
+        images = np.stack([part.image(n) for n in range(len(part.views))])
+        images += random.normal(0, noise, images.shape).astype(np.float32)
+        views = np.rint(255 * np.clip(images, 0, 1)).astype(np.uint8)  # as cameras record it
+        part = replace(part, views=views, files=())
+    result = estimate_depth(part, config=plan.preset, device=plan.device)  # type: ignore[arg-type]
+    findings = explain(part, result, device=plan.device).findings
+    return Silence(
+        scene, seed, len(lf.views), (top, left), noise, findings, judged(part, result, device=plan.device).remarks
+    )
+
+
 def run(plan: Plan, say: Say) -> Iterator[Draw]:
     """All draws, one after the other: a part of the views, one of them, and a direction, each at random."""
     scenes = [recording(scene)(None) for scene in plan.scenes]
-    for seed in range(plan.draws):
+    for seed in range(plan.first, plan.first + plan.draws):
         place = seed % len(scenes)
         say(f"{plan.scenes[place]}, draw {seed}")
         yield _drawn(Path(plan.scenes[place]).name, scenes[place], seed, plan)
@@ -83,7 +135,7 @@ def _drawn(scene: str, lf: LightField, seed: int, plan: Plan) -> Draw:
     column, row = (int(k) for k in lf.positions[index])
     result = estimate_depth(wrong, config=plan.preset, device=plan.device)  # type: ignore[arg-type]
     explanation = explain(wrong, result, device=plan.device)
-    quick = remarks(wrong, result, device=plan.device)
+    quick = judged(wrong, result, device=plan.device).remarks
     undisturbed = estimate_depth(right, config=plan.preset, device=plan.device)  # type: ignore[arg-type]
     found = explanation.shift[index]
     turn = np.angle(complex(*found) / complex(*moved), deg=True)
@@ -99,7 +151,7 @@ def _drawn(scene: str, lf: LightField, seed: int, plan: Plan) -> Draw:
         names(explanation.findings, (row, column)) and bool(abs(turn) <= _TURN),
         quick,
         names(quick, (row, column)),
-        remarks(right, undisturbed, device=plan.device),
+        judged(right, undisturbed, device=plan.device).remarks,
     )
 
 
@@ -122,7 +174,18 @@ def names(findings: tuple[str, ...], view: tuple[int, int]) -> bool:
 
 def named(plan: Plan) -> dict[str, Any]:
     """The plan with the names of scenes instead of their folders, for JSON."""
-    return asdict(replace(plan, scenes=tuple(Path(scene).name for scene in plan.scenes)))
+    scenes, still = (tuple(Path(scene).name for scene in some) for some in (plan.scenes, plan.undisturbed))
+    return asdict(replace(plan, scenes=scenes, undisturbed=still))
+
+
+def alarms(silences: list[Silence]) -> dict[str, int]:
+    """How often something was said where nothing was moved."""
+    return {
+        "undisturbed": len(silences),
+        "with_noise": sum(s.noise > 0 for s in silences),
+        "alarms": sum(bool(s.findings) for s in silences),
+        "alarms_quickly": sum(bool(s.quick) for s in silences),
+    }
 
 
 def summary(draws: list[Draw]) -> dict[str, int | float]:
@@ -138,8 +201,8 @@ def summary(draws: list[Draw]) -> dict[str, int | float]:
     }
 
 
-def show(draws: list[Draw]) -> None:
-    """A table with a row for each scene."""
+def show(draws: list[Draw], silences: list[Silence]) -> None:
+    """A table with a row for each scene, and how often something was said where nothing was moved."""
     table = Table()
     for name in ("scene", "draws", "found", "by the quick look", "false alarms", "shift off by, px", "at most"):
         table.add_column(name, justify="left" if name == "scene" else "right")
@@ -149,3 +212,9 @@ def show(draws: list[Draw]) -> None:
         counts = (str(found[k]) for k in ("draws", "found", "found_quickly", "false_alarms"))
         table.add_row(scene, *counts, *(f"{found[k]:.3f}" for k in ("median_px", "farthest_px")))
     Console(width=120).print(table)
+    if silences:
+        said = alarms(silences)
+        print(
+            f"{said['undisturbed']} light fields with nothing moved, {said['with_noise']} of them with noise added: "
+            f"{said['alarms']} false alarms of the check, {said['alarms_quickly']} of the quick look."
+        )

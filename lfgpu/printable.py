@@ -21,15 +21,33 @@ def printable(text: str, *, keep: str = "", longest: int | None = None) -> str:
     keep
         Characters that stay as they are, "\n" for example.
     longest
-        How many characters are left of it; the middle of a longer one becomes an ellipsis. None leaves all.
+        The most characters of what is returned; the middle of a longer text becomes an ellipsis. None leaves all.
     """
-    if longest is not None and len(text) > longest:
-        half = (longest - 3) // 2
-        text = f"{text[:half]} … {text[-half:]}"
-    if text.isprintable():
-        return text
     kept = keep + _JOINERS
-    return "".join(c if _is_seen(c) or c in kept else c.encode("unicode_escape").decode() for c in text)
+    if longest is None or len(text) <= longest:
+        written = text if text.isprintable() else "".join(_seen(c, kept) for c in text)
+        if longest is None or len(written) <= longest:
+            return written
+    half = (longest - 3) // 2
+    return f"{_beginning(text, half, kept)} … {_beginning(text[::-1], half, kept, backwards=True)}"
+
+
+def _beginning(text: str, most: int, kept: str, *, backwards: bool = False) -> str:
+    """The characters of a text, from its start, that are at most so many when they are written out."""
+    pieces: list[str] = []
+    for c in text:
+        piece = _seen(c, kept)
+        most -= len(piece)
+        if most < 0:
+            break
+        pieces.append(piece)
+    return "".join(pieces[::-1] if backwards else pieces)
+
+
+def _seen(character: str, kept: str) -> str:
+    if _is_seen(character) or character in kept:
+        return character
+    return character.encode("unicode_escape").decode()
 
 
 def _is_seen(character: str) -> bool:

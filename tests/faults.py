@@ -84,8 +84,15 @@ FAULTS = (
     Fault(
         "the mask of a pixel in the place of its neighbours'",
         "kernels/warp/smoothing.py",
-        "itself ? 1.f : distant * count[x] / (unlike * unlike)",
-        "itself ? 1.f : distant * count[x - dx] / (unlike * unlike)",
+        "distant * count[x] / (unlike * unlike)",
+        "distant * count[x - dx] / (unlike * unlike)",
+        (_MATRIX, "-k", "smooth_views-few-valid and warp and equals"),
+    ),
+    Fault(
+        "the likeness of pixels that are not valid",
+        "kernels/warp/smoothing.py",
+        "unit * known[x] * difference",
+        "unit * difference",
         (_MATRIX, "-k", "smooth_views-few-valid and warp and equals"),
     ),
     Fault(

@@ -15,10 +15,11 @@ from PIL import Image
 from lfgpu import LightField, scenes
 from lfgpu.batch.items import Item, find_items
 from lfgpu.batch.manifest import Manifest, read_manifest
+from lfgpu.batch.names import PREVIEW_FILE, VIEW_FILE
 from lfgpu.batch.report import facts, write_report
 from lfgpu.batch.run import Batch, Summary, _jobs
-from lfgpu.batch.work import PREVIEW_FILE, REPORT_FILE, VIEW_FILE, Settings, work
-from lfgpu.io import write_hci
+from lfgpu.batch.work import Settings, work
+from lfgpu.io import REPORT_FILE, write_hci
 from lfgpu.methods import PRESETS
 from lfgpu.viz.panels import UNDEFINED
 from tests.browser import chromium

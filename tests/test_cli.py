@@ -1,78 +1,41 @@
-"""The command line: what goes wrong is one sentence and leaves nothing behind, what goes well can be read back."""
+"""What goes well on the command line can be read back."""
 
 from __future__ import annotations
 
-import errno
-import os
 import re
 import shutil
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import OUTPUTS, RANGE, SMALL, Outcome, boxes, holes, lfgpu, refused
 from PIL import Image
-from typer.testing import CliRunner
 
 from lfgpu import get_threads, list_backends, scenes, set_threads
 from lfgpu._backends import BackendInfo
-from lfgpu.cli import app, demo
-from lfgpu.config import Config, Section, number, parameters
+from lfgpu.cli import demo
 from lfgpu.data.lightfield import LightField
-from lfgpu.errors import LightFieldError
-from lfgpu.io import formats, read, read_map, read_result, write_hci, write_pfm
-from lfgpu.io.formats import FORMATS, Format
+from lfgpu.io import read, read_map, read_result, write_hci, write_pfm
 from lfgpu.machine import device_name
-from lfgpu.methods import METHODS, PRESETS, preset
-from lfgpu.methods.entry import Entry
+from lfgpu.methods import preset
 from lfgpu.metrics import evaluate, sparsification
 
-OUTPUTS = {"confidence.png", "depth.pfm", "disparity.pfm", "disparity.png", "result.npz"}
-RANGE = ("--disparity-range", "-2,2")
-SMALL = {"grid": (5, 5), "size": (40, 48)}
 
-
-@dataclass(frozen=True)
-class Outcome:
-    code: int
-    out: str
-    err: str
-    raised: BaseException | None
-
-
-def lfgpu(*arguments: object) -> Outcome:
-    """Run a command in this process."""
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    raised = None if isinstance(result.exception, SystemExit) else result.exception
-    return Outcome(result.exit_code, result.stdout, result.stderr, raised)
-
-
-def refused(outcome: Outcome, words: str, code: int = 1) -> None:
-    """Exactly one sentence on stderr, with those words in it, and nothing on stdout."""
-    assert outcome.raised is None
-    assert outcome.code == code
-    assert outcome.out == ""
-    assert re.fullmatch(r"lfgpu: [^\n]*\.\n", outcome.err), outcome.err
-    assert words in outcome.err
-
-
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def scene() -> LightField:
-    return scenes.make("boxes", grid=(5, 5), size=(48, 56))
+    return boxes()
 
 
-@pytest.fixture(scope="session")
-def recorded(scene: LightField, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The scene as an HCI folder; tests that change it take `views`."""
     folder = tmp_path_factory.mktemp("recorded") / "boxes"
-    write_hci(scene, folder)
+    write_hci(boxes(), folder)
     return folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def solved(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     """The folder that `depth` wrote, and what it said."""
     folder = tmp_path_factory.mktemp("solved") / "out"
@@ -89,172 +52,6 @@ def views(recorded: Path, tmp_path: Path) -> Path:
 def out(tmp_path: Path) -> Path:
     """A place for outputs whose parent is not there yet."""
     return tmp_path / "deep" / "out"
-
-
-# --- depth: what goes wrong ---
-
-
-def keep_one(folder: Path) -> None:
-    for file in folder.glob("input_Cam*.png"):
-        if file.name != "input_Cam000.png":
-            file.unlink()
-
-
-def empty(folder: Path) -> None:
-    shutil.rmtree(folder)
-    folder.mkdir()
-
-
-def another_size(folder: Path) -> None:
-    Image.new("RGB", (30, 30)).save(folder / "input_Cam007.png")
-
-
-def cut_short(folder: Path) -> None:
-    file = folder / "input_Cam007.png"
-    file.write_bytes(file.read_bytes()[:400])
-
-
-def nan_pixel(folder: Path) -> None:
-    empty(folder)
-    pixels = np.full((20, 20), 0.5, np.float32)
-    for column in range(3):
-        Image.fromarray(pixels).save(folder / f"view_0_{column}.tif")
-        pixels[3, 4] = np.nan
-
-
-def holes(folder: Path) -> None:
-    for index in (0, 7, 13):
-        (folder / f"input_Cam{index:03d}.png").unlink()
-
-
-def another_truth(folder: Path) -> None:
-    write_pfm(folder / "gt_disp_lowres.pfm", np.zeros((5, 5)))
-
-
-@pytest.mark.parametrize(
-    ("damage", "words"),
-    [
-        (shutil.rmtree, "does not exist"),
-        (empty, "an empty folder"),
-        (keep_one, "one view only (input_Cam000.png)"),
-        (another_size, "input_Cam007.png is 30 x 30 RGB uint8"),
-        (cut_short, "input_Cam007.png cannot be read"),
-        (nan_pixel, "NaN or infinite"),
-        (holes, "lacks 3 of the 25 views"),
-        (another_truth, "gt_disp_lowres.pfm has 5 x 5 pixels"),
-    ],
-)
-def test_damaged_inputs(damage: Callable[[Path], None], words: str, views: Path, out: Path) -> None:
-    damage(views)
-    refused(lfgpu("depth", views, "-o", out), words)
-    assert not out.parent.exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--disparity-range", "2,-2"], "LOW below HIGH"),
-        (["--disparity-range=1,1"], "LOW below HIGH"),
-        (["--disparity-range=nan,1"], "finite"),
-        (["--disparity-range=-inf,1"], "finite"),
-        (["--disparity-range=near,far"], "LOW,HIGH such as -2,2"),
-        (["--disparity-range=1"], "LOW,HIGH such as -2,2"),
-        (["--disparity-range=1,2,3"], "LOW,HIGH such as -2,2"),
-        (["--preset", "best"], "unknown preset 'best'"),
-        (["--set", "local.nothing=1"], "unknown parameter 'local.nothing'"),
-        (["--set", "window"], "stage.parameter=value"),
-        (["--set", "prior.window=8"], "must be odd"),
-        (["--set", "prior.window=many"], "must be a number"),
-        (["--preset", "paper", "--set", "propagation.solver=magic"], "cg, lbfgsb"),
-        (["--preset", "paper", "--set", "refinement.solver=magic"], "lbfgs, lbfgsb"),
-        (["--backend", "abacus"], "unknown backend 'abacus'"),
-        (["--device", "tpu"], "no device 'tpu'"),
-        (["--views", "circle"], "full, star, cross, row, column"),
-        (["--format", "hologram"], "unknown format 'hologram'"),
-        (["--reference-view", "9,0"], "no view at row 9, column 0"),
-        (["--reference-view", "middle"], "ROW,COL such as 4,4"),
-        (["--reference-view", "nan,1"], "finite"),
-    ],
-)
-def test_wrong_options(options: list[str], words: str, recorded: Path, out: Path) -> None:
-    refused(lfgpu("depth", recorded, "-o", out, *options), words)
-    assert not out.parent.exists()
-
-
-def test_options_are_checked_before_anything_is_read(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lfgpu.io.read", pytest.fail)
-    for option in ("--disparity-range=2,1", "--preset=x", "--set=x", "--backend=x", "--device=x", "--views=x"):
-        refused(lfgpu("depth", "anywhere", "-o", out, option), "x" if option.endswith("x") else "range")
-
-
-def test_output_that_cannot_be_written(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lfgpu.pipelines.estimate.estimate_depth", pytest.fail)  # found out before the long computation
-    (tmp_path / "file").write_text("mine")
-    refused(lfgpu("depth", recorded, "-o", tmp_path / "file"), "is a file, not a folder")
-    refused(lfgpu("depth", recorded, "-o", tmp_path / "file" / "out"), "is a file, not a folder")
-    assert (tmp_path / "file").read_text() == "mine"
-
-
-def test_missing_output_is_wrong_usage(recorded: Path) -> None:
-    outcome = lfgpu("depth", recorded)
-    assert outcome.code == 2
-    assert "--out" in outcome.err
-    assert "Traceback" not in outcome.err
-
-
-def raising(error: BaseException) -> Callable[..., None]:
-    def fail(*_: object, **__: object) -> None:
-        raise error
-
-    return fail
-
-
-@pytest.mark.parametrize(
-    "where", ["lfgpu.methods.matching.plan.MatchingPlan._find_surface", "lfgpu.io.write_result", "lfgpu.io.read"]
-)
-def test_interruption_leaves_nothing(
-    where: str, recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(where, raising(KeyboardInterrupt()))
-    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; nothing was written", code=130)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("error", "words"),
-    [
-        (MemoryError(), "lfgpu: out of memory; use fewer views"),
-        (
-            RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'"),
-            "lfgpu: out of memory on the device; use fewer views",
-        ),
-        (
-            RuntimeError("CUDA error 700: an illegal address"),
-            "lfgpu: the GPU failed (CUDA error 700: an illegal address)",
-        ),
-        (PermissionError(errno.EACCES, "Permission denied", "/views/a.png"), "/views/a.png: Permission denied"),
-        (LightFieldError("a sentence\nover two lines."), "a sentence over two lines."),
-    ],
-)
-def test_errors_of_the_machine(
-    error: Exception, words: str, recorded: Path, out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("lfgpu.pipelines.estimate.estimate_depth", raising(error))
-    refused(lfgpu("depth", recorded, "-o", out), words)
-
-
-def test_full_disk_leaves_nothing(recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lfgpu.io.write_result", raising(OSError(errno.ENOSPC, "No space left on device")))
-    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "No space left on device")
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("error", [ZeroDivisionError(), RuntimeError("a bug")])
-def test_bugs_keep_their_traceback(
-    error: Exception, recorded: Path, out: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("lfgpu.pipelines.estimate.estimate_depth", raising(error))
-    assert lfgpu("depth", recorded, "-o", out).raised is error
 
 
 # --- depth: what goes well ---
@@ -595,126 +392,3 @@ def test_demo(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with Image.open(out / "overview.png") as image:
         assert min(image.size) > 1000
     assert lfgpu("eval", out, out / "light-field").code == 0
-
-
-def python(*arguments: str) -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "COLUMNS": "80"}
-    return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, env=environment, check=False)
-
-
-def test_as_a_module() -> None:
-    done = python("-m", "lfgpu", "--version")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert re.fullmatch(r"lfgpu \d+\.\d+\.\d+\S*\n", done.stdout)
-
-
-def test_a_mistake_in_a_process_of_its_own(tmp_path: Path) -> None:
-    done = python("-m", "lfgpu", "depth", str(tmp_path / "nowhere"), "-o", str(tmp_path / "out"))
-    assert done.returncode == 1
-    assert re.fullmatch(r"lfgpu: .* does not exist; [^\n]*\.\n", done.stderr)
-    assert not (tmp_path / "out").exists()
-
-
-LIGHT = {"matplotlib", "warp", "taichi", "imageio", "viser", "distributed"}
-LIGHTER = LIGHT | {"numpy", "scipy", "PIL"}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "heavy"),
-    [
-        (["--help"], 0, LIGHTER),
-        (["backends", "--help"], 0, LIGHTER),
-        (["parameters", "--help"], 0, LIGHTER),
-        (["parameters", "--preset", "paper"], 0, LIGHTER),
-        (["depth", "--nonsense"], 2, LIGHTER),
-        (["depth", "--help"], 0, LIGHT),  # lists the formats, whose readers need NumPy
-        (["live", "--help"], 0, LIGHT),
-        (["export", "--help"], 0, LIGHT),
-    ],
-)
-def test_help_loads_nothing_heavy(arguments: list[str], code: int, heavy: set[str]) -> None:
-    script = (
-        f"import sys\nfrom lfgpu.cli import main\nsys.argv = ['lfgpu', *{arguments}]\n"
-        f"try:\n    main()\nexcept SystemExit as end:\n    assert not end.code if {code} == 0 else end.code == {code}\n"
-        f"heavy = {heavy} & set(sys.modules)\n"
-        "assert not heavy, heavy\n"
-    )
-    done = python("-c", script)
-    assert done.returncode == 0, done.stderr
-
-
-def test_help_lists_presets_formats_and_backends() -> None:
-    shown = " ".join(lfgpu("depth", "--help").out.replace("│", " ").split())
-    assert "--disparity-range" in shown
-    assert "lfgpu parameters" in shown
-    for name, label in (item for entry in METHODS.values() for item in entry.labels.items()):
-        assert f"{name}: {label}" in shown
-    assert ", ".join(entry.name for entry in FORMATS) in shown
-    assert ", ".join(list_backends()) in shown
-
-
-@dataclass(frozen=True)
-class ToySection(Section):
-    """Knobs of the toy."""
-
-    weight: float = number(0.5, 0.0, 1.0, "weight of nothing, pixels", symbol="ω")
-
-
-@pytest.fixture
-def toy(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A third method and a further format, registered while a test runs."""
-    monkeypatch.setattr(Config, "known", dict(Config.known))
-
-    @dataclass(frozen=True)
-    class ToyConfig(Config):
-        method = "toy"
-        knobs: ToySection = ToySection()
-
-    monkeypatch.setitem(
-        METHODS, "toy", Entry(ToyConfig, {"plain": ToyConfig()}, "nowhere:Toy", "does nothing", {"plain": "a toy"})
-    )
-    monkeypatch.setitem(PRESETS, "plain", ToyConfig())
-    more = Format("toy-files", "files of a toy", lambda path: None, lambda path, **_: scenes.make("boxes"))
-    monkeypatch.setattr(formats, "FORMATS", (*FORMATS, more))
-
-
-@pytest.mark.usefixtures("toy")
-def test_a_new_method_and_a_new_format_appear_in_the_help_by_themselves() -> None:
-    for command in ("depth", "batch"):
-        shown = " ".join(lfgpu(command, "--help").out.replace("│", " ").split())
-        assert "plain: a toy" in shown
-        assert "toy-files" in shown
-    assert lfgpu("parameters", "--preset", "plain").out == "knobs.weight\t0.5\t0 to 1\tweight of nothing, pixels\tω\n"
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_parameters_in_a_pipe_are_one_line_each_that_set_takes(name: str) -> None:
-    shown = lfgpu("parameters", "--preset", name)
-    assert (shown.code, shown.err) == (0, "")
-    lines = [line.split("\t") for line in shown.out.splitlines()]
-    assert [line[0] for line in lines] == list(dict(parameters(PRESETS[name])))
-    assert all(len(line) == 5 and all(line[:4]) for line in lines)
-    assert preset(name).with_values({line[0]: line[1] for line in lines}) == preset(name)
-
-
-def test_parameters_tell_range_choices_and_symbol() -> None:
-    lines = {line.split("\t")[0]: line.split("\t")[1:] for line in lfgpu("parameters").out.splitlines()}
-    assert lines["sweep.views"][:2] == ["full", "full, star, cross"]
-    assert lines["prior.window"][:2] == ["9", "3 to 31, odd"]
-    assert lines["alignment.iterations"][1] == "1 to 100, integer"
-    assert lines["semi_global.small_penalty"][3] == "P1"
-
-
-def test_parameters_on_a_terminal_are_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("COLUMNS", "120")
-    shown = re.sub(r"\x1b\[[0-9;]*m", "", lfgpu("parameters", "--preset", "paper").out)
-    assert "\t" not in shown
-    assert "paper: Sajjadi et al. 2016, for views with noise and occlusions." in shown
-    for name, _ in parameters(PRESETS["paper"]):
-        assert len(re.findall(rf"^  {re.escape(name)} ", shown, re.MULTILINE)) == 1
-    assert "((views - 1) · channels)]" in " ".join(shown.split())
-
-
-def test_an_unknown_preset_has_no_parameters() -> None:
-    refused(lfgpu("parameters", "--preset", "fats"), "unknown preset 'fats'; use one of accurate, fast, paper")

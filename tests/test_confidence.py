@@ -63,10 +63,7 @@ def test_a_plain_surface_far_from_texture_is_not_believed() -> None:
     plain, textured = np.s_[20:-20, 75:], np.s_[20:-20, :30]
     assert result.confidence[plain].mean() < 0.75 * result.confidence[textured].mean()
     assert result.uncertainty is not None
-    times = result.uncertainty[plain].mean() / result.uncertainty[textured].mean()
-    assert times > 4
-    if not times > 5:
-        pytest.xfail(f"the bound is 5; it is {times:.2f} times as uncertain")
+    assert result.uncertainty[plain].mean() > 5 * result.uncertainty[textured].mean()
     assert result.uncertainty.max() <= (RANGE[1] - RANGE[0]) / np.sqrt(12) + 1e-6
 
 

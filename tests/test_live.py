@@ -16,8 +16,10 @@ from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map, write_hci
-from lfgpu.pipelines.sources import Options, feed, open_source
+from lfgpu.pipelines.sources import Options, feed, open_source, recorded
+from lfgpu.viewer.contents import opened_all
 
 SCENE: dict[str, Any] = {"size": (32, 36), "disparity_range": (-1, 1)}
 OPTIONS: dict[str, Any] = {"grid": (3, 3), **SCENE}
@@ -26,6 +28,10 @@ RANGE = "--disparity-range=-1,1"
 
 def lfgpu_live(*arguments: Any) -> Any:
     return CliRunner().invoke(app, ["live", *map(str, arguments), "--device=cpu"])
+
+
+def sequence_of(frames: int) -> list[LightField]:
+    return list(scenes.sequence("moving", frames=frames, **OPTIONS))
 
 
 @pytest.fixture
@@ -82,6 +88,48 @@ def test_recording_of_a_folder(sequence: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_map(out / "disparity_000000.pfm"), want.disparity)
     np.testing.assert_array_equal(read_map(out / "confidence_000000.pfm"), want.confidence)
     assert len(list(out.iterdir())) == 3 * 2 + 1
+
+
+@pytest.fixture(scope="module")
+def gaps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recorded frames, of which three were not kept, and the maps of them played again."""
+    folder = tmp_path_factory.mktemp("gaps")
+    frames = sequence_of(6)
+    kept = iter((True, False, True, False, False, True))
+    for _ in recorded(iter(frames), frames[0], folder / "film", wanted=lambda: next(kept)):
+        pass
+    outcome = lfgpu_live(folder / "film", "-o", folder / "maps", "--preset=fast", RANGE, "--cold")
+    assert outcome.exit_code == 0, outcome.output
+    return folder
+
+
+def test_maps_of_a_film_with_gaps_belong_to_its_frames(gaps: Path) -> None:
+    contents = opened_all([gaps / "maps", gaps / "film"])
+    assert contents.film is not None
+    assert list(contents.film.frames) == [0, 2, 5]
+    for number, played in ((5, 2), (2, 1), (0, 0)):
+        found = contents.turned(number).entries["maps"]
+        np.testing.assert_array_equal(found.disparity, read_map(gaps / f"maps/disparity_{played:06d}.pfm"))
+        np.testing.assert_array_equal(found.confidence, read_map(gaps / f"maps/confidence_{played:06d}.pfm"))
+
+
+def test_maps_of_another_film_are_refused(gaps: Path, tmp_path: Path) -> None:
+    lost = sequence_of(6)[4:5]  # one that was not kept
+    for _ in recorded(iter(lost), lost[0], tmp_path / "other"):
+        pass
+    with pytest.raises(LightFieldError, match=r"maps holds maps of other frames: none is of .*frame_000000"):
+        opened_all([tmp_path / "other", gaps / "maps"])
+    (tmp_path / "maps").mkdir()
+    for words in ("{}", '{"frames": [{"frame": 0}]}', "nonsense"):
+        (tmp_path / "maps" / "live.json").write_text(words)
+        with pytest.raises(LightFieldError, match="does not say which frame each map is of"):
+            opened_all([gaps / "film", tmp_path / "maps"])
+
+
+def test_frames_of_two_recordings_do_not_mix(gaps: Path) -> None:
+    outcome = lfgpu_live("planes", "--record", gaps / "film", "--frames=1")
+    assert outcome.exit_code == 1
+    assert "holds frames already" in outcome.stderr
 
 
 def test_grabber_with_a_bad_frame_and_a_missing_camera(grabbers: None, tmp_path: Path) -> None:

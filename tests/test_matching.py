@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lfgpu import scenes
-from lfgpu._backends import load
+from lfgpu._backends import BackendName, load
 from lfgpu.config import Config
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
@@ -18,7 +18,7 @@ from lfgpu.methods import PRESETS, method_of
 from lfgpu.methods.matching import plan
 from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.noise import in_units_of, measured_grain, measured_noise
-from lfgpu.methods.matching.sweep import labels, used_views, view_sets
+from lfgpu.methods.matching.sweep import labels, swept_views, used_views, view_sets
 from lfgpu.metrics import Metrics, evaluate, sparsification
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.pipeline import DepthPipeline
@@ -51,6 +51,38 @@ def test_a_wide_range_makes_the_steps_longer_and_a_narrow_one_still_has_three() 
     _, step, count = labels((-50.0, 50.0), grid(9, 9), SweepConfig(max_labels=101))
     assert (step, count) == (1.0, 101)
     assert labels((0.0, 1e-3), grid(3, 3), SweepConfig())[2] == 3
+
+
+def test_every_other_view_of_a_large_grid_is_swept_at_first() -> None:
+    offsets = grid(9, 9)
+    swept = offsets[swept_views(offsets, "alternate")]
+    assert len(swept) == 41
+    assert (swept.sum(1) % 2 == 0).all()
+    assert len(swept_views(offsets, "full")) == 81
+    assert len(swept_views(grid(7, 7), "alternate")) == 49  # 25 are too few
+    assert len(swept_views(offsets + np.linspace(0, 0.2, 81)[:, None], "alternate")) == 81  # not on a grid
+
+
+@pytest.mark.parametrize("backend", ["warp", "taichi"])
+def test_views_that_are_not_swept_change_the_last_step_only(backend: BackendName) -> None:
+    """One view of the other colour is out of line: the sweeps stay as they are. Masks go with their views."""
+    lf = scenes.make("planes", grid=(9, 9), size=(32, 40), seed=1)
+    valid = np.ones(lf.views.shape[:3], np.bool_)
+    valid[59] = False  # one to the right of the reference and two below, where no noise is measured
+    moved = lf.views.copy()
+    moved[59, :, 1:] = lf.views[59, :, :-1]
+    options = {"disparity_range": RANGE, "backend": backend, "device": "cpu"}
+    before = estimate_depth(replace(lf, valid=valid), **options)
+    after = estimate_depth(replace(lf, views=moved, valid=valid), **options)
+    blind = estimate_depth(replace(lf, views=moved, valid=np.ones_like(valid)), **options)
+    for stage in ("sweep", "resweep"):
+        np.testing.assert_array_equal(blind.stages[stage], before.stages[stage])
+    np.testing.assert_array_equal(after.disparity, before.disparity)
+    assert np.abs(blind.stages["align"] - before.stages["align"]).max() > 1e-4
+    missing = np.ones_like(valid)
+    missing[50] = False  # one to the right and one below: of the same colour
+    found = estimate_depth(replace(lf, valid=missing), **options).stages["sweep"]
+    assert np.abs(found - before.stages["sweep"]).max() > 1e-4
 
 
 def test_apertures_are_all_views_and_the_quarters_around_the_reference() -> None:
@@ -183,12 +215,8 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> 
     assert lf.truth is not None
     assert ((result.confidence > 0) & (result.confidence <= 1)).all()
     curve = sparsification(result.disparity, result.confidence, lf.truth.disparity)
-    rise = np.diff(curve.bad).max()
-    assert curve.ause < most + 0.02
-    assert rise < 0.65
-    # Per cent: a handful of pixels among the few that are left last.
-    if not (curve.ause < most and rise < 0.6):
-        pytest.xfail(f"the bounds are {most} and 0.6; AUSE is {curve.ause:.3f}, and bad pixels rise by {rise:.2f} %")
+    assert curve.ause < most
+    assert np.diff(curve.bad).max() < 0.6  # per cent: a handful of pixels among the few that are left last
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
@@ -209,16 +237,12 @@ def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     assert np.concatenate([*expected.values()]).mean() - np.concatenate([*right.values()]).mean() < 0.05
     good, confidence = (np.concatenate([of[name] for name in ("boxes", "planes", "bars")]) for of in (right, expected))
     assert abs(good.mean() - confidence.mean()) < 0.05
-    farthest = 0.0
     for low, high in ((0.0, 0.5), (0.5, 0.9), (0.9, 1.0)):
         there = (confidence > low) & (confidence <= high)
         assert there.sum() > 250
         too_low = good[there].mean() - confidence[there].mean()
         # What is said to be uncertain may be right more often than that; what is said to be sure must be.
-        assert -0.2 < too_low < 0.4 if low < 0.9 else abs(too_low) < 0.03
-        farthest = max(farthest, abs(too_low))
-    if not farthest < 0.3:
-        pytest.xfail(f"the bound of each bin is 0.3; the confidence is off by {farthest:.2f}, to the low side")
+        assert -0.2 < too_low < 0.3 if low < 0.9 else abs(too_low) < 0.03
 
 
 def test_confidence_is_low_where_the_map_differs_from_the_matches() -> None:
@@ -296,14 +320,9 @@ def test_masked_pixels_say_nothing() -> None:
     away = np.minimum(np.maximum(y, x) - 7, np.maximum(lf.size[0] - y, lf.size[1] - x) - 8)  # from both corners
     apart = np.abs(one - two)
     assert np.isnan(one).sum() == np.isnan(two).sum() == 2 * 8 * 8
-    near, beyond, far = (float(apart[away >= pixels].max()) for pixels in (8, 12, 16))
-    assert near < 0.03
-    assert beyond < 1e-3
-    assert far < 1e-3
-    if not (near < 0.02 and far < 1e-5):
-        pytest.xfail(
-            f"the bounds are 0.02 and 1e-5; what stands in masked pixels moves others by {near:.2g}, {far:.1g}"
-        )
+    assert apart[away >= 8].max() < 0.02
+    assert apart[away >= 12].max() < 1e-3
+    assert apart[away >= 16].max() < 1e-5
 
 
 def test_views_without_texture_are_refused() -> None:

@@ -11,7 +11,14 @@ from PIL import Image
 
 from lfgpu.errors import LightFieldError
 from lfgpu.metrics import sparsification
-from lfgpu.viz.figures import confidence_figure, disparity_figure, overview_figure, save_png, sparsification_figure
+from lfgpu.viz.figures import (
+    confidence_figure,
+    disparity_figure,
+    figure_with_scale,
+    overview_figure,
+    save_png,
+    sparsification_figure,
+)
 
 SHAPE = (30, 40)
 
@@ -140,3 +147,16 @@ def test_a_picture_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(LightFieldError, match="cannot be written"):
         save_png(confidence_figure(np.zeros(SHAPE)), tmp_path / "file" / "x.png")
+
+
+@pytest.mark.parametrize("size", [(29, 31), (480, 640)])
+@pytest.mark.parametrize("paper", [(255, 255, 255), (20, 23, 28)])
+def test_a_picture_beside_a_scale_keeps_its_pixels(
+    size: tuple[int, int], paper: tuple[int, int, int], rng: np.random.Generator, tmp_path: Path
+) -> None:
+    picture = rng.integers(0, 256, (*size, 3)).astype(np.uint8)
+    figure = figure_with_scale(picture, label="depth (m)", colours="magma", limits=(1, 2), extent=(1, 3), paper=paper)
+    found = pixels(figure, tmp_path)
+    assert found.shape[0] == size[0]
+    np.testing.assert_array_equal(found[:, : size[1]], picture)
+    assert tuple(found[0, -1]) == paper

@@ -1,79 +1,21 @@
-"""A stream gives each frame the map that a pipeline gives, counts everything, and nothing that is pushed ends it."""
+"""A stream gives each frame the map that a pipeline gives, keeps its results apart, and says what it did."""
 
 from __future__ import annotations
 
 import gc
 import re
-import threading
-import time
 import weakref
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from functools import cache
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from stream_runs import FRAMES, LONG, RANGE, adds_up, alone, frames, made, other_scene, until
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu._backends import load
 from lfgpu.data.lightfield import LightField
-from lfgpu.pipelines.range_watch import RangeWatch
-
-RANGE = (-1.5, 1.5)
-FRAMES = 6
-LONG = 600.0  # seconds: nothing takes that long unless it hangs
-
-
-@cache
-def frames() -> tuple[LightField, ...]:
-    """A scene that moves slowly: the first frames of many."""
-    options: dict[str, Any] = {"grid": (3, 5), "size": (40, 44), "noise": 0.01}
-    return tuple(lf for lf, _ in zip(scenes.sequence("moving", frames=90, **options), range(FRAMES), strict=False))
-
-
-@cache
-def other_scene() -> LightField:
-    return scenes.make("planes", seed=3, grid=(3, 5), size=(40, 44))
-
-
-@cache
-def alone(config: str, index: int) -> np.ndarray:
-    """What a pipeline that was made for the first frame makes of a later one."""
-    pipeline = lfgpu.DepthPipeline(frames()[0], config=config, disparity_range=RANGE, device="cpu")
-    pipeline.upload(frames()[index].views)
-    pipeline.run()
-    return pipeline.disparity()
-
-
-def made(lf: LightField | None = None, **options: Any) -> lfgpu.DepthStream:
-    options = {"config": "fast", "disparity_range": RANGE, "device": "cpu", "policy": "block", **options}
-    return lfgpu.DepthStream(lf or frames()[0], **options)
-
-
-@contextmanager
-def held(stream: lfgpu.DepthStream) -> Iterator[None]:
-    """The stream gets no further than the frame that it works on."""
-    with load("warp").asking(stream.device):
-        yield
-
-
-def until(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + LONG
-    while not condition():
-        assert time.monotonic() < end, "it hangs"
-        time.sleep(0.001)
-
-
-def adds_up(stats: dict[str, Any]) -> bool:
-    ends = sum(stats[f"frames_{name}"] for name in ("done", "dropped", "failed", "in_work"))
-    return bool(stats["frames_pushed"] == ends)
-
-
-# --- maps ---
 
 
 @pytest.mark.parametrize("config", ["accurate", "fast"])
@@ -150,6 +92,28 @@ def test_cameras_drop_out_and_come_back() -> None:
     assert not np.array_equal(want, whole)
 
 
+def test_cameras_of_a_large_grid_drop_out_and_come_back() -> None:
+    """Every other one is swept at first: masks go with them."""
+    lf, there = scenes.make("planes", grid=(9, 9), size=(32, 40), seed=1), np.ones(81, bool)
+    there[[50, 59]] = False  # one of either kind
+    valid = np.broadcast_to(there[:, None, None], lf.views.shape[:3]).copy()
+    config = lfgpu.PRESETS["accurate"].with_values({"sweep.noise": 0.01})
+    want, whole = (
+        lfgpu.estimate_depth(one, config=config, disparity_range=RANGE, device="cpu").disparity
+        for one in (replace(lf, valid=valid), lf)
+    )
+    views = lf.views.copy()
+    views[~there] = 255
+    with made(lf, config=config, prior=None) as stream:
+        assert np.array_equal(stream.push(lf.views).numpy(), whole)
+        assert np.array_equal(stream.push(views, valid=there).numpy(), want)
+    assert not np.array_equal(want, whole)
+    with made(lf, config=config) as stream:
+        stream.push(lf.views).wait()
+        warm = stream.push(lf.views).numpy()
+    assert np.median(np.abs(warm - whole)) < 0.01
+
+
 def test_masks_of_the_light_field_stay() -> None:
     lf = frames()[0]
     valid = np.ones(lf.views.shape[:3], bool)
@@ -192,229 +156,6 @@ def test_before_there_is_a_frame() -> None:
         lf.positions, lf.size, disparity_range=RANGE, noise=0.01, config="fast", device="cpu", reference=lf.reference
     ) as stream:
         np.testing.assert_array_equal(stream.push(lf.views).numpy(), want)
-
-
-# --- what frames may be ---
-
-
-class Foreign:
-    """An array that has nothing but DLPack."""
-
-    def __init__(self, values: np.ndarray) -> None:
-        self._values, self.shape, self.dtype = values, values.shape, values.dtype
-
-    def __dlpack__(self, **options: Any) -> Any:
-        return self._values.__dlpack__(**options)
-
-    def __dlpack_device__(self) -> tuple[int, int]:
-        return self._values.__dlpack_device__()
-
-
-def test_forms_of_a_frame() -> None:
-    views = frames()[0].views
-    strided = np.repeat(views, 2, axis=2)[:, :, ::2]
-    assert not strided.flags.c_contiguous
-    with made(prior=None) as stream:
-        want = stream.push(views).numpy()
-        for form in (strided, views.reshape(3, 5, *views.shape[1:]), Foreign(views)):
-            assert np.array_equal(stream.push(form).numpy(), want)
-
-
-@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
-def test_other_types_of_values(dtype: type) -> None:
-    lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=dtype, channels=1, disparity_range=(-1, 1))
-    want = lfgpu.estimate_depth(lf, config="fast", disparity_range=(-1, 1), device="cpu").disparity
-    with made(lf, disparity_range=(-1, 1)) as stream:
-        assert np.array_equal(stream.push(lf.views[..., 0]).numpy(), want)
-
-
-def test_a_frame_may_be_changed_at_once() -> None:
-    views = frames()[0].views.copy()
-    with made(prior=None) as stream:
-        with held(stream):
-            result = stream.push(views)
-            views[:] = 0
-        np.testing.assert_array_equal(result.numpy(), alone("fast", 0))
-
-
-def test_bad_frames_fail_alone() -> None:
-    views, there = frames()[0].views, np.ones(15, bool)
-    no_reference, lonely = there.copy(), ~there
-    no_reference[7], lonely[7] = False, True
-    bad: list[tuple[Any, Any, str]] = [
-        (views[:, :8], None, r"uint8 \[15, 8, 44, 3\]"),
-        (views.astype(np.float32), None, "found float32"),
-        ("a picture", None, "must be an array"),
-        (views, there[:3], r"valid must be bool \[15\]"),
-        (views, no_reference, "reference view .* missing"),
-        (views, lonely, "only the reference view"),
-        (np.zeros_like(views), None, "no texture"),
-    ]
-    with made() as stream:
-        for index, (frame, valid, sentence) in enumerate(bad):
-            result = stream.push(frame, valid=valid, tag=index)
-            with pytest.raises(lfgpu.LightFieldError, match=sentence):
-                result.numpy()
-            assert result.error is not None
-            assert not result.dropped
-            assert result.tag == index
-        np.testing.assert_array_equal(stream.push(views).numpy(), alone("fast", 0))
-        stats = stream.stats()
-    assert (stats["frames_failed"], stats["frames_done"]) == (len(bad), 1)
-
-
-def test_what_is_not_finite_fails_unless_it_does_not_count() -> None:
-    lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=np.float32, disparity_range=(-1, 1))
-    views, there = lf.views.copy(), np.ones(9, bool)
-    views[3, 5, 5, 1], there[3] = np.nan, False
-    with made(lf, disparity_range=(-1, 1)) as stream:
-        with pytest.raises(lfgpu.LightFieldError, match=r"view 3 holds NaN or infinity"):
-            stream.push(views).numpy()
-        assert np.isfinite(stream.push(views, valid=there).numpy()).all()
-
-
-def test_float_frames_in_another_unit_are_refused() -> None:
-    lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=np.float32, disparity_range=(-1, 1))
-    with made(lf, disparity_range=(-1, 1)) as stream:
-        with pytest.raises(lfgpu.LightFieldError, match=r"view \d has values from .* scale float views to \[0, 1\]"):
-            stream.push(lf.views * 255).numpy()
-        assert np.isfinite(stream.push(lf.views).numpy()).all()
-
-
-def test_float_frames_in_another_unit_are_seen_on_the_device_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As frames that lie on a GPU are, which the host does not look at."""
-    lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=np.float32, disparity_range=(-1, 1))
-    monkeypatch.setattr("lfgpu.pipelines.intake.check_scaled", lambda *_: None)
-    with made(lf, disparity_range=(-1, 1)) as stream:
-        with pytest.raises(lfgpu.LightFieldError, match=r"scale float views"):
-            stream.push(lf.views * 255).numpy()
-        result = stream.push(lf.views)
-        assert np.isfinite(result.numpy()).all()
-        assert result.cold
-
-
-# --- the disparity range ---
-
-
-@pytest.mark.parametrize(("bounds", "end"), [((-1.5, 0.0), "near"), ((0.3, 1.5), "far")])
-def test_a_range_that_is_too_small_is_said_so(
-    bounds: tuple[float, float], end: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    with made(disparity_range=bounds) as stream:
-        results = [stream.push(lf.views) for lf in frames()]
-        assert all(result.wait(LONG) for result in results)
-    assert stream.stats()["frames_beyond_range"] == FRAMES
-    assert len(stream.warnings) == stream.stats()["warnings"] == 1
-    assert f"move the {end} end further out" in stream.warnings[0]
-    assert [record.getMessage() for record in caplog.records] == list(stream.warnings)
-
-
-@pytest.mark.parametrize("config", ["accurate", "fast"])
-def test_a_range_that_holds_the_scene_is_not(config: str) -> None:
-    truth = [lf.truth.disparity for lf in frames() if lf.truth is not None]
-    bounds = float(np.min(truth)) - 0.05, float(np.max(truth)) + 0.05
-    with made(config=config, disparity_range=bounds) as stream:
-        for lf in frames():
-            assert stream.push(lf.views).wait(LONG)
-    assert stream.warnings == ()
-
-
-def test_a_range_that_lacks_what_has_no_texture_is_said_so() -> None:
-    """Its maps do not show that: hardly a pixel lies at an end."""
-    lf = scenes.make("textureless", grid=(5, 5), size=(96, 96), seed=1, noise=0.005, disparity_range=(-1, 1))
-    with made(lf, disparity_range=(-1.1, 0.2)) as stream:
-        assert stream.push(lf.views).wait(LONG)
-    assert stream.stats()["frames_beyond_range"] == 0
-    (sentence,) = stream.warnings
-    assert "the first views show" in sentence
-    assert "move the near end" in sentence
-
-
-def test_what_lies_at_an_end_by_chance_is_no_reason() -> None:
-    """Half of the map has no texture, and is at an end of a range that holds the scene."""
-    lf = frames()[0]
-    truth = [lf.truth.disparity for lf in frames() if lf.truth is not None]
-    bounds = float(np.min(truth)) - 0.05, float(np.max(truth)) + 0.05
-    map_ = np.full(lf.size, 0.5 * sum(bounds), np.float32)
-    map_[: len(map_) // 2] = bounds[1]
-    for given, said in ((bounds, 0), ((bounds[0], bounds[0] + 0.5 * (bounds[1] - bounds[0])), 1)):
-        watch = RangeWatch(given)
-        assert watch.look(np.clip(map_, *given), is_new=False)
-        assert watch.wait()
-        assert len(watch.search(lf, "these views")) == said
-        assert len(watch.warnings) == said
-        assert watch.search(lf, "these views") == ()  # once
-
-
-def test_a_search_is_wanted_after_a_cut_and_not_without_a_reason() -> None:
-    watch = RangeWatch((-1.0, 1.0))
-    assert not watch.look(np.zeros((8, 8), np.float32), is_new=False)
-    assert not watch._wanted
-    assert not watch.look(np.zeros((8, 8), np.float32), is_new=True)
-    assert watch.wait()
-    watch.close()
-    assert not watch.wait()
-
-
-# --- stamps ---
-
-
-def test_frames_whose_pictures_were_not_taken_together_are_counted_and_said_once(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    lf = frames()[0]
-    together = 7.0 + 0.001 * np.arange(15) / 15
-    late = together.copy()
-    late[5] += 0.02
-    with made(tolerance=0.004) as stream:
-        results = [stream.push(lf.views, stamps=stamps) for stamps in (together, late, late, None)]
-        missing = np.arange(15) != 5
-        late[5] = np.nan  # its stamp is not read, as its picture is not
-        results.append(stream.push(lf.views, stamps=late, valid=missing))
-        assert all(result.wait(LONG) and result.error is None for result in results)
-    stats = stream.stats()
-    assert (stats["frames_done"], stats["frames_out_of_step"], stats["warnings"]) == (5, 2, 1)
-    (sentence,) = stream.warnings
-    assert "frame 1 were taken within 20.2 ms" in sentence
-    assert "view 5 " in sentence
-    assert [record.getMessage() for record in caplog.records] == [sentence]
-    assert results[1].stamps is not None
-    assert results[1].stamps[5] == 7.02 + 0.001 * 5 / 15  # a copy: what became of `late` since is no matter
-    assert results[3].stamps is None
-    assert results[4].stamps is not None
-    assert np.isnan(results[4].stamps).tolist() == (~missing).tolist()
-    assert "lfgpu_stream_frames_out_of_step_total 2" in stream.prometheus()
-
-
-def test_without_a_tolerance_any_stamps_will_do() -> None:
-    with made() as stream:
-        result = stream.push(frames()[0].views, stamps=np.arange(15.0))
-        assert result.wait(LONG)
-    assert result.error is None
-    assert stream.warnings == ()
-
-
-@pytest.mark.parametrize(
-    ("stamps", "words"),
-    [
-        (np.zeros(14), r"stamps must be \[15\], one for each view; found \[14\]"),
-        (["noon"] * 15, "stamps must be numbers of seconds"),
-        ([0.0] * 14 + [float("nan")], r"the stamp of view 14 is nan; give seconds, or set valid\[14\] to False"),
-    ],
-)
-def test_wrong_stamps_fail_their_frame_only(stamps: Any, words: str) -> None:
-    with made(tolerance=0.004) as stream:
-        wrong = stream.push(frames()[0].views, stamps=stamps)
-        right = stream.push(frames()[0].views, stamps=np.zeros(15))
-        assert right.wait(LONG)
-    assert right.error is None
-    assert re.search(words, str(wrong.error))
-
-
-@pytest.mark.parametrize("tolerance", [0, -1.0, float("nan"), True, "4 ms"])
-def test_a_tolerance_is_a_number_of_seconds(tolerance: Any) -> None:
-    with pytest.raises(lfgpu.LightFieldError, match="tolerance must be a number of seconds > 0"):
-        made(tolerance=tolerance)
 
 
 # --- results ---
@@ -548,125 +289,6 @@ def test_a_frame_whose_library_fails_fails_alone(method: str) -> None:
         with pytest.raises(lfgpu.LightFieldError, match="the driver is gone"):
             result.numpy()
         np.testing.assert_array_equal(stream.push(views).numpy(), alone("fast", 0))
-
-
-# --- under load ---
-
-
-def test_latest_drops_what_waits() -> None:
-    with made(policy="latest") as stream:
-        with held(stream):
-            first = stream.push(frames()[0].views)
-            until(lambda: stream.stats()["frames_waiting"] == 0)
-            results = [stream.push(lf.views) for lf in frames()]
-            assert [result.dropped for result in results] == [True] * (FRAMES - 1) + [False]
-        assert first.wait(LONG)
-        assert results[-1].wait(LONG)
-        with pytest.raises(lfgpu.FrameDroppedError, match="frame 1"):
-            results[0].numpy()
-        stats = stream.stats()
-    assert (stats["frames_done"], stats["frames_dropped"]) == (2, FRAMES - 1)
-
-
-def test_queue_keeps_some() -> None:
-    with made(policy="queue", waiting=3) as stream, held(stream):
-        stream.push(frames()[0].views)
-        until(lambda: stream.stats()["frames_waiting"] == 0)
-        results = [stream.push(lf.views) for lf in frames()]
-        assert [result.dropped for result in results] == [True] * (FRAMES - 3) + [False] * 3
-    assert stream.stats()["frames_done"] == 4
-
-
-def test_block_makes_those_who_push_wait() -> None:
-    with made(policy="block", waiting=1) as stream, ThreadPoolExecutor(1) as pool:
-        with held(stream):
-            stream.push(frames()[0].views)
-            until(lambda: stream.stats()["frames_waiting"] == 0)
-            stream.push(frames()[1].views)
-            waits = pool.submit(stream.push, frames()[2].views)
-            time.sleep(0.05)
-            assert not waits.done()
-        assert waits.result(LONG).wait(LONG)
-    assert stream.stats()["frames_done"] == 3
-
-
-@pytest.mark.parametrize("policy", ["latest", "block", "queue"])
-def test_from_several_threads(policy: str) -> None:
-    def push_some(seed: int) -> list[lfgpu.StreamResult]:
-        random = np.random.default_rng(seed)
-        return [stream.push(frames()[random.integers(FRAMES)].views) for _ in range(12)]
-
-    with made(policy=policy) as stream, ThreadPoolExecutor(3) as pool:
-        results = [result for part in pool.map(push_some, range(3)) for result in part]
-        while not all(result.done for result in results):
-            assert adds_up(stream.stats())
-            time.sleep(0.002)
-    assert sorted(result.index for result in results) == list(range(36))
-    assert all(result.dropped or np.isfinite(result.numpy()).all() for result in results)
-    stats = stream.stats()
-    assert stats["frames_pushed"] == 36
-    assert stats["frames_in_work"] == stats["frames_waiting"] == stats["frames_failed"] == 0
-    assert stats["frames_dropped"] == sum(result.dropped for result in results)
-
-
-@pytest.mark.parametrize("finish", [True, False])
-def test_close_in_the_middle_of_work(finish: bool) -> None:
-    before = threading.active_count()
-    stream = made(policy="queue", waiting=4)
-    with ThreadPoolExecutor(1) as pool:
-        with held(stream):
-            results = [stream.push(lf.views) for lf in frames()[:4]]
-            closing = pool.submit(stream.close, finish=finish)
-            until(lambda: stream._inbox.closed)
-            with pytest.raises(lfgpu.LfgpuError, match="closed"):
-                stream.push(frames()[0].views)
-        closing.result(LONG)
-    stream.close()
-    assert all(result.done for result in results)
-    assert finish or any(result.dropped for result in results)
-    assert not finish or not any(result.dropped for result in results)
-    stats = stream.stats()
-    assert adds_up(stats)
-    assert stats["frames_in_work"] == 0
-    until(lambda: threading.active_count() <= before)
-
-
-def test_close_wakes_those_who_wait() -> None:
-    stream = made(policy="block", waiting=1)
-    with ThreadPoolExecutor(2) as pool:
-        with held(stream):
-            stream.push(frames()[0].views)
-            until(lambda: stream.stats()["frames_waiting"] == 0)
-            stream.push(frames()[1].views)
-            waits = pool.submit(stream.push, frames()[2].views)
-            time.sleep(0.02)
-            closing = pool.submit(stream.close, finish=False)
-            with pytest.raises(lfgpu.LfgpuError, match="closed"):
-                waits.result(LONG)
-        closing.result(LONG)
-    assert adds_up(stream.stats())
-    assert stream.stats()["frames_in_work"] == 0
-
-
-def test_failing_block_drops_what_waits() -> None:
-    with pytest.raises(KeyError), made(policy="queue") as stream:  # noqa: PT012 - the block is what is tested
-        with held(stream):
-            results = [stream.push(lf.views) for lf in frames()[:3]]
-            stream._inbox.close(finish=False)
-        raise KeyError
-    assert all(result.done for result in results)
-
-
-def test_two_streams_at_once() -> None:
-    with made(prior=None) as one, made(config="accurate", prior=None) as other, ThreadPoolExecutor(2) as pool:
-
-        def maps(stream: lfgpu.DepthStream) -> list[np.ndarray]:
-            return [result.numpy() for result in [stream.push(lf.views) for lf in frames()[:3]]]
-
-        found = list(pool.map(maps, (one, other)))
-    for config, results in zip(("fast", "accurate"), found, strict=True):
-        for index, disparity in enumerate(results):
-            np.testing.assert_array_equal(disparity, alone(config, index))
 
 
 # --- numbers ---

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map, write_hci, write_pfm
 from lfgpu.viewer import Viewer, pictures, saving
 from lfgpu.viewer.board import Board
-from lfgpu.viewer.cloud import nearest_to_ray, shown_cloud, surface
+from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud, surface
 from lfgpu.viewer.contents import LIVE, TRUTH, Contents, Entry, opened, opened_all
 from lfgpu.viewer.facts import Facts, fixed
 from lfgpu.viewer.pictures import histogram
@@ -359,6 +360,32 @@ def test_a_pixel_is_found_in_the_reference_view(u: int, v: int) -> None:
     assert pictures.in_reference(contents, "none", "final", index, 3, 4) == ((3, 4) if (u, v) == (1, 1) else None)
 
 
+def test_small_views_are_made_once_and_not_too_many_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    lf, made = scenes.make("boxes", grid=(5, 5), size=SIZE), list[Any]()
+    make = pictures._small_view
+    monkeypatch.setattr(pictures, "_small_view", lambda *asked: made.append(asked[1:]) or make(*asked))
+    first = pictures.refocused(lf, 0.5, None, 2)
+    assert len(made) == len(lf.views)
+    pictures.refocused(lf, 0.7, None, 2)
+    assert len(made) == len(lf.views)
+    monkeypatch.setattr(pictures, "_ROOM", 4 * 12 * 10 * 3)
+    np.testing.assert_array_equal(pictures.refocused(lf, 0.5, None, 2), first)
+    pictures.refocused(lf, 0.5, None, 1)
+    assert sum(view.nbytes for view, _ in pictures._small[lf].values()) <= pictures._ROOM
+
+
+@pytest.mark.parametrize("size", [(40, 48), (37, 43)])
+@pytest.mark.parametrize("factor", [2, 4, 8])
+def test_small_views_are_in_line_with_large_ones(size: tuple[int, int], factor: int) -> None:
+    ramp = np.add.outer(np.arange(size[0]), 2.0 * np.arange(size[1]))[..., None].astype(np.float32)
+    small = pictures._middles(ramp, factor)
+    assert small.shape == (-(-size[0] // factor), -(-size[1] // factor), 1)
+    whole = size[0] // factor, size[1] // factor  # those at the right and the lower end are of fewer pixels
+    np.testing.assert_array_equal(
+        small[: whole[0], : whole[1]], pictures._reduced(ramp, factor)[: whole[0], : whole[1]]
+    )
+
+
 def test_a_smaller_lens_takes_fewer_views() -> None:
     lf = wall(1.0)
     views = lf.views.copy()
@@ -385,19 +412,48 @@ def test_a_surface_has_no_sheets_across_edges() -> None:
     assert (towards[:, 2] < 0).all()  # their fronts face the camera
 
 
-def test_the_first_eye_sees_the_whole_cloud() -> None:
+def in_frame(cloud: Cloud, points: np.ndarray, aspect: float, cameras: np.ndarray | None = None) -> float:
+    """How far from the middle of the first picture points are: 1 is the border. All must lie before the eye."""
+    eye, target, fov = framed(cloud, aspect, cameras)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross([0, 1, 0], forward)
+    right /= np.linalg.norm(right)
+    relative = points - eye
+    deep = relative @ forward
+    assert (deep > 0).all()
+    up = np.abs(relative @ np.cross(forward, right)) / deep
+    beside = np.abs(relative @ right) / deep / aspect
+    return float(max(up.max(), beside.max()) / np.tan(fov / 2))
+
+
+@pytest.mark.parametrize("aspect", [0.5, 2.0])
+@pytest.mark.parametrize(
+    ("size", "near", "far", "unit"),
+    [
+        (SIZE, -1.0, 1.0, 1.0),
+        ((30, 160), -1.0, 1.0, 1.0),  # wide
+        (SIZE, -1.5, 60.0, 1.0),  # deep
+        (SIZE, -1.0, 1.0, 1e-4),  # tiny
+    ],
+    ids=["ramp", "wide", "deep", "tiny"],
+)
+def test_the_first_eye_sees_the_whole_cloud(
+    size: tuple[int, int], near: float, far: float, unit: float, aspect: float
+) -> None:
+    disparity = np.linspace(near, 1, size[0] * size[1], dtype=np.float32).reshape(size)
+    disparity[-size[0] // 5 :] = far  # what stands in front
+    geometry = Geometry(50.0, 0.1 * unit, 2.0 * unit)
+    cloud = shown_cloud(DisparityMap(disparity, geometry=geometry), np.zeros((*size, 3), np.uint8))
+    assert 0.85 < in_frame(cloud, cloud.points, aspect) < 1.05
+
+
+@pytest.mark.parametrize("baseline", [0.01, 0.1, 2.0])
+def test_the_first_eye_sees_all_cameras(baseline: float) -> None:
     disparity = np.linspace(-1, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
-    cloud = shown_cloud(DisparityMap(disparity, geometry=Geometry(50.0, 0.1, 2.0)), np.zeros((*SIZE, 3), np.uint8))
-    for aspect in (0.5, 2.0):
-        eye, target, fov = framed(cloud, aspect)
-        forward = (target - eye) / np.linalg.norm(target - eye)
-        right = np.cross([0, 1, 0], forward)
-        right /= np.linalg.norm(right)
-        relative = cloud.points - eye
-        deep = relative @ forward
-        up = np.abs(relative @ np.cross(forward, right)) / deep
-        beside = np.abs(relative @ right) / deep / aspect
-        assert 0.85 < max(up.max(), beside.max()) / np.tan(fov / 2) < 1.05
+    geometry = Geometry(50.0, baseline, 2.0)
+    cloud = shown_cloud(DisparityMap(disparity, geometry=geometry), np.zeros((*SIZE, 3), np.uint8))
+    cameras = np.array([(baseline * u, baseline * v, 0.0) for u in (-4, 0, 4) for v in (-4, 0, 4)])
+    assert in_frame(cloud, cameras, 1.5, cameras) < 1.0
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".pfm", ".exr", ".ply", ".png", ".tif"])

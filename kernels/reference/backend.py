@@ -9,7 +9,8 @@ from .control import asking, capture, is_deterministic, kernel_cache, repeat
 from .cost_volume import add_reduced, farthest_as_good, least_costs, nlm_average, winner_takes_all
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
-from .nlm import nlm_laplacian, nlm_neighbors, nlm_on_surface, nlm_plane, nlm_ratio, nlm_weights
+from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
+from .nlm_regression import nlm_on_surface, nlm_plane, nlm_ratio
 from .occlusion import splat_z_buffered, visible, z_buffered_data_term
 from .plane_sweep import plane_sweep
 from .range_search import details, distinct_minimum, shrink, side_costs

@@ -2,7 +2,7 @@
 
 Noise hides faint texture from differences of single pixels, as their size is taken before they are averaged. What looks
 alike in one view lies on one surface, so that its mean shows that surface with less noise. Which pixels look alike is
-decided on means over 3 x 3 pixels, in which the noise is less, too.
+decided on means over 3 x 3 pixels, in which the noise is less, too. What is not valid has no part in any mean.
 """
 
 import numpy as np
@@ -22,30 +22,36 @@ def _stored(intensities: Array) -> Array:
 def smooth_views(views: Array, valid: Array | None, *, scale: float, deviation: float, views_out: Array) -> None:
     height, width = views.shape[1:3]
     for n, view in enumerate(views):
-        image = scale * view.astype(np.float64)
-        framed = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
-        parts = [framed[dy : dy + height, dx : dx + width] for dy in range(3) for dx in range(3)]
-        guide = np.mean(parts, axis=0)
-        counts = np.ones((height, width)) if valid is None else (valid[n] != 0).astype(np.float64)
+        known = np.ones((height, width), np.bool_) if valid is None else valid[n] != 0
+        image, counts = np.where(known[..., None], scale * view.astype(np.float64), 0), known.astype(np.float64)
+        guide = _sum_around(image) / np.maximum(_sum_around(counts[..., None]), 1)
         total, weights = np.zeros_like(image), np.zeros((height, width))
         for dy in range(-SMOOTHING_REACH, SMOOTHING_REACH + 1):
             for dx in range(-SMOOTHING_REACH, SMOOTHING_REACH + 1):
                 rows, columns = np.arange(height) + dy, np.arange(width) + dx
                 inside = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))
                 there = np.ix_(np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1))
-                unlike = ((guide[there] - guide) ** 2).mean(2) / deviation**2
-                weight = np.exp(-(dy**2 + dx**2) / _SPREAD) / (1 + unlike) ** 2 * inside
-                weight *= counts[there] if (dy, dx) != (0, 0) else 1
+                unlike = counts * ((guide[there] - guide) ** 2).mean(2) / deviation**2
+                weight = np.exp(-(dy**2 + dx**2) / _SPREAD) / (1 + unlike) ** 2 * inside * counts[there]
                 total += weight[..., None] * image[there]
                 weights += weight
-        views_out[n] = _stored(total / weights[..., None])
+        views_out[n] = _stored(total / np.where(weights > 0, weights, 1)[..., None])
+
+
+def _sum_around(image: Array) -> Array:
+    """Sums over 3 x 3 pixels of [y, x, c], the border repeated."""
+    height, width = image.shape[:2]
+    framed = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    return np.sum([framed[dy : dy + height, dx : dx + width] for dy in range(3) for dx in range(3)], axis=0)
 
 
 def reduce_views(views: Array, valid: Array | None, *, scale: float, views_out: Array, valid_out: Array | None) -> None:
     n, height, width, channels = views_out.shape
     rows, columns = height * REDUCTION, width * REDUCTION
+    known = np.ones(views.shape[:3], np.bool_) if valid is None else valid != 0
     blocks = views[:, :rows, :columns].reshape(n, height, REDUCTION, width, REDUCTION, channels).astype(np.float64)
-    views_out[:] = _stored(scale * blocks.mean((2, 4)))
-    if valid is not None and valid_out is not None:
-        of_blocks = valid[:, :rows, :columns].reshape(n, height, REDUCTION, width, REDUCTION)
-        valid_out[:] = (of_blocks != 0).all((2, 4))
+    counts = known[:, :rows, :columns].reshape(n, height, REDUCTION, width, REDUCTION, 1)
+    sums = np.where(counts, blocks, 0).sum((2, 4))
+    views_out[:] = _stored(scale * sums / np.maximum(counts.sum((2, 4)), 1))
+    if valid_out is not None:
+        valid_out[:] = counts.all((2, 4, 5))

@@ -18,24 +18,44 @@ def _stored(intensities):
     return ti.cast(ti.floor(WHITE * ti.math.clamp(intensities, 0.0, 1.0) + 0.5), ti.u16)
 
 
+@ti.func
+def _counts(valid: ti.template(), masked: ti.template(), p):
+    known = True
+    if ti.static(masked):
+        known = valid[p] != 0.0
+    return known
+
+
 @once
 def _kernels(channels: int, stored: Any) -> SimpleNamespace:
     views_type, pixels, out_type = flat(stored, channels), flat(channels=channels), flat(ti.u16, channels)
 
     @ti.kernel
-    def guide_kernel(views: views_type, scale: float, height: int, width: int, guide_out: pixels):
-        """Means over 3 x 3 pixels."""
+    def guide_kernel(
+        views: views_type,
+        valid: flat(),
+        masked: ti.template(),
+        scale: float,
+        height: int,
+        width: int,
+        guide_out: pixels,
+    ):
+        """Means over 3 x 3 pixels, those that are valid."""
         size = height * width
         for p in range(views.shape[0]):
             y = p % size // width
             x = p % width
             total = ti.Vector([0.0] * channels)
+            known = 0.0
             for dy in range(-1, 2):
                 for dx in range(-1, 2):
                     row = ti.math.clamp(y + dy, 0, height - 1)
                     column = ti.math.clamp(x + dx, 0, width - 1)
-                    total += ti.cast(views[p + (row - y) * width + column - x], ti.f32)
-            guide_out[p] = total * scale / 9.0
+                    q = p + (row - y) * width + column - x
+                    if _counts(valid, masked, q):
+                        total += ti.cast(views[q], ti.f32)
+                        known += 1.0
+            guide_out[p] = total * scale / ti.max(known, 1.0)
 
     @ti.kernel
     def smooth_kernel(
@@ -53,24 +73,24 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         for p in range(views.shape[0]):
             y = p % size // width
             x = p % width
-            total = ti.cast(views[p], ti.f32)
-            weights = 1.0
+            total = ti.Vector([0.0] * channels)
+            weights = 0.0
+            likeness = ti.select(_counts(valid, masked, p), unit, 0.0)
             for dy in range(ti.max(-SMOOTHING_REACH, -y), ti.min(SMOOTHING_REACH, height - 1 - y) + 1):
                 for dx in range(ti.max(-SMOOTHING_REACH, -x), ti.min(SMOOTHING_REACH, width - 1 - x) + 1):
                     q = p + dy * width + dx
-                    counts = q != p
-                    if ti.static(masked):
-                        counts = counts and valid[q] != 0.0
-                    if counts:
-                        unlike = 1.0 + unit * (guide[q] - guide[p]).norm_sqr()
+                    if _counts(valid, masked, q):
+                        unlike = 1.0 + likeness * (guide[q] - guide[p]).norm_sqr()
                         weight = ti.exp(-(dx * dx + dy * dy) / _SPREAD) / (unlike * unlike)
                         total += weight * ti.cast(views[q], ti.f32)
                         weights += weight
-            views_out[p] = _stored(scale * total / weights)
+            views_out[p] = _stored(scale * total / ti.select(weights > 0.0, weights, 1.0))
 
     @ti.kernel
     def reduce_kernel(
         views: views_type,
+        valid: flat(),
+        masked: ti.template(),
         scale: float,
         height: int,
         width: int,
@@ -82,10 +102,14 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
             first = p // (rows * columns) * height * width + p // columns % rows * REDUCTION * width
             first += p % columns * REDUCTION
             total = ti.Vector([0.0] * channels)
+            known = 0.0
             for dy in range(REDUCTION):
                 for dx in range(REDUCTION):
-                    total += ti.cast(views[first + dy * width + dx], ti.f32)
-            views_out[p] = _stored(scale * total / REDUCTION**2)
+                    q = first + dy * width + dx
+                    if _counts(valid, masked, q):
+                        total += ti.cast(views[q], ti.f32)
+                        known += 1.0
+            views_out[p] = _stored(scale * total / ti.max(known, 1.0))
 
     return SimpleNamespace(guide=guide_kernel, smooth=smooth_kernel, reduce=reduce_kernel)
 
@@ -108,7 +132,7 @@ def smooth_views(
 ) -> None:
     kernels, (_, height, width) = _kernels(views.channels, views.scalar), views.shape
     guide = empty(views.shape, channels=views.channels)
-    run(kernels.guide, views.values, scale, height, width, guide.values)
+    run(kernels.guide, views.values, *optional(valid), scale, height, width, guide.values)
     assert views.channels is not None
     unit = 1 / (views.channels * deviation**2)
     inputs = [views.values, guide.values, *optional(valid), scale, unit, height, width]
@@ -125,6 +149,7 @@ def reduce_views(
 ) -> None:
     (_, height, width), (_, rows, columns) = views.shape, views_out.shape
     sizes = height, width, rows, columns
-    run(_kernels(views.channels, views.scalar).reduce, views.values, scale, *sizes, views_out.values)
+    kernels = _kernels(views.channels, views.scalar)
+    run(kernels.reduce, views.values, *optional(valid), scale, *sizes, views_out.values)
     if valid is not None and valid_out is not None:
         run(_reduce_mask_kernel, valid.values, *sizes, valid_out.values)

@@ -39,8 +39,9 @@ _ROWS = (
     const size_t row = (size_t)CHANNELS * wide;
     float* const colors = room.data;                // [RING, CHANNELS, wide]: row y in ring place y % RING
     float* const guides = colors + RING * row;      // the same
-    float* const counts = guides + RING * row;      // [RING, wide]
-    float* const sums = counts + (size_t)RING * wide;  // [CHANNELS + 1, wide]
+    float* const knowns = guides + RING * row;      // [RING, wide]: 1 where colors are valid
+    float* const counts = knowns + (size_t)RING * wide;  // [RING, wide]: the same, but 0 outside of the frame
+    float* const sums = counts + (size_t)RING * wide;    // [CHANNELS + 1, wide]
     auto within = [](int i, int size) { return i < 0 ? 0 : i < size ? i : size - 1; };
     int colored = 0, guided = 0;                    // rows of this view that are in the rings
     for (int i = first; i < last; ++i) {
@@ -53,43 +54,51 @@ _ROWS = (
         const int bottom = within(y + REACH, height);
         for (; colored <= within(bottom + 1, height); ++colored) {
             const auto* const in = views.data + view + (size_t)colored * width;
-            float* const count = counts + (size_t)(colored % RING) * wide;
+            const float* const mask = valid.data + view + (size_t)colored * width;
+            float* const known = knowns + (size_t)(colored % RING) * wide + REACH + 1;
+            float* const count = counts + (size_t)(colored % RING) * wide + REACH + 1;
+            for (int x = 0; x < width; ++x) count[x] = known[x] = !valid.data || mask[x] != 0.f ? 1.f : 0.f;
+            for (int x = 1; x <= REACH + 1; ++x) {
+                count[-x] = count[width - 1 + x] = 0.f;
+                known[-x] = known[0];
+                known[width - 1 + x] = known[width - 1];
+            }
             for (int c = 0; c < CHANNELS; ++c) {
                 float* const out = colors + (colored % RING) * row + (size_t)c * wide + REACH + 1;
-                for (int x = 0; x < width; ++x) out[x] = scale * (float)in[x].c[c];
+                for (int x = 0; x < width; ++x) out[x] = known[x] != 0.f ? scale * (float)in[x].c[c] : 0.f;
                 for (int x = 1; x <= REACH + 1; ++x) {
                     out[-x] = out[0];
                     out[width - 1 + x] = out[width - 1];
                 }
             }
-            for (int x = 0; x < wide; ++x) {
-                const int at = x - REACH - 1;
-                const bool inside = at >= 0 && at < width;
-                const float* const mask = valid.data + view + (size_t)colored * width;
-                count[x] = inside && (!valid.data || mask[at] != 0.f) ? 1.f : 0.f;
-            }
         }
-        for (; guided <= bottom; ++guided)
-            for (int c = 0; c < CHANNELS; ++c) {
-                const size_t channel = (size_t)c * wide;
-                const float* const a = colors + (within(guided - 1, height) % RING) * row + channel;
-                const float* const b = colors + (guided % RING) * row + channel;
-                const float* const d = colors + (within(guided + 1, height) % RING) * row + channel;
-                float* const out = guides + (guided % RING) * row + channel;
+        for (; guided <= bottom; ++guided) {
+            const int above = within(guided - 1, height) % RING, here = guided % RING;
+            const int below = within(guided + 1, height) % RING;
+            auto add = [&](const float* a, const float* b, const float* d, float* out) {
                 #pragma clang loop vectorize(assume_safety)
                 for (int x = 1; x < wide - 1; ++x)
-                    out[x] = (a[x - 1] + a[x] + a[x + 1] + b[x - 1] + b[x] + b[x + 1] + d[x - 1] + d[x] + d[x + 1])
-                        * (1.f / 9.f);
+                    out[x] = a[x - 1] + a[x] + a[x + 1] + b[x - 1] + b[x] + b[x + 1] + d[x - 1] + d[x] + d[x + 1];
+            };
+            float* const shares = sums;  // nobody's yet
+            add(knowns + (size_t)above * wide, knowns + (size_t)here * wide, knowns + (size_t)below * wide, shares);
+            for (int x = 1; x < wide - 1; ++x) shares[x] = 1.f / (shares[x] > 1.f ? shares[x] : 1.f);
+            for (int c = 0; c < CHANNELS; ++c) {
+                const float* const channel = colors + (size_t)c * wide;
+                float* const out = guides + here * row + (size_t)c * wide;
+                add(channel + above * row, channel + here * row, channel + below * row, out);
+                for (int x = 1; x < wide - 1; ++x) out[x] *= shares[x];
             }
+        }
         for (size_t k = 0; k < (size_t)(CHANNELS + 1) * wide; ++k) sums[k] = 0.f;
         const float* const guide = guides + (y % RING) * row + REACH + 1;
+        const float* const known = knowns + (size_t)(y % RING) * wide + REACH + 1;
         float* const weights = sums + row + REACH + 1;
         for (int dy = -REACH; dy <= REACH; ++dy) {
             if (y + dy < 0 || y + dy >= height) continue;
             const size_t place = (y + dy) % RING;
             for (int dx = -REACH; dx <= REACH; ++dx) {
                 const float distant = near[dy + REACH] * near[dx + REACH];
-                const bool itself = dy == 0 && dx == 0;
                 const float* const other = guides + place * row + REACH + 1 + dx;
                 const float* const color = colors + place * row + REACH + 1 + dx;
                 const float* const count = counts + place * wide + REACH + 1 + dx;
@@ -99,9 +108,9 @@ _ROWS = (
                     #pragma unroll
                     for (int c = 0; c < CHANNELS; ++c) {
                         const float difference = other[c * wide + x] - guide[c * wide + x];
-                        unlike += unit * difference * difference;
+                        unlike += unit * known[x] * difference * difference;
                     }
-                    const float weight = itself ? 1.f : distant * count[x] / (unlike * unlike);
+                    const float weight = distant * count[x] / (unlike * unlike);
                     #pragma unroll
                     for (int c = 0; c < CHANNELS; ++c) sums[REACH + 1 + c * wide + x] += weight * color[c * wide + x];
                     weights[x] += weight;
@@ -111,7 +120,7 @@ _ROWS = (
         auto* const out = smoothed.data + view + (size_t)y * width;
         for (int x = 0; x < width; ++x)
             for (int c = 0; c < CHANNELS; ++c)
-                out[x].c[c] = stored(sums[REACH + 1 + (size_t)c * wide + x] / weights[x]);
+                out[x].c[c] = stored(weights[x] > 0.f ? sums[REACH + 1 + (size_t)c * wide + x] / weights[x] : 0.f);
     }
 """
 )
@@ -121,7 +130,8 @@ _PIXEL = (
     + """
     constexpr float near[] = {NEAR};
     constexpr int tall = ROWS + 2 * REACH, wide = COLUMNS + 2 * REACH;
-    __shared__ float colors[CHANNELS][tall + 2][wide + 2], guides[CHANNELS][tall][wide], counts[tall][wide];
+    __shared__ float colors[CHANNELS][tall + 2][wide + 2], guides[CHANNELS][tall][wide];
+    __shared__ float knowns[tall + 2][wide + 2], counts[tall][wide];  // 1 where valid; counts: 0 outside the frame
     const int height = views.shape[1], width = views.shape[2], threads = ROWS * COLUMNS;
     const long long view = (long long)n * height * width;
     const float unit = 1.f / (CHANNELS * deviation * deviation);
@@ -129,26 +139,34 @@ _PIXEL = (
         const int y = i / (wide + 2), x = i - y * (wide + 2);
         const int row = min(max(top + y - REACH - 1, 0), height - 1);
         const int column = min(max(left + x - REACH - 1, 0), width - 1);
-        const auto value = views.data[view + (long long)row * width + column];
-        for (int c = 0; c < CHANNELS; ++c) colors[c][y][x] = scale * (float)value.c[c];
+        const long long place = view + (long long)row * width + column;
+        const bool known = !valid.data || valid.data[place] != 0.f;
+        knowns[y][x] = known ? 1.f : 0.f;
+        const auto value = views.data[place];
+        for (int c = 0; c < CHANNELS; ++c) colors[c][y][x] = known ? scale * (float)value.c[c] : 0.f;
     }
     __syncthreads();
     for (int i = thread; i < tall * wide; i += threads) {
         const int y = i / wide, x = i - y * wide, row = top + y - REACH, column = left + x - REACH;
+        float share = 0.f;
+        for (int dy = 0; dy < 3; ++dy)
+            for (int dx = 0; dx < 3; ++dx) share += knowns[y + dy][x + dx];
+        share = 1.f / max(share, 1.f);
         for (int c = 0; c < CHANNELS; ++c) {
             float sum = 0.f;
             for (int dy = 0; dy < 3; ++dy)
                 for (int dx = 0; dx < 3; ++dx) sum += colors[c][y + dy][x + dx];
-            guides[c][y][x] = sum / 9.f;
+            guides[c][y][x] = sum * share;
         }
         const bool inside = (unsigned)row < (unsigned)height && (unsigned)column < (unsigned)width;
-        counts[y][x] = inside && (!valid.data || valid.data[view + (long long)row * width + column] != 0.f) ? 1.f : 0.f;
+        counts[y][x] = inside ? knowns[y + 1][x + 1] : 0.f;
     }
     __syncthreads();
     const int y = thread / COLUMNS, x = thread - y * COLUMNS;
     if (top + y >= height || left + x >= width) return;
     float sums[CHANNELS] = {}, weights = 0.f, guide[CHANNELS];
     for (int c = 0; c < CHANNELS; ++c) guide[c] = guides[c][y + REACH][x + REACH];
+    const float likeness = unit * counts[y + REACH][x + REACH];
     #pragma unroll
     for (int dy = 0; dy <= 2 * REACH; ++dy)
         #pragma unroll
@@ -156,16 +174,15 @@ _PIXEL = (
             float unlike = 1.f;
             for (int c = 0; c < CHANNELS; ++c) {
                 const float difference = guides[c][y + dy][x + dx] - guide[c];
-                unlike += unit * difference * difference;
+                unlike += likeness * difference * difference;
             }
-            const bool itself = dy == REACH && dx == REACH;
             const float distant = near[dy] * near[dx] * counts[y + dy][x + dx];
-            const float weight = itself ? 1.f : __fdividef(distant, unlike * unlike);
+            const float weight = __fdividef(distant, unlike * unlike);
             for (int c = 0; c < CHANNELS; ++c) sums[c] += weight * colors[c][y + dy + 1][x + dx + 1];
             weights += weight;
         }
     auto& out = smoothed.data[view + (long long)(top + y) * width + left + x];
-    for (int c = 0; c < CHANNELS; ++c) out.c[c] = stored(sums[c] / weights);
+    for (int c = 0; c < CHANNELS; ++c) out.c[c] = stored(weights > 0.f ? sums[c] / weights : 0.f);
 """
 )
 
@@ -263,7 +280,7 @@ def smooth_views(views: Any, valid: Any, *, scale: float, deviation: float, view
     kernel = _rows_kernel(channels, stored)
     load(device, kernel)
     wide = width + 2 * (SMOOTHING_REACH + 1)
-    per_slice = (_RING * (2 * channels + 1) + channels + 1) * wide
+    per_slice = (_RING * (2 * channels + 2) + channels + 1) * wide
     room = wp.empty((len(slices(device, n * height)), per_slice), dtype=float, device=device)
 
     def some_rows(part: int, first: int, last: int) -> None:
@@ -279,17 +296,18 @@ _REDUCE = (
     const int height = views.shape[1], width = views.shape[2], columns = reduced.shape[2];
     for (int x = lane; x < columns; x += lanes) {
         float sums[CHANNELS] = {};
-        bool all = true;
+        int known = 0;
         for (int dy = 0; dy < REDUCTION; ++dy)
             for (int dx = 0; dx < REDUCTION; ++dx) {
                 const size_t p = ((size_t)n * height + y * REDUCTION + dy) * width + x * REDUCTION + dx;
+                if (valid.data && valid.data[p] == 0.f) continue;
                 for (int c = 0; c < CHANNELS; ++c) sums[c] += (float)views.data[p].c[c];
-                if (valid.data) all = all && valid.data[p] != 0.f;
+                ++known;
             }
         const size_t q = ((size_t)n * reduced.shape[1] + y) * columns + x;
         for (int c = 0; c < CHANNELS; ++c)
-            reduced.data[q].c[c] = stored(scale * sums[c] / (REDUCTION * REDUCTION));
-        if (valid.data) counts.data[q] = all ? 1.f : 0.f;
+            reduced.data[q].c[c] = stored(known ? scale * sums[c] / known : 0.f);
+        if (valid.data) counts.data[q] = known == REDUCTION * REDUCTION ? 1.f : 0.f;
     }
 """
 )

@@ -11,8 +11,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from lfgpu.batch.names import MANIFEST_FILE, OWN
 from lfgpu.errors import LightFieldError
-from lfgpu.io import several
+from lfgpu.io import RESULT_FILE, several
+from lfgpu.io.atomic import LEFT_OVER
 from lfgpu.io.folders import entries, image_files, natural_order
 from lfgpu.io.formats import FORMATS, inside, kind
 from lfgpu.io.images import IMAGE_SUFFIXES
@@ -20,11 +22,7 @@ from lfgpu.io.numpy_file import holds_views
 from lfgpu.printable import printable
 
 _LOOSE = ("camera-row", "named-views")  # formats that match any folder of images
-LEFT_OVER = ".lfgpu-"
-"""What the names of outputs begin with until they are whole."""
-
-_OWN = ("manifest.jsonl", ".batch.lock", "report.html")
-_OF_OUTPUTS = ("manifest.jsonl", "result.npz")  # files that mark a folder as an output
+_OF_OUTPUTS = (MANIFEST_FILE, RESULT_FILE)  # files that mark a folder as an output
 
 
 @dataclass(frozen=True)
@@ -268,7 +266,7 @@ def _parts(path: Path) -> list[str]:
 
 def _is_taken(part: str) -> bool:
     """Whether a folder of outputs of that name would be taken for what a batch itself keeps there."""
-    return part in _OWN or part.startswith(LEFT_OVER)
+    return part in OWN or part.startswith(LEFT_OVER)
 
 
 def _comparable(name: str) -> str:

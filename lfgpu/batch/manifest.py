@@ -12,14 +12,13 @@ from types import TracebackType
 from typing import IO, Any
 
 from lfgpu.batch.items import Item
+from lfgpu.batch.names import LOCK_FILE, MANIFEST_FILE
 from lfgpu.config import Config
 from lfgpu.errors import LightFieldError
 from lfgpu.io.folders import not_waited_for
 
-MANIFEST_FILE = "manifest.jsonl"
 DONE, FAILED = "done", "failed"
 
-_LOCK_FILE = ".batch.lock"
 _LONGEST_LINE = 1 << 24  # bytes; what goes on is damaged
 
 
@@ -146,7 +145,7 @@ class Manifest:
     """
 
     def __init__(self, folder: Path) -> None:
-        self._path, self._lock_path = folder / MANIFEST_FILE, folder / _LOCK_FILE
+        self._path, self._lock_path = folder / MANIFEST_FILE, folder / LOCK_FILE
         self._file: IO[bytes] | None = None
         self._lock: IO[bytes] | None = None
         self.unwritten: list[bytes] = []

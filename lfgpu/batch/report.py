@@ -13,17 +13,15 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from lfgpu.batch.manifest import DONE
+from lfgpu.batch.names import PREVIEW_FILE, VIEW_FILE
 from lfgpu.batch.run import Summary
-from lfgpu.batch.work import PREVIEW_FILE, VIEW_FILE
-from lfgpu.batch.work import REPORT_FILE as ITEM_REPORT
 from lfgpu.comparison import COLUMNS
 from lfgpu.io.atomic import atomic_write
+from lfgpu.io.names import REPORT_FILE
 from lfgpu.reports.facts import date, preset
 from lfgpu.viz.cards import Scale, Tile, scale
 from lfgpu.viz.pages import rendered
 from lfgpu.viz.panels import LOOKS
-
-REPORT_FILE = "report.html"
 
 _UNITS = {name: "%" for name in COLUMNS if name.startswith("BadPix")}
 _FIRST = ("BadPix 0.07", "MSE x100")  # scores that are read first
@@ -158,7 +156,7 @@ def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
         "name": entry["item"],
         "error": "" if done else entry.get("error", ""),
         "notes": [*entry.get("notes", []), *entry.get("remarks", [])],
-        "link": f"{folder}/{ITEM_REPORT if ITEM_REPORT in sizes else ''}" if done else "",
+        "link": f"{folder}/{REPORT_FILE if REPORT_FILE in sizes else ''}" if done else "",
         "view": f"{folder}/{VIEW_FILE}" if VIEW_FILE in sizes else "",
         "picture": f"{folder}/{PREVIEW_FILE}" if PREVIEW_FILE in sizes else "",
         "shape": Markup(' width="{}" height="{}"').format(width, height) if height else "",

@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from lfgpu.batch.cluster import BatchError, Cluster
-from lfgpu.batch.items import LEFT_OVER, Item, fingerprint
+from lfgpu.batch.items import Item, fingerprint
 from lfgpu.batch.manifest import DONE, Manifest, damaged_lines, is_done, key_of, read_manifest
-from lfgpu.batch.work import REPORT_FILE, Job, Settings
+from lfgpu.batch.work import Job, Settings
+from lfgpu.io.atomic import LEFT_OVER
+from lfgpu.io.names import REPORT_FILE
 from lfgpu.machine import version_of
 
 _MEASURED_ON = 8  # frames of a sequence that are tried, in order, to measure range and noise

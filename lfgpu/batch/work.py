@@ -16,9 +16,11 @@ import numpy as np
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.batch.items import Item
 from lfgpu.batch.manifest import DONE, FAILED
+from lfgpu.batch.names import PREVIEW_FILE, VIEW_FILE
 from lfgpu.config import Config
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LfgpuError, LightFieldError
+from lfgpu.io.names import REPORT_FILE
 from lfgpu.machine import device_name
 from lfgpu.methods import method_of
 from lfgpu.methods.measured import Measured
@@ -29,9 +31,6 @@ if TYPE_CHECKING:
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult
     from lfgpu.pipelines.pipeline import DepthPipeline
-
-VIEW_FILE, PREVIEW_FILE = "view.jpg", "preview.png"
-DEPTH_FILE, REPORT_FILE = "depth.pfm", "report.html"
 
 _PREVIEW = 250_000  # pixels at most of the pictures for the page, such as 577 x 433
 _MEMORY = "out of memory; use fewer views (--views cross), smaller ones, or fewer workers."
@@ -252,7 +251,7 @@ def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | No
 
 def _write(folder: Path, lf: LightField, result: DepthResult) -> dict[str, float]:
     """Write a result and its pictures into an existing folder; returns the scale of the picture of the map."""
-    from lfgpu.io import DISPARITY_FILE, RESULT_FILE, write_pfm, write_result
+    from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, write_pfm, write_result
     from lfgpu.viz.cards import SAVING, limits_of, map_image, view_image
     from lfgpu.viz.panels import rgb
 

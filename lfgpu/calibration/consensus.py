@@ -10,6 +10,7 @@ from lfgpu.contract import Float64Array
 _ROUNDS = 30
 _SOFT = 1e-4  # keeps weights of the least absolute deviations finite
 _TREND = 6  # parameters of the trend
+_ALIKE = 8  # views that are compared with each other, those about as far from the reference
 _MANY = 25  # views from which a smooth trend over the array is taken out before outliers are looked for
 
 
@@ -48,12 +49,18 @@ def outliers(
     """Which of the values [n, k] of views stand out from a smooth trend over the array.
 
     One does whose distance from the trend is more than `least`, `factor` times the usual distance (1.48 times the
-    median) and `factor` times its standard error.
+    median), also that of views about as far from the reference, and `factor` times its standard error. Views from the
+    rim of a lens depart from any trend more than others do.
     """
     rest = smooth_rest(values, offsets)
-    usual = 1.4826 * float(np.median(np.abs(rest)))
+    usual = np.full(len(rest), 1.4826 * np.median(np.abs(rest)))
+    if len(values) >= _MANY:
+        distance = np.hypot(*offsets.T)
+        alike = np.argsort(np.abs(distance[:, None] - distance), axis=1, kind="stable")[:, :_ALIKE]
+        usual = np.maximum(usual, 1.4826 * np.median(np.abs(rest)[alike], axis=(1, 2)))
     size = np.linalg.norm(rest, axis=1)
-    return np.asarray(size > np.maximum(max(least, factor * usual), factor * np.linalg.norm(errors, axis=1)))
+    least = np.maximum(least, factor * np.maximum(usual, np.linalg.norm(errors, axis=1)))
+    return np.asarray(size > least)
 
 
 def smooth_rest(values: Float64Array, offsets: Float64Array) -> Float64Array:

@@ -27,7 +27,7 @@ from lfgpu.errors import LightFieldError
 if TYPE_CHECKING:
     from lfgpu.data.result import DepthResult, DisparityMap
 
-_STEPS = 5  # Gauss-Newton steps of the cameras
+_POINTS, _STEPS = 5000, 5  # points, and Gauss-Newton steps of the cameras
 _QUICK_POINTS, _QUICK_STEPS = 2000, 3
 _FEWEST = 50  # points with texture: from fewer no camera is told
 _SOFTNESS, _SHARPNESS = 0.1, 30.0  # of the splat
@@ -184,7 +184,7 @@ def explain(
     disparity = checked(lf, result)
     kernels = load(backend)
     device = pick_device(kernels, device)
-    points = choose_points(lf, disparity, kernels, device, most=most_points(len(lf.views), 6))
+    points = choose_points(lf, disparity, kernels, device, most=min(_POINTS, most_points(len(lf.views), 6)))
     errors = list(_errors(lf, disparity, kernels, device))
     psnr, predicted, unexplained = _prediction(lf, disparity, errors)
     findings: list[str] = []

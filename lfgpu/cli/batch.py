@@ -115,8 +115,8 @@ def batch(
     values.check_pattern("--views", pattern)
     how = Settings(
         config=values.configured(preset, settings or ()),
-        disparity_range=None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
-        place=None if reference_view is None else values.parse_place("--reference-view", reference_view),
+        disparity_range=values.parse_disparity_range(disparity_range),
+        place=values.parse_reference_view(reference_view),
         pattern=pattern,
         reading=values.reading(format_name, grid, every, flip, allow_missing=allow_missing),
         backend=backend_named(backend),
@@ -230,20 +230,22 @@ def _display(*, quiet: bool) -> Iterator[Callable[[Progress], None]]:
 
 
 def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> None:
-    from lfgpu.batch.manifest import MANIFEST_FILE
-    from lfgpu.batch.report import REPORT_FILE, facts
+    from lfgpu.batch.names import MANIFEST_FILE, PREVIEW_FILE, VIEW_FILE
+    from lfgpu.batch.report import facts
     from lfgpu.cli import console as shown
+    from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, REPORT_FILE, RESULT_FILE
 
     shown.heading(console, out.resolve().name)
     shown.lines(console, facts(summary))
     if barren:
         more = f" and {len(barren) - _NAMED} more" if len(barren) > _NAMED else ""
         shown.lines(console, [("no light field in", ", ".join(map(str, barren[:_NAMED])) + more)])
+    files = DISPARITY_FILE, DEPTH_FILE, RESULT_FILE, VIEW_FILE, PREVIEW_FILE
     shown.heading(console, f"Written to {out}")
     shown.lines(
         console,
         [
-            ("ITEM/", "disparity.pfm, depth.pfm, result.npz, view.jpg, preview.png, with --report report.html"),
+            ("ITEM/", f"{', '.join(files)}, with --report {REPORT_FILE}"),
             (MANIFEST_FILE, "status, parameters, time and scores of each item"),
             (REPORT_FILE, "all results on one page"),
         ],

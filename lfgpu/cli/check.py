@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT, backend_named
+from lfgpu._backends import DEFAULT
 from lfgpu.cli import values
+from lfgpu.cli.estimation import asked_for
 from lfgpu.cli.options import (
     AllowMissing,
     Backend,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lfgpu.calibration import Explanation
+    from lfgpu.cli.depth import Estimation
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult, DisparityMap
 
@@ -73,23 +75,14 @@ def check(
     """
     from lfgpu.calibration import explain
     from lfgpu.cli.console import output
-    from lfgpu.cli.depth import Estimation
     from lfgpu.io import check_writable, read
 
     if out is not None:
         check_writable(out)
-    estimation = Estimation(
-        values.configured("fast", ()),
-        None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
-        backend_named(backend),
-        device,
-    )
-    place = None if reference_view is None else values.parse_place("--reference-view", reference_view)
-    values.use_threads("--threads", threads)
-    estimation.check_device()
-    lf = read(
-        source, format=format_name, allow_missing=allow_missing, grid=values.parse_grid(grid), every=every, flip=flip
-    )
+    place = values.parse_reference_view(reference_view)
+    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
+    estimation = asked_for(values.configured("fast", ()), disparity_range, backend, device, threads)
+    lf = read(source, **reading)
     found = None if result is None else _map(result)
     if place is not None:
         lf = lf.with_reference(lf.index_of(*place))
@@ -149,17 +142,15 @@ def _rms(numbers: object) -> float:
 
 
 def _write(
-    out: Path, lf: LightField, judged: DepthResult | DisparityMap, found: Explanation, estimation: object
+    out: Path, lf: LightField, judged: DepthResult | DisparityMap, found: Explanation, estimation: Estimation
 ) -> list[tuple[str, str]]:
     """Write the numbers, the map of what is unexplained, and a residual picture of each view."""
     import numpy as np
 
     from lfgpu.calibration import residual_pictures
-    from lfgpu.cli.depth import Estimation
     from lfgpu.io import atomic_folder, write_pfm
     from lfgpu.io.png import write_png
 
-    assert isinstance(estimation, Estimation)
     with atomic_folder(out) as folder:
         (folder / CHECK_FILE).write_text(json.dumps(found.as_dict(), indent=1), encoding="utf-8")
         write_pfm(folder / "unexplained.pfm", found.unexplained)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.names import REPORT_FILE
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,7 +21,7 @@ _FILES = {
     "table.tex": "the same for LaTeX, with booktabs",
     "table.csv": "the same for programs, with all digits",
     "errors.png": "error maps: a row per scene, a column per method",
-    "report.html": "start here: scores and maps side by side on one page",
+    REPORT_FILE: "start here: scores and maps side by side on one page",
 }
 
 
@@ -71,7 +72,7 @@ def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: i
 
 def are_batches(folders: list[Path]) -> bool:
     """Whether all folders are outputs of `lfgpu batch`."""
-    from lfgpu.batch.manifest import MANIFEST_FILE
+    from lfgpu.batch.names import MANIFEST_FILE
 
     return all((folder / MANIFEST_FILE).is_file() for folder in folders)
 
@@ -165,7 +166,7 @@ def _write(out: Path, scenes: list[Scene], scored: Table) -> None:
     with atomic_folder(out) as folder:
         _write_tables(folder, scored)
         save_png(comparison_figure(scenes), folder / "errors.png")
-        write_comparison(folder / "report.html", scenes, scored)
+        write_comparison(folder / REPORT_FILE, scenes, scored)
 
 
 def _write_tables(folder: Path, scored: Table) -> None:

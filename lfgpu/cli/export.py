@@ -50,7 +50,7 @@ def export(
 
     check_writable(out)
     config = values.configured(preset, settings or ())
-    bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
+    bounds = values.parse_disparity_range(disparity_range)
     reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
     prior = None if cold else TemporalPrior()
     lf = read(source, **reading)

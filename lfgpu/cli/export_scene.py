@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT, backend_named
+from lfgpu._backends import DEFAULT
 from lfgpu.cli import values
+from lfgpu.cli.estimation import asked_for
 from lfgpu.cli.options import (
     AllowMissing,
     Backend,
@@ -57,20 +58,11 @@ def export_scene(
     from lfgpu.calibration.parallel import world_of
     from lfgpu.cli import summary
     from lfgpu.cli.console import output
-    from lfgpu.cli.depth import Estimation
-    from lfgpu.cli.outputs import VIEWS_FILE
-    from lfgpu.io import check_writable, load, read
+    from lfgpu.io import VIEWS_FILE, check_writable, load, read
 
     check_writable(out)
-    estimation = Estimation(
-        values.configured(preset, ()),
-        None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
-        backend_named(backend),
-        device,
-    )
     reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
-    values.use_threads("--threads", threads)
-    estimation.check_device()
+    estimation = asked_for(values.configured(preset, ()), disparity_range, backend, device, threads)
     lf = read(source, **reading)
     world_of(lf)
     if maps is None:

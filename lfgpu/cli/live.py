@@ -18,13 +18,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfgpu.data.lightfield import LightField
+    from lfgpu.pipelines.sources import Frames
     from lfgpu.pipelines.stream import DepthStream
     from lfgpu.pipelines.stream_result import StreamResult
 
-RECORD_FILE = "live.json"
 _REFRESH = 0.25  # seconds
 _SHOWN_AGAIN = 0.1  # seconds between two frames on the page
-_NAMES = "disparity_{:06d}.pfm", "confidence_{:06d}.pfm"
 
 
 def live(
@@ -144,6 +143,8 @@ def live(
     for folder in (out, recording):
         if folder is not None:
             check_writable(folder)
+    if recording is not None and next(recording.glob("frame_*"), None) is not None:
+        raise LightFieldError(f"{recording} holds frames already, which would mix with new ones; name a new folder.")
     if metrics is not None:
         check_writable(metrics, folder=False)
     if max_fps is not None and not (max_fps > 0 and math.isfinite(max_fps)):
@@ -168,6 +169,7 @@ def live(
     first, coming = opened.first, opened.frames
     way, waiting = chosen or ("latest" if opened.is_live else "block", None)
     record = Record(out)
+    coming = record.seen(coming, first)
     with (
         View(first if view else None, records=recording is not None) as page,
         DepthStream(
@@ -211,26 +213,40 @@ class Record:
     def __init__(self, out: Path | None) -> None:
         self.out, self._frames, self.failed = out, [], []  # type: ignore[var-annotated]
         self.findings: tuple[str, ...] = ()
+        self._references: list[str | None] = []
         if out is not None:
+            from lfgpu.io.live_maps import LOG
+
             out.mkdir(parents=True, exist_ok=True)
+            (out / LOG).unlink(missing_ok=True)  # it is of maps that are overwritten now
+
+    def seen(self, frames: Frames, first: LightField) -> Frames:
+        """The same frames; what tells their reference views apart is kept for the log."""
+        from lfgpu.io.live_maps import fingerprint
+        from lfgpu.pipelines.sources.recording import reference_view
+
+        for frame in frames:
+            if self.out is not None:
+                view = reference_view(frame, first)
+                self._references.append(None if view is None else fingerprint(view))
+            yield frame
 
     def add(self, result: StreamResult) -> None:
         """Record a frame that has a result, failed or was dropped."""
-        from lfgpu.io import write_pfm
+        from lfgpu.io.live_maps import write_live_map
 
-        if result.error is not None:
-            if not result.dropped:
-                self.failed.append((result.index, str(result.error)))
-            if self.out is not None:
-                self._frames.append({"frame": result.index, "error": str(result.error)})
-            return
+        if result.error is not None and not result.dropped:
+            self.failed.append((result.index, str(result.error)))
         if self.out is None:
             return
-        for name, values_ in zip(_NAMES, (result.numpy(), result.confidence()), strict=True):
-            write_pfm(self.out / name.format(result.index), values_)
+        frame = {"frame": result.index, "reference": self._references[result.index]}
+        if result.error is not None:
+            self._frames.append({**frame, "error": str(result.error)})
+            return
+        write_live_map(self.out, result.index, result.numpy(), result.confidence())
         self._frames.append(
             {
-                "frame": result.index,
+                **frame,
                 "cold": result.cold,
                 "cut": result.cut,
                 "steps": result.steps,
@@ -254,6 +270,7 @@ class Record:
 
         from lfgpu.io import atomic_write
         from lfgpu.io.about import CONVENTION
+        from lfgpu.io.live_maps import LOG
 
         about = {
             "convention": CONVENTION,
@@ -265,7 +282,7 @@ class Record:
             "cameras": list(self.findings),
             "frames": self._frames,
         }
-        with atomic_write(self.out / RECORD_FILE) as temporary:
+        with atomic_write(self.out / LOG) as temporary:
             temporary.write_text(json.dumps(about, indent=1, allow_nan=False), encoding="utf-8")
 
 

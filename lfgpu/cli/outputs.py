@@ -7,20 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import DISPARITY_FILE, RESULT_FILE, save, writable_format
+from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, VIEWS_FILE, save, writable_format
 
 if TYPE_CHECKING:
     from lfgpu.contract import Float32Array
     from lfgpu.data.result import DepthResult
     from lfgpu.data.views_result import ViewsResult
 
-VIEWS_FILE = "disparities.npz"
+PICTURE_FILE, CONFIDENCE_FILE = "disparity.png", "confidence.png"
 
 _MEANING = {
     DISPARITY_FILE: "float32 map, px per view step, larger is nearer",
-    "disparity.png": "the same as a colour picture",
-    "confidence.png": "confidence of each pixel, 0 to 1",
-    "depth.pfm": "float32 map, metres along the optical axis",
+    PICTURE_FILE: "the same as a colour picture",
+    CONFIDENCE_FILE: "confidence of each pixel, 0 to 1",
+    DEPTH_FILE: "float32 map, metres along the optical axis",
     RESULT_FILE: "all maps and stages, parameters, versions, timings",
 }
 
@@ -33,11 +33,11 @@ def write_outputs(folder: Path, result: DepthResult) -> list[tuple[str, str]]:
     from lfgpu.viz.figures import confidence_figure, disparity_figure, save_png
 
     write_pfm(folder / DISPARITY_FILE, result.disparity)
-    save_png(disparity_figure(result.disparity, name=result.name), folder / "disparity.png")
+    save_png(disparity_figure(result.disparity, name=result.name), folder / PICTURE_FILE)
     known = np.where(np.isnan(result.disparity), np.float32(np.nan), result.confidence)
-    save_png(confidence_figure(known, name=result.name), folder / "confidence.png")
+    save_png(confidence_figure(known, name=result.name), folder / CONFIDENCE_FILE)
     if result.depth is not None:
-        write_pfm(folder / "depth.pfm", result.depth)
+        write_pfm(folder / DEPTH_FILE, result.depth)
     write_result(result, folder / RESULT_FILE)
     return [(name, meaning) for name, meaning in _MEANING.items() if (folder / name).exists()]
 

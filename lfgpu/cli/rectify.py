@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT, backend_named
+from lfgpu._backends import DEFAULT
 from lfgpu.cli import values
+from lfgpu.cli.estimation import asked_for
 from lfgpu.cli.options import Backend, Device, DisparityRange, OutFolder, Quiet, Threads
 from lfgpu.errors import LightFieldError
 
@@ -72,16 +73,12 @@ def rectify(
     """
     from lfgpu import calibration as cameras
     from lfgpu.cli.console import output
-    from lfgpu.cli.depth import Estimation
     from lfgpu.io import check_writable, save, write_pfm
 
     check_writable(out)
     if positions and not refine:
         raise LightFieldError("--positions is for --refine; give both or neither.")
-    bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
-    values.use_threads("--threads", threads)
-    estimation = Estimation(values.configured("accurate", ()), bounds, backend_named(backend), device)
-    estimation.check_device()
+    estimation = asked_for(values.configured("accurate", ()), disparity_range, backend, device, threads)
     result = cameras.rectify(
         source,
         calibration=calibration,
@@ -89,7 +86,7 @@ def rectify(
         positions=positions,
         tones=equalise,
         depths=None if depths is None else values.parse_range("--depths", depths),
-        disparity_range=bounds,
+        disparity_range=estimation.disparity_range,
         backend=estimation.backend,
         device=device,
     )

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT, backend_named
+from lfgpu._backends import DEFAULT
 from lfgpu.cli import values
-from lfgpu.cli.depth import Estimation
+from lfgpu.cli.estimation import asked_for
 from lfgpu.cli.options import (
     AllowMissing,
     Backend,
@@ -29,6 +29,7 @@ from lfgpu.cli.options import (
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
+    from lfgpu.cli.depth import Estimation
     from lfgpu.contract import Float32Array
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult, DisparityMap
@@ -107,6 +108,7 @@ def render(
     """
     from lfgpu.io import check_writable, read
     from lfgpu.io.frames import check_frames_path, check_image_path, write_frames, write_image
+    from lfgpu.methods import method_of
 
     asked = [view is not None, focus is not None, in_focus, sweep is not None, quilt is not None, rgbd]
     if sum(asked) != 1:
@@ -119,18 +121,9 @@ def render(
     tiles = None if quilt is None else values.parse_size("--quilt", quilt, "COLUMNSxROWS such as 8x6")
     if tiles is not None and not (min(tiles) >= 1 and 2 <= tiles[0] * tiles[1] <= _MOST_TILES):
         raise LightFieldError(f"--quilt must be of 2 to {_MOST_TILES} views, such as 8x6, not {quilt}.")
-    reference = None if reference_view is None else values.parse_place("--reference-view", reference_view)
-    from lfgpu.methods import method_of
-
-    estimation = Estimation(
-        method_of(preset).for_rendering,
-        None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
-        backend_named(backend),
-        device,
-    )
+    reference = values.parse_reference_view(reference_view)
     reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
-    values.use_threads("--threads", threads)
-    estimation.check_device()
+    estimation = asked_for(method_of(preset).for_rendering, disparity_range, backend, device, threads)
 
     lf = read(source, **reading)
     if reference is not None:
@@ -258,9 +251,8 @@ def _colour_and_depth(lf: LightField, maps: Path | None, estimation: Estimation,
 
 def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> ViewsResult:
     """The maps of all views, read from `path` or estimated."""
-    from lfgpu.cli.outputs import VIEWS_FILE
     from lfgpu.data.views_result import ViewsResult
-    from lfgpu.io import load
+    from lfgpu.io import VIEWS_FILE, load
 
     if path is None:
         return estimation.run_all(lf, quiet=quiet)
@@ -280,9 +272,8 @@ def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: b
 
 def _map(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> DepthResult | DisparityMap:
     """The map of the reference view, read from `path` or estimated."""
-    from lfgpu.cli.outputs import VIEWS_FILE
     from lfgpu.data.views_result import ViewsResult
-    from lfgpu.io import load
+    from lfgpu.io import VIEWS_FILE, load
 
     if path is None:
         return estimation.run(lf, quiet=quiet)

@@ -36,6 +36,16 @@ def parse_size(option: str, text: str, what: str) -> tuple[int, int]:
     return int(first), int(second)
 
 
+def parse_disparity_range(text: str | None) -> tuple[float, float] | None:
+    """(low, high) from the text of --disparity-range, such as "-2,2"; None if it was not given."""
+    return None if text is None else parse_range("--disparity-range", text)
+
+
+def parse_reference_view(text: str | None) -> tuple[float, float] | None:
+    """(row, column) from the text of --reference-view, such as "4,4"; None if it was not given."""
+    return None if text is None else parse_place("--reference-view", text)
+
+
 def parse_grid(text: str | None) -> tuple[int, int] | None:
     """(rows, columns) from the text of --grid, such as "9x9"; None if it was not given."""
     return None if text is None else parse_size("--grid", text, "ROWSxCOLUMNS such as 9x9")

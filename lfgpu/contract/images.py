@@ -40,7 +40,10 @@ class Images(Protocol):
         """image [y, x, c] = scale * views[index], but `fill` where `valid` [n, y, x] is 0 in view `index`."""
 
     def line_of_views(self, views: Array, line: Sequence[int], *, vertical: bool, epis_out: Array) -> None:
-        """epis [u, y, x, c] = views[line[u], y, x, c], or views[line[u], x, y, c] if `vertical`."""
+        """epis [u, y, x, c] = views[line[u], y, x, c], or views[line[u], x, y, c] if `vertical`.
+
+        A field [n, y, x] in place of the views gives fields.
+        """
 
     def normalization(
         self, shape: Sequence[int], device: str, *, scale: float, sigma: float, floor: float
@@ -57,7 +60,8 @@ class Images(Protocol):
 
             exp(-|q - p|^2 / 8) / (1 + mean_c (G_q - G_p)^2 / deviation^2)^2.
 
-        Pixels where `valid` [n, y, x] is 0 count only for themselves. `deviation` is an intensity > 0.
+        `deviation` is an intensity > 0. Pixels where `valid` [n, y, x] is 0 have no part in any of these means,
+        whatever they hold. At such a pixel the weights are exp(-|q - p|^2 / 8), and the result is 0 if all weights are.
         """
 
     def reduce_views(
@@ -66,6 +70,7 @@ class Images(Protocol):
         """Means over REDUCTION x REDUCTION pixels of scale * views [n, y, x, c], uint16 with `WHITE` for 1, rounded.
 
         Both sides of the views are at least REDUCTION pixels. Rows and columns that are left over have no part.
+        Means are of the pixels where `valid` [n, y, x] is not 0, whatever the others hold; 0 where there is none.
         `valid_out` [n, y, x] is 1 where all of a block's pixels are valid, else 0; it is None if `valid` is.
         """
 

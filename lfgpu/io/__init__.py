@@ -5,9 +5,7 @@ from lfgpu.io.description import write_description
 from lfgpu.io.formats import FORMATS, Format, inside, read, recognise
 from lfgpu.io.hci import write_hci
 from lfgpu.io.map_formats import (
-    DISPARITY_FILE,
     MAP_FORMATS,
-    RESULT_FILE,
     MapFormat,
     holds_map,
     load,
@@ -17,14 +15,18 @@ from lfgpu.io.map_formats import (
     writable_format,
 )
 from lfgpu.io.maps import read_mask
+from lfgpu.io.names import DEPTH_FILE, DISPARITY_FILE, REPORT_FILE, RESULT_FILE, VIEWS_FILE
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.results import holds_result, holds_views, read_result, read_views, write_result, write_views
 
 __all__ = [
+    "DEPTH_FILE",
     "DISPARITY_FILE",
     "FORMATS",
     "MAP_FORMATS",
+    "REPORT_FILE",
     "RESULT_FILE",
+    "VIEWS_FILE",
     "Format",
     "MapFormat",
     "atomic_folder",

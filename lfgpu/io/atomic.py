@@ -11,6 +11,9 @@ from pathlib import Path
 
 from lfgpu.errors import LightFieldError
 
+LEFT_OVER = ".lfgpu-"
+"""What the names of outputs begin with until they are whole."""
+
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
@@ -102,7 +105,7 @@ def _resolved(path: str | os.PathLike[str]) -> Path:
 def _staged(target: Path, place: Path) -> Iterator[Path]:
     """A free path in the folder `place`, which is made if missing; what it holds is gone after an exception."""
     made: list[Path] = []
-    temporary = place / f".lfgpu-{secrets.token_hex(8)}{target.suffix}"
+    temporary = place / f"{LEFT_OVER}{secrets.token_hex(8)}{target.suffix}"
     try:
         for parent in reversed([folder for folder in (place, *place.parents) if not folder.exists()]):
             with suppress(FileExistsError):  # another process was quicker

@@ -24,9 +24,7 @@ from lfgpu.io.atomic import atomic_write
 from lfgpu.io.extras import how_to_install
 from lfgpu.io.folders import not_waited_for
 from lfgpu.io.git_lfs import check_fetched
-
-RESULT_FILE, DISPARITY_FILE = "result.npz", "disparity.pfm"
-"""What `lfgpu depth` calls the file that holds everything, and the map by itself."""
+from lfgpu.io.names import DISPARITY_FILE, RESULT_FILE
 
 Whole: TypeAlias = DepthResult | ViewsResult
 

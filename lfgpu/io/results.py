@@ -114,17 +114,11 @@ def read_views(path: str | os.PathLike[str]) -> ViewsResult:
             arrays["positions"],
             tuple(int(key) for key in arrays["keys"]),
             reference,
-            dict(json.loads(str(arrays["timings"]))),
+            {str(name): float(seconds) for name, seconds in json.loads(str(arrays["timings"])).items()},
         )
     except DAMAGE as error:
         raise LightFieldError(f"{path} is a damaged result of lfgpu: {_reason(error)}.") from error
-    shape = (len(result.positions), *reference.disparity.shape)
-    for name, values in {"disparities": result.disparities, "confidences": result.confidences}.items():
-        if values.dtype != np.float32 or values.shape != shape or result.positions.shape != (len(values), 2):
-            raise LightFieldError(
-                f"{path} is a damaged result of lfgpu: {name} is {values.dtype} of shape {values.shape}, "
-                f"not float32 {shape}."
-            )
+    _check_views(path, result)
     return result
 
 
@@ -294,6 +288,26 @@ def _check_maps(path: Path, result: DepthResult) -> None:
                 f"{path} is a damaged result of lfgpu: {name} is {values.dtype} of shape {values.shape}, "
                 "not float32 [y, x] like the others."
             )
+
+
+def _check_views(path: Path, result: ViewsResult) -> None:
+    count = result.disparities.shape[0] if result.disparities.ndim else 0
+    maps = (count, *result.reference.disparity.shape)
+    wanted: dict[str, tuple[NDArray[Any], type[np.generic], tuple[int, ...]]] = {
+        "disparities": (result.disparities, np.float32, maps),
+        "confidences": (result.confidences, np.float32, maps),
+        "positions": (result.positions, np.float64, (count, 2)),
+    }
+    for name, (values, dtype, shape) in wanted.items():
+        if values.dtype != dtype or values.shape != shape:
+            raise LightFieldError(
+                f"{path} is a damaged result of lfgpu: {name} is {values.dtype} of shape {values.shape}, "
+                f"not {np.dtype(dtype)} {shape}."
+            )
+    if not np.isfinite(result.positions).all():
+        raise LightFieldError(f"{path} is a damaged result of lfgpu: positions are not finite.")
+    if not all(0 <= key < count for key in result.keys):
+        raise LightFieldError(f"{path} is a damaged result of lfgpu: keys name views beyond the {count} that it has.")
 
 
 def _reason(error: Exception) -> str:

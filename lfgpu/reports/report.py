@@ -22,6 +22,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.data.summary import UNIT, pixels
 from lfgpu.errors import LightFieldError
+from lfgpu.io import REPORT_FILE as REPORT_FILE
 from lfgpu.io import atomic_write
 from lfgpu.methods import method_of, nearest_preset
 from lfgpu.metrics import BORDER, Metrics, evaluate, reliability, sparsification
@@ -31,8 +32,6 @@ from lfgpu.viz.cards import Card, Tile, cross_hair, limits_of, map_card, scale_o
 from lfgpu.viz.notebook import notebook_page
 from lfgpu.viz.pages import rendered
 from lfgpu.viz.panels import rgb
-
-REPORT_FILE = "report.html"
 
 _HEADS = ("MSE ×100", "BadPix 0.07 (%)", "BadPix 0.03 (%)", "BadPix 0.01 (%)", "Q25 ×100", "RMSE", "undefined (%)")
 _SAME_PLACE = 1e-6  # view steps

@@ -42,6 +42,12 @@ class Quantity:
     colours: str
     """The name of a colour map of matplotlib."""
 
+    @property
+    def title(self) -> str:
+        """The words beside a scale."""
+        unit = f" ({self.unit})" if self.unit else ""
+        return f"{self.label.lower()}{unit}" + (f"\n{self.hint}" if self.hint else "")
+
 
 _STEP = "px per view step"
 QUANTITIES = {
@@ -261,7 +267,7 @@ class Contents:
             raise LightFieldError(f"{film.frames[number]} has views of another size than the other frames.")
         entries = dict(self.entries)
         if film.maps is not None:
-            found, name = film.map(number), film.maps.name
+            found, name = film.map(number, lf), film.maps.path.name
             entries.pop(name, None)
             if found is not None:
                 entries = {name: Entry.of(found, number), **entries}
@@ -293,7 +299,7 @@ def opened(path: Path, into: Contents) -> Contents:
     if holds_maps_of_frames(path):
         if into.film is None:
             raise LightFieldError(f"{path} holds maps of many frames; give the folder of the recorded frames, too.")
-        return replace(into, film=replace(into.film, maps=path)).turned(into.frame)
+        return replace(into, film=into.film.with_maps(path, into.frame)).turned(into.frame)
     if (film := Film.of(path)) is not None:
         return Contents(film=film).turned(next(iter(film.frames)))
     if not holds_map(path):

@@ -8,10 +8,9 @@ from pathlib import Path
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io import read, read_map
+from lfgpu.io import read
 from lfgpu.io.description import DEFAULT_NAME
-
-_RECORD, _DISPARITY, _CONFIDENCE = "live.json", "disparity_{:06d}.pfm", "confidence_{:06d}.pfm"
+from lfgpu.io.live_maps import LOG, LiveMaps, fingerprint
 
 
 @dataclass(frozen=True)
@@ -25,12 +24,12 @@ class Film:
     frames
         The folder of each frame by its number, in order.
     maps
-        The folder of the maps; None if there are none.
+        The maps of the frames; None if there are none.
     """
 
     path: Path
     frames: dict[int, Path]
-    maps: Path | None = None
+    maps: LiveMaps | None = None
 
     @classmethod
     def of(cls, path: Path) -> Film | None:
@@ -49,17 +48,37 @@ class Film:
             raise LightFieldError(f"{self.path} has no frame {number}.")
         return replace(read(self.frames[number], allow_missing=True), name=self.name)
 
-    def map(self, number: int) -> DisparityMap | None:
-        """The map of a frame; None if there is none."""
-        if self.maps is None or not (path := self.maps / _DISPARITY.format(number)).is_file():
-            return None
-        confidence = self.maps / _CONFIDENCE.format(number)
-        return DisparityMap(read_map(path), read_map(confidence) if confidence.is_file() else None)
+    def with_maps(self, path: Path, number: int) -> Film:
+        """The film with the maps in a folder.
+
+        Raises
+        ------
+        LightFieldError
+            If they are no maps of this film: none is of its frame `number`.
+        """
+        maps = LiveMaps.of(path)
+        if maps.number(_of(self.light_field(number)), number) is None:
+            raise LightFieldError(
+                f"{path} holds maps of other frames: none is of {self.frames[number]}; give the maps of this recording."
+            )
+        return replace(self, maps=maps)
+
+    def map(self, number: int, lf: LightField) -> DisparityMap | None:
+        """The map of a frame, whose light field is `lf`; None if there is none.
+
+        Frames that were played again after some were lost are numbered anew: the picture says which map is theirs.
+        """
+        found = None if self.maps is None else self.maps.number(_of(lf), number)
+        return None if self.maps is None or found is None else self.maps.map(found)
+
+
+def _of(lf: LightField) -> str:
+    return fingerprint(lf.views[lf.reference_index])
 
 
 def holds_maps_of_frames(path: Path) -> bool:
     """Whether a folder is what `lfgpu live -o` wrote."""
-    return (path / _RECORD).is_file()
+    return (path / LOG).is_file()
 
 
 def _recorded(folder: Path) -> dict[int, Path]:

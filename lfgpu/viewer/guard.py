@@ -34,6 +34,9 @@ class Site(Protocol):
     async def apart(self, work: Callable[..., _T], *arguments: Any) -> _T:
         """Do work in another thread, so that the server goes on answering."""
 
+    def prepare(self) -> None:
+        """Load soon what pictures need that are computed."""
+
     def call_soon(self, work: Callable[..., Any], *arguments: Any) -> None:
         """Call something in the thread of the server; from any thread."""
 

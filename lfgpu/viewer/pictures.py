@@ -7,6 +7,7 @@ come as float32, so that pages colour them.
 from __future__ import annotations
 
 import math
+from threading import Lock
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -16,21 +17,26 @@ from numpy.typing import NDArray
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.viewer.contents import QUANTITIES, Contents
+from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents, Entry
 
 TILE = 512
 """Pixels along each side of a tile; those at the right and the lower end are smaller."""
 
-_FOCUS_VIEWS = 49  # of a refocused picture, so that it follows its slider
-_SHARP_VIEWS = 25  # of a picture that is in focus everywhere
-_QUICK_VIEWS = 13  # of one that is sent smaller, so that it comes soon
+_FOCUS_VIEWS, _QUICK_FOCUS_VIEWS = (
+    49,
+    25,
+)  # of a refocused picture, and of one that is sent smaller, to follow its slider
+_SHARP_VIEWS = 13  # of a picture that is in focus everywhere
+_ROOM = 64 * 2**20  # bytes of small views that are kept
 _MET = 0.75  # pixels: a point that is not farther from a place is seen there
 _THUMBNAILS = 640  # pixels: the sides of all thumbnails together, about
 _LARGEST_THUMBNAIL = 96
 _MOST_BINS = 1024
 
 
-_small = WeakKeyDictionary[LightField, dict[tuple[int, int], tuple[NDArray[Any], NDArray[np.bool_]]]]()
+_SmallView = tuple[NDArray[Any], NDArray[np.bool_]]
+_small = WeakKeyDictionary[LightField, dict[tuple[int, int], _SmallView]]()
+_keeping = Lock()
 
 
 def wire_type(lf: LightField) -> type[np.uint8] | type[np.uint16]:
@@ -108,7 +114,7 @@ def refocused(lf: LightField, disparity: float, aperture: float | None, level: i
     from lfgpu.viz.refocusing import refocus, spread, within  # SciPy takes a while; pages come first
     from lfgpu.viz.splines import LINEAR
 
-    chosen = spread(lf, _FOCUS_VIEWS, within(lf, aperture))
+    chosen = spread(lf, _QUICK_FOCUS_VIEWS if level else _FOCUS_VIEWS, within(lf, aperture))
     if len(chosen) == 1:
         return _small_view(lf, level, lf.reference_index)[0]
     few = _smaller(lf, level, chosen)
@@ -129,10 +135,17 @@ def sharp(contents: Contents, name: str, stage: str, level: int) -> NDArray[Any]
     lf, entry = contents.lf, contents.all_entries().get(name)
     if lf is None or entry is None:
         raise LightFieldError("a picture that is in focus everywhere needs a map; press Estimate.")
-    few = _smaller(lf, level, spread(lf, _QUICK_VIEWS if level else _SHARP_VIEWS))
+    few = _smaller(lf, level, spread(lf, _SHARP_VIEWS))
     step = 2**level
     values = DisparityMap(np.ascontiguousarray(entry.stage(stage)[::step, ::step]) / np.float32(step))
     return _encoded(all_in_focus(few, values, order=LINEAR), lf)
+
+
+def prepare() -> None:
+    """Load what the first refocused picture would wait for: SciPy, a backend and its kernels."""
+    lf = LightField.from_grid(np.zeros((1, 2, 8, 8, 1), np.uint8))
+    refocused(lf, 0.0, None, 0)
+    sharp(Contents(lf).with_entry("map", Entry(DisparityMap(np.zeros(lf.size, np.float32)))), "map", FINAL, 0)
 
 
 def values_at(contents: Contents, name: str, stage: str, x: int, y: int) -> dict[str, float | None]:
@@ -206,12 +219,8 @@ def _between(at: float, step: float, low: float, high: float, side: int) -> rang
 
 
 def _smaller(lf: LightField, level: int, chosen: NDArray[np.intp]) -> LightField:
-    """Some views of a light field, 2**level times smaller; what was made is kept as long as the light field is."""
-    known = _small.setdefault(lf, {}) if level else {}
-    for n in map(int, chosen):
-        if (level, n) not in known:
-            known[level, n] = _small_view(lf, level, n)
-    found = [known[level, int(n)] for n in chosen]
+    """Some views of a light field, 2**level times smaller."""
+    found = [_kept_view(lf, level, int(n)) for n in chosen]
     return LightField(
         np.stack([views for views, _ in found]),
         lf.positions[chosen],
@@ -220,13 +229,40 @@ def _smaller(lf: LightField, level: int, chosen: NDArray[np.intp]) -> LightField
     )
 
 
-def _small_view(lf: LightField, level: int, index: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _kept_view(lf: LightField, level: int, index: int) -> _SmallView:
+    """A small view; the last ones that were made are kept, as long as the light field is."""
+    if not level:
+        return _small_view(lf, level, index)
+    with _keeping:
+        known = _small.setdefault(lf, {})
+        found = known.pop((level, index), None)
+    if found is None:
+        found = _small_view(lf, level, index)
+    with _keeping:
+        known[level, index] = found  # the last one
+        while sum(view.nbytes + valid.nbytes for view, valid in known.values()) > _ROOM:
+            known.pop(next(iter(known)))
+    return found
+
+
+def _small_view(lf: LightField, level: int, index: int) -> _SmallView:
     """A view [y, x, c], 2**level times smaller, and which of its pixels are valid."""
     if lf.valid is None:
         valid = np.ones((1, 1), np.bool_)  # is not asked for
     else:
-        valid = _reduced(lf.valid[index][..., None].astype(np.float32), 2**level)[..., 0] > 1 - 1e-3
-    return intensities(_reduced(lf.views[index], 2**level), lf), valid
+        valid = _middles(lf.valid[index][..., None].astype(np.float32), 2**level)[..., 0] > 1 - 1e-3
+    return intensities(_middles(lf.views[index], 2**level), lf), valid
+
+
+def _middles(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
+    """Means over the four pixels in the middle of squares: enough where views are averaged, and sooner there."""
+    if factor == 1:
+        return pixels
+    pixels = _filled(pixels, factor)
+    total = pixels[factor // 2 - 1 :: factor, factor // 2 - 1 :: factor].astype(np.float32)
+    for down, right in ((0, 1), (1, 0), (1, 1)):
+        total += pixels[factor // 2 - 1 + down :: factor, factor // 2 - 1 + right :: factor]
+    return total * np.float32(0.25)
 
 
 def _window(size: tuple[int, int], level: int, column: int, row: int) -> tuple[slice, slice]:
@@ -241,16 +277,19 @@ def _reduced(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
     """Means over squares of pixels; those at the right and the lower end are of fewer."""
     if factor == 1:
         return pixels
-    height, width = (-(-side // factor) * factor for side in pixels.shape[:2])
-    if (height, width) != pixels.shape[:2]:
-        pixels = np.pad(
-            pixels, ((0, height - pixels.shape[0]), (0, width - pixels.shape[1]), (0, 0)), mode="edge"
-        )  # fmt: skip
+    pixels = _filled(pixels, factor)
+    height, width = pixels.shape[:2]
     total = np.zeros((height // factor, width // factor, pixels.shape[2]), np.float32)
     for down in range(factor):
         for right in range(factor):
             total += pixels[down::factor, right::factor]
     return total * np.float32(1 / factor**2)
+
+
+def _filled(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
+    """Pixels [y, x, c] with the last row and column repeated, so that squares of `factor` pixels fill them."""
+    down, right = (-side % factor for side in pixels.shape[:2])
+    return np.pad(pixels, ((0, down), (0, right), (0, 0)), mode="edge") if down or right else pixels
 
 
 def _encoded(picture: NDArray[np.float32], lf: LightField) -> NDArray[Any]:

@@ -53,10 +53,8 @@ def figure(contents: Contents, name: str, kind: str, stage: str, *, colours: str
     if values is None:
         raise LightFieldError(f"{name!r} has no {kind} to save.")
     quantity = QUANTITIES[kind]
-    unit = f" ({quantity.unit})" if quantity.unit else ""
-    label = f"{quantity.label.lower()}{unit}" + (f"\n{quantity.hint}" if quantity.hint else "")
     title = f"{name}{'' if stage == FINAL else f', {stage}'}: {quantity.label.lower()}"
     with tempfile.TemporaryDirectory(prefix="lfgpu-") as folder:
         path = Path(folder) / "figure.png"
-        save_png(map_figure(values, title=title, label=label, colours=colours, limits=limits), path)
+        save_png(map_figure(values, title=title, label=quantity.title, colours=colours, limits=limits), path)
         return path.read_bytes()

@@ -5,11 +5,13 @@ from __future__ import annotations
 import logging
 import math
 import secrets
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from http import HTTPStatus
+from pathlib import Path
 from time import monotonic
 from typing import Any
 
@@ -31,6 +33,8 @@ _PAGES = {"light": (255, 255, 255), "dark": (20, 23, 28), "white": (255, 255, 25
 _CAMERAS = {False: (130, 138, 148), True: SLOPE}  # the reference camera stands out
 _BESIDE = (0.22, -0.14, 0.02)  # where the first eye stands, in distances of the cloud from the reference camera
 _BEHIND = (0.12, -0.09, -0.3)  # the same where the cameras are to be seen, too
+_NEAR = 3.0  # the cloud counts as not farther than so many times its nearest points, for these distances
+_WIDEST, _STEPS_BACK = 1.2, 12  # tangent of half the largest angle of view: the eye steps back rather than see more
 
 _starting = threading.Lock()  # one server at a time is guarded while it starts
 
@@ -87,7 +91,7 @@ class Space:
         self._ask("eye")
 
     def picture(self) -> bytes:
-        """What the frame shows, as a PNG: without marks, before the background of the page."""
+        """What the frame shows, without marks, before the background of the page, with its scale, as a PNG."""
         clients = list(self._server.get_clients().values())
         if not clients:
             raise LightFieldError("there is no picture of the points in space yet: open the tab 3D.")
@@ -102,7 +106,8 @@ class Space:
             self._mark(visible=True)
         alpha = found[..., 3:].astype(np.float32) / 255
         behind = np.array(_PAGES.get(self._scene.background, _PAGES["white"]), np.float32)
-        return encoded((found[..., :3] * alpha + behind * (1 - alpha) + 0.5).astype(np.uint8))
+        drawn = (found[..., :3] * alpha + behind * (1 - alpha) + 0.5).astype(np.uint8)
+        return _with_scale(drawn, self._scene, self._board.contents)
 
     def close(self) -> None:
         """End the scene and free its port."""
@@ -262,26 +267,65 @@ def framed(
 
     `cameras` [n, 3] are to be seen, too.
     """
-    away = float(cloud.centre[2]) - float(cloud.eye[2])
-    eye = cloud.eye + away * np.array(_BESIDE if cameras is None else _BEHIND)
+    deep = cloud.points[:, 2].astype(np.float64) - float(cloud.eye[2])
+    away = min(float(np.median(deep)), _NEAR * float(np.quantile(deep, 0.01)))  # what is near stays before the eye
+    if cameras is None:
+        eye = cloud.eye + away * np.array(_BESIDE)
+    else:
+        eye = cloud.eye + away * np.array(_BEHIND)
+        eye[2] = min(eye[2], cameras[:, 2].min() - float(np.ptp(cameras, axis=0).max()))
     points = cloud.points[:: max(1, len(cloud.points) // 5000)].astype(np.float64)
     if cameras is not None:
         points = np.concatenate([points, np.repeat(cameras, -(-len(points) // (20 * len(cameras))), axis=0)])
-    target = cloud.centre
-    for _ in range(3):  # the middle of the picture is not that of the cloud
+    for _ in range(_STEPS_BACK):
+        target, forward, sides = _aimed(eye, cloud.centre, points)
+        reach = 1.1 * max(sides[1], sides[0] / max(aspect, 0.1))
+        if reach <= _WIDEST:
+            break
+        eye = eye - 0.5 * np.linalg.norm(target - eye) * forward
+    return eye, target, float(np.clip(2 * math.atan(reach), 0.05, 2.2))
+
+
+def _aimed(
+    eye: NDArray[np.float64], target: NDArray[np.float64], points: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[float, float]]:
+    """What an eye looks at to have points in the middle of its picture, in which direction, and how far they reach.
+
+    The reach is to the right and down, as tangents of angles; without a few of the outermost points.
+    """
+    for _ in range(8):  # the middle of the picture is not that of the cloud
         forward = (target - eye) / np.linalg.norm(target - eye)
         right = np.cross([0.0, 1.0, 0.0], forward)
         right /= np.linalg.norm(right)
         down = np.cross(forward, right)
         relative = points - eye
-        deep = np.maximum(relative @ forward, 1e-6 * away)
+        deep = np.maximum(relative @ forward, 1e-6 * np.linalg.norm(target - eye))
         sides = np.stack([relative @ right, relative @ down]) / deep
-        low, high = np.quantile(sides, (0.005, 0.995), axis=1)
-        middle = (low + high) / 2
+        low, high = np.quantile(sides, (0.002, 0.998), axis=1)
+        middle = np.tan((np.arctan(low) + np.arctan(high)) / 2)  # of the angles: a wide cloud stays before the eye
         target = eye + (forward + middle[0] * right + middle[1] * down) * np.linalg.norm(target - eye)
-    half = (high - low) / 2
-    reach = 1.06 * max(float(half[1]), float(half[0]) / max(aspect, 0.1))
-    return eye, target, float(np.clip(2 * math.atan(reach), 0.05, 2.2))
+    return target, forward, (float(high[0] - low[0]) / 2, float(high[1] - low[1]) / 2)
+
+
+def _with_scale(drawn: NDArray[np.uint8], scene: Scene, contents: Contents) -> bytes:
+    """A picture of points as a PNG, with the scale of their colours if these are those of a map."""
+    if scene.paint not in QUANTITIES or not scene.low < scene.high:
+        return encoded(drawn)
+    from lfgpu.viz.figures import figure_with_scale, save_png
+
+    limits = scene.low, scene.high
+    figure = figure_with_scale(
+        drawn,
+        label=QUANTITIES[scene.paint].title,
+        colours=scene.colours,
+        limits=limits,
+        extent=contents.extent(scene.paint) or limits,
+        paper=_PAGES.get(scene.background, _PAGES["white"]),
+    )
+    with tempfile.TemporaryDirectory(prefix="lfgpu-") as folder:
+        path = Path(folder) / "space.png"
+        save_png(figure, path)
+        return path.read_bytes()
 
 
 def _painted(scene: Scene, contents: Contents) -> NDArray[np.uint8]:

@@ -69,6 +69,7 @@ class Tab(Guarded, WebSocketHandler):
                 await self.write_message({"state": state})
                 with suppress(asyncio.TimeoutError):  # pages in the background may not answer
                     await asyncio.wait_for(self._taken.wait(), _PATIENCE)
+                self.site.prepare()  # while people look at the first pictures
                 if self.space is not None:
                     self.space.refresh()
                 await asyncio.sleep(_PAUSE)

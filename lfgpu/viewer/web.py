@@ -22,6 +22,7 @@ from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import Contents
 from lfgpu.viewer.facts import Facts
 from lfgpu.viewer.guard import Guarded, Nothing, Site
+from lfgpu.viewer.pictures import prepare
 from lfgpu.viewer.place import Place
 from lfgpu.viewer.tabs import LARGEST, InSpace, Tab
 
@@ -52,7 +53,7 @@ class Server:
         self._socket = place.socket
         self._loop = asyncio.new_event_loop()
         self._stop: asyncio.Event | None = None
-        self._ready = threading.Event()
+        self._ready, self._prepared = threading.Event(), False
         logging.getLogger("tornado").addHandler(logging.NullHandler())  # else nonsense from others is on the terminal
         self._thread = threading.Thread(target=self._run, name="lfgpu-viewer", daemon=True)
         self._thread.start()
@@ -74,6 +75,12 @@ class Server:
     async def apart(self, work: Callable[..., _T], *arguments: Any) -> _T:
         """Do work in another thread, so that the server goes on answering."""
         return await asyncio.get_running_loop().run_in_executor(self.pool, work, *arguments)
+
+    def prepare(self) -> None:
+        """Load soon what pictures need that are computed, once."""
+        if not self._prepared and self.board.contents.lf is not None:
+            self._prepared = True
+            self.pool.submit(prepare)
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
@@ -30,9 +31,11 @@ _UNDEFINED = "0.62"  # a grey that occurs in none of the colour maps
 _LONG_SIDE = 6.0  # inches: the longer side of a map
 _LEAST_PIXELS = 900  # pixels at least: the longer side of a map in the picture
 _BAR, _GAP, _TICKS, _MARGIN, _TITLE = 0.2, 0.15, 1.05, 0.15, 0.42  # inches
+_DPI = 100  # pixels of an inch beside a picture that is shown as it is
 _LEAST_HEIGHT, _LEAST_WIDTH = 2.4, 4.2  # inches: space for the label of a colour bar and the title
 _CELL, _BETWEEN, _BELOW = 2.2, 0.06, 0.42  # inches: the width of a map in a comparison, and the space around it
 _LONGEST_NAME = 34  # characters of a name that fit above a map
+_COMPRESSION = 1  # of PNG: more takes twice as long and saves a third
 
 
 def map_figure(
@@ -260,6 +263,48 @@ def comparison_figure(scenes: Sequence[Scene]) -> Figure:
     return figure
 
 
+def figure_with_scale(
+    picture: NDArray[np.uint8],
+    *,
+    label: str,
+    colours: str,
+    limits: tuple[float, float],
+    extent: tuple[float, float],
+    paper: tuple[int, int, int] = (255, 255, 255),
+) -> Figure:
+    """A picture as it is, pixel by pixel, with the scale of its colours at its right.
+
+    Parameters
+    ----------
+    picture
+        uint8 [y, x, 3].
+    label
+        The words beside the scale.
+    colours
+        The colour map of matplotlib.
+    limits
+        The ends of the scale.
+    extent
+        The smallest and the largest value: where one lies beyond the scale, its end is pointed.
+    paper
+        The colour behind the scale, RGB from 0 to 255. Text is black or white, whichever is read better.
+    """
+    height, width = picture.shape[:2]
+    beside = _MARGIN + _BAR + _TICKS
+    size = width / _DPI + beside, (height + 0.01) / _DPI  # pixels are whole: no rounding takes one away
+    figure = Figure(size, dpi=_DPI, facecolor=(paper[0] / 255, paper[1] / 255, paper[2] / 255))
+    FigureCanvasAgg(figure)
+    figure.figimage(picture, xo=0, yo=0)
+    tall = min(0.9 * size[1], _LONG_SIDE)
+    bar = figure.add_axes(_shares((width / _DPI + _MARGIN, (size[1] - tall) / 2, _BAR, tall), size))
+    image = ScalarMappable(Normalize(*limits), _colours(colours))
+    _scale(figure, image, bar, label, np.array(extent))
+    ink = "black" if sum(paper) > 3 * 127 else "white"
+    bar.yaxis.label.set_color(ink)
+    bar.tick_params(colors=ink)
+    return figure
+
+
 def save_png(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Save a figure as PNG, atomically.
 
@@ -270,7 +315,7 @@ def save_png(figure: Figure, path: str | os.PathLike[str]) -> None:
     """
     with atomic_write(path) as temporary, warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing")  # a name may use a script that the font lacks
-        figure.savefig(temporary, format="png")
+        figure.savefig(temporary, format="png", pil_kwargs={"compress_level": _COMPRESSION})
 
 
 class _Layout:
@@ -339,7 +384,7 @@ def _colours(name: str) -> Colormap:
     return colormaps[name].with_extremes(bad=_UNDEFINED)
 
 
-def _scale(figure: Figure, image: AxesImage, bar: Axes, label: str, values: NDArray[Any]) -> None:
+def _scale(figure: Figure, image: ScalarMappable, bar: Axes, label: str, values: NDArray[Any]) -> None:
     """Draw the colour bar of an image; a pointed end means that some of `values` lie beyond it."""
     defined = values[np.isfinite(values)]
     low, high = image.get_clim()

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import residual_pictures
-from lfgpu.calibration.consensus import without_gauge
+from lfgpu.calibration.consensus import outliers, without_gauge
 from lfgpu.calibration.tones import match_tones, squared_radius
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
@@ -180,3 +180,28 @@ def test_check_on_the_command_line(boxes: LightField, tmp_path) -> None:
     wrong = CliRunner().invoke(app, ["check", str(tmp_path / "lf"), str(tmp_path / "nothing.pfm")])
     assert wrong.exit_code == 1
     assert len(wrong.stderr.splitlines()) == 1
+
+
+def test_noise_draws_no_view_between_its_pixels(rng: np.random.Generator) -> None:
+    """On a plane all points of a view are looked up at the same fraction of a pixel: what noise does there adds up."""
+    texture = 0.5 + 0.5 * ndimage.gaussian_filter(rng.normal(size=(128, 128)), 1.5)
+    offsets = np.stack(np.meshgrid(np.arange(-2, 3.0), np.arange(-2, 3.0)), -1).reshape(-1, 2)
+    planes = [ndimage.shift(texture, (-0.3 * dv, -0.3 * du), order=5, mode="wrap") for du, dv in offsets]
+    views = np.stack(planes) + rng.normal(0, 0.03, (25, 128, 128))
+    lf = LightField.from_grid(np.clip(views, 0, 1).astype(np.float32).reshape(5, 5, 128, 128, 1))
+    found = lfgpu.explain(lf, np.full((128, 128), 0.3, np.float32))
+    assert found.findings == ()
+    assert found.misalignment < 0.025
+
+
+def test_views_from_the_rim_are_held_against_each_other(rng: np.random.Generator) -> None:
+    offsets = np.stack(np.meshgrid(np.arange(-4, 5.0), np.arange(-4, 5.0)), -1).reshape(-1, 2)
+    distance = np.hypot(*offsets.T)
+    shifts = rng.normal(0, 0.01, (81, 2))
+    errors = np.full((81, 2), 0.002)
+    rim = shifts + 0.15 * (distance > 4.9)[:, None] * rng.choice([-1, 1], (81, 2))
+    assert not outliers(rim, offsets, errors, least=0.1).any()
+    for index in (0, 40, 44):
+        moved = shifts.copy()
+        moved[index] += (0.14, -0.14)
+        assert np.flatnonzero(outliers(moved, offsets, errors, least=0.1)).tolist() == [index]

@@ -177,7 +177,10 @@ def test_tones_of_a_closed_stream() -> None:
     """A watch may still look when a stream ends and its memory is returned."""
     stream = lfgpu.DepthStream(raw(), rectifier=rectifier(), config="fast", disparity_range=RANGE, device="cpu")
     stream.close()
-    stream.set_tones(rectifier().tones)
+    tones = 1.25 * rectifier().tones
+    stream.set_tones(tones)
+    assert stream.rectifier is not None
+    np.testing.assert_array_equal(stream.rectifier.tones, tones)
 
 
 def test_live_takes_raw_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -194,6 +194,15 @@ def test_what_is_printable_stays_and_nothing_else() -> None:
     assert len(printable("x" * 10_000, longest=100)) <= 100
 
 
+def test_what_is_written_out_counts_for_the_length_of_a_sentence() -> None:
+    """A name with a thousand zero bytes, each of which is four characters on the screen."""
+    text = str(LightFieldError("the camera " + "\x00" * 900 + " is not there."))
+    assert 900 < len(text) <= 1000
+    assert text.startswith("the camera \\x00\\x00")
+    assert text.endswith("\\x00\\x00 is not there.")
+    assert printable("a\x1bb", longest=6) == "a\\x1bb"
+
+
 def test_messages_are_one_line_of_bounded_length_that_can_be_shown() -> None:
     text = str(LightFieldError(f"{_ESCAPE * 1000}."))
     assert text.isprintable()

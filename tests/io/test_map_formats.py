@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import resource
 import signal
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -142,6 +141,31 @@ def test_maps_of_all_views_come_back(tmp_path: Path) -> None:
     one.save(tmp_path / "one.exr")
     np.testing.assert_array_equal(read_map(tmp_path / "one.exr"), written.disparities[2])
     assert "choose one with .map(index)" in refusal(lambda: written.save(tmp_path / "all.pfm"))
+
+
+@pytest.mark.parametrize(
+    ("array", "value", "said"),
+    [
+        ("positions", np.float64(3), "positions is float64 of shape (), not float64 (3, 2)"),
+        ("positions", np.zeros((2, 2)), "positions is float64 of shape (2, 2), not float64 (3, 2)"),
+        ("positions", np.full((3, 2), np.nan), "positions are not finite"),
+        ("disparities", np.float32(3), "disparities is float32 of shape (), not float32 (0, 5, 7)"),
+        ("confidences", np.zeros((3, *SHAPE)), "confidences is float64 of shape (3, 5, 7), not float32 (3, 5, 7)"),
+        ("keys", np.array([0, 3]), "keys name views beyond the 3 that it has"),
+        ("keys", np.int64(0), "iteration over a 0-d array"),
+        ("timings", np.array('{"total": null}'), "damaged result"),
+        ("timings", np.array("[1]"), "damaged result"),
+    ],
+)
+def test_damaged_maps_of_all_views_are_refused(array: str, value: Any, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "views.npz"
+    maps_of_all_views().save(path)
+    with np.load(path) as loaded:
+        arrays = {name: loaded[name] for name in loaded.files}
+    np.savez(path, **{**arrays, array: value})
+    text = refusal(lambda: load(path))
+    assert "is a damaged result of lfgpu" in text
+    assert said in text
 
 
 def test_a_folder_that_depth_wrote(tmp_path: Path) -> None:
@@ -321,14 +345,18 @@ def test_without_openexr_it_is_said_how_to_get_it(tmp_path: Path, monkeypatch: p
 def test_noise_in_a_file_is_never_a_traceback(suffix: str, tmp_path: Path, rng: np.random.Generator) -> None:
     a_map().save(tmp_path / f"good{suffix}")
     whole = (tmp_path / f"good{suffix}").read_bytes()
-    bad = tmp_path / f"bad{suffix}"
+    bad, sentences = tmp_path / f"bad{suffix}", list[str]()
     for trial in range(60):
         noisy = bytearray(whole[: rng.integers(0, len(whole))] if trial % 3 == 0 else whole)
         for place in rng.integers(0, max(len(noisy), 1), 4 if noisy else 0):
             noisy[place] = rng.integers(0, 256)
         bad.write_bytes(noisy)
-        with suppress(lfgpu.LightFieldError):  # or it was read: not every byte matters
-            load(bad)
+        try:
+            load(bad)  # not every byte matters
+        except lfgpu.LightFieldError as error:
+            sentences.append(str(error))
+    assert sentences, "nothing was damaged"
+    assert [sentence for sentence in sentences if str(bad) not in sentence] == []
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

@@ -6,14 +6,16 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import cases
+import nlm_cases
 import numpy as np
+import splat_cases
 
 TOLERANCE = 0.25 + 2.0**-13
 """Of what is seen; between the numbers that disparities are, which are whole multiples of 2⁻¹⁰."""
 
 
 @dataclass(frozen=True)
-class AlignmentCase(cases.SplatCase):
+class AlignmentCase(splat_cases.SplatCase):
     """A splat case, how much differences count, by how much views may differ to agree, and how far surfaces reach."""
 
     gradient_weight: float = 2.0
@@ -53,7 +55,7 @@ def alignment_inputs(case: AlignmentCase, rng: np.random.Generator) -> SimpleNam
 
     Many disparities are whole or half, so that places lie on the edges of pixels and of the frame.
     """
-    i = cases.splat_inputs(case, rng)
+    i = splat_cases.splat_inputs(case, rng)
     if case.exact:
         i.disparity = np.where(rng.random(case.size) < 0.4, np.round(2 * i.disparity) / 2, i.disparity)
     alike = rng.random(i.recorded.shape[:3]) < 0.3
@@ -68,7 +70,7 @@ def alignment_inputs(case: AlignmentCase, rng: np.random.Generator) -> SimpleNam
 
 
 @dataclass(frozen=True)
-class RatioCase(cases.NlmCase):
+class RatioCase(nlm_cases.NlmCase):
     """The window of weights, and how near the guide must be and what is added to denominators."""
 
     support: float = 0.25
@@ -92,7 +94,7 @@ RATIO_CASES = (
 
 def ratio_inputs(case: RatioCase, rng: np.random.Generator) -> SimpleNamespace:
     """Random weights, two surfaces as a guide, numerators of both signs, and denominators, some of which are 0."""
-    i = cases.nlm_inputs(case, rng)
+    i = nlm_cases.nlm_inputs(case, rng)
     surfaces = rng.uniform(-0.1, 0.1, case.size) + (rng.random(case.size) < 0.5)
     i.guide = surfaces.astype(np.float32)
     denominator = rng.random(case.size) * (rng.random(case.size) < 0.7)

@@ -7,7 +7,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from checks import Desk, Operation, Outputs, Program, Values, compute, largest_error, relative_to_terms, size
+from checks import Desk, Operation, Outputs, Values, compute, largest_error, relative_to_terms, size
+from programs import Program
 
 from lfgpu.contract import KernelSet
 from lfgpu.kernels import reference as reference_package

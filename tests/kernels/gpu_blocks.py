@@ -54,6 +54,7 @@ _PRELUDE = """
     static const auto __int_as_float = [](int value) { return __builtin_bit_cast(float, value); };
     static const auto __uint_as_float = [](unsigned value) { return __builtin_bit_cast(float, value); };
     static const auto __float2int_rn = [](float value) { return (int)__builtin_rintf(value); };
+    static const auto __fdividef = [](float a, float b) { return a / b; };
     static const auto __ldcs = [](auto* place) { return *place; };
     static const auto __byte_perm = [](unsigned x, unsigned y, unsigned selector) {
         const unsigned long long both = (unsigned long long)y << 32 | x;

@@ -8,6 +8,7 @@ from typing import Any
 
 import cases
 import numpy as np
+import splat_cases
 from numpy.typing import NDArray
 
 from lfgpu._backends import load
@@ -20,7 +21,7 @@ TOLERANCE = 0.25 + 2.0**-13
 
 
 @dataclass(frozen=True)
-class OcclusionCase(cases.SplatCase):
+class OcclusionCase(splat_cases.SplatCase):
     """A splat case in which `sharpness` tells who hides whom, and a loss with its scale."""
 
     sharpness: float = 4.0
@@ -60,7 +61,7 @@ OCCLUSION_CASES = (
 
 def occlusion_inputs(case: OcclusionCase, rng: np.random.Generator) -> SimpleNamespace:
     """Random inputs of all operations with occlusions; no pixel's coverage is near the least that counts."""
-    return with_loss(cases.splat_inputs(case, rng), case)
+    return with_loss(splat_cases.splat_inputs(case, rng), case)
 
 
 def with_loss(i: SimpleNamespace, case: OcclusionCase) -> SimpleNamespace:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-from checks import Desk, Operation, Outputs, Program, Values, compute, largest_error, size
+from checks import Desk, Operation, Outputs, Values, compute, largest_error, size
 from lfgpu.kernels.reference.occlusion import nearest, reaching_taps
+from programs import Program
 
 from lfgpu.contract import KernelSet
 

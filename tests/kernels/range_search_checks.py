@@ -6,7 +6,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from checks import Desk, Operation, Outputs, Program, Values, largest_error
+from checks import Desk, Operation, Outputs, Values, largest_error
+from programs import Program
 
 from lfgpu.contract import KernelSet
 

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from checks import Desk, Operation, Outputs, Program, Values, compute, largest_error
+from checks import Desk, Operation, Outputs, Values, compute, largest_error
+from programs import Program
 
 from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE, KernelSet
 
@@ -122,6 +123,20 @@ def check_regions_stay_apart(kernels: KernelSet, device: str, rng: np.random.Gen
     assert moved <= ROUNDING, f"what is not valid, or lies behind it, moves a valid pixel by {moved:.5f}"
     share = np.abs(got - views)[~there].mean()
     assert share >= 0.01, "what is not valid stays as it was, instead of being a mean with what is"
+
+
+def check_masked_pixels_say_nothing(kernels: KernelSet, device: str, rng: np.random.Generator) -> None:
+    """What stands in pixels that are not valid, NaN included, makes no difference anywhere, smoothed or reduced."""
+    views = rng.random((2, 21, 45, 3)).astype(np.float32)
+    valid = (rng.random(views.shape[:3]) < 0.6).astype(np.float32)
+    valid[:, :9, :12] = 0
+    for name, operation in (("smoothing", SMOOTH), ("reducing", REDUCE)):
+        found = []
+        for masked in (0.0, 1.0, np.nan):
+            shown = np.where(valid[..., None] != 0, views, np.float32(masked))
+            i = SimpleNamespace(views=shown, valid=valid, by_block=valid, scale=1.0, deviation=0.3)
+            found.append(compute(kernels, device, operation, i)["views"])
+        assert all((other == found[0]).all() for other in found), f"{name} looks at what is not valid"
 
 
 def check_channels_are_alike_together(kernels: KernelSet, device: str, rng: np.random.Generator) -> None:

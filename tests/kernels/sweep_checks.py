@@ -6,7 +6,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from checks import Desk, Operation, Outputs, Program, Values, adjoint_tolerance, compute, largest_error
+from checks import Desk, Operation, Outputs, Values, adjoint_tolerance, compute, largest_error
+from programs import Program
 from sweep_cases import sides
 
 from lfgpu.contract import KernelSet

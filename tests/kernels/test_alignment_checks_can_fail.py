@@ -9,15 +9,14 @@ from typing import Any
 import alignment_checks
 import checks
 import numpy as np
+import programs
 import pytest
 from alignment_cases import AlignmentCase, OutlineCase, RatioCase, alignment_inputs, outline_inputs, ratio_inputs
 from cases import IRREGULAR
 from lfgpu.kernels.reference import alignment, boundaries
-from test_checks_can_fail import (
+from single_faults import Check, Fault, single_fault_tests
+from ways_to_be_wrong import (
     NO_MASK,
-    REFERENCE,
-    Check,
-    Fault,
     accumulating,
     after,
     argument,
@@ -29,7 +28,6 @@ from test_checks_can_fail import (
     option,
     planned,
     swapped,
-    with_operation,
     zeroed,
 )
 
@@ -90,7 +88,7 @@ def UNSEEN(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
 
 def PROGRAM(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
     make = alignment_checks.stepping
-    checks.check_program(kernels, "cpu", make, checks.program_inputs(make, rng))
+    programs.check_program(kernels, "cpu", make, programs.program_inputs(make, rng))
 
 
 NEAREST, ALIGNMENT = value_of(alignment_checks.NEAREST), value_of(alignment_checks.ALIGNMENT)
@@ -299,21 +297,7 @@ FAULTS = (
 )
 
 
-@pytest.fixture
-def rng() -> np.random.Generator:
-    """The same numbers each time: among new ones, a fault might now and then make no difference."""
-    return np.random.default_rng(0)
-
-
-@pytest.mark.parametrize("fault", FAULTS, ids=str)
-def test_single_fault_is_caught(fault: Fault, rng: np.random.Generator) -> None:
-    with pytest.raises(AssertionError):
-        fault.check(fault.kernels, rng)
-
-
-def test_reference_passes_every_check_that_catches_faults(rng: np.random.Generator) -> None:
-    for check in {fault.check for fault in FAULTS}:
-        check(with_operation("dot", REFERENCE.dot), rng)
+test_single_fault_is_caught, test_reference_passes_every_check_that_catches_faults = single_fault_tests(FAULTS)
 
 
 def test_every_operation_of_these_has_a_fault_that_its_check_catches() -> None:

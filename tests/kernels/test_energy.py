@@ -9,10 +9,13 @@ from typing import Any
 
 import cases
 import checks
+import nlm_cases
 import numpy as np
 import pytest
-import test_checks_can_fail
+import single_faults
+import splat_cases
 import test_reference
+import ways_to_be_wrong
 
 from lfgpu._backends import load
 from lfgpu.contract import KernelSet
@@ -168,8 +171,8 @@ def test_energy_of_another_light_field_is_that_of_a_fresh_one(target: Any, rng: 
 # --- the check can fail ---
 
 BROKEN = {
-    "data_term": test_checks_can_fail.planned(test_checks_can_fail.half_gradient),
-    "nlm_laplacian": test_checks_can_fail.after(test_checks_can_fail.scaled(2), "laplacian_out"),
+    "data_term": ways_to_be_wrong.planned(ways_to_be_wrong.half_gradient),
+    "nlm_laplacian": ways_to_be_wrong.after(ways_to_be_wrong.scaled(2), "laplacian_out"),
 }
 """A factor of the gradient is missing, and one of the prior is too much."""
 
@@ -177,7 +180,7 @@ BROKEN = {
 @pytest.mark.parametrize("operation", BROKEN)
 def test_single_fault_is_caught(operation: str) -> None:
     broken: Callable[..., Any] = BROKEN[operation](getattr(REFERENCE, operation))
-    kernels = test_checks_can_fail.with_operation(operation, broken)
+    kernels = single_faults.with_operation(operation, broken)
     inputs = energy_inputs(EnergyCase("energy"), np.random.default_rng(0))
     check_energy(REFERENCE, "cpu", inputs, 1e-5)
     with pytest.raises(AssertionError):
@@ -213,8 +216,8 @@ def test_prior_has_its_gradient(rng: np.random.Generator) -> None:
 
 
 def test_prior_is_the_sum_over_pairs(rng: np.random.Generator) -> None:
-    case = cases.NlmCase("colour", size=(5, 6), window=5)
-    i = cases.nlm_inputs(case, rng)
+    case = nlm_cases.NlmCase("colour", size=(5, 6), window=5)
+    i = nlm_cases.nlm_inputs(case, rng)
     shared = [field.name for field in fields(PriorConfig)]
     prior, value_and_gradient = prior_of(i.image, PriorConfig(**{name: i.options[name] for name in shared}))
     w, v = test_reference.brute_weights(i), i.values.astype(float).ravel()
@@ -229,7 +232,7 @@ def test_prior_is_the_sum_over_pairs(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize("smoothness", [0.0, 0.1, 10.0])
 def test_energy_has_its_gradient(smoothness: float, rng: np.random.Generator) -> None:
     lf, config = small_light_field(rng), RefinementConfig(smoothness=smoothness)
-    case = cases.SplatCase("grid", size=lf.size, softness=config.softness, disparities=(-1.5, 1.5))
+    case = splat_cases.SplatCase("grid", size=lf.size, softness=config.softness, disparities=(-1.5, 1.5))
     disparity = test_reference.away_from_joints(case, rng).disparity
     inputs = SimpleNamespace(lf=lf, start=None, prior=PriorConfig(window=5), refinement=config)
     energy = energy_of(REFERENCE, "cpu", inputs)

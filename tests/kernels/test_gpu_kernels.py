@@ -33,6 +33,7 @@ CHOSEN = (
     r"nlm_average-(colour|window-wider|one-pixel|wide|many-slices)",
     r"z_buffer-(grey-float32|one-pixel|work-for)",
     r"alignment-(grey-float32|one-pixel-wide|work-for)",
+    r"smooth_views-(colour-uint16-masked|grey-float16-masked|one-pixel-wide|few-valid|several-tiles)",
     r"lbfgs-(memory-of-one|curved-valley|as-many|curvature-and|work-for)",
     r"dot-",
 )

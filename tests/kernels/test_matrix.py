@@ -13,11 +13,15 @@ from typing import Any, NamedTuple
 
 import alignment_cases
 import alignment_checks
-import cases
 import checks
+import local_cases
+import local_checks
+import nlm_cases
+import nlm_checks
 import numpy as np
 import occlusion_cases
 import occlusion_checks
+import programs
 import pytest
 import range_search_cases
 import range_search_checks
@@ -25,8 +29,16 @@ import resampling_cases
 import resampling_checks
 import smoothing_cases
 import smoothing_checks
+import solver_cases
+import solver_checks
+import splat_cases
+import splat_checks
 import sweep_cases
 import sweep_checks
+import vector_cases
+import vector_checks
+import view_cases
+import view_checks
 import volume_cases
 import volume_checks
 from conftest import SEED
@@ -35,51 +47,56 @@ from lfgpu import _backends
 from lfgpu import contract as types
 
 CASES: dict[str, tuple[Any, ...]] = {
-    "splat": cases.SPLAT_CASES,
+    "splat": splat_cases.SPLAT_CASES,
     "occlusion": occlusion_cases.OCCLUSION_CASES,
     "alignment": alignment_cases.ALIGNMENT_CASES,
     "ratio": alignment_cases.RATIO_CASES,
     "outline": alignment_cases.OUTLINE_CASES,
     "sweep": sweep_cases.SWEEP_CASES,
-    "seen": cases.SEEN_CASES,
-    "views": cases.VIEWS_CASES,
+    "seen": splat_cases.SEEN_CASES,
+    "views": view_cases.VIEWS_CASES,
     "resampling": resampling_cases.RESAMPLING_CASES,
     "smoothing": smoothing_cases.SMOOTHING_CASES,
     "reduction": smoothing_cases.REDUCTION_CASES,
-    "nlm": cases.NLM_CASES,
+    "nlm": nlm_cases.NLM_CASES,
     "volume": volume_cases.VOLUME_CASES,
     "reduced": volume_cases.REDUCED_CASES,
     "range search": range_search_cases.RANGE_SEARCH_CASES,
-    "epi": cases.EPI_CASES,
-    "coherence": cases.COHERENCE_CASES,
-    "vector": cases.VECTOR_CASES,
-    "residuals": cases.RESIDUALS_CASES,
-    "lbfgs": cases.LBFGS_CASES,
+    "epi": local_cases.EPI_CASES,
+    "coherence": local_cases.COHERENCE_CASES,
+    "vector": vector_cases.VECTOR_CASES,
+    "residuals": solver_cases.RESIDUALS_CASES,
+    "lbfgs": solver_cases.LBFGS_CASES,
 }
 MAKERS: dict[str, Any] = {
-    "splat": cases.splat_inputs,
+    "splat": splat_cases.splat_inputs,
     "occlusion": occlusion_cases.occlusion_inputs,
     "alignment": alignment_cases.alignment_inputs,
     "ratio": alignment_cases.ratio_inputs,
     "outline": alignment_cases.outline_inputs,
     "sweep": sweep_cases.sweep_inputs,
-    "seen": cases.seen_inputs,
-    "views": cases.views_inputs,
+    "seen": splat_cases.seen_inputs,
+    "views": view_cases.views_inputs,
     "resampling": resampling_cases.resampling_inputs,
     "smoothing": smoothing_cases.smoothing_inputs,
     "reduction": smoothing_cases.smoothing_inputs,
-    "nlm": cases.nlm_inputs,
+    "nlm": nlm_cases.nlm_inputs,
     "volume": volume_cases.volume_inputs,
     "reduced": volume_cases.volume_inputs,
     "range search": range_search_cases.range_search_inputs,
-    "epi": cases.epi_inputs,
-    "coherence": cases.coherence_inputs,
-    "vector": cases.vector_inputs,
-    "residuals": cases.residuals_inputs,
-    "lbfgs": cases.lbfgs_inputs,
+    "epi": local_cases.epi_inputs,
+    "coherence": local_cases.coherence_inputs,
+    "vector": vector_cases.vector_inputs,
+    "residuals": solver_cases.residuals_inputs,
+    "lbfgs": solver_cases.lbfgs_inputs,
 }
 OPERATIONS = (
-    *checks.OPERATIONS,
+    *splat_checks.OPERATIONS,
+    *view_checks.OPERATIONS,
+    *nlm_checks.OPERATIONS,
+    *local_checks.OPERATIONS,
+    *vector_checks.OPERATIONS,
+    *solver_checks.OPERATIONS,
     *occlusion_checks.OPERATIONS,
     *sweep_checks.OPERATIONS,
     *volume_checks.OPERATIONS,
@@ -89,7 +106,7 @@ OPERATIONS = (
     *range_search_checks.OPERATIONS,
 )
 PROGRAMS = (
-    *checks.PROGRAMS,
+    *programs.PROGRAMS,
     occlusion_checks.comparing_what_is_nearest,
     sweep_checks.sweeping,
     volume_checks.finding_the_lowest,
@@ -107,7 +124,7 @@ CELLS = [
 ]
 MASKED = [
     pytest.param(operation, case, id=f"{operation}-{case}")
-    for operation in (checks.DATA_TERM, occlusion_checks.DATA_TERM)
+    for operation in (splat_checks.DATA_TERM, occlusion_checks.DATA_TERM)
     for case in CASES[operation.inputs]
     if case.masked
 ]
@@ -154,8 +171,8 @@ def test_example_of_the_page_is_a_backend(monkeypatch: pytest.MonkeyPatch, rng: 
     kernels = _backends.load("mine")
     assert kernels.name == "mine"
     assert kernels.dot is not _backends.load("reference").dot
-    inputs = cases.vector_inputs(cases.VECTOR_CASES[0], rng)
-    checks.check_value(kernels, "cpu", checks.operation_of(checks.dot), inputs, 1e-12)
+    inputs = vector_cases.vector_inputs(vector_cases.VECTOR_CASES[0], rng)
+    checks.check_value(kernels, "cpu", vector_checks.DOT, inputs, 1e-12)
 
 
 def test_backend_and_device_are_here(absent: Any) -> None:
@@ -195,99 +212,107 @@ def test_same_bits_when_run_again(other: Any, operation: checks.Operation, case:
     checks.check_repeats(other.kernels, other.device, operation, cell(f"{operation}-{case}").inputs)
 
 
-@pytest.mark.parametrize("case", cases.SPLAT_CASES, ids=str)
-def test_splat_transpose_is_the_adjoint_of_splat(target: Any, case: cases.SplatCase, rng: np.random.Generator) -> None:
-    checks.check_image_adjoint(target.kernels, target.device, cases.splat_inputs(case, rng))
-
-
-@pytest.mark.parametrize("case", cases.SPLAT_CASES, ids=str)
-def test_splat_vjp_is_the_adjoint_of_splat_jvp(target: Any, case: cases.SplatCase, rng: np.random.Generator) -> None:
-    checks.check_disparity_adjoint(target.kernels, target.device, cases.splat_inputs(case, rng))
-
-
-@pytest.mark.parametrize("case", cases.NLM_CASES, ids=str)
-def test_nlm_operators_are_symmetric_and_belong_together(
-    target: Any, case: cases.NlmCase, rng: np.random.Generator
+@pytest.mark.parametrize("case", splat_cases.SPLAT_CASES, ids=str)
+def test_splat_transpose_is_the_adjoint_of_splat(
+    target: Any, case: splat_cases.SplatCase, rng: np.random.Generator
 ) -> None:
-    checks.check_nlm_symmetric(target.kernels, target.device, cases.nlm_inputs(case, rng))
+    splat_checks.check_image_adjoint(target.kernels, target.device, splat_cases.splat_inputs(case, rng))
+
+
+@pytest.mark.parametrize("case", splat_cases.SPLAT_CASES, ids=str)
+def test_splat_vjp_is_the_adjoint_of_splat_jvp(
+    target: Any, case: splat_cases.SplatCase, rng: np.random.Generator
+) -> None:
+    splat_checks.check_disparity_adjoint(target.kernels, target.device, splat_cases.splat_inputs(case, rng))
+
+
+@pytest.mark.parametrize("case", nlm_cases.NLM_CASES, ids=str)
+def test_nlm_operators_are_symmetric_and_belong_together(
+    target: Any, case: nlm_cases.NlmCase, rng: np.random.Generator
+) -> None:
+    nlm_checks.check_nlm_symmetric(target.kernels, target.device, nlm_cases.nlm_inputs(case, rng))
 
 
 @pytest.mark.parametrize(("operation", "case"), MASKED)
 def test_masked_pixels_do_not_count(
-    target: Any, operation: checks.Operation, case: cases.SplatCase, rng: np.random.Generator
+    target: Any, operation: checks.Operation, case: splat_cases.SplatCase, rng: np.random.Generator
 ) -> None:
     inputs = MAKERS[operation.inputs](case, rng)
-    checks.check_masked_pixels_do_not_count(target.kernels, target.device, inputs, operation)
+    splat_checks.check_masked_pixels_do_not_count(target.kernels, target.device, inputs, operation)
 
 
 @pytest.mark.parametrize(("operation", "case"), MASKED)
 def test_masked_view_is_a_missing_view(
-    target: Any, operation: checks.Operation, case: cases.SplatCase, rng: np.random.Generator
+    target: Any, operation: checks.Operation, case: splat_cases.SplatCase, rng: np.random.Generator
 ) -> None:
     inputs = MAKERS[operation.inputs](case, rng)
-    checks.check_masked_view_is_a_missing_view(target.kernels, target.device, inputs, operation)
+    splat_checks.check_masked_view_is_a_missing_view(target.kernels, target.device, inputs, operation)
 
 
 @pytest.mark.parametrize(("operation", "case"), MASKED)
 def test_nothing_valid_is_nothing_at_all(
-    target: Any, operation: checks.Operation, case: cases.SplatCase, rng: np.random.Generator
+    target: Any, operation: checks.Operation, case: splat_cases.SplatCase, rng: np.random.Generator
 ) -> None:
     inputs = MAKERS[operation.inputs](case, rng)
-    checks.check_nothing_valid_is_nothing_at_all(target.kernels, target.device, inputs, operation)
+    splat_checks.check_nothing_valid_is_nothing_at_all(target.kernels, target.device, inputs, operation)
 
 
 def test_all_out_of_the_frame_is_nothing_at_all(target: Any, rng: np.random.Generator) -> None:
-    (case,) = (case for case in cases.SPLAT_CASES if case.name == "all out of the frame")
-    inputs: SimpleNamespace = cases.splat_inputs(case, rng)
-    for run in (checks.splat, checks.splat_transpose, checks.splat_jvp, checks.splat_vjp):
-        operation = checks.operation_of(run)
+    (case,) = (case for case in splat_cases.SPLAT_CASES if case.name == "all out of the frame")
+    inputs: SimpleNamespace = splat_cases.splat_inputs(case, rng)
+    for operation in (
+        splat_checks.SPLAT,
+        splat_checks.SPLAT_TRANSPOSE,
+        splat_checks.SPLAT_JVP,
+        splat_checks.SPLAT_VJP,
+    ):
         for name, output in checks.compute(target.kernels, target.device, operation, inputs).items():
             assert not output.any(), f"{operation}: {name}"
 
 
 def test_dot_accumulates_in_float64(target: Any) -> None:
-    checks.check_dot_in_double(target.kernels, target.device)
+    vector_checks.check_dot_in_double(target.kernels, target.device)
 
 
 def test_numbers_are_float64(target: Any) -> None:
-    checks.check_numbers_in_double(target.kernels, target.device)
+    vector_checks.check_numbers_in_double(target.kernels, target.device)
 
 
 def test_other_libraries_see_fields(target: Any) -> None:
     if target.device != "cpu":
         pytest.skip("tests/test_interop.py is about GPUs")
-    if not checks.check_shared(target.kernels, target.device):
+    if not vector_checks.check_shared(target.kernels, target.device):
         pytest.skip("this backend has no arrays that other libraries could take")
 
 
 def test_repeat_runs_its_body_as_often_as_it_should(target: Any) -> None:
-    checks.check_repeat(target.kernels, target.device)
+    programs.check_repeat(target.kernels, target.device)
 
 
 @pytest.mark.parametrize("make", PROGRAMS)
-def test_program_on_the_device(target: Any, make: checks.MakeProgram, rng: np.random.Generator) -> None:
-    checks.check_program(target.kernels, target.device, make, checks.program_inputs(make, rng))
+def test_program_on_the_device(target: Any, make: programs.MakeProgram, rng: np.random.Generator) -> None:
+    programs.check_program(target.kernels, target.device, make, programs.program_inputs(make, rng))
 
 
 @pytest.mark.parametrize("make", PROGRAMS)
 def test_captured_program_does_the_same_with_new_inputs(
-    target: Any, make: checks.MakeProgram, rng: np.random.Generator
+    target: Any, make: programs.MakeProgram, rng: np.random.Generator
 ) -> None:
-    first, second = (checks.program_inputs(make, rng) for _ in range(2))
+    first, second = (programs.program_inputs(make, rng) for _ in range(2))
     second |= {name: first[name] for name in ("offsets",) if name in first}
-    if not checks.check_capture(target.kernels, target.device, make, first, second):
+    if not programs.check_capture(target.kernels, target.device, make, first, second):
         pytest.skip("this device cannot be given work as a whole")
 
 
 @pytest.mark.parametrize("size", [(6, 7), (1, 12)], ids=["map", "line"])
 def test_lbfgs_finds_the_minimum_within_bounds(target: Any, size: tuple[int, int], rng: np.random.Generator) -> None:
-    quadratic = cases.quadratic(size[0] * size[1], rng)
+    quadratic = solver_cases.quadratic(size[0] * size[1], rng)
     tolerance = 1e-5 if target.kernels.dtype is np.float64 else 1e-3
-    checks.check_lbfgs_converges(target.kernels, target.device, quadratic, rng.normal(size=size), tolerance)
+    solver_checks.check_lbfgs_converges(target.kernels, target.device, quadratic, rng.normal(size=size), tolerance)
 
 
 def test_a_step_is_accepted_from_armijos_share_on(target: Any) -> None:
-    checks.check_sufficient_decrease(target.kernels, target.device)
+    solver_checks.check_sufficient_decrease(target.kernels, target.device)
 
 
 def test_devices_are_names_with_the_default_first(target: Any) -> None:

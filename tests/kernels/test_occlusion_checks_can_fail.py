@@ -9,15 +9,15 @@ from typing import Any
 import checks
 import numpy as np
 import occlusion_checks
+import programs
 import pytest
+import splat_checks
 from cases import IRREGULAR
 from lfgpu.kernels.reference import occlusion
 from occlusion_cases import OcclusionCase, occlusion_inputs
-from test_checks_can_fail import (
+from single_faults import Check, Fault, single_fault_tests
+from ways_to_be_wrong import (
     NO_MASK,
-    REFERENCE,
-    Check,
-    Fault,
     accumulating,
     after,
     argument,
@@ -30,7 +30,6 @@ from test_checks_can_fail import (
     planned,
     remembering,
     swapped,
-    with_operation,
     without_last_view,
     zeroed,
 )
@@ -60,7 +59,7 @@ def SAFE(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
 
 def PROGRAM(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
     make = occlusion_checks.comparing_what_is_nearest
-    checks.check_program(kernels, "cpu", make, checks.program_inputs(make, rng))
+    programs.check_program(kernels, "cpu", make, programs.program_inputs(make, rng))
 
 
 def weights_held(plan: Any) -> Any:
@@ -135,9 +134,21 @@ FAULTS = (
     Fault("another loss", "z_buffered_data_term", option("loss", lambda _: "geman-mcclure"), DATA_TERM),
     Fault("another scale of loss", "z_buffered_data_term", option("loss_scale", lambda s: 1.01 * s), DATA_TERM),
     Fault("mask ignored", "z_buffered_data_term", NO_MASK, DATA_TERM),
-    Fault("mask ignored, no truth", "z_buffered_data_term", NO_MASK, of_masks(checks.check_masked_pixels_do_not_count)),
-    Fault("masked view counts", "z_buffered_data_term", NO_MASK, of_masks(checks.check_masked_view_is_a_missing_view)),
-    Fault("nothing counts", "z_buffered_data_term", NO_MASK, of_masks(checks.check_nothing_valid_is_nothing_at_all)),
+    Fault(
+        "mask ignored, no truth",
+        "z_buffered_data_term",
+        NO_MASK,
+        of_masks(splat_checks.check_masked_pixels_do_not_count),
+    ),
+    Fault(
+        "masked view counts",
+        "z_buffered_data_term",
+        NO_MASK,
+        of_masks(splat_checks.check_masked_view_is_a_missing_view),
+    ),
+    Fault(
+        "nothing counts", "z_buffered_data_term", NO_MASK, of_masks(splat_checks.check_nothing_valid_is_nothing_at_all)
+    ),
     Fault("last view skipped", "z_buffered_data_term", method("load", without_last_view), DATA_TERM),
     Fault("first light field kept", "z_buffered_data_term", method("load", loading_once), DATA_TERM),
     Fault(
@@ -165,21 +176,7 @@ def off_at_one_pixel(plan: Any) -> Any:
     return type("Wrong", (), {"__call__": staticmethod(wrong), "load": staticmethod(plan.load)})()
 
 
-@pytest.fixture
-def rng() -> np.random.Generator:
-    """The same numbers each time: among new ones, a fault might now and then make no difference."""
-    return np.random.default_rng(0)
-
-
-@pytest.mark.parametrize("fault", FAULTS, ids=str)
-def test_single_fault_is_caught(fault: Fault, rng: np.random.Generator) -> None:
-    with pytest.raises(AssertionError):
-        fault.check(fault.kernels, rng)
-
-
-def test_reference_passes_every_check_that_catches_faults(rng: np.random.Generator) -> None:
-    for check in {fault.check for fault in FAULTS}:
-        check(with_operation("dot", REFERENCE.dot), rng)
+test_single_fault_is_caught, test_reference_passes_every_check_that_catches_faults = single_fault_tests(FAULTS)
 
 
 def test_every_operation_with_occlusions_has_a_fault_that_its_check_catches() -> None:

@@ -10,15 +10,14 @@ from typing import Any
 
 import checks
 import numpy as np
+import programs
 import pytest
 import range_search_checks
 from lfgpu.kernels.reference import range_search
 from range_search_cases import RangeSearchCase, range_search_inputs
 from range_search_checks import COSTS, DETAILS, DISTINCT, SHRINK
-from test_checks_can_fail import (
-    REFERENCE,
-    Check,
-    Fault,
+from single_faults import REFERENCE, Check, Fault, single_fault_tests
+from ways_to_be_wrong import (
     accumulating,
     after,
     argument,
@@ -28,10 +27,9 @@ from test_checks_can_fail import (
     option,
     planned,
     scaled,
-    with_operation,
+    with_another,
     zeroed,
 )
-from test_volume_checks_can_fail import with_another
 
 from lfgpu.contract import UNSEEN, KernelSet
 
@@ -133,7 +131,7 @@ def value_of(operation: checks.Operation, case: RangeSearchCase = CASE) -> Check
 
 def PROGRAM(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
     make = range_search_checks.finding_what_is_distinct
-    checks.check_program(kernels, "cpu", make, checks.program_inputs(make, rng))
+    programs.check_program(kernels, "cpu", make, programs.program_inputs(make, rng))
 
 
 def plan_of(change: Callable[..., Any], index: int) -> Callable[..., Any]:
@@ -212,15 +210,7 @@ FAULTS = (
 )
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=str)
-def test_single_fault_is_caught(fault: Fault) -> None:
-    with pytest.raises(AssertionError), np.errstate(all="ignore"):
-        fault.check(fault.kernels, np.random.default_rng(0))
-
-
-def test_reference_passes_every_check_that_catches_faults() -> None:
-    for check in {fault.check for fault in FAULTS}:
-        check(with_operation("dot", REFERENCE.dot), np.random.default_rng(0))
+test_single_fault_is_caught, test_reference_passes_every_check_that_catches_faults = single_fault_tests(FAULTS)
 
 
 def test_every_operation_of_the_range_has_a_fault_that_its_check_catches() -> None:

@@ -10,8 +10,17 @@ from typing import Any
 
 import cases
 import checks
+import local_cases
+import local_checks
+import nlm_cases
+import nlm_checks
 import numpy as np
 import pytest
+import solver_cases
+import splat_cases
+import splat_checks
+import view_cases
+import view_checks
 from lfgpu.kernels.reference.lbfgs import projected_gradient
 from lfgpu.kernels.reference.tent import tent, tent_slope
 from scipy.ndimage import gaussian_filter
@@ -27,8 +36,8 @@ STEP = 1e-6  # of central differences: in disparity, pixels per view step
 SOFTNESSES = (0.02, 0.1, 0.25, 0.5)
 
 
-def run(operation: Callable[..., object], inputs: SimpleNamespace) -> dict[str, np.ndarray]:
-    return checks.compute(REFERENCE, "cpu", checks.operation_of(operation), inputs)
+def run(operation: checks.Operation, inputs: SimpleNamespace) -> dict[str, np.ndarray]:
+    return checks.compute(REFERENCE, "cpu", operation, inputs)
 
 
 def changed(inputs: SimpleNamespace, **values: object) -> SimpleNamespace:
@@ -85,9 +94,9 @@ def test_tent_tends_to_the_triangle(softness: float) -> None:
 # --- the splat ---
 
 
-@pytest.mark.parametrize("case", [case for case in cases.SPLAT_CASES if math.prod(case.size) <= 200], ids=str)
-def test_splat_is_the_formula(case: cases.SplatCase, rng: np.random.Generator) -> None:
-    i = cases.splat_inputs(case, rng)
+@pytest.mark.parametrize("case", [case for case in splat_cases.SPLAT_CASES if math.prod(case.size) <= 200], ids=str)
+def test_splat_is_the_formula(case: splat_cases.SplatCase, rng: np.random.Generator) -> None:
+    i = splat_cases.splat_inputs(case, rng)
     height, width = case.size
     offsets = i.offsets[:2]
     views, coverage = np.zeros((len(offsets), height, width, case.channels)), np.zeros((len(offsets), height, width))
@@ -99,37 +108,41 @@ def test_splat_is_the_formula(case: cases.SplatCase, rng: np.random.Generator) -
             weight = np.outer(to_y, to_x)
             coverage[n] += weight
             views[n] += weight[..., None] * i.image[py, px].astype(float)
-    got = run(checks.splat, changed(i, offsets=offsets, views=i.views[:2]))
+    got = run(splat_checks.SPLAT, changed(i, offsets=offsets, views=i.views[:2]))
     np.testing.assert_allclose(got["views"], views, rtol=0, atol=1e-12)
     np.testing.assert_allclose(got["coverage"], coverage, rtol=0, atol=1e-12)
 
 
 def test_coverage_sums_to_the_number_of_pixels_that_landed_inside(rng: np.random.Generator) -> None:
-    i = cases.splat_inputs(cases.SplatCase("any", size=(12, 15), offsets=cases.IRREGULAR, disparities=(-3, 3)), rng)
+    i = splat_cases.splat_inputs(
+        splat_cases.SplatCase("any", size=(12, 15), offsets=cases.IRREGULAR, disparities=(-3, 3)), rng
+    )
     y, x = np.mgrid[:12, :15]
     for n, (du, dv) in enumerate(i.offsets):
         to_x, to_y = x - i.disparity * du, y - i.disparity * dv
         whole = (to_x >= 0) & (to_x <= 14) & (to_y >= 0) & (to_y <= 11)
         touching = (to_x > -1) & (to_x < 15) & (to_y > -1) & (to_y < 12)
-        total = run(checks.splat, i)["coverage"][n].sum()
+        total = run(splat_checks.SPLAT, i)["coverage"][n].sum()
         assert whole.sum() - 1e-9 <= total <= touching.sum() + 1e-9
         # With whole shifts there is nothing between: a pixel lands inside or it does not.
         whole_shift = changed(i, disparity=np.round(i.disparity), offsets=np.round(i.offsets))
         to_x, to_y = (a - whole_shift.disparity * b for a, b in zip((x, y), whole_shift.offsets[n], strict=True))
         inside = (to_x >= 0) & (to_x <= 14) & (to_y >= 0) & (to_y <= 11)
-        assert run(checks.splat, whole_shift)["coverage"][n].sum() == pytest.approx(inside.sum(), abs=1e-9)
+        assert run(splat_checks.SPLAT, whole_shift)["coverage"][n].sum() == pytest.approx(inside.sum(), abs=1e-9)
 
 
 def test_splat_of_a_constant_disparity_shifts_the_image_against_the_camera(rng: np.random.Generator) -> None:
-    i = cases.splat_inputs(cases.SplatCase("shift", offsets=((1.0, 0.0), (0.0, -1.0)), disparities=(2.0, 2.0)), rng)
-    right, up = run(checks.splat, i)["views"]
+    i = splat_cases.splat_inputs(
+        splat_cases.SplatCase("shift", offsets=((1.0, 0.0), (0.0, -1.0)), disparities=(2.0, 2.0)), rng
+    )
+    right, up = run(splat_checks.SPLAT, i)["views"]
     np.testing.assert_array_equal(right[:, :-2], i.image[:, 2:])  # seen from the right, things are 2 further left
     np.testing.assert_array_equal(up[2:], i.image[:-2])
 
 
-def away_from_joints(case: cases.SplatCase, rng: np.random.Generator) -> SimpleNamespace:
+def away_from_joints(case: splat_cases.SplatCase, rng: np.random.Generator) -> SimpleNamespace:
     """Inputs in float64 whose landing places stay clear of the tent's joints when the disparity changes by `STEP`."""
-    i = cases.splat_inputs(case, rng)
+    i = splat_cases.splat_inputs(case, rng)
     disparity = rng.uniform(*case.disparities, case.size)
     joints = np.array([0.0, case.softness, 1 - case.softness, 1.0])
     for _ in range(100):
@@ -144,48 +157,50 @@ def away_from_joints(case: cases.SplatCase, rng: np.random.Generator) -> SimpleN
 
 
 DIFFERENTIABLE = (
-    cases.SplatCase("colour", size=(9, 10)),
-    cases.SplatCase("grey masked uint8", size=(9, 10), channels=1, masked=True, dtype="uint8"),
-    cases.SplatCase("irregular", size=(9, 10), offsets=cases.IRREGULAR, masked=True),
-    cases.SplatCase("partly outside", size=(9, 10), disparities=(-5, 5), softness=0.3),
-    cases.SplatCase("one row", size=(1, 12), offsets=cases.grid(1, 5), softness=0.05),
+    splat_cases.SplatCase("colour", size=(9, 10)),
+    splat_cases.SplatCase("grey masked uint8", size=(9, 10), channels=1, masked=True, dtype="uint8"),
+    splat_cases.SplatCase("irregular", size=(9, 10), offsets=cases.IRREGULAR, masked=True),
+    splat_cases.SplatCase("partly outside", size=(9, 10), disparities=(-5, 5), softness=0.3),
+    splat_cases.SplatCase("one row", size=(1, 12), offsets=cases.grid(1, 5), softness=0.05),
 )
 
 
 @pytest.mark.parametrize("case", DIFFERENTIABLE, ids=str)
-def test_splat_jvp_is_the_derivative_of_splat(case: cases.SplatCase, rng: np.random.Generator) -> None:
+def test_splat_jvp_is_the_derivative_of_splat(case: splat_cases.SplatCase, rng: np.random.Generator) -> None:
     i = away_from_joints(case, rng)
     tangent = rng.uniform(-1, 1, case.size)
     up, down = (
-        run(checks.splat, changed(i, disparity=i.disparity + sign * STEP * tangent))["views"] for sign in (1, -1)
+        run(splat_checks.SPLAT, changed(i, disparity=i.disparity + sign * STEP * tangent))["views"] for sign in (1, -1)
     )
-    got = run(checks.splat_jvp, changed(i, tangent=tangent))["views"]
+    got = run(splat_checks.SPLAT_JVP, changed(i, tangent=tangent))["views"]
     assert checks.largest_error(got, (up - down) / (2 * STEP)) < 1e-6
 
 
 @pytest.mark.parametrize("case", DIFFERENTIABLE, ids=str)
-def test_splat_vjp_is_the_gradient_of_a_product_with_the_splat(case: cases.SplatCase, rng: np.random.Generator) -> None:
+def test_splat_vjp_is_the_gradient_of_a_product_with_the_splat(
+    case: splat_cases.SplatCase, rng: np.random.Generator
+) -> None:
     i = away_from_joints(case, rng)
     want = central_differences(
-        lambda d: float(np.vdot(run(checks.splat, changed(i, disparity=d))["views"], i.views)), i.disparity, rng
+        lambda d: float(np.vdot(run(splat_checks.SPLAT, changed(i, disparity=d))["views"], i.views)), i.disparity, rng
     )
-    assert_gradient(run(checks.splat_vjp, i)["gradient"], want)
+    assert_gradient(run(splat_checks.SPLAT_VJP, i)["gradient"], want)
 
 
 @pytest.mark.parametrize("case", DIFFERENTIABLE, ids=str)
-def test_data_term_has_its_gradient(case: cases.SplatCase, rng: np.random.Generator) -> None:
+def test_data_term_has_its_gradient(case: splat_cases.SplatCase, rng: np.random.Generator) -> None:
     i = away_from_joints(case, rng)
     want = central_differences(
-        lambda d: float(run(checks.data_term, changed(i, disparity=d))["value"]), i.disparity, rng
+        lambda d: float(run(splat_checks.DATA_TERM, changed(i, disparity=d))["value"]), i.disparity, rng
     )
-    assert_gradient(run(checks.data_term, i)["gradient"], want)
+    assert_gradient(run(splat_checks.DATA_TERM, i)["gradient"], want)
 
 
 def test_data_term_is_the_sum_of_squares_over_valid_pixels(rng: np.random.Generator) -> None:
-    i = cases.splat_inputs(cases.SplatCase("masked", masked=True, dtype="uint8"), rng)
-    difference = run(checks.splat, i)["views"] - i.recorded / 255.0
+    i = splat_cases.splat_inputs(splat_cases.SplatCase("masked", masked=True, dtype="uint8"), rng)
+    difference = run(splat_checks.SPLAT, i)["views"] - i.recorded / 255.0
     want = float((i.valid[..., None] * difference**2).sum())
-    assert float(run(checks.data_term, i)["value"]) == pytest.approx(want, rel=1e-12)
+    assert float(run(splat_checks.DATA_TERM, i)["value"]) == pytest.approx(want, rel=1e-12)
 
 
 def central_differences(
@@ -261,38 +276,40 @@ def dense(weights: np.ndarray, window: int) -> np.ndarray:
 
 
 TINY = (
-    cases.NlmCase("colour", size=(5, 6), window=5),
-    cases.NlmCase("grey", size=(6, 4), window=3, channels=1),
-    cases.NlmCase("wide patch", size=(4, 6), window=7, patch=5),
-    cases.NlmCase("single pixel patch", size=(5, 5), patch=1),
-    cases.NlmCase("line", size=(1, 9), window=5),
-    cases.NlmCase("floor", size=(5, 5), sigma_color=0.05, floor=0.1),
+    nlm_cases.NlmCase("colour", size=(5, 6), window=5),
+    nlm_cases.NlmCase("grey", size=(6, 4), window=3, channels=1),
+    nlm_cases.NlmCase("wide patch", size=(4, 6), window=7, patch=5),
+    nlm_cases.NlmCase("single pixel patch", size=(5, 5), patch=1),
+    nlm_cases.NlmCase("line", size=(1, 9), window=5),
+    nlm_cases.NlmCase("floor", size=(5, 5), sigma_color=0.05, floor=0.1),
 )
 
 
 @pytest.mark.parametrize("case", TINY, ids=str)
-def test_nlm_weights_are_the_formula(case: cases.NlmCase, rng: np.random.Generator) -> None:
-    i = cases.nlm_inputs(case, rng)
-    got = dense(run(checks.nlm_weights, i)["weights"], case.window)
+def test_nlm_weights_are_the_formula(case: nlm_cases.NlmCase, rng: np.random.Generator) -> None:
+    i = nlm_cases.nlm_inputs(case, rng)
+    got = dense(run(nlm_checks.WEIGHTS, i)["weights"], case.window)
     np.testing.assert_allclose(got, brute_weights(i), rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("case", TINY, ids=str)
-def test_nlm_operators_are_their_matrices(case: cases.NlmCase, rng: np.random.Generator) -> None:
-    i = cases.nlm_inputs(case, rng)
+def test_nlm_operators_are_their_matrices(case: nlm_cases.NlmCase, rng: np.random.Generator) -> None:
+    i = nlm_cases.nlm_inputs(case, rng)
     w = dense(i.weights.astype(float), case.window)
     values = i.values.astype(float).ravel()
-    np.testing.assert_allclose(run(checks.nlm_neighbors, i)["sums"].ravel(), w @ values + values, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(run(nlm_checks.NEIGHBORS, i)["sums"].ravel(), w @ values + values, rtol=0, atol=1e-12)
     laplacian = np.diag(w.sum(1)) - w
-    np.testing.assert_allclose(run(checks.nlm_laplacian, i)["laplacian"].ravel(), laplacian @ values, atol=1e-12)
+    np.testing.assert_allclose(run(nlm_checks.LAPLACIAN, i)["laplacian"].ravel(), laplacian @ values, atol=1e-12)
 
 
 @pytest.mark.parametrize("case", TINY, ids=str)
-def test_nlm_laplacian_is_symmetric_and_positive_semidefinite(case: cases.NlmCase, rng: np.random.Generator) -> None:
-    i = cases.nlm_inputs(case, rng)
-    i.weights = run(checks.nlm_weights, i)["weights"]
+def test_nlm_laplacian_is_symmetric_and_positive_semidefinite(
+    case: nlm_cases.NlmCase, rng: np.random.Generator
+) -> None:
+    i = nlm_cases.nlm_inputs(case, rng)
+    i.weights = run(nlm_checks.WEIGHTS, i)["weights"]
     units = np.eye(math.prod(case.size)).reshape(-1, *case.size)
-    columns = [run(checks.nlm_laplacian, changed(i, values=unit))["laplacian"].ravel() for unit in units]
+    columns = [run(nlm_checks.LAPLACIAN, changed(i, values=unit))["laplacian"].ravel() for unit in units]
     matrix = np.stack(columns, axis=1)
     np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-14)
     np.testing.assert_allclose(matrix.sum(1), 0, rtol=0, atol=1e-12)
@@ -366,8 +383,8 @@ def test_flat_views_have_no_coherence() -> None:
 
 def test_best_estimate_is_found_pixel_by_pixel(rng: np.random.Generator) -> None:
     for vertical in (False, True):
-        case = cases.CoherenceCase("any", size=(6, 8), vertical=vertical, unit=2.0, bounds=(-0.25, 0.5))
-        i = cases.coherence_inputs(case, rng)
+        case = local_cases.CoherenceCase("any", size=(6, 8), vertical=vertical, unit=2.0, bounds=(-0.25, 0.5))
+        i = local_cases.coherence_inputs(case, rng)
         best, coherence = i.best_disparity.astype(float), i.best_coherence.astype(float)
         for estimate, (y, x) in itertools.product(i.estimates, np.ndindex(6, 8)):
             place = (x, y) if vertical else (y, x)
@@ -375,7 +392,7 @@ def test_best_estimate_is_found_pixel_by_pixel(rng: np.random.Generator) -> None
             near = abs(found - case.shear) <= case.reach and -0.25 <= found / 2 <= 0.5
             if near and estimate.trusted[place] and estimate.coherence[place] > coherence[y, x]:
                 best[y, x], coherence[y, x] = found / 2, estimate.coherence[place]
-        got = run(checks.keep_more_coherent, i)
+        got = run(local_checks.KEEP_MORE_COHERENT, i)
         np.testing.assert_array_equal(got["disparity"], best)
         np.testing.assert_array_equal(got["coherence"], coherence)
 
@@ -401,9 +418,9 @@ def gaussian_weights(size: int, sigma: float) -> np.ndarray:
 def test_normalization_is_the_formula(
     sigma: float, size: tuple[int, int], masked: bool, rng: np.random.Generator
 ) -> None:
-    case = cases.ViewsCase("any", size=size, sigma=sigma, masked=masked, dtype="uint8", floor=0.1)
-    i = cases.views_inputs(case, rng)
-    got = run(checks.normalization, i)["detail"]
+    case = view_cases.ViewsCase("any", size=size, sigma=sigma, masked=masked, dtype="uint8", floor=0.1)
+    i = view_cases.views_inputs(case, rng)
+    got = run(view_checks.NORMALIZATION, i)["detail"]
     for n, view in enumerate(i.views / 255.0):
         counts = np.ones(size) if i.valid is None else (i.valid[n] != 0).astype(float)
 
@@ -428,32 +445,32 @@ def test_normalization_without_a_mask_is_that_of_scipy(rng: np.random.Generator)
 
 
 def test_what_is_not_valid_has_no_part_in_the_detail_of_what_is(rng: np.random.Generator) -> None:
-    i = cases.views_inputs(cases.ViewsCase("masked", masked=True), rng)
+    i = view_cases.views_inputs(view_cases.ViewsCase("masked", masked=True), rng)
     views = i.views.astype(float)
     views[i.valid == 0] = np.nan
     out = np.empty(views.shape)
     REFERENCE.normalization(views.shape, "cpu", scale=1.0, sigma=i.sigma, floor=i.floor)(views, i.valid, out)
-    want = run(checks.normalization, i)["detail"]
+    want = run(view_checks.NORMALIZATION, i)["detail"]
     np.testing.assert_allclose(out[i.valid != 0], want[i.valid != 0], rtol=0, atol=1e-12)
 
 
 def test_detail_does_not_follow_brightness_and_contrast(rng: np.random.Generator) -> None:
-    i = cases.views_inputs(cases.ViewsCase("any", floor=1e-9), rng)
-    dimmed = run(checks.normalization, changed(i, views=0.25 * i.views.astype(float) + 0.125))["detail"]
-    np.testing.assert_allclose(dimmed, run(checks.normalization, i)["detail"], rtol=0, atol=1e-6)
+    i = view_cases.views_inputs(view_cases.ViewsCase("any", floor=1e-9), rng)
+    dimmed = run(view_checks.NORMALIZATION, changed(i, views=0.25 * i.views.astype(float) + 0.125))["detail"]
+    np.testing.assert_allclose(dimmed, run(view_checks.NORMALIZATION, i)["detail"], rtol=0, atol=1e-6)
 
 
 def test_lines_of_views_are_the_views(rng: np.random.Generator) -> None:
-    i = cases.views_inputs(cases.ViewsCase("any", line=(2, 0)), rng)
-    row = run(checks.line_of_views, i)["epis"]
-    column = run(checks.line_of_views, changed(i, vertical=True))["epis"]
+    i = view_cases.views_inputs(view_cases.ViewsCase("any", line=(2, 0)), rng)
+    row = run(view_checks.LINE_OF_VIEWS, i)["epis"]
+    column = run(view_checks.LINE_OF_VIEWS, changed(i, vertical=True))["epis"]
     np.testing.assert_array_equal(row, i.views[[2, 0]])
     np.testing.assert_array_equal(column, row.swapaxes(1, 2))
 
 
 def test_seen_by_reference_pixel_by_pixel(rng: np.random.Generator) -> None:
-    i = cases.seen_inputs(cases.SplatCase("any", size=(5, 6), offsets=cases.IRREGULAR), rng)
-    got = run(checks.seen_by_reference, i)
+    i = splat_cases.seen_inputs(splat_cases.SplatCase("any", size=(5, 6), offsets=cases.IRREGULAR), rng)
+    got = run(splat_checks.SEEN_BY_REFERENCE, i)
     for n, y, x in np.ndindex(got["both"].shape):
         at_x, at_y = (p + float(i.disparity[y, x]) * float(o) for p, o in zip((x, y), i.offsets[n], strict=True))
         inside = 0 <= at_x <= 5 and 0 <= at_y <= 4
@@ -466,16 +483,16 @@ def test_seen_by_reference_pixel_by_pixel(rng: np.random.Generator) -> None:
 
 def test_all_is_seen_of_what_splats_on_whole_pixels(rng: np.random.Generator) -> None:
     """With the same disparity everywhere, a pixel that is seen is one that something lands on."""
-    i = cases.seen_inputs(cases.SplatCase("whole", disparities=(2.0, 2.0)), rng)
-    coverage = run(checks.splat, i)["coverage"]
-    np.testing.assert_array_equal(run(checks.seen_by_reference, i)["anything"], coverage)
+    i = splat_cases.seen_inputs(splat_cases.SplatCase("whole", disparities=(2.0, 2.0)), rng)
+    coverage = run(splat_checks.SPLAT, i)["coverage"]
+    np.testing.assert_array_equal(run(splat_checks.SEEN_BY_REFERENCE, i)["anything"], coverage)
 
 
 # --- the solvers ---
 
 
 def minimized(
-    function: cases.Function, start: np.ndarray, bounds: tuple[float, float], **options: Any
+    function: solver_cases.Function, start: np.ndarray, bounds: tuple[float, float], **options: Any
 ) -> tuple[np.ndarray, list[float]]:
     """The minimum that L-BFGS finds within `bounds`, and its trace."""
     low, high = bounds
@@ -493,9 +510,9 @@ def minimized(
     return x, solver.report()[0]
 
 
-def quadratic_of(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, cases.Function]:
+def quadratic_of(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, solver_cases.Function]:
     """A, b, and xᵀ A x / 2 - bᵀ x with its gradient."""
-    matrix, aim = cases.quadratic(count, rng)
+    matrix, aim = solver_cases.quadratic(count, rng)
 
     def function(x: np.ndarray) -> tuple[float, np.ndarray]:
         gradient = matrix @ x.ravel() - aim
@@ -523,8 +540,8 @@ def test_lbfgs_finds_the_minimum_of_a_quadratic_without_bounds(rng: np.random.Ge
 
 
 def test_lbfgs_is_about_as_fast_as_scipy_in_a_curved_valley() -> None:
-    case = cases.LbfgsCase("valley", function="rosenbrock", size=(2, 3), bounds=(-2.0, 2.0))
-    function = cases.bounded_function(case, np.random.default_rng(0))
+    case = solver_cases.LbfgsCase("valley", function="rosenbrock", size=(2, 3), bounds=(-2.0, 2.0))
+    function = solver_cases.bounded_function(case, np.random.default_rng(0))
     start = np.full(case.size, -1.25)
     found, trace = minimized(function, start, case.bounds)
     want = minimize(

@@ -32,6 +32,10 @@ def test_regions_stay_apart_with_what_is_not_valid_between_them(target: Any, rng
     smoothing_checks.check_regions_stay_apart(target.kernels, target.device, rng)
 
 
+def test_what_is_not_valid_has_no_part(target: Any, rng: np.random.Generator) -> None:
+    smoothing_checks.check_masked_pixels_say_nothing(target.kernels, target.device, rng)
+
+
 def test_channels_that_are_the_same_are_as_one(target: Any, rng: np.random.Generator) -> None:
     smoothing_checks.check_channels_are_alike_together(target.kernels, target.device, rng)
 
@@ -49,23 +53,27 @@ def test_smoothing_is_the_formula(case: SmoothingCase, rng: np.random.Generator)
     n = case.count - 1
     view = i.scale * i.views[n].astype(np.float64)
 
-    def guide(y: int, x: int) -> np.ndarray:
-        rows, columns = (np.clip([at - 1, at, at + 1], 0, side - 1) for at, side in ((y, height), (x, width)))
-        return view[np.ix_(rows, columns)].mean((0, 1))
+    def known(y: int, x: int) -> bool:
+        return i.valid is None or bool(i.valid[n, y, x] != 0)
 
-    guides = {place: guide(*place) for place in np.ndindex(height, width)}
-    for y, x in guides:
-        total, weights = view[y, x].copy(), 1.0
+    def guide(y: int, x: int) -> np.ndarray:
+        around = [
+            (min(max(y + dy, 0), height - 1), min(max(x + dx, 0), width - 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)
+        ]
+        return np.mean([view[q] for q in around if known(*q)], axis=0)
+
+    guides = {place: guide(*place) for place in np.ndindex(height, width) if known(*place)}
+    for y, x in np.ndindex(height, width):
+        total, weights = np.zeros(case.channels), 0.0
         for q in guides:
             dy, dx = q[0] - y, q[1] - x
-            counts = i.valid is None or i.valid[n][q] != 0
-            if q == (y, x) or max(abs(dy), abs(dx)) > 3 or not counts:
+            if max(abs(dy), abs(dx)) > 3:
                 continue
-            unlike = float(((guides[q] - guides[y, x]) ** 2).mean()) / i.deviation**2
+            unlike = float(((guides[q] - guides[y, x]) ** 2).mean()) / i.deviation**2 if known(y, x) else 0.0
             weight = math.exp(-(dy * dy + dx * dx) / 8) / (1 + unlike) ** 2
             total += weight * view[q]
             weights += weight
-        want = [65535 * min(max(mean, 0.0), 1.0) for mean in total / weights]
+        want = [65535 * min(max(mean, 0.0), 1.0) for mean in total / (weights or 1)]
         np.testing.assert_allclose(got[n, y, x], want, rtol=0, atol=0.5 + 1e-6)
         np.testing.assert_array_equal(got[n, y, x], np.rint(got[n, y, x]))
 
@@ -77,8 +85,13 @@ def test_reducing_is_the_formula(case: SmoothingCase, rng: np.random.Generator) 
     for n, y, x in np.ndindex(case.count, case.size[0] // 4, case.size[1] // 4):
         block = n, slice(4 * y, 4 * y + 4), slice(4 * x, 4 * x + 4)
         for c in range(case.channels):
-            values = [float(value) for value in i.views[(*block, c)].ravel()]
-            want = 65535 * min(max(i.scale * math.fsum(values) / 16, 0.0), 1.0)
+            values = [
+                float(i.views[(n, row, column, c)])
+                for row in range(4 * y, 4 * y + 4)
+                for column in range(4 * x, 4 * x + 4)
+                if i.by_block is None or i.by_block[n, row, column] != 0
+            ]
+            want = 65535 * min(max(i.scale * math.fsum(values) / max(len(values), 1), 0.0), 1.0)
             assert got["views"][n, y, x, c] == pytest.approx(want, abs=0.5 + 1e-6)
         if i.by_block is not None:
             assert got["valid"][n, y, x] == all(i.by_block[block].ravel())

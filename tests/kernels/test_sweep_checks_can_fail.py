@@ -8,16 +8,15 @@ from typing import Any
 
 import checks
 import numpy as np
+import programs
 import pytest
 import sweep_checks
 from cases import IRREGULAR, grid
 from lfgpu.kernels.reference import plane_sweep
+from single_faults import Check, Fault, single_fault_tests
 from sweep_cases import SweepCase, sweep_inputs
-from test_checks_can_fail import (
+from ways_to_be_wrong import (
     NO_MASK,
-    REFERENCE,
-    Check,
-    Fault,
     argument,
     keeping_its_mask,
     loading_once,
@@ -25,7 +24,6 @@ from test_checks_can_fail import (
     one_off,
     option,
     swapped,
-    with_operation,
     without_last_view,
     zeroed,
 )
@@ -49,7 +47,7 @@ def of(check: Callable[..., Any]) -> Check:
 
 def PROGRAM(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
     make = sweep_checks.sweeping
-    checks.check_program(kernels, "cpu", make, checks.program_inputs(make, rng))
+    programs.check_program(kernels, "cpu", make, programs.program_inputs(make, rng))
 
 
 VALUE, UNMASKED, REFERENCE_THERE, ON_PIXELS = map(value_of, (CASE, replace(CASE, masked=False), WITH_REFERENCE, WHOLE))
@@ -188,21 +186,7 @@ FAULTS = (
 )
 
 
-@pytest.fixture
-def rng() -> np.random.Generator:
-    """The same numbers each time: among new ones, a fault might now and then make no difference."""
-    return np.random.default_rng(0)
-
-
-@pytest.mark.parametrize("fault", FAULTS, ids=str)
-def test_single_fault_is_caught(fault: Fault, rng: np.random.Generator) -> None:
-    with pytest.raises(AssertionError):
-        fault.check(fault.kernels, rng)
-
-
-def test_reference_passes_every_check_that_catches_faults(rng: np.random.Generator) -> None:
-    for check in {fault.check for fault in FAULTS}:
-        check(with_operation("dot", REFERENCE.dot), rng)
+test_single_fault_is_caught, test_reference_passes_every_check_that_catches_faults = single_fault_tests(FAULTS)
 
 
 def test_every_check_of_the_sweep_has_a_fault_that_it_catches() -> None:

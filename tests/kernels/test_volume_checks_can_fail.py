@@ -7,13 +7,12 @@ from typing import Any
 
 import checks
 import numpy as np
-import pytest
+import programs
 import volume_checks
 from lfgpu.kernels.reference import confidence, cost_volume, semi_global
-from test_checks_can_fail import (
-    REFERENCE,
-    Check,
-    Fault,
+from single_faults import Check, Fault, single_fault_tests
+from volume_cases import VolumeCase, volume_inputs
+from ways_to_be_wrong import (
     accumulating,
     after,
     argument,
@@ -24,10 +23,9 @@ from test_checks_can_fail import (
     rewritten,
     scaled,
     skewed,
-    with_operation,
+    with_another,
     zeroed,
 )
-from volume_cases import VolumeCase, volume_inputs
 
 from lfgpu.contract import KernelSet
 
@@ -40,21 +38,7 @@ def value_of(operation: checks.Operation, case: VolumeCase = CASE) -> Check:
 
 def PROGRAM(kernels: KernelSet, rng: np.random.Generator) -> None:  # noqa: N802
     make = volume_checks.finding_the_lowest
-    checks.check_program(kernels, "cpu", make, checks.program_inputs(make, rng))
-
-
-def with_another(module: Any, name: str, change: Callable[[Any], Any]) -> Callable[..., Any]:
-    """Something else under a name of the reference's module."""
-
-    def broken(right: Callable[..., Any]) -> Callable[..., Any]:
-        def wrong(*args: Any, **options: Any) -> None:
-            with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"):
-                patch.setattr(module, name, change(getattr(module, name)))
-                right(*args, **options)
-
-        return wrong
-
-    return broken
+    programs.check_program(kernels, "cpu", make, programs.program_inputs(make, rng))
 
 
 def without_diagonals(right: Callable[..., Any]) -> Callable[..., Any]:
@@ -201,22 +185,7 @@ FAULTS = (
 )
 
 
-@pytest.fixture
-def rng() -> np.random.Generator:
-    """The same numbers each time: among new ones, a fault might now and then make no difference."""
-    return np.random.default_rng(0)
-
-
-@pytest.mark.parametrize("fault", FAULTS, ids=str)
-def test_single_fault_is_caught(fault: Fault, rng: np.random.Generator) -> None:
-    kernels = fault.kernels
-    with pytest.raises(AssertionError):
-        fault.check(kernels, rng)
-
-
-def test_reference_passes_every_check_that_catches_faults(rng: np.random.Generator) -> None:
-    for check in {fault.check for fault in FAULTS}:
-        check(with_operation("dot", REFERENCE.dot), rng)
+test_single_fault_is_caught, test_reference_passes_every_check_that_catches_faults = single_fault_tests(FAULTS)
 
 
 def test_every_operation_on_volumes_has_a_fault_that_its_check_catches() -> None:

@@ -8,19 +8,19 @@ from collections.abc import Iterator
 from typing import Any
 
 import alignment_cases
-import alignment_checks
 import cases
 import checks
+import local_cases
+import nlm_cases
 import numpy as np
 import occlusion_cases
-import occlusion_checks
 import pytest
 import smoothing_cases
-import smoothing_checks
+import splat_cases
 import sweep_cases
-import sweep_checks
+import view_cases
 import volume_cases
-import volume_checks
+from test_matrix import OPERATIONS
 
 import lfgpu
 from lfgpu.errors import BackendError
@@ -30,8 +30,8 @@ wp = pytest.importorskip("warp")
 SMOOTHING = smoothing_cases.SmoothingCase("many", size=(41, 38), count=25, masked=True)
 VOLUME = volume_cases.VolumeCase("many", size=(61, 75), window=7)
 INPUTS = {
-    "splat": lambda rng: cases.splat_inputs(
-        cases.SplatCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
+    "splat": lambda rng: splat_cases.splat_inputs(
+        splat_cases.SplatCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
     ),
     "occlusion": lambda rng: occlusion_cases.occlusion_inputs(
         occlusion_cases.OcclusionCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
@@ -43,28 +43,17 @@ INPUTS = {
     "sweep": lambda rng: sweep_cases.sweep_inputs(
         sweep_cases.SweepCase("many", size=(41, 38), offsets=cases.grid(5, 5), masked=True), rng
     ),
-    "views": lambda rng: cases.views_inputs(
-        cases.ViewsCase("many", size=(41, 38), count=25, dtype="uint8", masked=True, line=(3, 0, 1, 7)), rng
+    "views": lambda rng: view_cases.views_inputs(
+        view_cases.ViewsCase("many", size=(41, 38), count=25, dtype="uint8", masked=True, line=(3, 0, 1, 7)), rng
     ),
     "smoothing": lambda rng: smoothing_cases.smoothing_inputs(SMOOTHING, rng),
     "reduction": lambda rng: smoothing_cases.smoothing_inputs(SMOOTHING, rng),
-    "nlm": lambda rng: cases.nlm_inputs(cases.NlmCase("large", size=(61, 53), window=7), rng),
+    "nlm": lambda rng: nlm_cases.nlm_inputs(nlm_cases.NlmCase("large", size=(61, 53), window=7), rng),
     "volume": lambda rng: volume_cases.volume_inputs(VOLUME, rng),
     "reduced": lambda rng: volume_cases.volume_inputs(VOLUME, rng),
-    "epi": lambda rng: cases.epi_inputs(cases.EpiCase("many rows", size=(61, 53)), rng),
+    "epi": lambda rng: local_cases.epi_inputs(local_cases.EpiCase("many rows", size=(61, 53)), rng),
 }
-SPLIT = [
-    operation
-    for operation in (
-        *checks.OPERATIONS,
-        *occlusion_checks.OPERATIONS,
-        *sweep_checks.OPERATIONS,
-        *volume_checks.OPERATIONS,
-        *alignment_checks.OPERATIONS,
-        *smoothing_checks.OPERATIONS,
-    )
-    if operation.inputs in INPUTS and str(operation) != "image_memory"
-]
+SPLIT = [operation for operation in OPERATIONS if operation.inputs in INPUTS and str(operation) != "image_memory"]
 
 
 @pytest.fixture

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from types import SimpleNamespace
 
-import cases
+import nlm_cases
 import numpy as np
 
 from lfgpu.contract import REDUCTION
 
 
 @dataclass(frozen=True)
-class VolumeCase(cases.NlmCase):
+class VolumeCase(nlm_cases.NlmCase):
     """A volume of `count` slices with costs in `costs`, and what changes of the disparity cost on a path."""
 
     count: int = 5
@@ -64,7 +64,7 @@ POSITIVE = ((1e-3, 10.0), (-0.5, 8.0), (0.01, 10.0))
 
 def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace:
     """A random volume, another one of so few different costs that many are least, and the inputs of the weights."""
-    i = cases.nlm_inputs(case, rng)
+    i = nlm_cases.nlm_inputs(case, rng)
     shape = (case.count, *case.size)
     i.volume = rng.uniform(*case.costs, shape).astype(np.float32)
     i.alike = (rng.integers(0, 4, shape) / 4).astype(np.float32)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-from checks import WINDOW, Desk, Operation, Outputs, Program, Values, largest_error, relative_to_terms, size
+from checks import Desk, Operation, Outputs, Values, largest_error, relative_to_terms, size
+from programs import WINDOW, Program
 
 from lfgpu.contract import KernelSet
 

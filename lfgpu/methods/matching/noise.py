@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from typing import TypeVar
 
 import numpy as np
-from scipy.ndimage import minimum_filter, uniform_filter
+from scipy.ndimage import correlate1d, maximum_filter, minimum_filter, uniform_filter
 
 from lfgpu.config import Section
 from lfgpu.contract import WHITE, KernelSet
@@ -23,8 +23,10 @@ _USUAL_NOISE = 0.004  # intensity: what the defaults are meant for
 _LEAST_NOISE, _LEAST_SMOOTHED, _MOST_NOISE = 0.7, 0.3, 5.0  # in units of that: of views as they are, and smoothed
 _CLEAN = 0.0035  # intensity: what views without grain differ by, as they are interpolated
 _LEFT = 0.3  # of the grain in their difference when they are smoothed
-_SEEN = 0.65  # of the grain of views that is seen in their difference, which is interpolated and truncated
+_SEEN = 0.69  # of the grain of views that is seen in their difference, which is interpolated and truncated
+_FOURTH_DIFFERENCE = (1, -4, 6, -4, 1)
 _GRAIN_WINDOW = 7  # pixels
+_GRAIN_SEEN = _GRAIN_WINDOW + len(_FOURTH_DIFFERENCE) - 1  # pixels, side of what has a part in a window's differences
 _GRAIN_SAMPLE = 512  # pixels, side of what the grain is measured in
 _GRAIN_SHARE = 5  # percent of the windows that show nothing but noise, at least
 _LEAST_GRAIN = 1e-4  # intensity: less than a step of 12 bits is no noise
@@ -33,21 +35,26 @@ _LEAST_GRAIN = 1e-4  # intensity: less than a step of 12 bits is no noise
 def measured_grain(lf: LightField) -> float:
     """The standard deviation of the noise of the reference view, intensity; 0 if there is none.
 
-    Second differences in both directions leave little but noise of smooth surfaces (Immerkær, Fast Noise Variance
-    Estimation, 1996). The 5 % of windows with the least of that are taken; those that show nothing, as what is cut off
-    at white, are left out.
+    Fourth differences in both directions leave little but noise: of texture, less than the second differences that
+    Immerkær takes (Fast Noise Variance Estimation, 1996). The 5 % of windows with the least of that are taken. Windows
+    that hold the brightest or the darkest of the image may be cut off there: if such a window is constant it does not
+    count.
     """
     lf = lf.crop(*(slice(max(0, (side - _GRAIN_SAMPLE) // 2), (side + _GRAIN_SAMPLE) // 2) for side in lf.size))
-    if min(lf.size) < _GRAIN_WINDOW + 2:
+    inner = np.s_[2:-2, 2:-2]
+    if min(lf.size) < _GRAIN_SEEN:
         return 0.0
     image = lf.views[lf.reference_index].astype(np.float32) * np.float32(lf.scale)
-    bent = image[:-2] - 2 * image[1:-1] + image[2:]
-    twisted = np.abs(bent[:, :-2] - 2 * bent[:, 1:-1] + bent[:, 2:]).mean(2) / 6
-    sizes = uniform_filter(twisted, _GRAIN_WINDOW, mode="reflect") * math.sqrt(math.pi / 2)
-    counts = sizes > _LEAST_GRAIN
+    fine = image
+    for axis in (0, 1):
+        fine = correlate1d(fine, _FOURTH_DIFFERENCE, axis=axis)
+    sizes = np.abs(fine).mean(2)[inner] * (math.sqrt(math.pi / 2) / np.square(_FOURTH_DIFFERENCE).sum())
+    sizes = uniform_filter(sizes, _GRAIN_WINDOW, mode="reflect")
+    limits = ((image == image.min((0, 1))) | (image == image.max((0, 1)))).any(2)
+    counts = (sizes > _LEAST_GRAIN) | ~maximum_filter(limits, _GRAIN_SEEN, mode="nearest")[inner]
     if lf.valid is not None:
-        counts &= minimum_filter(lf.valid[lf.reference_index], _GRAIN_WINDOW + 2, mode="nearest")[1:-1, 1:-1]
-    return float(np.percentile(sizes[counts], _GRAIN_SHARE)) if counts.any() else 0.0
+        counts &= minimum_filter(lf.valid[lf.reference_index], _GRAIN_SEEN, mode="nearest")[inner]
+    return max(0.0, float(np.percentile(sizes[counts], _GRAIN_SHARE))) if counts.any() else 0.0
 
 
 def of_given_noise(noise: float, config: SweepConfig) -> tuple[float, float]:

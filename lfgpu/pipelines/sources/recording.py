@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfgpu.data import interop
 from lfgpu.data.lightfield import LightField
@@ -40,17 +41,33 @@ def recorded(frames: Frames, first: LightField, folder: Path, *, wanted: Callabl
         yield frame
 
 
+def reference_view(frame: Any, first: LightField) -> NDArray[Any] | None:
+    """The picture [y, x, c] of the reference view of a frame, on the host; None if it does not fit to the first one."""
+    found = _pictures(frame, first)
+    return None if found is None else found[0][first.reference_index]
+
+
 def _light_field(frame: Any, first: LightField) -> LightField | None:
     """A frame as a light field, without truth; None if it does not fit to the first one."""
     if isinstance(frame, LightField):
         return replace(frame, truth=None)
+    if (found := _pictures(frame, first)) is None:
+        return None
+    views, there = found
+    try:
+        whole = replace(first, views=views, truth=None, files=())
+        return whole if there.all() else whole.subset([int(index) for index in np.flatnonzero(there)])
+    except Exception:  # whatever is wrong with it, the stream says so
+        return None
+
+
+def _pictures(frame: Any, first: LightField) -> tuple[NDArray[Any], NDArray[np.bool_]] | None:
+    """The views of a frame, and which are there; None if they do not fit to the first one, or lack the reference."""
     views, valid = frame if isinstance(frame, tuple) and len(frame) == 2 else (frame, None)
     try:
-        found = interop.on_host("views", views).reshape(first.views.shape)
+        found = interop.on_host("views", views.views if isinstance(views, LightField) else views)
+        found = found.reshape(first.views.shape)
         there = np.ones(len(found), bool) if valid is None else np.asarray(valid, bool)
-        if found.dtype != first.views.dtype or not there[first.reference_index]:
-            return None
-        whole = replace(first, views=found, truth=None, files=())
-        return whole if there.all() else whole.subset([int(index) for index in np.flatnonzero(there)])
+        return (found, there) if found.dtype == first.views.dtype and there[first.reference_index] else None
     except Exception:  # whatever is wrong with it, the stream says so
         return None

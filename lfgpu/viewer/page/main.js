@@ -264,7 +264,9 @@ function showMaps() {
   label("map-note", !one && `No map yet: press Estimate${phone.matches ? " in Settings" : ""}.`);
   const unit = quantity.unit && ` (${quantity.unit})`, hint = [quantity.hint, "grey: undefined"].filter(Boolean).join("; ");
   if (ui.right === "space" && one) {
-    $("right-title").replaceChildren(element("b", { textContent: ui.mesh ? "Surface" : "Points" }), ` of ${named(ui.result, ui.stage)}`);
+    const painted = fixed.quantities[ui.paint], units = painted?.unit && ` (${painted.unit})`;
+    const colour = painted ? `; colour: ${painted.label.toLowerCase()}${units}` : "";
+    $("right-title").replaceChildren(element("b", { textContent: ui.mesh ? "Surface" : "Points" }), ` of ${named(ui.result, ui.stage)}${colour}`);
   } else if (!one) $("right-title").textContent = "";
   else {
     const what = first ? element("b", { textContent: quantity.label }) : element("b", { textContent: `No ${quantity.label.toLowerCase()}` });
@@ -276,11 +278,23 @@ function showMaps() {
   showHistogram();
   const { colours, low, high } = scale();
   drawScale($("colour-bar"), first || second ? scale() : { low: 0, high: 0 });
+  showSpaceScale();
   fill($("colours"), Object.keys(fixed.colours).map((name) => [name, COLOURS[name] ?? name]), colours);
   for (const [id, value] of [["low", low], ["high", high]]) {
-    if (document.activeElement !== $(id)) $(id).value = Number(value.toPrecision(5));
+    if (document.activeElement !== $(id)) $(id).value = roundedTo((high - low) / 1000, value);
   }
   $("auto").disabled = !ui.ranges[ui.quantity];
+}
+
+function showSpaceScale() {
+  $("space-bar").hidden = ui.paint === PICTURE;
+  drawScale($("space-bar"), entry(ui.result)?.kinds.includes(ui.paint) ? scale(ui.paint) : { low: 0, high: 0 });
+}
+
+/** A value with as many digits as tell it from others that are `apart`, so that it can be read in a narrow field. */
+function roundedTo(apart, value) {
+  const digits = Math.max(0, Math.min(9, -Math.floor(Math.log10(apart))));
+  return Number.isFinite(digits) ? Number(value.toFixed(digits)) : value;
 }
 
 /** How the values of the map are distributed, with that of the chosen pixel. */
@@ -388,7 +402,7 @@ ui.on("found view left", () => {
   epis.forEach((one) => one.draw());
   showHistogram();
 });
-ui.on("quantity result stage other compare flipped colourMaps ranges right mesh", showMaps);
+ui.on("quantity result stage other compare flipped colourMaps ranges right mesh paint", showMaps);
 ui.on("quantity result stage other compare metric paint", showChoices);
 ui.on("exposure gamma least size", showSliders);
 ui.on("right", showParts);
@@ -623,6 +637,7 @@ const roomForMaps = new ResizeObserver(() => state && showMaps());
 roomForMaps.observe($("right"));
 roomForMaps.observe($("results"));
 new ResizeObserver(layoutViews).observe($("left"));
+new ResizeObserver(() => state && showSpaceScale()).observe($("space-bar"));
 dark.addEventListener("change", () => {
   showMaps();
   space.refresh();
@@ -639,7 +654,7 @@ let wasShown = false;
 function scene() {
   if (!state?.size || (ui.right !== "space" && !wasShown)) return null;
   wasShown = true;
-  const kind = ui.paint === PICTURE ? "disparity" : ui.paint, { colours, low, high } = scale(kind), box = $("space").getBoundingClientRect();
+  const kind = ui.paint === PICTURE ? "disparity" : ui.paint, { colours, low, high } = scale(kind), box = $("space-frame").getBoundingClientRect();
   const page = dark.matches ? "dark" : "light";
   return {
     result: ui.result, stage: ui.stage, metric: ui.metric && state.metric, paint: ui.paint, colours, low, high,

@@ -4,6 +4,7 @@ import { SIDE, tile, want } from "./tiles.js";
 
 const CLICK = 5; // pixels: who moves less has clicked
 const GRIP = 14; // pixels beside the line of a wipe where it can be taken
+const NEARLY = 1.25; // enlargement at which what is computed still looks sharp
 const QUICK = 360; // pixels of the longer side of what is computed first
 
 export class Picture {
@@ -134,7 +135,7 @@ export class Picture {
   /** What the server computes comes coarse first, and as fine as the screen when nothing has changed for a while. */
   #drawWhole(context, place, source, wishes) {
     const quick = Math.max(0, Math.ceil(Math.log2(Math.max(...source.size) / QUICK)));
-    const fine = Math.min(quick, Math.max(0, Math.floor(Math.log2(1 / place.scale) + 1e-6)));
+    const fine = Math.min(quick, Math.max(0, Math.floor(Math.log2(NEARLY / place.scale))));
     let best = null;
     for (let level = 0; level <= quick && !best; level++) {
       const found = tile(source, level, 0, 0);

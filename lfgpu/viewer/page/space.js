@@ -57,6 +57,6 @@ export class Space {
       this.#frame.contentDocument?.head.append(element("style", { textContent: BARE }));
       $("space-note").hidden = true;
     };
-    $("space").append(this.#frame);
+    $("space-frame").append(this.#frame);
   }
 }

@@ -1,0 +1,184 @@
+"""Errors of maps and of what is made of them: populations, ablations, confidence, views, tiles, files, the paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmarks import (
+    ablation,
+    confidence,
+    error_sheet,
+    files,
+    live,
+    paper,
+    population,
+    rendering,
+    results,
+    show,
+    tables,
+    tile_differences,
+)
+from benchmarks.cli.options import Data, Out, Presets, check_known, listed
+from benchmarks.cli.outputs import check_out, finish, say
+from benchmarks.errors import BenchmarkError
+from lfgpu.io.atomic import check_writable
+
+
+def ablation_(
+    scene_names: Annotated[
+        str, typer.Option("--scenes", metavar="NAME,...", help=f"{', '.join(s.name for s in ablation.SCENES)}.")
+    ] = "",
+    size: Annotated[int, typer.Option(min=48, help="Pixels along each side of the ray-cast scenes.")] = 256,
+    seeds: Annotated[int, typer.Option(min=1, help="How many of each ray-cast scene; errors are means over them.")] = 1,
+    data: Data = ablation.DATA,
+    out: Out = None,
+) -> None:
+    """Leave out each ingredient of the preset `accurate`, one at a time, and print what that does to the errors."""
+    plan = ablation.Plan(
+        scenes=tuple(ablation.find(n) for n in listed(scene_names)) or ablation.SCENES,
+        size=size,
+        seeds=seeds,
+        data=data,
+        variants=ablation.VARIANTS,
+    )
+    check_out(out)
+    finish(ablation.run(plan, say), out)
+
+
+def accuracy_(
+    folders: Annotated[
+        list[Path] | None, typer.Argument(metavar="[FOLDER]...", help="More folders of the population.")
+    ] = None,
+    first: Annotated[
+        list[Path] | None,
+        typer.Option("--population", metavar="FOLDER", help="A light field with its truth, or a folder of some."),
+    ] = None,
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = ",".join(population.PRESETS),
+    ranges: Annotated[
+        str, typer.Option(metavar="NAME,...", help="found: by the estimate; true: the true one and 0.1 px more.")
+    ] = ",".join(population.RANGES),
+    baseline: Annotated[Path, typer.Option(metavar="FILE.json", help="A run to hold this one against.")] = (
+        population.BASELINE
+    ),
+    scene_names: Annotated[
+        str, typer.Option("--scenes", metavar="NAME-CASE,...", help="Scenes of the package: boxes-7x7x375x375 ...")
+    ] = "",
+    sheet: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Where the pictures of errors go.")] = None,
+    out: Out = None,
+) -> None:
+    """Score presets on a population of light fields, with the range found and the true one, against a baseline."""
+    where = [*(first or ()), *(folders or ())]
+    made = listed(scene_names)
+    if not where and not made:
+        raise BenchmarkError("no light fields to score: give folders with --population, or --scenes of the package.")
+    for name in made:
+        population.made(name)
+    check_known(listed(ranges), "range", population.RANGES)
+    check_out(out, sheet)
+    old = results.load(baseline) if baseline != population.BASELINE or baseline.exists() else None
+    pictures: list[population.Picture] = []
+    run = population.run(where, listed(presets), listed(ranges), say, pictures.append, made)
+    if sheet is not None and pictures:
+        error_sheet.write(pictures, sheet)
+    finish(run, out)
+    if old is not None:
+        show.table(tables.against(run, old))
+
+
+def confidence_(
+    folders: Annotated[list[Path], typer.Argument(metavar="FOLDER...", help="Light fields with truth, or folders.")],
+    develop: Annotated[
+        str, typer.Option("--develop", metavar="NAME,...", help="Scenes to fit on, besides the package's own.")
+    ] = "",
+    fit: Annotated[
+        bool, typer.Option("--fit", help="Fit the weights and write them where the method has them.")
+    ] = False,
+    presets: Presets = "fast,accurate",
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.png", help="Where the diagram goes.")] = None,
+) -> None:
+    """What the confidence says against what is true, on the scenes that it was not fitted on; `--fit` fits it anew."""
+    check_out(out)
+    held = [name for name in population.light_fields(folders) if name not in listed(develop)]
+
+    fitted = confidence.samples(folders, listed(develop), listed(presets), say)
+    if fit:
+        fitted += confidence.own_samples(listed(presets), say)
+    weights = confidence.fit(fitted) if fit else confidence.NOW
+    checked = confidence.samples(folders, held, listed(presets), say)
+    for table in confidence.tables(checked or fitted, weights):
+        show.table(table)
+    if out is not None:
+        confidence.draw({"fitted on": fitted, "held out": checked}, weights, out)
+    if fit:
+        typer.echo(f"written: {confidence.write(weights, fitted)}: {weights.share}, {weights.spread}")
+
+
+def rendering_(
+    scene_names: Annotated[
+        str, typer.Option("--scenes", metavar="NAME,...", help=f"Default: {', '.join(rendering.SCENES)}.")
+    ] = "",
+    preset: Annotated[
+        str, typer.Option(metavar="NAME", help="Preset for the maps of the views that are kept.")
+    ] = "accurate",
+    every: Annotated[int, typer.Option(min=1, help="Render every so many of the views that are left out.")] = 1,
+    data: Data = rendering.DATA,
+) -> None:
+    """Leave out every second row and column of views, render them from the rest, and print how near that comes."""
+    rows = rendering.run(
+        tuple(listed(scene_names)) or rendering.SCENES,
+        data,
+        preset=preset,
+        every=every,
+        say=say,
+    )
+    typer.echo(rendering.markdown(rows), nl=False)
+
+
+def files_(
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Preset for the maps.")] = "fast",
+    data: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="The real files; default: real in $LFGPU_DATA, or in ../shared/data.")
+    ] = files.DATA,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="FOLDER", help="Where pictures of maps go.")
+    ] = None,
+) -> None:
+    """Read each real file and estimate its depth, and hold one map against Lytro's own."""
+    if out is not None:
+        check_writable(out)
+    rows, found = files.run(data, preset=preset, out=out, say=say)
+    typer.echo(files.markdown(rows, found))
+
+
+def tile_differences_(
+    presets: Presets = "fast,accurate",
+    out: Out = None,
+) -> None:
+    """How far maps in 2 x 2 tiles are from those in one piece, after each stage."""
+    check_out(out)
+    rows = tile_differences.run(listed(presets))
+    live.save(out, {**tile_differences.about(), "rows": rows})
+    for row in rows:
+        typer.echo(", ".join(f"{name} {value}" for name, value in row.items()))
+
+
+def paper_(
+    names: Annotated[
+        str, typer.Option("--experiments", metavar="NAME,...", help=f"{', '.join(e.name for e in paper.EXPERIMENTS)}.")
+    ] = "",
+    presets: Annotated[str, typer.Option(metavar="NAME,...")] = ",".join(paper.PRESETS),
+    data: Data = ablation.DATA,
+    pictures: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where pictures go: docs/paper.")] = None,
+    out: Out = None,
+) -> None:
+    """Repeat the paper's experiments, and hold the kernels against its printed equations."""
+    check_known(listed(names), "experiment", tuple(sorted(experiment.name for experiment in paper.EXPERIMENTS)))
+    check_out(out)
+    found = paper.run(data, listed(names), pictures, say, listed(presets))
+    if out is not None:
+        results.save(found, out)
+    for rows in (paper.forms(found), paper.experiments(found)):
+        show.table(tables.Table("", rows[0], 1, rows[1:]))

@@ -1,0 +1,145 @@
+"""Sums with non-local-means weights that also depend on a map: a ratio, a plane; `kernels/reference` says which."""
+
+import taichi as ti
+
+from .memory import DeviceArray, flat
+from .nlm import inside, step_of
+from .runtime import run
+
+
+@ti.func
+def _shared(weight: float, apart: float, support: float):
+    return weight / (1.0 + (apart / support) * (apart / support))
+
+
+@ti.kernel
+def _ratio_kernel(
+    weights: flat(),
+    guide: flat(),
+    numerator: flat(),
+    denominator: flat(),
+    height: int,
+    width: int,
+    radius: int,
+    support: float,
+    floor: float,
+    ratio_out: flat(),
+):
+    """A pixel on each thread: its two sums stay there."""
+    size = height * width
+    for p in range(size):
+        x = p % width
+        y = p // width
+        here = guide[p]
+        above = numerator[p]
+        below = denominator[p] + floor
+        for k in range(weights.shape[0] // size):
+            step = step_of(k, radius)
+            q = step[1] * width + step[0]
+            if inside(x + step[0], y + step[1], height, width):
+                v = _shared(weights[k * size + p], guide[p + q] - here, support)
+                above += v * numerator[p + q]
+                below += v * (denominator[p + q] + floor)
+            if inside(x - step[0], y - step[1], height, width):
+                v = _shared(weights[k * size + p - q], guide[p - q] - here, support)
+                above += v * numerator[p - q]
+                below += v * (denominator[p - q] + floor)
+        ratio_out[p] = above / below
+
+
+def nlm_ratio(
+    weights: DeviceArray,
+    guide: DeviceArray,
+    numerator: DeviceArray,
+    denominator: DeviceArray,
+    *,
+    window: int,
+    support: float,
+    floor: float,
+    ratio_out: DeviceArray,
+) -> None:
+    fields = weights.values, guide.values, numerator.values, denominator.values
+    run(_ratio_kernel, *fields, *guide.shape, window // 2, support, floor, ratio_out.values)
+
+
+@ti.func
+def _moments(u: float, apart: float, x: int, y: int):
+    """What a neighbour adds to the sums of a regression."""
+    return ti.Vector([u, u * x, u * y, u * x * x, u * x * y, u * y * y, u * apart, u * apart * x, u * apart * y])
+
+
+@ti.kernel
+def _plane_kernel(
+    weights: flat(),
+    values: flat(),
+    certainty: flat(),
+    height: int,
+    width: int,
+    radius: int,
+    support: float,
+    ridge: float,
+    plane_out: flat(),
+):
+    """A pixel on each thread: the sums of its regression stay there."""
+    size = height * width
+    for p in range(size):
+        here = values[p]
+        sums = _moments(certainty[p], 0.0, 0, 0)
+        for k in range(weights.shape[0] // size):
+            step = step_of(k, radius)
+            q = step[1] * width + step[0]
+            if inside(p % width + step[0], p // width + step[1], height, width):
+                apart = values[p + q] - here
+                u = _shared(weights[k * size + p], apart, support) * certainty[p + q]
+                sums += _moments(u, apart, step[0], step[1])
+            if inside(p % width - step[0], p // width - step[1], height, width):
+                apart = values[p - q] - here
+                u = _shared(weights[k * size + p - q], apart, support) * certainty[p - q]
+                sums += _moments(u, apart, -step[0], -step[1])
+        means = sums / sums[0]
+        x = means[1]
+        y = means[2]
+        xx = means[3] - x * x + ridge
+        xy = means[4] - x * y
+        yy = means[5] - y * y + ridge
+        along_x = means[7] - x * means[6]
+        along_y = means[8] - y * means[6]
+        determinant = xx * yy - xy * xy
+        slope_x = (along_x * yy - along_y * xy) / determinant
+        slope_y = (along_y * xx - along_x * xy) / determinant
+        plane_out[p] = here + means[6] - slope_x * x - slope_y * y
+
+
+def nlm_plane(
+    weights: DeviceArray,
+    values: DeviceArray,
+    certainty: DeviceArray,
+    *,
+    window: int,
+    support: float,
+    ridge: float,
+    plane_out: DeviceArray,
+) -> None:
+    fields = weights.values, values.values, certainty.values
+    run(_plane_kernel, *fields, *values.shape, window // 2, support, ridge, plane_out.values)
+
+
+@ti.kernel
+def _on_surface_kernel(
+    weights: flat(), guide: flat(), height: int, width: int, radius: int, support: float, weights_out: flat()
+):
+    size = height * width
+    for i in range(weights_out.shape[0]):
+        k = i // size
+        p = i - k * size
+        step = step_of(k, radius)
+        weight = 0.0
+        if inside(p % width + step[0], p // width + step[1], height, width):
+            weight = _shared(weights[i], guide[p + step[1] * width + step[0]] - guide[p], support)
+        weights_out[i] = weight
+
+
+def nlm_on_surface(
+    weights: DeviceArray, guide: DeviceArray, *, window: int, support: float, weights_out: DeviceArray
+) -> None:
+    run(_on_surface_kernel, weights.values, guide.values, *guide.shape, window // 2, support, weights_out.values)

@@ -1,0 +1,89 @@
+"""The maps that `lfgpu live -o` keeps: a file for each frame, and a log that says which frame each map is of."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.data.result import DisparityMap
+from lfgpu.errors import LightFieldError
+from lfgpu.io.map_formats import read_map
+from lfgpu.io.pfm import write_pfm
+
+LOG = "live.json"
+"""The file that says what became of each frame."""
+
+_DISPARITY, _CONFIDENCE = "disparity_{:06d}.pfm", "confidence_{:06d}.pfm"
+
+
+def fingerprint(view: NDArray[Any]) -> str:
+    """A number, as text, that tells pictures apart: that of a frame is the fingerprint of its reference view [y, x, c].
+
+    The same pixels have the same fingerprint, wherever they are stored.
+    """
+    kind = blake2b(f"{view.dtype.str} {view.shape}".encode(), digest_size=16)
+    return blake2b(np.ascontiguousarray(view).data, digest_size=12, person=kind.digest()).hexdigest()
+
+
+def write_live_map(folder: Path, number: int, disparity: NDArray[np.float32], confidence: NDArray[np.float32]) -> None:
+    """Write the map of a frame."""
+    for name, values in ((_DISPARITY, disparity), (_CONFIDENCE, confidence)):
+        write_pfm(folder / name.format(number), values)
+
+
+@dataclass(frozen=True)
+class LiveMaps:
+    """The maps in a folder, found by the reference view of the frame that they are of.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    frames
+        What the log says of each frame: its number, the fingerprint of its reference view, and whether it has a map.
+    """
+
+    path: Path
+    frames: tuple[tuple[int, str, bool], ...]
+
+    @classmethod
+    def of(cls, path: Path) -> LiveMaps:
+        """The maps in a folder.
+
+        Raises
+        ------
+        LightFieldError
+            If the log cannot be read, or does not say which frames the maps are of.
+        """
+        log = path / LOG
+        try:
+            frames = json.loads(log.read_text(encoding="utf-8"))["frames"]
+            found = tuple((int(frame["frame"]), str(frame["reference"]), "error" not in frame) for frame in frames)
+        except (OSError, ValueError, LookupError, TypeError, RecursionError):
+            raise LightFieldError(
+                f"{log} does not say which frame each map is of; make the maps again with lfgpu live -o."
+            ) from None
+        return cls(path, found)
+
+    def number(self, reference: str, near: int) -> int | None:
+        """The number of the frame with a reference view of this fingerprint; None if there is none.
+
+        Of several frames with the same picture it is the one numbered `near`, else the first.
+        """
+        same = [number for number, known, _ in self.frames if known == reference]
+        return near if near in same else next(iter(same), None)
+
+    def map(self, number: int) -> DisparityMap | None:
+        """The map of a frame; None if the log names none. LightFieldError if its file is missing."""
+        if (number, True) not in {(frame, has_map) for frame, _, has_map in self.frames}:
+            return None
+        confidence = self.path / _CONFIDENCE.format(number)
+        return DisparityMap(
+            read_map(self.path / _DISPARITY.format(number)), read_map(confidence) if confidence.is_file() else None
+        )

@@ -1,0 +1,88 @@
+"""What tests of batches share: recorded light fields, settings, clusters on this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from lfgpu import scenes
+from lfgpu.batch.cluster import Cluster
+from lfgpu.batch.items import find_items
+from lfgpu.batch.manifest import DONE, read_manifest
+from lfgpu.batch.run import _jobs
+from lfgpu.batch.work import Settings
+from lfgpu.cli import app
+from lfgpu.io import read_result, write_hci
+from lfgpu.methods import preset
+
+pytest.importorskip("distributed", reason="a batch needs Dask: pip install -e '.[batch]'")
+
+ROOT = Path(__file__).parents[1]
+RANGE = (-1.2, 1.2)
+QUICK = preset("fast").with_values({"prior.window": 3, "sweep.step": 1.0})
+FAST = Settings(QUICK, RANGE)
+SLOW = Settings(QUICK.with_values({"alignment.iterations": 100}), RANGE)
+"""Settings with which an item takes long enough to be killed in the middle."""
+COUNT = 5
+
+
+def jobs(inputs: Path, out: Path, settings: Settings = FAST, *, sequence: bool = False) -> list[Any]:
+    return _jobs(find_items([str(inputs)], sequence=sequence)[0], out, settings)
+
+
+def local(**options: Any) -> Cluster:
+    return Cluster(workers=1, devices=("cpu",), threads=1, **options)
+
+
+def lfgpu(*arguments: object) -> Any:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def pids(cluster: Cluster) -> set[int]:
+    """Those of the workers that answer.
+
+    Not of `os.getpid` itself: Dask asks for the signature of what it calls, Python parses that of a built-in function,
+    and no thread may do so while another one imports Warp, which parses its kernels (a fault of Python 3.11).
+    """
+    with contextlib.suppress(Exception):
+        return set(cluster.client.run(lambda: os.getpid(), on_error="ignore").values())
+    return set()
+
+
+def assert_same_maps(a: Path, b: Path) -> None:
+    names = {entry["item"] for entry in read_manifest(a).values() if entry["status"] == DONE}
+    assert names
+    assert names == {entry["item"] for entry in read_manifest(b).values() if entry["status"] == DONE}
+    for name in names:
+        assert (a / name / "disparity.pfm").read_bytes() == (b / name / "disparity.pfm").read_bytes(), name
+        ours, theirs = read_result(a / name / "result.npz"), read_result(b / name / "result.npz")
+        assert np.array_equal(ours.confidence, theirs.confidence), name
+
+
+def assert_nothing_left_over(out: Path) -> None:
+    assert not list(out.rglob(".lfgpu-*"))
+
+
+def wait_for(true: Callable[[], object], seconds: float = 600) -> None:
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+
+
+def record(folder: Path) -> Path:
+    """Write light fields into a folder; one of them cannot be read."""
+    for index in range(COUNT):
+        lf = scenes.make("relief", grid=(3, 3), size=(40, 48), disparity_range=(-1, 1), seed=index)
+        write_hci(lf, folder / f"scene_{index}")
+    damaged = folder / "scene_2" / "input_Cam004.png"
+    damaged.write_bytes(damaged.read_bytes()[:200])
+    return folder

@@ -1,0 +1,268 @@
+"""Batches: which light fields are found, how they are named, and what comes from names and folders."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from batch_runs import FAST, QUICK, RANGE, assert_nothing_left_over, jobs, lfgpu, local, record
+
+from lfgpu import DepthPipeline, LightFieldError, estimate_depth
+from lfgpu._backends import load
+from lfgpu.batch.items import find_items, fingerprint
+from lfgpu.batch.manifest import DONE, FAILED, read_manifest
+from lfgpu.batch.names import MANIFEST_FILE
+from lfgpu.batch.report import write_report
+from lfgpu.batch.run import Batch, _jobs
+from lfgpu.batch.work import Settings, work
+from lfgpu.io import read, read_result
+from lfgpu.methods import method_of, preset
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of light fields, one of which cannot be read."""
+    return record(tmp_path_factory.mktemp("recorded") / "scenes")
+
+
+# --- what there is to do ---
+
+
+def test_light_fields_are_found_at_any_depth_and_named(recorded: Path, tmp_path: Path) -> None:
+    shutil.copytree(recorded / "scene_0", tmp_path / "a" / "one")
+    shutil.copytree(recorded / "scene_0", tmp_path / "a" / "b" / "two")
+    shutil.copytree(recorded / "scene_0", tmp_path / "c" / "one")
+    np.save(tmp_path / "a" / "third.npy", np.zeros((3, 3, 16, 16, 3), np.uint8))
+    (tmp_path / "a" / "empty").mkdir()
+    (tmp_path / "a" / "notes.txt").write_text("nothing")
+    items, barren = find_items([str(tmp_path)], sequence=False)
+    assert [item.name for item in items] == ["two", "a/one", "third.npy", "c/one"]
+    assert [path.name for path in barren] == ["empty"]
+    assert {item.sequence for item in items} == {""}
+
+
+@pytest.mark.parametrize("name", ["scan_2²", "scan_٣", "①"])
+def test_digits_that_are_no_numbers_are_parts_of_names(name: str, recorded: Path, tmp_path: Path) -> None:
+    shutil.copytree(recorded / "scene_0", tmp_path / "in" / name)
+    items, _ = find_items([str(tmp_path / "in")], sequence=True)
+    assert [item.name for item in items] == [name]
+
+
+def test_patterns_order_and_outputs(recorded: Path, tmp_path: Path) -> None:
+    for number in (2, 10, 1):
+        shutil.copytree(recorded / "scene_0", tmp_path / f"frame_{number}")
+    shutil.copytree(recorded / "scene_0", tmp_path / "out" / "frame_1")
+    items, _ = find_items([str(tmp_path / "frame_*"), str(tmp_path / "frame_1")], sequence=True)
+    assert [item.name for item in items] == ["frame_1", "frame_2", "frame_10"]
+    assert {item.sequence for item in items} == {str(tmp_path)}
+    items, _ = find_items([str(tmp_path)], sequence=False, leave_out=tmp_path / "out")
+    assert len(items) == 3
+
+
+def test_pictures_beside_light_fields_are_none(recorded: Path, tmp_path: Path) -> None:
+    """A thumbnail or two do not hide the folders; images that are views are not hidden by a folder of fewer."""
+    for name in ("one", "two"):
+        shutil.copytree(recorded / "scene_0", tmp_path / "a" / name)
+    for number in range(3):
+        shutil.copy(recorded / "scene_0" / "input_Cam000.png", tmp_path / "a" / f"thumb{number}.png")
+        items, barren = find_items([str(tmp_path / "a")], sequence=False)
+        assert [item.name for item in items] == ["one", "two"]
+        assert not barren
+    for number in range(6):
+        (tmp_path / "row" / "masks").mkdir(parents=True, exist_ok=True)
+        shutil.copy(recorded / "scene_0" / "input_Cam000.png", tmp_path / "row" / f"v{number}.png")
+        shutil.copy(recorded / "scene_0" / "input_Cam000.png", tmp_path / "row" / "masks" / f"m{number}.png")
+    items, barren = find_items([str(tmp_path / "row")], sequence=False)
+    assert [item.source for item in items] == [str(tmp_path / "row")]
+    assert not barren
+
+
+def test_outputs_and_other_arrays_are_no_inputs(recorded: Path, tmp_path: Path) -> None:
+    shutil.copytree(recorded / "scene_0", tmp_path / "one")
+    for name in ("earlier", "result"):
+        shutil.copytree(recorded / "scene_0", tmp_path / name / "scene_0")
+    (tmp_path / "earlier" / MANIFEST_FILE).write_text("")
+    (tmp_path / "result" / "result.npz").write_bytes(b"")
+    np.save(tmp_path / "weights.npy", np.zeros((9, 9)))
+    np.savez(tmp_path / "calibration.npz", matrix=np.eye(3))
+    items, _ = find_items([str(tmp_path)], sequence=False)
+    assert [item.name for item in items] == ["one"]
+    (tmp_path / "one" / "result.npz").write_bytes(b"")  # which makes it no less of a light field
+    items, _ = find_items([str(tmp_path)], sequence=False)
+    assert [item.name for item in items] == ["one"]
+    items, _ = find_items([str(tmp_path / "weights.npy")], sequence=False)
+    assert len(items) == 1  # who names it hears what is wrong with it
+
+
+def test_a_file_whose_pages_go_in_a_circle_is_an_item(tmp_path: Path) -> None:
+    header, page = struct.pack("<2sHI", b"II", 42, 8), struct.pack("<HHHIII", 1, 256, 3, 1, 16, 8)
+    (tmp_path / "a.tif").write_bytes(header + page)
+    assert [item.name for item in find_items([str(tmp_path)], sequence=False)[0]] == ["a.tif"]
+
+
+def test_links_do_not_lead_in_circles(recorded: Path, tmp_path: Path) -> None:
+    shutil.copytree(recorded / "scene_0", tmp_path / "a" / "one")
+    (tmp_path / "a" / "loop").symlink_to(tmp_path / "a")
+    (tmp_path / "again").symlink_to(tmp_path / "a" / "one")
+    items, _ = find_items([str(tmp_path)], sequence=False)
+    assert [item.name for item in items] == ["one"]
+
+
+def test_what_does_not_exist_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(LightFieldError, match=r"nowhere\* does not exist, and matches nothing as a pattern"):
+        find_items([str(tmp_path / "nowhere*")], sequence=False)
+    with pytest.raises(LightFieldError, match="no light field was found"):
+        find_items([str(tmp_path)], sequence=False)
+
+
+def test_fingerprints_tell_changed_files(recorded: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(recorded / "scene_0", copy)
+    before = fingerprint(str(copy))
+    assert fingerprint(str(copy)) == before
+    (copy / "out" / "copy").mkdir(parents=True)
+    (copy / "out" / "copy" / "disparity.pfm").write_bytes(b"")
+    assert fingerprint(str(copy), leave_out=copy / "out") == before
+    assert fingerprint(str(copy)) != before
+    shutil.rmtree(copy / "out")
+    os.utime(copy / "input_Cam003.png", ns=(1, 1))
+    assert fingerprint(str(copy)) != before
+
+
+# --- what becomes of an item ---
+
+
+def test_an_item_comes_out_as_from_estimate_depth(recorded: Path, tmp_path: Path) -> None:
+    job = jobs(recorded, tmp_path, Settings(preset("fast")))[0]
+    entry = work(job, "cpu")
+    lf = read(recorded / "scene_0")
+    expected = estimate_depth(lf, config="fast", device="cpu")
+    result = read_result(tmp_path / "scene_0" / "result.npz")
+    assert np.array_equal(result.disparity, expected.disparity)
+    assert np.array_equal(result.confidence, expected.confidence)
+    assert entry["status"] == DONE
+    assert entry["disparity_range"] == list(expected.disparity_range)
+    assert entry["metrics"]["count"] == 10 * 18
+    assert {path.name: path.stat().st_size for path in (tmp_path / "scene_0").iterdir()} == entry["sizes"]
+    assert result.timings["total"] > 0
+
+
+def test_a_pipeline_serves_the_next_item_and_changes_nothing(recorded: Path, tmp_path: Path) -> None:
+    """With range and noise given, a worker keeps what it has allocated."""
+    settings = replace(FAST, config=QUICK.with_values({"sweep.noise": 0.004}))
+    for job in jobs(recorded, tmp_path, settings):
+        if work(job, "cpu")["status"] == DONE:
+            lf = read(job.item.source)
+            expected = estimate_depth(lf, config=settings.config, disparity_range=RANGE, device="cpu")
+            assert np.array_equal(read_result(tmp_path / job.item.name / "result.npz").disparity, expected.disparity)
+
+
+def test_frames_have_range_and_noise_of_the_first_that_can_be_read(recorded: Path, tmp_path: Path) -> None:
+    frames = tmp_path / "frames"
+    for number, scene in enumerate((2, 0, 1)):  # the first one is damaged
+        shutil.copytree(recorded / f"scene_{scene}", frames / f"frame_{number}")
+    settings = Settings(preset("fast"))
+    todo = jobs(frames, tmp_path / "out", settings, sequence=True)
+    first = read(frames / "frame_1")
+    measured = method_of("fast").measure(first, load("warp"), "cpu")
+    pipeline = DepthPipeline(first, config="fast", measured=measured, device="cpu")
+    entries = [work(job, "cpu") for job in (todo[0], todo[2], todo[1])]  # in whatever order
+    assert [entry["status"] for entry in entries] == [FAILED, DONE, DONE]
+    for name in ("frame_1", "frame_2"):
+        pipeline.upload(read(frames / name).views)
+        pipeline.run()
+        assert np.array_equal(read_result(tmp_path / "out" / name / "result.npz").disparity, pipeline.disparity()), name
+
+
+def test_what_is_wrong_with_an_item_is_one_sentence(recorded: Path, tmp_path: Path) -> None:
+    entry = work(jobs(recorded, tmp_path)[2], "cpu")
+    assert entry["status"] == FAILED
+    assert re.search(r"input_Cam004\.png cannot be read as an image", entry["error"])
+    assert not (tmp_path / "scene_2").exists()
+    assert_nothing_left_over(tmp_path)
+
+
+# --- what comes from outside ---
+
+
+def test_items_that_cannot_be_looked_at_are_lines_with_a_sentence(recorded: Path, tmp_path: Path) -> None:
+    """A link in a circle, a view that is a link to nowhere, a name that is not UTF-8; the rest goes on."""
+    folder, out = tmp_path / "in", tmp_path / "out"
+    shutil.copytree(recorded / "scene_0", folder / "good")
+    shutil.copytree(recorded / "scene_0", os.fsdecode(os.fsencode(folder) + b"/bad\xff"))
+    (folder / "circle").symlink_to("circle")
+    shutil.copytree(recorded / "scene_0", folder / "broken")
+    (folder / "broken" / "input_Cam004.png").unlink()
+    (folder / "broken" / "input_Cam004.png").symlink_to("nowhere.png")
+    items, barren = find_items([str(folder)], sequence=False, leave_out=out)
+    assert [item.name for item in items] == ["bad\\udcff", "broken", "circle", "good"]
+    assert not barren
+    summary = Batch(items, out, FAST).run(local())
+    assert {entry["item"]: entry["status"] for entry in summary.entries.values()} == {
+        **{"good": DONE, "bad\\udcff": DONE},
+        **{"circle": FAILED, "broken": FAILED},
+    }
+    assert "cannot be opened" in summary.entries["circle"]["error"]
+    assert "link that leads nowhere" in summary.entries["broken"]["error"]
+    (out / MANIFEST_FILE).read_text(encoding="utf-8")
+    again = Batch(find_items([str(folder)], sequence=False, leave_out=out)[0], out, FAST)
+    assert [job.item.name for job in again._todo(read_manifest(out))] == ["broken", "circle"]
+    write_report(summary, out, "page")
+
+
+@pytest.mark.usefixtures("_permissions_count")
+def test_a_folder_without_permission_is_a_line_with_a_sentence(recorded: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    shutil.copytree(recorded / "scene_0", folder / "good")
+    (folder / "closed").mkdir(mode=0)
+    items, _ = find_items([str(folder)], sequence=False)
+    assert [item.name for item in items] == ["closed", "good"]
+    assert "cannot be listed" in work(_jobs(items, tmp_path / "out", FAST)[0], "cpu")["error"]
+
+
+def test_a_folder_that_cannot_be_listed_is_an_item(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the one before, for users whom permissions do not stop."""
+    (tmp_path / "in" / "closed").mkdir(parents=True)
+    shutil.copytree(recorded / "scene_0", tmp_path / "in" / "good")
+    listing = Path.iterdir
+
+    def iterdir(folder: Path) -> Iterator[Path]:
+        if folder.name == "closed":
+            raise PermissionError(13, "Permission denied")
+        return listing(folder)
+
+    monkeypatch.setattr(Path, "iterdir", iterdir)
+    items, _ = find_items([str(tmp_path / "in")], sequence=False)
+    assert [item.name for item in items] == ["closed", "good"]
+    assert "cannot be listed" in work(_jobs(items, tmp_path / "out", FAST)[0], "cpu")["error"]
+
+
+def test_names_do_not_lead_out_of_the_folder(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place = tmp_path / "scene" / "below"
+    shutil.copytree(recorded / "scene_0", place.parent)
+    place.mkdir()
+    monkeypatch.chdir(place)
+    for text in ("..", "../../scene/below/..", str(place / "..")):
+        items, _ = find_items([text], sequence=False, format_name="hci")
+        assert [item.name for item in items] == ["scene"]
+    for name in ("manifest.jsonl", ".lfgpu-0123", "a\x1b[2J\nb"):
+        shutil.copytree(recorded / "scene_0", tmp_path / name)
+        items, _ = find_items([str(tmp_path / name)], sequence=False)
+        assert items[0].name == {"a\x1b[2J\nb": r"a\x1b[2J\nb"}.get(name, f"_{name}")
+
+
+def test_depth_of_a_name_that_is_not_utf_8_is_saved(recorded: Path, tmp_path: Path) -> None:
+    folder = os.fsdecode(os.fsencode(tmp_path) + b"/bad\xff")
+    shutil.copytree(recorded / "scene_0", folder)
+    done = lfgpu("depth", folder, "-o", tmp_path / "out", "--report", "--preset=fast", "--disparity-range=-1.2,1.2")
+    assert done.exit_code == 0, done.output
+    assert read_result(tmp_path / "out" / "result.npz").name == "bad\\udcff"

@@ -1,0 +1,231 @@
+"""Batches: what the manifest remembers, and what is read from damaged ones."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from batch_runs import FAST, SLOW, jobs, lfgpu, record
+
+from lfgpu import LightFieldError
+from lfgpu.batch.items import Item, find_items
+from lfgpu.batch.manifest import DONE, FAILED, Manifest, damaged_lines, key_of, read_manifest, standing
+from lfgpu.batch.names import MANIFEST_FILE
+from lfgpu.batch.report import write_report
+from lfgpu.batch.run import Batch, Summary
+from lfgpu.batch.work import work
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of light fields, one of which cannot be read."""
+    return record(tmp_path_factory.mktemp("recorded") / "scenes")
+
+
+@pytest.fixture(scope="module")
+def finished(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The outputs of a batch of them, without Dask."""
+    out = tmp_path_factory.mktemp("finished")
+    with Manifest(out) as manifest:
+        manifest.add(work(job, "cpu") for job in jobs(recorded, out))
+    return out
+
+
+def test_the_last_line_of_an_item_holds_and_half_lines_are_skipped(tmp_path: Path) -> None:
+    with Manifest(tmp_path) as manifest:
+        manifest.add([{"item": "a", "status": FAILED}, {"item": "a", "status": DONE}, {"parameters_key": "x"}])
+    with (tmp_path / MANIFEST_FILE).open("a") as file:
+        file.write('{"item": "b", "sta')
+    with Manifest(tmp_path) as manifest:
+        manifest.add([{"item": "c", "status": DONE}])
+    found = read_manifest(tmp_path)
+    assert {name: entry["status"] for name, entry in found.items()} == {"a": DONE, "c": DONE}
+
+
+def test_times_and_names_that_cannot_be(recorded: Path, tmp_path: Path) -> None:
+    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+    done = {"item": "scene_0", "status": DONE}
+    lines = [
+        {**done, "began": 1e15},
+        {**done, "began": -1},
+        {**done, "seconds": 1e12},
+        {**done, "sizes": {"\ud800": 1}},
+    ]
+    (tmp_path / MANIFEST_FILE).write_text("".join(json.dumps(line) + "\n" for line in lines))
+    entries = read_manifest(tmp_path)
+    assert damaged_lines(tmp_path) == 3
+    assert standing(entries, tmp_path) == {}
+    last = {**done, "began": 0.99e11, "seconds": 0.99e11}
+    write_report(Summary(items, {"scene_0": last}), tmp_path, "page")
+
+
+def test_text_from_files_does_not_become_part_of_the_page_of_a_batch(recorded: Path, tmp_path: Path) -> None:
+    script = '"><script>x</script>'
+    items = [Item(script, str(recorded / "scene_0"))]
+    entry = {"item": script, "status": FAILED, "error": script, "notes": [script]}
+    page = write_report(Summary(items, {script: entry}), tmp_path, script).read_text(encoding="utf-8")
+    assert "<script>x" not in page
+    assert "&lt;script&gt;x" in page
+
+
+def test_lines_that_do_not_end_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfgpu.batch.manifest._LONGEST_LINE", 1000)
+    (tmp_path / MANIFEST_FILE).write_bytes(bytes(2500) + b'\n{"item": "a"}\n' + bytes(10))
+    assert list(read_manifest(tmp_path)) == ["a"]
+    assert damaged_lines(tmp_path) == 4
+
+
+@pytest.mark.parametrize("clock", [1, -1], ids=["a clock that runs", "a clock that was set back"])
+def test_what_is_gone_or_renamed_does_not_stand(tmp_path: Path, clock: int) -> None:
+    def entry(name: str, source: str, number: int, status: str = DONE) -> dict[str, Any]:
+        began = 10 + clock * number
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "disparity.pfm").write_bytes(b"1234")
+        return {"item": name, "input": source, "began": began, "status": status, "sizes": {"disparity.pfm": 4}}
+
+    entries = [entry("one", "/one", 1), entry("two", "/b/two", 2), entry("b/two", "/b/two", 3), entry("cut", "/cut", 4)]
+    entries += [entry("deleted", "/deleted", 5), {**entry("bad", "/bad", 6, FAILED), "sizes": {}}]
+    (tmp_path / "cut" / "disparity.pfm").write_bytes(b"")
+    shutil.rmtree(tmp_path / "deleted")
+    with Manifest(tmp_path) as manifest:
+        manifest.add(entries)
+    assert set(standing(read_manifest(tmp_path), tmp_path)) == {"one", "b/two", "bad"}
+
+
+def test_one_batch_at_a_time(tmp_path: Path, recorded: Path) -> None:
+    with Manifest(tmp_path):
+        outcome = lfgpu("batch", recorded, "-o", tmp_path)
+        assert outcome.exit_code == 1
+        assert outcome.stderr.startswith("lfgpu: another batch is writing to")
+    assert not (tmp_path / "scene_0").exists()
+
+
+def test_keys_tell_parameters() -> None:
+    keys = {
+        key_of(settings.config, settings.options)
+        for settings in (
+            FAST,
+            SLOW,
+            replace(FAST, disparity_range=None),
+            replace(FAST, pattern="cross"),
+            replace(FAST, reading={"flip": "u"}),
+        )
+    }
+    assert len(keys) == 5
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="files cannot be limited in size here")
+def test_lines_that_the_disk_has_no_room_for_are_written_later(tmp_path: Path) -> None:
+    """In a process of its own, where files may not grow beyond 100 bytes."""
+    code = f"""
+import resource, signal
+from pathlib import Path
+from types import SimpleNamespace
+from lfgpu.batch.manifest import Manifest, read_manifest
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+out = Path({str(tmp_path)!r})
+with Manifest(out) as manifest:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.RLIM_INFINITY))
+    manifest.add([{{"item": "a"}}, {{"item": "b", "long": "x" * 200}}])
+    assert len(manifest.unwritten) == 1
+    assert list(read_manifest(out)) == ["a"]
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    manifest.add([{{"item": "c"}}])
+    assert not manifest.unwritten
+assert list(read_manifest(out)) == ["a", "b", "c"]
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_report_shows_all_items(recorded: Path, finished: Path) -> None:
+    items = find_items([str(recorded)], sequence=False)[0]
+    items.append(Item("never <reached>", "x"))
+    entries = read_manifest(finished)
+    summary = Summary(items, entries, computed=4, failed=[entries["scene_2"]])
+    page = write_report(summary, finished, "a & b").read_text(encoding="utf-8")
+    assert "4 done, 1 failed, 1 not reached" in page
+    assert "a &amp; b" in page
+    assert "66.67 % done" in page
+    assert "preset" not in page, "nobody said which"
+    assert page.index("scene_2") < page.index("scene_0"), "failed ones come first"
+    assert page.count('loading="lazy"') == 2 * 4, "a view and a map of each"
+    for target in re.findall(r'(?:src|href)="([^"]+)"', page):
+        assert (finished / target).exists(), target
+
+
+def test_a_batch_is_scored_per_item_and_in_total(finished: Path, recorded: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    with Manifest(other) as manifest:
+        manifest.add(work(job, "cpu") for job in jobs(recorded, other)[:2])
+    outcome = lfgpu("eval", finished, other, "-o", tmp_path / "tables")
+    assert outcome.exit_code == 0, outcome.output
+    assert "1 item failed or without ground truth" in outcome.stdout
+    lines = (tmp_path / "tables" / "table.csv").read_text().splitlines()
+    assert lines[0] == "scene,method,MSE x100,BadPix 0.07,BadPix 0.03,BadPix 0.01,Q25 x100"
+    found = {tuple(line.split(",")[:2]): line.split(",")[2] for line in lines[1:]}
+    scores = [read_manifest(finished)[f"scene_{index}"]["metrics"]["mse_100"] for index in (0, 1)]
+    assert [float(found[f"scene_{index}", finished.name]) for index in (0, 1)] == scores
+    assert float(found["average of 2", finished.name]) == pytest.approx(np.mean(scores))
+    assert found["scene_3", "other"] == ""
+    assert "\\toprule" in (tmp_path / "tables" / "table.tex").read_text()
+    assert "different parameters" not in outcome.stdout
+    with Manifest(other) as manifest:
+        manifest.add([{**read_manifest(other)["scene_1"], "parameters_key": "another"}])
+    (other / "scene_0" / "disparity.pfm").unlink()
+    assert "1 items are left out" in lfgpu("eval", other).stdout
+    shutil.copy(finished / "scene_0" / "disparity.pfm", other / "scene_0")
+    assert "The items of other have different parameters" in lfgpu("eval", other).stdout
+    assert lfgpu("eval", finished, "--border", "3").exit_code == 1
+    assert lfgpu("eval", finished).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        '{"item": "scene_0", "status": "done", "sizes": [1]}',
+        '{"item": "scene_0", "status": 3}',
+        '{"item": "scene_0", "status": "done", "input": ["a"], "began": "x"}',
+        '{"item": "scene_0", "status": "done", "metrics": {"mse_100": "0"}}',
+        '{"item": "scene_0", "status": "done", "times": {"read": 1e999}, "seconds": 1}',
+        '{"item": "scene_0", "status": "done", "disparity_range": [1]}',
+        "[" * 100_000,
+        "\\xff\x00",
+        "9" * 10_000,
+    ],
+    ids=range(9),
+)
+def test_lines_of_a_manifest_that_were_damaged_are_skipped_and_said(recorded: Path, tmp_path: Path, line: str) -> None:
+    (tmp_path / MANIFEST_FILE).write_text(line + "\n")
+    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+    assert read_manifest(tmp_path) == {}
+    assert standing(read_manifest(tmp_path), tmp_path) == {}
+    batch = Batch(items, tmp_path, FAST)
+    batch.summary.damaged = damaged_lines(tmp_path)
+    assert len(batch._todo(read_manifest(tmp_path))) == 1
+    assert "1 damaged lines were skipped" in write_report(batch.summary, tmp_path, "a").read_text()
+    assert lfgpu("eval", tmp_path).exit_code == 1
+
+
+def test_a_name_that_is_no_text_is_written_out_in_the_report(recorded: Path, tmp_path: Path) -> None:
+    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+    batch = Batch(items, tmp_path, FAST)
+    batch.summary.entries["scene_0"] = {"item": "scene_0", "status": FAILED, "error": "no \ud800 text"}
+    batch.summary.entries["\ud800"] = {"item": "\ud800", "status": FAILED, "error": "damaged"}
+    assert "no \\ud800 text" in write_report(batch.summary, tmp_path, "a").read_text(encoding="utf-8")
+
+
+def test_a_pipe_in_place_of_a_manifest_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / MANIFEST_FILE)
+    with pytest.raises(LightFieldError, match="neither a file nor a folder"):
+        read_manifest(tmp_path)

@@ -1,0 +1,234 @@
+"""What frames may be, and what is said about them: wrong ones fail alone, ranges and stamps that do not fit too."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from stream_runs import FRAMES, LONG, alone, frames, held, made
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.pipelines.range_watch import RangeWatch
+
+
+class Foreign:
+    """An array that has nothing but DLPack."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self._values, self.shape, self.dtype = values, values.shape, values.dtype
+
+    def __dlpack__(self, **options: Any) -> Any:
+        return self._values.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return self._values.__dlpack_device__()
+
+
+def test_forms_of_a_frame() -> None:
+    views = frames()[0].views
+    strided = np.repeat(views, 2, axis=2)[:, :, ::2]
+    assert not strided.flags.c_contiguous
+    with made(prior=None) as stream:
+        want = stream.push(views).numpy()
+        for form in (strided, views.reshape(3, 5, *views.shape[1:]), Foreign(views)):
+            assert np.array_equal(stream.push(form).numpy(), want)
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
+def test_other_types_of_values(dtype: type) -> None:
+    lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=dtype, channels=1, disparity_range=(-1, 1))
+    want = lfgpu.estimate_depth(lf, config="fast", disparity_range=(-1, 1), device="cpu").disparity
+    with made(lf, disparity_range=(-1, 1)) as stream:
+        assert np.array_equal(stream.push(lf.views[..., 0]).numpy(), want)
+
+
+def test_a_frame_may_be_changed_at_once() -> None:
+    views = frames()[0].views.copy()
+    with made(prior=None) as stream:
+        with held(stream):
+            result = stream.push(views)
+            views[:] = 0
+        np.testing.assert_array_equal(result.numpy(), alone("fast", 0))
+
+
+def test_bad_frames_fail_alone() -> None:
+    views, there = frames()[0].views, np.ones(15, bool)
+    no_reference, lonely = there.copy(), ~there
+    no_reference[7], lonely[7] = False, True
+    bad: list[tuple[Any, Any, str]] = [
+        (views[:, :8], None, r"uint8 \[15, 8, 44, 3\]"),
+        (views.astype(np.float32), None, "found float32"),
+        ("a picture", None, "must be an array"),
+        (views, there[:3], r"valid must be bool \[15\]"),
+        (views, no_reference, "reference view .* missing"),
+        (views, lonely, "only the reference view"),
+        (np.zeros_like(views), None, "no texture"),
+    ]
+    with made() as stream:
+        for index, (frame, valid, sentence) in enumerate(bad):
+            result = stream.push(frame, valid=valid, tag=index)
+            with pytest.raises(lfgpu.LightFieldError, match=sentence):
+                result.numpy()
+            assert result.error is not None
+            assert not result.dropped
+            assert result.tag == index
+        np.testing.assert_array_equal(stream.push(views).numpy(), alone("fast", 0))
+        stats = stream.stats()
+    assert (stats["frames_failed"], stats["frames_done"]) == (len(bad), 1)
+
+
+def test_what_is_not_finite_fails_unless_it_does_not_count() -> None:
+    lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=np.float32, disparity_range=(-1, 1))
+    views, there = lf.views.copy(), np.ones(9, bool)
+    views[3, 5, 5, 1], there[3] = np.nan, False
+    with made(lf, disparity_range=(-1, 1)) as stream:
+        with pytest.raises(lfgpu.LightFieldError, match=r"view 3 holds NaN or infinity"):
+            stream.push(views).numpy()
+        assert np.isfinite(stream.push(views, valid=there).numpy()).all()
+
+
+def test_float_frames_in_another_unit_are_refused() -> None:
+    lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=np.float32, disparity_range=(-1, 1))
+    with made(lf, disparity_range=(-1, 1)) as stream:
+        with pytest.raises(lfgpu.LightFieldError, match=r"view \d has values from .* scale float views to \[0, 1\]"):
+            stream.push(lf.views * 255).numpy()
+        assert np.isfinite(stream.push(lf.views).numpy()).all()
+
+
+def test_float_frames_in_another_unit_are_seen_on_the_device_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As frames that lie on a GPU are, which the host does not look at."""
+    lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=np.float32, disparity_range=(-1, 1))
+    monkeypatch.setattr("lfgpu.pipelines.intake.check_scaled", lambda *_: None)
+    with made(lf, disparity_range=(-1, 1)) as stream:
+        with pytest.raises(lfgpu.LightFieldError, match=r"scale float views"):
+            stream.push(lf.views * 255).numpy()
+        result = stream.push(lf.views)
+        assert np.isfinite(result.numpy()).all()
+        assert result.cold
+
+
+# --- the disparity range ---
+
+
+@pytest.mark.parametrize(("bounds", "end"), [((-1.5, 0.0), "near"), ((0.3, 1.5), "far")])
+def test_a_range_that_is_too_small_is_said_so(
+    bounds: tuple[float, float], end: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    with made(disparity_range=bounds) as stream:
+        results = [stream.push(lf.views) for lf in frames()]
+        assert all(result.wait(LONG) for result in results)
+    assert stream.stats()["frames_beyond_range"] == FRAMES
+    assert len(stream.warnings) == stream.stats()["warnings"] == 1
+    assert f"move the {end} end further out" in stream.warnings[0]
+    assert [record.getMessage() for record in caplog.records] == list(stream.warnings)
+
+
+@pytest.mark.parametrize("config", ["accurate", "fast"])
+def test_a_range_that_holds_the_scene_is_not(config: str) -> None:
+    truth = [lf.truth.disparity for lf in frames() if lf.truth is not None]
+    bounds = float(np.min(truth)) - 0.05, float(np.max(truth)) + 0.05
+    with made(config=config, disparity_range=bounds) as stream:
+        for lf in frames():
+            assert stream.push(lf.views).wait(LONG)
+    assert stream.warnings == ()
+
+
+def test_a_range_that_lacks_what_has_no_texture_is_said_so() -> None:
+    """Its maps do not show that: hardly a pixel lies at an end."""
+    lf = scenes.make("textureless", grid=(5, 5), size=(96, 96), seed=1, noise=0.005, disparity_range=(-1, 1))
+    with made(lf, disparity_range=(-1.1, 0.2)) as stream:
+        assert stream.push(lf.views).wait(LONG)
+    assert stream.stats()["frames_beyond_range"] == 0
+    (sentence,) = stream.warnings
+    assert "the first views show" in sentence
+    assert "move the near end" in sentence
+
+
+def test_what_lies_at_an_end_by_chance_is_no_reason() -> None:
+    """Half of the map has no texture, and is at an end of a range that holds the scene."""
+    lf = frames()[0]
+    truth = [lf.truth.disparity for lf in frames() if lf.truth is not None]
+    bounds = float(np.min(truth)) - 0.05, float(np.max(truth)) + 0.05
+    map_ = np.full(lf.size, 0.5 * sum(bounds), np.float32)
+    map_[: len(map_) // 2] = bounds[1]
+    for given, said in ((bounds, 0), ((bounds[0], bounds[0] + 0.5 * (bounds[1] - bounds[0])), 1)):
+        watch = RangeWatch(given)
+        assert watch.look(np.clip(map_, *given), is_new=False)
+        assert watch.wait()
+        assert len(watch.search(lf, "these views")) == said
+        assert len(watch.warnings) == said
+        assert watch.search(lf, "these views") == ()  # once
+
+
+def test_a_search_is_wanted_after_a_cut_and_not_without_a_reason() -> None:
+    watch = RangeWatch((-1.0, 1.0))
+    assert not watch.look(np.zeros((8, 8), np.float32), is_new=False)
+    assert not watch._wanted
+    assert not watch.look(np.zeros((8, 8), np.float32), is_new=True)
+    assert watch.wait()
+    watch.close()
+    assert not watch.wait()
+
+
+# --- stamps ---
+
+
+def test_frames_whose_pictures_were_not_taken_together_are_counted_and_said_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    lf = frames()[0]
+    together = 7.0 + 0.001 * np.arange(15) / 15
+    late = together.copy()
+    late[5] += 0.02
+    with made(tolerance=0.004) as stream:
+        results = [stream.push(lf.views, stamps=stamps) for stamps in (together, late, late, None)]
+        missing = np.arange(15) != 5
+        late[5] = np.nan  # its stamp is not read, as its picture is not
+        results.append(stream.push(lf.views, stamps=late, valid=missing))
+        assert all(result.wait(LONG) and result.error is None for result in results)
+    stats = stream.stats()
+    assert (stats["frames_done"], stats["frames_out_of_step"], stats["warnings"]) == (5, 2, 1)
+    (sentence,) = stream.warnings
+    assert "frame 1 were taken within 20.2 ms" in sentence
+    assert "view 5 " in sentence
+    assert [record.getMessage() for record in caplog.records] == [sentence]
+    assert results[1].stamps is not None
+    assert results[1].stamps[5] == 7.02 + 0.001 * 5 / 15  # a copy: what became of `late` since is no matter
+    assert results[3].stamps is None
+    assert results[4].stamps is not None
+    assert np.isnan(results[4].stamps).tolist() == (~missing).tolist()
+    assert "lfgpu_stream_frames_out_of_step_total 2" in stream.prometheus()
+
+
+def test_without_a_tolerance_any_stamps_will_do() -> None:
+    with made() as stream:
+        result = stream.push(frames()[0].views, stamps=np.arange(15.0))
+        assert result.wait(LONG)
+    assert result.error is None
+    assert stream.warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("stamps", "words"),
+    [
+        (np.zeros(14), r"stamps must be \[15\], one for each view; found \[14\]"),
+        (["noon"] * 15, "stamps must be numbers of seconds"),
+        ([0.0] * 14 + [float("nan")], r"the stamp of view 14 is nan; give seconds, or set valid\[14\] to False"),
+    ],
+)
+def test_wrong_stamps_fail_their_frame_only(stamps: Any, words: str) -> None:
+    with made(tolerance=0.004) as stream:
+        wrong = stream.push(frames()[0].views, stamps=stamps)
+        right = stream.push(frames()[0].views, stamps=np.zeros(15))
+        assert right.wait(LONG)
+    assert right.error is None
+    assert re.search(words, str(wrong.error))
+
+
+@pytest.mark.parametrize("tolerance", [0, -1.0, float("nan"), True, "4 ms"])
+def test_a_tolerance_is_a_number_of_seconds(tolerance: Any) -> None:
+    with pytest.raises(lfgpu.LightFieldError, match="tolerance must be a number of seconds > 0"):
+        made(tolerance=tolerance)
