@@ -160,9 +160,9 @@ FAULTS = (
     ),
     Fault(
         "the right border of the ratio on a GPU",
-        "kernels/warp/nlm.py",
-        "if (y >= dy && (unsigned)(x - dx) < (unsigned)width) add(w[-step], p - step);",
-        "if (y >= dy) add(w[-step], p - step);",
+        "kernels/warp/nlm_regression.py",
+        "if (y >= dy && (unsigned)(x - dx) < (unsigned)width) add(w[-step], p - step, -dx, -dy);",
+        "if (y >= dy) add(w[-step], p - step, -dx, -dy);",
         (_GPU, "-k", "nlm_ratio and equals"),
     ),
     Fault(
@@ -224,8 +224,8 @@ FAULTS = (
     Fault(
         "pixels that most views contradict are moved",
         "lfgpu/methods/synthesis/acceptance.py",
-        "        k.multiply(self._agreeing, change, change)\n",
-        "",
+        "k.multiply(self._agreeing, change, change)",
+        "k.multiply(self._prior.ones, change, change)",
         (_PRINTED, "-k", "no_map_worse and bars"),
     ),
     Fault(
