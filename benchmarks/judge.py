@@ -16,7 +16,7 @@ from scipy import ndimage
 from benchmarks.errors import BenchmarkError
 from benchmarks.misalignment import recording
 from lfgpu import LightField, estimate_depth, explain, read
-from lfgpu.calibration import remarks
+from lfgpu.calibration import judged
 
 Say = Callable[[str], None]
 _TURN = 22.5  # degrees by which the direction that is found may differ: half the way between two of eight directions
@@ -106,7 +106,9 @@ def _left_alone(scene: str, lf: LightField, seed: int, plan: Plan) -> Silence:
         part = replace(part, views=views, files=())
     result = estimate_depth(part, config=plan.preset, device=plan.device)  # type: ignore[arg-type]
     findings = explain(part, result, device=plan.device).findings
-    return Silence(scene, seed, len(lf.views), (top, left), noise, findings, remarks(part, result, device=plan.device))
+    return Silence(
+        scene, seed, len(lf.views), (top, left), noise, findings, judged(part, result, device=plan.device).remarks
+    )
 
 
 def run(plan: Plan, say: Say) -> Iterator[Draw]:
@@ -133,7 +135,7 @@ def _drawn(scene: str, lf: LightField, seed: int, plan: Plan) -> Draw:
     column, row = (int(k) for k in lf.positions[index])
     result = estimate_depth(wrong, config=plan.preset, device=plan.device)  # type: ignore[arg-type]
     explanation = explain(wrong, result, device=plan.device)
-    quick = remarks(wrong, result, device=plan.device)
+    quick = judged(wrong, result, device=plan.device).remarks
     undisturbed = estimate_depth(right, config=plan.preset, device=plan.device)  # type: ignore[arg-type]
     found = explanation.shift[index]
     turn = np.angle(complex(*found) / complex(*moved), deg=True)
@@ -149,7 +151,7 @@ def _drawn(scene: str, lf: LightField, seed: int, plan: Plan) -> Draw:
         names(explanation.findings, (row, column)) and bool(abs(turn) <= _TURN),
         quick,
         names(quick, (row, column)),
-        remarks(right, undisturbed, device=plan.device),
+        judged(right, undisturbed, device=plan.device).remarks,
     )
 
 

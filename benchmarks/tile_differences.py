@@ -3,30 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 
 from benchmarks import machine
 from benchmarks.errors import BenchmarkError
 from lfgpu import LightField, estimate_depth, scenes
+from lfgpu._backends import load
 from lfgpu.data.result import DepthResult
 from lfgpu.methods import method_of
 from lfgpu.methods import preset as named
-from lfgpu.methods.measured import Measured
 from lfgpu.pipelines import tiles
 
-SIZE = (300, 320)
 RANGE = (-1.6, 1.7)
-SCENES = {"boxes": 0.0, "textureless": 0.01}
-"""The noise of each."""
 
 
-def run(presets: Sequence[str]) -> list[dict[str, object]]:
+@dataclass(frozen=True)
+class Scene:
+    """A scene of the package with noise, `size` = (height, width)."""
+
+    name: str
+    size: tuple[int, int]
+    noise: float = 0.0
+
+
+SCENES = (
+    Scene("boxes", (320, 340)),
+    Scene("textureless", (320, 340), 0.01),
+    Scene("textureless", (600, 640), 0.01),  # with patches larger than the halo
+)
+
+
+def run(presets: Sequence[str], chosen: Sequence[Scene] = SCENES) -> list[dict[str, Any]]:
     """A row for each scene, preset and stage: largest difference, shares above thresholds."""
-    rows: list[dict[str, object]] = []
-    for name, noise in SCENES.items():
-        lf = scenes.make(name, grid=(5, 5), size=SIZE, noise=noise)
+    rows: list[dict[str, Any]] = []
+    for scene in chosen:
+        lf = scenes.make(scene.name, grid=(5, 5), size=scene.size, noise=scene.noise)
         for preset in presets:
             whole = estimate_depth(lf, config=named(preset), disparity_range=RANGE, device="cpu")
             cut = _in_four(lf, preset)
@@ -36,20 +51,19 @@ def run(presets: Sequence[str]) -> list[dict[str, object]]:
                 shares = {
                     f"above {limit:g}": round(float(100 * (apart > limit).mean()), 6) for limit in (1e-6, 1e-3, 1e-2)
                 }
-                rows.append(
-                    {"scene": name, "preset": preset, "stage": stage, "largest": round(float(apart.max()), 6), **shares}
-                )
+                what = {"scene": scene.name, "size": scene.size, "preset": preset, "stage": stage}
+                rows.append({**what, "largest": round(float(apart.max()), 6), **shares})
     return rows
 
 
 def _in_four(lf: LightField, preset: str) -> DepthResult:
     """The estimate with the most memory that needs 2 x 2 tiles."""
     method = method_of(preset)
-    measured = Measured(RANGE, 0.01)
+    measured = method.measure(lf, load("warp"), "cpu", disparity_range=RANGE)
     edge = method.halo(lf, measured)
     (_, height), (_, width) = (tiles._cuts(side, e)[1] for side, e in zip(lf.size, edge, strict=True))
     memory = method.footprint(lf, measured, on_gpu=False).bytes(height, width)
-    memory += lf.views.nbytes + 4 * 8 * SIZE[0] * SIZE[1]  # what the process holds beside a tile
+    memory += lf.views.nbytes + 4 * 8 * lf.size[0] * lf.size[1]  # what the process holds beside a tile
     result = estimate_depth(lf, config=named(preset), disparity_range=RANGE, device="cpu", max_memory=memory)
     if "4 tiles" not in result.status:
         raise BenchmarkError(f"{lf.name} with {preset} was not cut into 4 tiles: {result.status}")

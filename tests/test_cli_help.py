@@ -135,7 +135,7 @@ def test_parameters_in_a_pipe_are_one_line_each_that_set_takes(name: str) -> Non
 
 def test_parameters_tell_range_choices_and_symbol() -> None:
     lines = {line.split("\t")[0]: line.split("\t")[1:] for line in lfgpu("parameters").out.splitlines()}
-    assert lines["sweep.views"][:2] == ["full", "full, star, cross"]
+    assert lines["sweep.views"][:2] == ["alternate", "full, alternate, star, cross"]
     assert lines["prior.window"][:2] == ["9", "3 to 31, odd"]
     assert lines["alignment.iterations"][1] == "1 to 100, integer"
     assert lines["semi_global.small_penalty"][3] == "P1"

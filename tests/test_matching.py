@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lfgpu import scenes
-from lfgpu._backends import load
+from lfgpu._backends import BackendName, load
 from lfgpu.config import Config
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
@@ -18,7 +18,7 @@ from lfgpu.methods import PRESETS, method_of
 from lfgpu.methods.matching import plan
 from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.noise import in_units_of, measured_noise
-from lfgpu.methods.matching.sweep import labels, used_views, view_sets
+from lfgpu.methods.matching.sweep import labels, swept_views, used_views, view_sets
 from lfgpu.metrics import Metrics, evaluate, sparsification
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.pipeline import DepthPipeline
@@ -51,6 +51,38 @@ def test_a_wide_range_makes_the_steps_longer_and_a_narrow_one_still_has_three() 
     _, step, count = labels((-50.0, 50.0), grid(9, 9), SweepConfig(max_labels=101))
     assert (step, count) == (1.0, 101)
     assert labels((0.0, 1e-3), grid(3, 3), SweepConfig())[2] == 3
+
+
+def test_every_other_view_of_a_large_grid_is_swept_at_first() -> None:
+    offsets = grid(9, 9)
+    swept = offsets[swept_views(offsets, "alternate")]
+    assert len(swept) == 41
+    assert (swept.sum(1) % 2 == 0).all()
+    assert len(swept_views(offsets, "full")) == 81
+    assert len(swept_views(grid(7, 7), "alternate")) == 49  # 25 are too few
+    assert len(swept_views(offsets + np.linspace(0, 0.2, 81)[:, None], "alternate")) == 81  # not on a grid
+
+
+@pytest.mark.parametrize("backend", ["warp", "taichi"])
+def test_views_that_are_not_swept_change_the_last_step_only(backend: BackendName) -> None:
+    """One view of the other colour is out of line: the sweeps stay as they are. Masks go with their views."""
+    lf = scenes.make("planes", grid=(9, 9), size=(32, 40), seed=1)
+    valid = np.ones(lf.views.shape[:3], np.bool_)
+    valid[59] = False  # one to the right of the reference and two below, where no noise is measured
+    moved = lf.views.copy()
+    moved[59, :, 1:] = lf.views[59, :, :-1]
+    options = {"disparity_range": RANGE, "backend": backend, "device": "cpu"}
+    before = estimate_depth(replace(lf, valid=valid), **options)
+    after = estimate_depth(replace(lf, views=moved, valid=valid), **options)
+    blind = estimate_depth(replace(lf, views=moved, valid=np.ones_like(valid)), **options)
+    for stage in ("sweep", "resweep"):
+        np.testing.assert_array_equal(blind.stages[stage], before.stages[stage])
+    np.testing.assert_array_equal(after.disparity, before.disparity)
+    assert np.abs(blind.stages["align"] - before.stages["align"]).max() > 1e-4
+    missing = np.ones_like(valid)
+    missing[50] = False  # one to the right and one below: of the same colour
+    found = estimate_depth(replace(lf, valid=missing), **options).stages["sweep"]
+    assert np.abs(found - before.stages["sweep"]).max() > 1e-4
 
 
 def test_apertures_are_all_views_and_the_quarters_around_the_reference() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import re
 import weakref
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 from stream_runs import FRAMES, LONG, RANGE, adds_up, alone, frames, made, other_scene, until
 
 import lfgpu
+from lfgpu import scenes
 from lfgpu.data.lightfield import LightField
 
 
@@ -88,6 +90,28 @@ def test_cameras_drop_out_and_come_back() -> None:
         assert np.array_equal(stream.push(lf.views).numpy(), whole)
         assert stream.stats()["frames_with_missing_views"] == 1
     assert not np.array_equal(want, whole)
+
+
+def test_cameras_of_a_large_grid_drop_out_and_come_back() -> None:
+    """Every other one is swept at first: masks go with them."""
+    lf, there = scenes.make("planes", grid=(9, 9), size=(32, 40), seed=1), np.ones(81, bool)
+    there[[50, 59]] = False  # one of either kind
+    valid = np.broadcast_to(there[:, None, None], lf.views.shape[:3]).copy()
+    config = lfgpu.PRESETS["accurate"].with_values({"sweep.noise": 0.01})
+    want, whole = (
+        lfgpu.estimate_depth(one, config=config, disparity_range=RANGE, device="cpu").disparity
+        for one in (replace(lf, valid=valid), lf)
+    )
+    views = lf.views.copy()
+    views[~there] = 255
+    with made(lf, config=config, prior=None) as stream:
+        assert np.array_equal(stream.push(lf.views).numpy(), whole)
+        assert np.array_equal(stream.push(views, valid=there).numpy(), want)
+    assert not np.array_equal(want, whole)
+    with made(lf, config=config) as stream:
+        stream.push(lf.views).wait()
+        warm = stream.push(lf.views).numpy()
+    assert np.median(np.abs(warm - whole)) < 0.01
 
 
 def test_masks_of_the_light_field_stay() -> None:

@@ -120,7 +120,9 @@ def rendering_(
     scene_names: Annotated[
         str, typer.Option("--scenes", metavar="NAME,...", help=f"Default: {', '.join(rendering.SCENES)}.")
     ] = "",
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Of the maps of the views that are kept.")] = "accurate",
+    preset: Annotated[
+        str, typer.Option(metavar="NAME", help="Preset for the maps of the views that are kept.")
+    ] = "accurate",
     every: Annotated[int, typer.Option(min=1, help="Render every so many of the views that are left out.")] = 1,
     data: Data = rendering.DATA,
 ) -> None:
@@ -136,7 +138,7 @@ def rendering_(
 
 
 def files_(
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Of the maps.")] = "fast",
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Preset for the maps.")] = "fast",
     data: Annotated[
         Path, typer.Option(metavar="FOLDER", help="The real files; default: real in $LFGPU_DATA, or in ../shared/data.")
     ] = files.DATA,

@@ -74,9 +74,9 @@ def judge_(
 
 def rectify_(
     case_names: CaseNames = "7x7x375x375,9x9x512x512",
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Of the frame that rectification is a part of.")] = (
-        "accurate"
-    ),
+    preset: Annotated[
+        str, typer.Option(metavar="NAME", help="Preset of the frame that includes the rectification.")
+    ] = ("accurate"),
     backends: Backends = "warp",
     seconds: Seconds = 5.0,
     device: Device = None,

@@ -54,8 +54,10 @@ def measure(
     devices: Annotated[
         str, typer.Option(metavar="NAME,...", help="cpu, cuda:0 ...; default: the CPU and the first GPU.")
     ] = "",
-    repeats: Annotated[int, typer.Option(min=1, help="At most; fewer where a call takes long.")] = 15,
-    threads: Annotated[int | None, typer.Option(min=1, help="Of the CPU; default: one for each core.")] = None,
+    repeats: Annotated[
+        int, typer.Option(min=1, help="Most repeats of a call; long calls are repeated less often.")
+    ] = 15,
+    threads: Annotated[int | None, typer.Option(min=1, help="Threads of the CPU; default: one for each core.")] = None,
     timeout: Annotated[float, typer.Option(min=1, help="Seconds that one process may take.")] = 600,
     pipeline_names: Annotated[
         str,
@@ -163,7 +165,7 @@ def batches_(
     counts: Annotated[str, typer.Option(metavar="N,...", help="On how many GPUs; default: 1, 2, 4 and all.")] = "",
     items: Annotated[int, typer.Option(min=10, help="For each worker.")] = 100,
     per_gpu: Annotated[str, typer.Option(metavar="N,...", help="Workers for each GPU.")] = "1",
-    threads: Annotated[int, typer.Option(min=1, help="Of the CPU for each worker.")] = 4,
+    threads: Annotated[int, typer.Option(min=1, help="CPU threads of each worker.")] = 4,
     out: Out = None,
 ) -> None:
     """Measure the items in a second that `lfgpu batch` does on 1, 2, 4 .. GPUs of this machine, and where they wait."""

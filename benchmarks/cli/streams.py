@@ -17,8 +17,8 @@ def flicker_(
     case_name: CaseSize = "5x5x128x128",
     frames: Annotated[int, typer.Option(min=6)] = 24,
     period: Annotated[int, typer.Option(min=1, help="Frames in which things go round; fewer is faster.")] = 240,
-    noise: Annotated[float, typer.Option(help="Of the views, intensities being 0 to 1.")] = 0.01,
-    seeds: Annotated[str, typer.Option(metavar="N,...", help="Of the scenes, a film for each.")] = "0,1,2,3",
+    noise: Annotated[float, typer.Option(help="Noise of the views; intensities are 0 to 1.")] = 0.01,
+    seeds: Annotated[str, typer.Option(metavar="N,...", help="Seeds of the scenes; one film for each.")] = "0,1,2,3",
     presets: Presets = "accurate,fast",
     pasts: Annotated[str, typer.Option(metavar="NAME,...", help="How the last map is used.")] = ",".join(flicker.PASTS),
     device: Device = None,
@@ -39,9 +39,9 @@ def flicker_(
 def live_(
     case_names: CaseNames = "7x7x375x375,9x9x512x512",
     presets: Presets = "accurate,fast",
-    frames: Annotated[int, typer.Option(min=2, help="How many are cast; they are played to and fro.")] = 8,
+    frames: Annotated[int, typer.Option(min=2, help="Number of rendered frames; they are played to and fro.")] = 8,
     seconds: Annotated[float, typer.Option(min=0.1, help="How long each way is measured.")] = 10.0,
-    budget: Annotated[float | None, typer.Option(metavar="MS", help="Of the device for a frame.")] = None,
+    budget: Annotated[float | None, typer.Option(metavar="MS", help="Largest time of the device for a frame.")] = None,
     stages: Annotated[
         bool,
         typer.Option("--stages", help="Instead: time of each operation beside its limit by memory and arithmetic."),
@@ -116,8 +116,8 @@ def soak_(
 def native_(
     case_names: CaseNames = "7x7x375x375",
     presets: Presets = "accurate,fast",
-    threads: Annotated[str, typer.Option(metavar="N,...", help="Of the CPU.")] = "2,16",
-    frames: Annotated[int, typer.Option(min=2, help="How many are cast.")] = 4,
+    threads: Annotated[str, typer.Option(metavar="N,...", help="Numbers of CPU threads.")] = "2,16",
+    frames: Annotated[int, typer.Option(min=2, help="Number of rendered frames.")] = 4,
     repeats: Annotated[int, typer.Option(min=1, help="How often they are played.")] = 5,
     device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu or cuda:0.")] = "cpu",
     out: Out = None,
@@ -133,7 +133,7 @@ def native_(
 
 
 def drift_(
-    hours: Annotated[float, typer.Option(min=0.001, help="Of simulated time.")] = 8.0,
+    hours: Annotated[float, typer.Option(min=0.001, help="Simulated hours.")] = 8.0,
     every: Annotated[float, typer.Option(min=0.1, help="Simulated seconds from look to look.")] = 10.0,
     amplitude: Annotated[float, typer.Option(min=0, max=0.5, help="How far gains go up and down, as a share.")] = 0.1,
     case_name: CaseSize = "3x3x96x96",

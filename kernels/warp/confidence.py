@@ -11,6 +11,7 @@ wp.set_module_options({"enable_backward": False})
 
 _SHARPNESS = wp.constant(2.0)
 _LEAST_COST = wp.constant(1.0)
+_NO_RIVAL = wp.constant(17.0)  # its share is lost in the rounding of the best one's
 
 
 @wp.kernel
@@ -38,7 +39,9 @@ def _evidence_kernel(
             least = wp.min(least, volume[k, y, x])
         rivals = float(0.0)
         for k in range(count):
-            rivals += wp.exp(-_SHARPNESS / unit * (volume[k, y, x] - least))
+            apart = _SHARPNESS / unit * (volume[k, y, x] - least)
+            if apart < _NO_RIVAL:
+                rivals += wp.exp(-apart)
         evidence_out[y, x] = 1.0 / (step * rivals)
 
 

@@ -156,8 +156,8 @@ class Surface:
 
     def __call__(self, x: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Value and derivatives by x and y at places [p]; those outside the frame are moved to its border."""
-        x0, wx, sx = _weights(np.clip(x, 0, self._width - 1))
-        y0, wy, sy = _weights(np.clip(y, 0, self._height - 1))
+        x0, wx, sx = spline_weights(np.clip(x, 0, self._width - 1))
+        y0, wy, sy = spline_weights(np.clip(y, 0, self._height - 1))
         stride = self._padded.shape[1]
         flat, corner = self._padded.ravel(), (y0 + 2) * stride + x0 + 2
         value, by_x, by_y = (np.zeros(len(x)) for _ in range(3))
@@ -173,7 +173,7 @@ class Surface:
         return value, by_x, by_y
 
 
-def _weights(at: Float64Array) -> tuple[NDArray[np.intp], list[Float64Array], list[Float64Array]]:
+def spline_weights(at: Float64Array) -> tuple[NDArray[np.intp], list[Float64Array], list[Float64Array]]:
     """First of the four taps less one, their weights in the cubic B-spline, and the slopes of these."""
     whole = np.floor(at).astype(np.intp)
     t = at - whole

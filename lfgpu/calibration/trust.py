@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import erf
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.calibration.judge import Look, checked, look, part_of
+from lfgpu.calibration.screening import worth_a_look
 from lfgpu.contract import Float32Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
@@ -32,7 +32,8 @@ def judged(
     by σ_d = σ / √(Σ ‖o‖² / 2), with the offsets o of the views that are used: a view tells of the disparity along the
     direction of the texture only, on average half of its offset. Rotations and scales do the same, and more so away
     from the middle. The uncertainty grows by σ_d; the confidence is multiplied by the share of errors of that size that
-    stay within 0.07 pixels per view step. Without a finding the result stays as it is.
+    stay within 0.07 pixels per view step. Without a finding the result stays as it is. A quick screening says first
+    whether there may be one (`lfgpu/calibration/screening.py`).
 
     Parameters
     ----------
@@ -60,11 +61,15 @@ def judged(
     if quickly:
         part, window = part_of(lf, views=_VIEWS, pixels=_PIXELS)
         disparity = disparity[window]
+    if not worth_a_look(part, disparity):
+        return result
     found = look(part, disparity, kernels, pick_device(kernels, device), colours=False)
     if found is None or not found.findings:
         return result
     if not found.moved:
         return replace(result, remarks=found.findings)
+    from scipy.special import erf  # slow to import, and rarely needed
+
     spread = spread_of(lf, found, method_of(result.config).used_views(lf))
     uncertainty = None if result.uncertainty is None else np.hypot(result.uncertainty, spread)
     share = erf(_WITHIN / (np.sqrt(2) * np.maximum(spread, 1e-9))).astype(np.float32)

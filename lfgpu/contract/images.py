@@ -40,7 +40,10 @@ class Images(Protocol):
         """image [y, x, c] = scale * views[index], but `fill` where `valid` [n, y, x] is 0 in view `index`."""
 
     def line_of_views(self, views: Array, line: Sequence[int], *, vertical: bool, epis_out: Array) -> None:
-        """epis [u, y, x, c] = views[line[u], y, x, c], or views[line[u], x, y, c] if `vertical`."""
+        """epis [u, y, x, c] = views[line[u], y, x, c], or views[line[u], x, y, c] if `vertical`.
+
+        A field [n, y, x] in place of the views gives fields.
+        """
 
     def normalization(
         self, shape: Sequence[int], device: str, *, scale: float, sigma: float, floor: float

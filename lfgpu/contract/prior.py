@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lfgpu.contract.arrays import Array
 
 OverPatch: TypeAlias = Literal["mean", "sum"]
-"""How the differences of two patches are taken together."""
+"""Whether the distance of two patches is the mean or the sum over their pixels."""
 
 PatchGradients: TypeAlias = Literal["central", "patch"]
 """What the gradient of a patch pixel is: its central difference, or its difference from the middle of the patch."""

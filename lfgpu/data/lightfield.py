@@ -489,14 +489,26 @@ def _check_distinct(positions: NDArray[np.float64]) -> None:
     if len(unique) < len(positions):
         u, v = unique[counts > 1][0] * _POSITION_TOLERANCE
         raise LightFieldError(f"two views have the position row {v:g}, column {u:g}; all positions must differ.")
-    from scipy.spatial import cKDTree  # only here: it takes a while to load
-
-    distances = cKDTree(positions).query(positions, k=2)[0][:, 1]
-    if not distances.min() > _NEAREST:  # what is nearer than that to the reference tells nothing of depth
+    distance, at = _nearest(positions)
+    if distance <= _NEAREST:  # what is nearer than that to the reference tells nothing of depth
         raise LightFieldError(
-            f"two views stand {distances.min():g} view steps apart, near row {positions[distances.argmin(), 1]:g}, "
-            f"column {positions[distances.argmin(), 0]:g}; positions are in units of the distance of neighbours."
+            f"two views stand {distance:g} view steps apart, near row {positions[at, 1]:g}, column "
+            f"{positions[at, 0]:g}; positions are in units of the distance of neighbours."
         )
+
+
+def _nearest(positions: NDArray[np.float64]) -> tuple[float, int]:
+    """The smallest distance of two positions, and the index of one of them; a larger one if it is not below
+    `_NEAREST`."""
+    order = np.lexsort(positions.T[::-1])
+    ordered, found = positions[order], (np.inf, 0)
+    for k in range(1, len(ordered)):  # each with the one k places on, until all of these are too far away in u alone
+        apart = ordered[k:] - ordered[:-k]
+        if apart[:, 0].min() > _NEAREST:
+            break
+        distance = np.hypot(*apart.T)
+        found = min(found, (float(distance.min()), int(order[distance.argmin()])))
+    return found
 
 
 def _check_grid(positions: NDArray[np.float64], grid_shape: tuple[int, int]) -> None:

@@ -279,7 +279,7 @@ def framed(
         points = np.concatenate([points, np.repeat(cameras, -(-len(points) // (20 * len(cameras))), axis=0)])
     for _ in range(_STEPS_BACK):
         target, forward, sides = _aimed(eye, cloud.centre, points)
-        reach = 1.06 * max(sides[1], sides[0] / max(aspect, 0.1))
+        reach = 1.1 * max(sides[1], sides[0] / max(aspect, 0.1))
         if reach <= _WIDEST:
             break
         eye = eye - 0.5 * np.linalg.norm(target - eye) * forward

@@ -26,7 +26,9 @@ def line_of_views(desk: Desk, i: SimpleNamespace) -> Outputs:
     size = (width, height) if i.vertical else (height, width)
     out = desk.stored_out((len(i.line), *size, channels), i.views.dtype.type)
     desk.kernels.line_of_views(desk.image(i.views), i.line, vertical=i.vertical, epis_out=out)
-    return {"epis": desk.stored_values(out)}
+    fields = desk.out((len(i.line), *size))
+    desk.kernels.line_of_views(desk.field(i.views[..., 0]), i.line, vertical=i.vertical, epis_out=fields)
+    return {"epis": desk.stored_values(out), "fields": fields}
 
 
 def normalization(desk: Desk, i: SimpleNamespace) -> Outputs:

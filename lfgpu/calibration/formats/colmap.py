@@ -11,7 +11,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lfgpu.calibration.cameras import Camera, of_quaternion
 from lfgpu.calibration.formats.entries import numbers
@@ -268,6 +267,8 @@ def _lens_of(camera: Camera) -> tuple[str, tuple[float, ...]]:
 
 def _pose_of(camera: Camera) -> tuple[float, ...]:
     """Quaternion w, x, y, z and translation, world to camera."""
+    from scipy.spatial.transform import Rotation  # slow to import, and needed for writing only
+
     w_last = Rotation.from_matrix(np.asarray(camera.rotation)).as_quat()
     return (*map(float, np.roll(w_last, 1)), *map(float, np.asarray(camera.translation)))
 

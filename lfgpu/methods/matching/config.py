@@ -13,8 +13,10 @@ class SweepConfig(Section):
     """The plane sweep: every view is compared with the reference at a row of disparities."""
 
     views: str = choice(
-        "full", ("full", "star", "cross"), "views that are used: all; those in the reference's row, column and "
-        "diagonals; or those in its row and column. All are used where fewer than four would be left beside it"
+        "alternate", ("full", "alternate", "star", "cross"), "views that are used: all; all, but every other one only, "
+        "as the squares of one colour on a chessboard, before the last step of the alignment, if that leaves at least "
+        "40 of a grid; those in the reference's row, column and diagonals; or those in its row and column. All are "
+        "used where fewer than four would be left beside it"
     )  # fmt: skip
     occlusions: str = choice(
         "twice", ("once", "twice"), "once compares partial view sets; twice sweeps again with the views that see a "
@@ -153,4 +155,5 @@ PRESETS = {
         alignment=AlignmentConfig(iterations=1),
     ),
 }
-"""`accurate` matches all views and sweeps twice. `fast` matches the reference's row and column of views, once."""
+"""`accurate` matches all views, of large grids every other one at first, and sweeps twice. `fast` matches the
+reference's row and column of views, once."""

@@ -13,14 +13,14 @@ from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.noise import measured_grain, measured_noise, of_given_noise, smoothing_deviation
 from lfgpu.methods.matching.plan import MatchingPlan
-from lfgpu.methods.matching.sweep import labels, used_views
+from lfgpu.methods.matching.sweep import labels, swept_views, used_views
 from lfgpu.methods.matching.temporal import TemporalMatching
 from lfgpu.methods.measured import Measured, checked_range
 from lfgpu.methods.temporal_prior import TemporalPrior
 
 _SLICES = 16  # that work on a CPU is cut into, some of which have a workspace of their own
 _REDUCED = 3  # pixels of reduced views: differences, and what is interpolated between them
-_PATHS = 40  # pixels at the edge of a tile from which semi-global matching learns where its paths come from
+_PATHS = 60  # pixels at the edge of a tile from which semi-global matching learns where its paths come from
 
 
 class Matching(Method[MatchingConfig]):
@@ -75,24 +75,26 @@ class Matching(Method[MatchingConfig]):
 
     def footprint(self, lf: LightField, measured: Measured, *, on_gpu: bool) -> Footprint:
         config, channels, stored = self.config, lf.channels, lf.views.dtype.itemsize
-        used = len(self.used_views(lf))
-        views = used * channels * stored
-        masks = 0 if lf.valid is None else 5 * used
-        host = 0 if on_gpu else views + masks  # the tile as it was cut out
+        used = self.used_views(lf)
+        some = len(swept_views(lf.offsets[used], config.sweep.views))
+        taken, copied = len(used), some if some < len(used) else 0
+        views = (taken + copied) * channels * stored
+        masks = 0 if lf.valid is None else 5 * taken + 4 * copied
+        host = 0 if on_gpu else taken * channels * stored + masks  # the tile as it was cut out
         smoothed, compared = 0, stored
         if smoothing_deviation(measured.grain, config.sweep) is not None:
-            smoothed, compared = 2 * used * channels, 2
-        packed = used * (4 if channels == 3 else 2) * stored  # a pixel with whether it is valid
-        swept = used * (channels if not on_gpu else 4 if channels == 3 else 2) * compared + smoothed
+            smoothed, compared = 2 * some * channels, 2
+        packed = (taken + copied) * (4 if channels == 3 else 2) * stored  # a pixel with whether it is valid
+        swept = some * (channels if not on_gpu else 4 if channels == 3 else 2) * compared + smoothed
         if config.sweep.reduced_weight:
-            swept += -(-(2 * 2 * used * channels + masks) // REDUCTION**2)
+            swept += -(-(2 * 2 * some * channels + masks) // REDUCTION**2)
         volumes = 2 * 4 * labels(measured.disparity_range, lf.offsets, config.sweep)[2]
         if config.sweep.reduced_weight:
             volumes += -(-volumes // (2 * REDUCTION**2))
         weights = 3 * 4 * ((config.prior.window**2 - 1) // 2) + 4 * 3 * channels
         if config.semi_global.window != config.prior.window:
             weights += 2 * 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels
-        hiding = (8 if config.sweep.occlusions == "twice" else 4) * used
+        hiding = 4 * (taken + copied + (some if config.sweep.occlusions == "twice" else 0))
         workspaces = 0 if on_gpu else 2 * 4 * _SLICES
         fields = 4 * (25 + 2 * channels)
         per_pixel = host + views + swept + packed + hiding + volumes + weights + workspaces + fields + masks

@@ -8,11 +8,14 @@ texture may lie farther away than it was found.
 `align` makes the disparity continuous: Gauss-Newton steps on what the views that see a pixel have in common, and then
 the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side whose colour
 it has, and fills surfaces without texture from those around them.
+
+Of large grids every other view is enough until the last step of the alignment: `swept_views`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,11 +26,13 @@ from lfgpu.data.lightfield import LightField, farthest
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Callback, Work
 from lfgpu.methods.matching import trust
+from lfgpu.methods.matching.alignment_step import AlignmentStep
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.hole_filling import HoleFilling
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
 from lfgpu.methods.matching.reduced import ReducedSweep
-from lfgpu.methods.matching.sweep import labels, planned_sweep, used_views
+from lfgpu.methods.matching.some_views import SomeViews
+from lfgpu.methods.matching.sweep import labels, planned_sweep, swept_views, used_views
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.solvers.solution import Solution
@@ -59,6 +64,8 @@ class MatchingPlan:
     """
 
     decided = "align"
+    may_be_masked = False
+    """Whether views may come with masks that the light field does not have."""
 
     def __init__(
         self, lf: LightField, measured: Measured, config: MatchingConfig, kernels: KernelSet, device: str
@@ -94,27 +101,33 @@ class MatchingPlan:
             self._near = NonLocalMeans(image, replace(config.prior, window=config.semi_global.window), kernels, device)
         self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
         self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
-        self._nearest = kernels.zeros(shape[:3], device)
-        self._certain = kernels.zeros(shape[:3], device) if self._twice else None
+        # Every other view is enough for the first steps on large grids.
+        swept = swept_views(lf.offsets, config.sweep.views)
+        some, self._some = lf, None
+        self._swept_offsets, nearest = self._offsets, kernels.zeros(shape[:3], device)
+        self._swept_nearest = nearest
+        if len(swept) < len(lf.views):
+            some, self._some = lf.subset(swept), SomeViews(lf, swept, kernels, device, masked=self.may_be_masked)
+            self._swept_offsets = kernels.field(some.offsets, device)
+            self._swept_nearest = kernels.zeros((len(swept), *lf.size), device)
+        self._swept_shape, self._swept_reference = (len(some.views), *shape[1:]), some.reference_index
+        self._certain = kernels.zeros(self._swept_shape[:3], device) if self._twice else None
         place = self._first, self._step, count
         self._compared, self._unit = self._image, lf.scale
         if self._deviation is not None:
             self._compared, self._unit = kernels.zeros_image(image, device), 1 / WHITE
-            self._smoothed = kernels.zeros_image(shape, device, np.uint16)
-        self._sweep = planned_sweep(shape, lf.offsets, place, config.sweep, kernels, device, scale=self._unit)
+            self._smoothed = kernels.zeros_image(self._swept_shape, device, np.uint16)
+        self._sweep = planned_sweep(
+            self._swept_shape, some.offsets, place, config.sweep, kernels, device, scale=self._unit
+        )
         self._reduced = None
         if config.sweep.reduced_weight > 0 and min(lf.size) >= _LEAST_REDUCED * REDUCTION:
-            self._reduced = ReducedSweep(lf, place, config.sweep, kernels, device, scale=self._unit)
-        self._hiding = kernels.z_buffer(shape, self._offsets, reach=0) if self._twice else None
-        self._hiding_beside = kernels.z_buffer(shape, self._offsets, reach=1)
-        self._align = kernels.alignment(
-            shape,
-            self._offsets,
-            scale=lf.scale,
-            gradient_weight=config.alignment.gradient_weight,
-            robust=config.alignment.robust,
-            tolerance=config.sweep.tolerance / self._farthest,
-        )
+            self._reduced = ReducedSweep(some, place, config.sweep, kernels, device, scale=self._unit)
+        self._hiding = kernels.z_buffer(self._swept_shape, self._swept_offsets, reach=0) if self._twice else None
+        self._last_step = self._planned_step(shape, self._offsets, nearest)
+        self._first_steps = self._last_step
+        if self._some is not None:
+            self._first_steps = self._planned_step(self._swept_shape, self._swept_offsets, self._swept_nearest)
         self._swept, self._aligned, self.disparity, self.confidence = (kernels.zeros(lf.size, device) for _ in range(4))
         """`disparity` and `confidence` are the results, fields [y, x]."""
         self._matched = kernels.zeros(lf.size, device) if self._twice else self._swept
@@ -188,18 +201,20 @@ class MatchingPlan:
         self._prior.load(self._image)
         if self._near is not self._prior:
             self._near.load(self._image)
-        self._align.load(self._image, views, self._valid)
+        self._last_step.load(self._image, views, self._valid)
+        valid = self._valid
+        if self._some is not None:
+            views, valid = self._some.of(views, valid)
+            self._first_steps.load(self._image, views, valid)
         if self._deviation is not None:
-            kernels.smooth_views(
-                views, self._valid, scale=self._scale, deviation=self._deviation, views_out=self._smoothed
-            )
+            kernels.smooth_views(views, valid, scale=self._scale, deviation=self._deviation, views_out=self._smoothed)
             views = self._smoothed
             kernels.intensities(
-                views, self._reference, self._valid, scale=self._unit, fill=UNLIKE_ANY, image_out=self._compared
+                views, self._swept_reference, valid, scale=self._unit, fill=UNLIKE_ANY, image_out=self._compared
             )
-        self._sweep.load(self._compared, views, self._valid)
+        self._sweep.load(self._compared, views, valid)
         if self._reduced is not None:
-            self._reduced.load(views, self._valid)
+            self._reduced.load(views, valid)
 
     def _compare_visible(self, _: Callback | None) -> None:
         assert self._hiding is not None  # there is no such stage otherwise
@@ -214,8 +229,8 @@ class MatchingPlan:
             disparity_out=self._workspace,
         )
         self._hiding(self._workspace, self._certain)
-        self._hiding(self._swept, self._nearest)
-        self._sweep.by_visibility(self._nearest, self._certain, self._volume)
+        self._hiding(self._swept, self._swept_nearest)
+        self._sweep.by_visibility(self._swept_nearest, self._certain, self._volume)
         self._find_surface(self._matched, self._config.semi_global.resweep_factor)
 
     def _find_surface(self, disparity_out: Array, factor: float = 1.0) -> None:
@@ -246,9 +261,8 @@ class MatchingPlan:
         longest = config.longest_step / self._farthest
         kernels.copy(self._matched, map_)
         for iteration, moved in enumerate(self._moves[: self._steps], 1):
-            # Beside an edge in another view, what is seen there is mixed with what is nearer: one pixel is left out.
-            self._hiding_beside(map_, self._nearest)
-            self._align(map_, self._nearest, self._curvature, self._slope)
+            step = self._last_step if iteration == self._steps else self._first_steps
+            step(map_, self._curvature, self._slope)
             self._on_surface(self._slope, self._curvature, _LEAST_CURVATURE * config.robust**2, workspace)
             kernels.clamp(workspace, -longest, longest, workspace)
             kernels.dot(workspace, workspace, moved)
@@ -379,6 +393,17 @@ class MatchingPlan:
         if self._known is not None:
             deviation[self._kernels.numpy(self._known) <= 0] = np.nan
         return deviation
+
+    def _planned_step(self, shape: Sequence[int], offsets: Array, nearest: Array) -> AlignmentStep:
+        return AlignmentStep(
+            shape,
+            offsets,
+            nearest,
+            self._kernels,
+            scale=self._scale,
+            config=self._config.alignment,
+            tolerance=self._config.sweep.tolerance / self._farthest,
+        )
 
     def _weigh_texture(self, stiffness: float) -> None:
         """certainty = curvature / (curvature + stiffness) + a little, so that where nothing is certain means exist."""

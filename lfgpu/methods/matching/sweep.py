@@ -14,6 +14,7 @@ from lfgpu.methods.matching.config import SweepConfig
 _DIRECTIONS = 8  # in which some of the views lie
 _FEWEST = 4  # views beside the reference that a pattern must have
 _ON_LINE = 1e-3  # view steps
+_MANY = 40  # views that must be left where every other one is left out
 
 
 def planned_sweep(
@@ -48,8 +49,22 @@ def planned_sweep(
 
 def used_views(lf: LightField, pattern: str) -> list[int]:
     """Indices of the views of a pattern, in order, or of all if fewer than four beside the reference are in it."""
-    used = [int(index) for index in np.flatnonzero(lf.pattern(pattern))]
+    used = [int(index) for index in np.flatnonzero(lf.pattern("full" if pattern == "alternate" else pattern))]
     return used if len(used) > _FEWEST else list(range(len(lf.views)))
+
+
+def swept_views(offsets: Float64Array, pattern: str) -> list[int]:
+    """Indices of those of the used views, `offsets` [n, 2] apart, which all steps before the alignment's last take.
+
+    These are all of them but for "alternate": then those of one colour, where the places of a grid are coloured as the
+    squares of a chessboard, the reference among them. A grid with fewer than 40 such views keeps all.
+    """
+    places = np.rint(offsets)
+    if pattern == "alternate" and np.abs(offsets - places).max() < _ON_LINE:
+        alternate = np.flatnonzero(places.sum(1) % 2 == 0)
+        if len(alternate) >= _MANY:
+            return [int(index) for index in alternate]
+    return list(range(len(offsets)))
 
 
 def labels(bounds: tuple[float, float], offsets: Float64Array, config: SweepConfig) -> tuple[float, float, int]:

@@ -46,6 +46,8 @@ class TemporalMatching(MatchingPlan):
         How much the last map says.
     """
 
+    may_be_masked = True
+
     def __init__(
         self,
         lf: LightField,
@@ -59,8 +61,7 @@ class TemporalMatching(MatchingPlan):
     ) -> None:
         super().__init__(lf, measured, config, kernels, device)
         # What compares only once has no use for it otherwise.
-        shape = (*self._nearest.shape, lf.channels)
-        self._past_hiding = self._hiding or kernels.z_buffer(shape, self._offsets, reach=0)
+        self._past_hiding = self._hiding or kernels.z_buffer(self._swept_shape, self._swept_offsets, reach=0)
         self._temporal, self._streaming, self._is_warm = prior, streaming, False
         self._past, self._frames, self._rate = (kernels.zeros(lf.size, device) for _ in range(3))
         self._expected, self._frames_before, self._rate_before = (kernels.zeros(lf.size, device) for _ in range(3))
@@ -139,8 +140,8 @@ class TemporalMatching(MatchingPlan):
         )
         kernels.clamp(self._expected, *self._bounds, self._expected)
         kernels.multiply(self._same, self._believed, self._believed)
-        self._past_hiding(self._expected, self._nearest)
-        self._sweep.by_visibility(self._nearest, self._nearest, self._volume)
+        self._past_hiding(self._expected, self._swept_nearest)
+        self._sweep.by_visibility(self._swept_nearest, self._swept_nearest, self._volume)
         self._find_surface(self._swept)
         if self._twice:
             kernels.copy(self._swept, self._matched)

@@ -18,7 +18,8 @@ class SynthesisPriorConfig(PriorConfig):
         "connected; 0, as in the paper"
     )  # fmt: skip
     over_patch: str = choice(
-        "mean", ("mean", "sum"), "how the differences of two patches are taken together; sum, as in the paper"
+        "mean", ("mean", "sum"), "whether the distance of two patches is the mean or the sum over their pixels; sum, "
+        "as in the paper"
     )  # fmt: skip
     gradients: str = choice(
         "central", ("central", "patch"), "gradients that are compared: central differences at each patch pixel; or the "
@@ -51,7 +52,8 @@ class RefinementConfig(Section):
         "z-buffer keeps the nearest"
     )  # fmt: skip
     error: str = choice(
-        "mean", ("mean", "sum"), "how the squared error is taken over views and channels; sum, as in the paper"
+        "mean", ("mean", "sum"), "whether the squared error is the mean or the sum over views and channels; sum, "
+        "as in the paper"
     )  # fmt: skip
     smooths: str = choice(
         "change", ("change", "map"), "what the prior holds together: the change of the propagated map, so that "
@@ -70,8 +72,8 @@ class RefinementConfig(Section):
         "as far as the views that see it agree better; whole: the refined map, as in the paper"
     )  # fmt: skip
     longest_change: float = number(
-        0.2, 1e-3, 100.0, "most by which by-pixel changes the propagated map, pixels in the farthest view; it grows "
-        "with the noise"
+        0.2, 1e-3, 100.0, "largest change of the propagated map with acceptance=by-pixel, pixels in the farthest "
+        "view; it grows with the noise"
     )  # fmt: skip
     softness: float = number(
         0.1, 0.001, 0.5, "width of the rounded kinks of the triangle kernel, pixels", symbol="ε of Λ"

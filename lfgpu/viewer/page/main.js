@@ -281,7 +281,7 @@ function showMaps() {
   showSpaceScale();
   fill($("colours"), Object.keys(fixed.colours).map((name) => [name, COLOURS[name] ?? name]), colours);
   for (const [id, value] of [["low", low], ["high", high]]) {
-    if (document.activeElement !== $(id)) $(id).value = Number(value.toPrecision(5));
+    if (document.activeElement !== $(id)) $(id).value = roundedTo((high - low) / 1000, value);
   }
   $("auto").disabled = !ui.ranges[ui.quantity];
 }
@@ -289,6 +289,12 @@ function showMaps() {
 function showSpaceScale() {
   $("space-bar").hidden = ui.paint === PICTURE;
   drawScale($("space-bar"), entry(ui.result)?.kinds.includes(ui.paint) ? scale(ui.paint) : { low: 0, high: 0 });
+}
+
+/** A value with as many digits as tell it from others that are `apart`, so that it can be read in a narrow field. */
+function roundedTo(apart, value) {
+  const digits = Math.max(0, Math.min(9, -Math.floor(Math.log10(apart))));
+  return Number.isFinite(digits) ? Number(value.toFixed(digits)) : value;
 }
 
 /** How the values of the map are distributed, with that of the chosen pixel. */

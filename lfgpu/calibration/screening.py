@@ -1,0 +1,162 @@
+"""A screening of the cameras: whether a look at them may find anything at all.
+
+Nearly all light fields are right, and a look (`lfgpu.calibration.judge.look`) takes longer than a fast map. The
+screening compares all views with the reference at some hundred points, and reads no more of the views than these. One
+linear step says how each view would have to move, turn, grow and change in brightness. Half of what would be a finding
+makes it worth a look, and so does noise of that size.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from lfgpu.calibration import consensus
+from lfgpu.calibration.bundle import farthest, grey, inner, spline_weights, textured
+from lfgpu.contract import Float64Array
+from lfgpu.data.lightfield import LightField
+from lfgpu.threads import in_threads
+
+MOVED, TURNED, BRIGHTER = 0.05, 0.07, 0.015
+"""Pixels, pixels at the half diagonal, and share: half of what `judge` finds worth saying."""
+OUT_OF_LINE, OUT_OF_SHAPE = 0.06, 0.1
+"""Pixels, of all views together: half of the same."""
+_POINTS, _FEWEST = 800, 200
+_EDGE = 1.0  # pixels in the farthest view: where disparities around a point differ by more, it is left out
+_TOLERANCE = 1.2  # pixels in the farthest view: what is nearer by less hides nothing
+_AGREE = 0.4  # pixels: views that differ from the reference by no more than this in the median have the right axes
+_ROUNDS = 2  # of robust weights
+_LEAST_NOISE = 0.003  # intensity
+_SIDES = 4  # views, those farthest away, in which it is looked at what hides what
+_GAP = 2.0  # pixels in the farthest view: what is nearer by more hides what is behind it
+_DIFFERENT = 0.03  # intensity: colours that can be told apart
+_TOLD = 50  # pixels that tell what hides what; from fewer nobody can tell
+_AS_GOOD = 0.95  # of the loss: how much better the right order must be than the other one
+
+
+def worth_a_look(lf: LightField, disparity: NDArray[np.float32]) -> bool:
+    """Whether something may be wrong with the cameras of a light field, by the map of its reference view [y, x]."""
+    known = np.isfinite(disparity)
+    if lf.valid is not None:
+        known &= lf.valid[lf.reference_index]
+    map_ = np.where(known, disparity, np.nanmin(disparity))
+    flat = ndimage.maximum_filter(map_, 5) - ndimage.minimum_filter(map_, 5) <= _EDGE / farthest(lf)
+    y, x, _ = textured(lf, flat & inner(known), _POINTS)
+    return len(x) < _FEWEST or _may_be_off(lf, map_, y, x) or _may_be_swapped(lf, map_, known)
+
+
+def _may_be_off(lf: LightField, map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp]) -> bool:
+    """Whether views may be out of line, turned, scaled, of other brightness, or at mirrored places."""
+    offsets, radius = lf.offsets, float(np.hypot(*lf.size)) / 2
+    looks = in_threads(lambda n: _shown(lf, map_, n, y, x), range(len(lf.views)))
+    value, by_x, by_y, seen = (np.stack(parts) for parts in zip(*looks, strict=True))
+    parallax = by_x * offsets[:, :1] + by_y * offsets[:, 1:]
+    middle = (np.array(lf.size[::-1]) - 1) / 2
+    across, down = (x - middle[0]) / radius, (y - middle[1]) / radius
+    template = value[lf.reference_index]
+    found, weight = np.zeros((len(value), 6)), seen
+    rest = value - template
+    for _ in range(_ROUNDS):
+        # What a disparity of each point that is a little off explains, and the mean of the views, are none of theirs.
+        moved = (weight * parallax * rest).sum(0) / np.maximum((weight * parallax**2).sum(0), 1e-12)
+        change = (weight * rest).sum(0) / np.maximum(weight.sum(0), 1e-12)
+        left = rest - parallax * moved - change
+        slopes = [by_x, by_y, by_y * across - by_x * down, by_x * across + by_y * down]
+        jacobian = np.stack([*slopes, np.broadcast_to(template, value.shape), np.ones_like(value)], axis=1)
+        weighted = jacobian * weight[:, None]
+        normal = weighted @ jacobian.transpose(0, 2, 1) + 1e-6 * np.eye(6)
+        found = np.linalg.solve(normal, weighted @ left[..., None])[..., 0]
+        left = left - np.einsum("nk,nkp->np", found, jacobian)
+        noise = max(_LEAST_NOISE, 1.4826 * float(np.median(np.abs(left[seen > 0]))))
+        weight = seen / (1 + (left / (3 * noise)) ** 2) ** 2
+    if noise > _AGREE * float(np.median(np.hypot(by_x, by_y))):
+        return True
+    shift = consensus.smooth_rest(consensus.without_gauge(found[:, :2], offsets), offsets)
+    shape = consensus.smooth_rest(found[:, 2:4], offsets)  # at the half diagonal, pixels
+    level = float(np.clip(np.median(template), 0.02, 1.0))
+    bright = consensus.smooth_rest((found[:, 4] + found[:, 5] / level)[:, None], offsets)
+    return bool(
+        np.linalg.norm(shift, axis=1).max() > MOVED
+        or consensus.usual_rest(shift) > OUT_OF_LINE
+        or np.abs(shape).max() > TURNED
+        or max(consensus.usual_rest(column[:, None]) for column in shape.T) > OUT_OF_SHAPE
+        or np.abs(bright).max() > BRIGHTER
+    )
+
+
+def _shown(
+    lf: LightField, map_: NDArray[np.float32], index: int, y: NDArray[np.intp], x: NDArray[np.intp]
+) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
+    """What a view shows of the points, smoothed, its derivatives, and whether it sees them, [p] each."""
+    (du, dv), (height, width) = lf.offsets[index], lf.size
+    d = map_[y, x].astype(np.float64)
+    at_x, at_y = x - d * du, y - d * dv
+    inside = (at_x >= 1) & (at_x < width - 2) & (at_y >= 1) & (at_y < height - 2)
+    x0, wx, sx = spline_weights(at_x.clip(1, width - 2.01))
+    y0, wy, sy = spline_weights(at_y.clip(1, height - 2.01))
+    four = np.arange(-1, 3)
+    rows, columns = y0[:, None, None] + four[:, None], x0[:, None, None] + four
+    taps = lf.views[index, rows, columns].mean(axis=3, dtype=np.float64) * lf.scale
+    seen = inside & ~_hidden(lf, map_, y, x, d, du, dv)
+    if lf.valid is not None:
+        seen &= lf.valid[index, rows, columns].all(axis=(1, 2))
+    by_row, slope = np.einsum("pji,ip->jp", taps, wx), np.einsum("pji,ip->jp", taps, sx)
+    by_y = np.einsum("jp,jp->p", by_row, sy)
+    return np.einsum("jp,jp->p", by_row, wy), np.einsum("jp,jp->p", slope, wy), by_y, seen.astype(np.float64)
+
+
+def _hidden(
+    lf: LightField,
+    map_: NDArray[np.float32],
+    y: NDArray[np.intp],
+    x: NDArray[np.intp],
+    d: Float64Array,
+    du: float,
+    dv: float,
+) -> NDArray[np.bool_]:
+    """Whether something nearer lands where the points land in the view at (du, dv).
+
+    What is nearer by k pixels there lies k pixels beside the point in the reference, along the offset.
+    """
+    distance, (height, width) = float(np.hypot(du, dv)), lf.size
+    if distance == 0:
+        return np.zeros(len(d), np.bool_)
+    steps = np.arange(1, int(np.ceil((float(map_.max()) - float(d.min())) * distance)) + 1)[:, None] / distance
+    rows = np.rint(y + steps * dv).astype(np.intp)
+    columns = np.rint(x + steps * du).astype(np.intp)
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    nearer = map_[rows.clip(0, height - 1), columns.clip(0, width - 1)] - d
+    least = np.maximum(steps - 0.7 / distance, _TOLERANCE / farthest(lf))
+    return np.asarray((inside & (nearer >= least) & (nearer <= steps + 0.7 / distance)).any(0))
+
+
+def _may_be_swapped(lf: LightField, map_: NDArray[np.float32], known: NDArray[np.bool_]) -> bool:
+    """Whether what the map takes for near may be hidden by what it takes for far."""
+    distance = np.hypot(*lf.offsets.T)
+    image, (height, width) = grey(lf, lf.reference_index).ravel(), lf.size
+    order = np.argsort(map_, axis=None, kind="stable")
+    order = order[known.ravel()[order]]
+    d, (rows, columns) = map_.ravel()[order], np.divmod(order, width)
+    told, right, other = 0, 0.0, 0.0
+    for n in np.argsort(-distance, kind="stable")[:_SIDES]:
+        du, dv = lf.offsets[n]
+        x, y = np.rint(columns - d * du).astype(np.intp), np.rint(rows - d * dv).astype(np.intp)
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        landed, place = order[inside], y[inside] * width + x[inside]
+        front, back = np.full(height * width, -1), np.full(height * width, -1)
+        front[place], back[place[::-1]] = landed, landed[::-1]  # the last one stays
+        there = np.flatnonzero(front >= 0)
+        front, back = front[there], back[there]
+        apart = map_.ravel()[front] - map_.ravel()[back] > _GAP / distance.max()
+        apart &= np.abs(image[front] - image[back]) > _DIFFERENT
+        if lf.valid is not None:
+            apart &= lf.valid[n].ravel()[there]
+        shown = grey(lf, int(n)).ravel()[there[apart]]
+        told += len(shown)
+        right += float(np.minimum(np.abs(shown - image[front[apart]]), 0.1).sum())
+        other += float(np.minimum(np.abs(shown - image[back[apart]]), 0.1).sum())
+    return told >= _TOLD and right > _AS_GOOD * other
+
+
+__all__ = ["worth_a_look"]

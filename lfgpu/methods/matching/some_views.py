@@ -1,0 +1,40 @@
+"""Some of the views of a light field, and their masks, copied on the device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lfgpu.contract import Array, KernelSet
+from lfgpu.data.lightfield import LightField
+
+
+class SomeViews:
+    """Those views of light fields of a kind that are chosen.
+
+    Parameters
+    ----------
+    lf
+        A light field of the kind; its views do not matter.
+    chosen
+        Their indices, in order, the reference among them.
+    kernels, device
+        Where they are.
+    masked
+        Whether masks may come even if `lf` has none.
+    """
+
+    def __init__(
+        self, lf: LightField, chosen: Sequence[int], kernels: KernelSet, device: str, *, masked: bool = False
+    ) -> None:
+        self._kernels, self._chosen = kernels, list(chosen)
+        shape = (len(chosen), *lf.size, lf.channels)
+        self._views = kernels.zeros_image(shape, device, lf.views.dtype)
+        self._valid = kernels.zeros(shape[:3], device) if masked or lf.valid is not None else None
+
+    def of(self, views: Array, valid: Array | None) -> tuple[Array, Array | None]:
+        """The chosen ones of all views [n, y, x, c] and of their masks [n, y, x]; the next call overwrites them."""
+        self._kernels.line_of_views(views, self._chosen, vertical=False, epis_out=self._views)
+        if valid is None:
+            return self._views, None
+        self._kernels.line_of_views(valid, self._chosen, vertical=False, epis_out=self._valid)
+        return self._views, self._valid

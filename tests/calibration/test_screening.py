@@ -1,0 +1,91 @@
+"""The screening lets through what a look at the cameras would find, and stops where nothing is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.calibration import Misalignment, disturb, judged
+from lfgpu.calibration.screening import worth_a_look
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
+
+
+@pytest.fixture(scope="module")
+def boxes() -> LightField:
+    return scenes.make("boxes", grid=(5, 5), size=(160, 176), seed=3, noise=0.004)
+
+
+def truth(lf: LightField) -> np.ndarray:
+    assert lf.truth is not None
+    return lf.truth.disparity
+
+
+def with_view(lf: LightField, index: int, change) -> LightField:
+    views = lf.views.copy()
+    views[index] = np.clip(np.rint(change(views[index].astype(np.float64))), 0, 255)
+    return replace(lf, views=views)
+
+
+def turned(image: np.ndarray, degrees: float) -> np.ndarray:
+    return ndimage.rotate(image, degrees, axes=(1, 0), reshape=False, order=3, mode="nearest")
+
+
+@pytest.mark.parametrize("name", ["boxes", "planes", "relief", "bars"])
+def test_right_cameras_need_no_look(name: str) -> None:
+    lf = scenes.make(name, grid=(5, 5), size=(160, 176), seed=4)
+    assert not worth_a_look(lf, truth(lf))
+    partly = truth(lf).copy()
+    partly[:, :40] = np.nan
+    assert not worth_a_look(lf, partly)
+    valid = np.ones(lf.views.shape[:3], np.bool_)
+    valid[:, :30] = False
+    masked = replace(lf, views=np.where(valid[..., None], lf.views, 0), valid=valid)
+    assert not worth_a_look(masked, truth(lf))
+
+
+@pytest.mark.parametrize(
+    ("index", "change"),
+    [
+        (3, lambda image: ndimage.shift(image, (0, 0.15, 0), order=3, mode="nearest")),
+        (12, lambda image: ndimage.shift(image, (-0.15, 0, 0), order=3, mode="nearest")),
+        (20, lambda image: turned(image, 0.15)),
+        (7, lambda image: 0.95 * image),
+    ],
+)
+def test_a_single_view_is_worth_it(boxes: LightField, index: int, change) -> None:
+    """The reference view, 12, among them."""
+    assert worth_a_look(with_view(boxes, index, change), truth(boxes))
+
+
+@pytest.mark.parametrize("how", ["shift=0.15", "roll=0.2", "scale=0.003", "gain=0.05"])
+def test_all_cameras_together_are_worth_it(boxes: LightField, how: str) -> None:
+    assert worth_a_look(disturb(boxes, Misalignment.parse(how), seed=1).light_field, truth(boxes))
+
+
+@pytest.mark.parametrize("matrix", [((1, 0), (0, -1)), ((-1, 0), (0, -1)), ((0, 1), (1, 0))])
+def test_wrong_axes_are_worth_it(boxes: LightField, matrix: tuple[tuple[int, int], tuple[int, int]]) -> None:
+    positions = boxes.positions @ np.array(matrix, float).T
+    lf = replace(boxes, positions=positions, grid_shape=None, truth=None, geometry=None)
+    assert worth_a_look(lf, lfgpu.estimate_depth(lf, config="fast", device="cpu").disparity)
+
+
+def test_no_look_is_taken_where_none_is_worth_it(boxes: LightField, monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[LightField] = []
+
+    def look(lf: LightField, *_: object, **__: object) -> None:
+        looks.append(lf)
+
+    monkeypatch.setattr("lfgpu.calibration.trust.look", look)
+    result = lfgpu.estimate_depth(boxes, config="fast", disparity_range=(-2, 2), device="cpu")
+    assert isinstance(result, DepthResult)
+    assert judged(boxes, result, device="cpu") is result
+    assert not looks
+    moved = with_view(boxes, 3, lambda image: np.roll(image, 1, axis=1))
+    judged(moved, result, device="cpu")
+    assert len(looks) == 1
