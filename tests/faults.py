@@ -160,9 +160,9 @@ FAULTS = (
     ),
     Fault(
         "the right border of the ratio on a GPU",
-        "kernels/warp/nlm.py",
-        "if (y >= dy && (unsigned)(x - dx) < (unsigned)width) add(w[-step], p - step);",
-        "if (y >= dy) add(w[-step], p - step);",
+        "kernels/warp/nlm_regression.py",
+        "if (y >= dy && (unsigned)(x - dx) < (unsigned)width) add(w[-step], p - step, -dx, -dy);",
+        "if (y >= dy) add(w[-step], p - step, -dx, -dy);",
         (_GPU, "-k", "nlm_ratio and equals"),
     ),
     Fault(
