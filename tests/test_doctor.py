@@ -151,7 +151,7 @@ def test_a_part_that_is_not_there_is_named_with_the_command(monkeypatch: pytest.
     monkeypatch.setattr(checkup, "version_of", lambda name: None if name == "viser" else "1.0")
     outcome = doctor()
     assert outcome.exit_code == 0
-    assert "not installed: the viewer in the browser; pip install 'lfgpu[viewer]'" in outcome.stdout
+    assert "not installed: the viewer in the browser; pip install -e '.[viewer]'" in outcome.stdout
 
 
 def test_the_memory_of_a_gpu_is_what_its_driver_says(monkeypatch: pytest.MonkeyPatch) -> None:

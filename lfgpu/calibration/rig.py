@@ -26,6 +26,7 @@ _LINE = 0.1  # of the longer extent: cameras with less of the shorter one stand 
 _ASKEW = math.cos(math.radians(60))
 _ASPECT = 0.005  # by which the shapes of pictures and of the calibration's pictures may differ
 _ALONG = 0.5  # sine: cameras in a line that look at a smaller angle to it stand behind each other
+_ZOOM = 1.5  # by which a focal length may differ from the median of all cameras
 _SAME = 1e-9
 
 
@@ -153,7 +154,8 @@ def fit_rig(
     Raises
     ------
     LightFieldError
-        If the cameras do not stand about in a plane, all in one place, or do not look about along its normal.
+        If the cameras do not stand about in a plane, all in one place, do not look about along its normal, or have
+        focal lengths that differ by half.
     """
     if len(cameras) < 2:
         raise LightFieldError("a rig needs at least two calibrated cameras.")
@@ -164,6 +166,7 @@ def fit_rig(
     sizes = {camera.size for camera in cameras}
     if len(sizes) > 1:
         raise LightFieldError(f"the cameras have pictures of {len(sizes)} sizes; rectify those of one size.")
+    _check_focal_lengths(cameras)
     centres = np.stack([camera.centre for camera in cameras])
     forward = np.stack([np.asarray(camera.rotation)[2] for camera in cameras])
     axes = _axes(centres, forward, np.stack([np.asarray(camera.rotation)[0] for camera in cameras]))
@@ -200,6 +203,17 @@ def fit_rig(
     return Rig(
         tuple(cameras), axes, positions, ahead, geometry, reference, at, _notes(ahead, at, depths, cameras[0], focal)
     )
+
+
+def _check_focal_lengths(cameras: Sequence[Camera]) -> None:
+    lengths = [float(np.mean(camera.focal_length)) for camera in cameras]
+    usual = float(np.median(lengths))
+    for camera, length in zip(cameras, lengths, strict=True):
+        if not usual / _ZOOM < length < usual * _ZOOM:
+            raise LightFieldError(
+                f"{camera.name} has a focal length of {length:.4g} px, the others about {usual:.4g} px: its "
+                "calibration may be of pictures of another size; give all cameras the calibration of these pictures."
+            )
 
 
 def matched(

@@ -72,7 +72,7 @@ def _memory(found: Checkup) -> Iterator[tuple[str, str]]:
 def _part(part: Part) -> str:
     if not part.missing:
         return f"installed: {part.purpose}"
-    return f"not installed: {part.purpose}; pip install 'lfgpu[{part.extra}]'"
+    return f"not installed: {part.purpose}; pip install -e '.[{part.extra}]'"
 
 
 def _trial(trial: Trial) -> str:

@@ -50,7 +50,7 @@ class MapFormat:
     library: str | None = None
     """The library that it needs besides those of the package."""
     extra: str | None = None
-    """The extra of the package that brings it: pip install 'lfgpu[EXTRA]'."""
+    """The extra of the package that brings it: pip install -e '.[EXTRA]'."""
 
     @property
     def is_available(self) -> bool:

@@ -130,6 +130,9 @@ def test_calibrations_of_other_pictures_are_refused(boxes: LightField) -> None:
     away = (*cameras[:8], replace(cameras[8], rotation=turned((0, 2.0, 0))))
     with pytest.raises(LightFieldError, match=r"view_008\.png looks 1\d+ degrees away"):
         rectify(boxes, calibration=known(away))
+    larger = (*cameras[:8], replace(cameras[8], size=(1280, 1440)))  # of pictures ten times as large, with this matrix
+    with pytest.raises(LightFieldError, match=r"view_008\.png has a focal length of .* px, the others about .* px"):
+        rectify(boxes, calibration=known(larger))
 
 
 def test_cameras_that_see_nothing_of_what_the_others_see(boxes: LightField) -> None:
