@@ -328,6 +328,23 @@ def test_masked_pixels_say_nothing() -> None:
     assert apart[away >= 16].max() < 1e-5
 
 
+def test_penalties_rise_where_there_is_more_noise_than_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise in the left half of all views: with the penalties of the right half, that half of the map is worse."""
+    lf, rng = scene("planes", size=128), np.random.default_rng(6)
+    deviation = np.where(np.arange(128) < 64, 16, 1)[:, None]
+    views = np.clip(lf.views + rng.normal(0, 1, lf.views.shape) * deviation, 0, 255).astype(np.uint8)
+    noisy = LightField(views, lf.positions, reference=lf.reference_index)
+
+    def squared_error() -> float:
+        found = estimate_depth(noisy, disparity_range=RANGE, config="fast").disparity
+        assert lf.truth is not None
+        return float(((found - lf.truth.disparity)[15:-15, 15:64] ** 2).mean())
+
+    as_it_is = squared_error()
+    monkeypatch.setattr(plan, "_MOST_NOISY", 1.0)
+    assert as_it_is < 0.7 * squared_error()
+
+
 def test_views_without_texture_are_refused() -> None:
     lf = scene("relief", size=32)
     grey = LightField(views=np.full_like(lf.views, 90), positions=lf.positions, reference=lf.reference)
