@@ -52,10 +52,6 @@ SHARE = {share}
 
 SPREAD = {spread}
 """Of the logarithm of the variance of the disparity, (pixels per view step)², by `sweep.occlusions`."""
-
-MOST_ODDS = {most_odds}
-MOST_COST = {most_cost}
-"""Larger odds and costs (units of the noise) say no more than these, by `sweep.occlusions`."""
 '''
 
 Vector = NDArray[np.float64]
@@ -155,13 +151,9 @@ def write(weights: Weights, fitted: Sequence[Sample]) -> Path:
     names = list(dict.fromkeys(sample.name.split(",")[0] for sample in fitted))
     path, where = Path(trust.__file__), "`python -m benchmarks confidence --fit`, on"
     lines = textwrap.wrap(f"Written by {where} {', '.join(names)}.", 118)
-    share, spread, most_odds, most_cost = (
-        str(dict(w)).replace("'", '"') for w in (weights.share, weights.spread, trust.MOST_ODDS, trust.MOST_COST)
-    )
+    share, spread = (str(dict(w)).replace("'", '"') for w in (weights.share, weights.spread))
     with atomic_write(path) as temporary:
-        text = _HEAD.format(
-            written="\n".join(lines), share=share, spread=spread, most_odds=most_odds, most_cost=most_cost
-        )
+        text = _HEAD.format(written="\n".join(lines), share=share, spread=spread)
         temporary.write_text(text, encoding="utf-8")
     return path
 

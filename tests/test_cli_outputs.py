@@ -105,7 +105,9 @@ def test_convert(recorded: Path, solved: Path, tmp_path: Path) -> None:
     assert found.position == (2.0, 0.0)
     np.testing.assert_array_equal(found.disparity, maps.disparities[2])
     cloud = trimesh.load(tmp_path / "b.ply", process=False)
-    np.testing.assert_array_equal(cloud.colors[:, :3], lfgpu.read(recorded).views[2].reshape(-1, 3))
+    known = np.isfinite(found.disparity)
+    assert known.mean() > 0.99
+    np.testing.assert_array_equal(cloud.colors[:, :3], lfgpu.read(recorded).views[2][known])
     # all views' clouds are of one frame: where both see the same, their points are the same
     a, b = (lfgpu.point_cloud(maps.map(n)).points for n in (2, 4))
     distance = np.linalg.norm(b[:, None, :] - a[None, ::7], axis=2).min(0)

@@ -44,7 +44,6 @@ _MOST_NOISY = 4.0  # in units of the noise: how much the least costs around a pi
 
 _DOUBT = 0.22  # pixels per view step, rms, that make a pixel as likely off by more than 0.07 as not
 _LEAST_ODDS = 1e-3
-_LEAST_COST = 1.0  # units of the noise
 _CONVERGED = 0.02  # pixels per view step, rms of the last step
 
 
@@ -333,12 +332,10 @@ class MatchingPlan:
         `odds` = (1 - c) / 2 + (s / _DOUBT)². c is the mean certainty of the pixel's window. s² is the mean of
         (matched_q - disparity_p)² over the window: edges of depth between pixels that look alike, and what later stages
         had to move, make it large. `cost` says how far the views differ at the final disparity, in units of the noise:
-        misregistered, glossy and hidden surfaces make it large. Larger odds and costs than `trust.MOST_ODDS` and
-        `trust.MOST_COST` say no more than these. `evidence` says how few disparities are as good as the
+        misregistered, glossy and hidden surfaces make it large. `evidence` says how few disparities are as good as the
         best one, as the mean over the window.
         """
         kernels, prior, ones, workspace = self._kernels, self._prior, self._prior.ones, self._workspace
-        kind = self._config.sweep.occlusions
         certain, cost, odds, evidence = self._certainty, self._slope, self._curvature, self._certainty
         kernels.axpby(1.0, self._certainty, -_STILL, ones, workspace)
         prior.mean(workspace, certain)
@@ -355,7 +352,7 @@ class MatchingPlan:
 
         kernels.axpby(-0.5, certain, 1 / _DOUBT**2, odds, odds)
         kernels.axpby(1.0, odds, 0.5, ones, odds)
-        kernels.clamp(odds, _LEAST_ODDS, trust.MOST_ODDS[kind], odds)  # rounding can make s² negative
+        kernels.clamp(odds, _LEAST_ODDS, 1 / _LEAST_ODDS, odds)  # rounding can make s² negative
 
         kernels.evidence(
             self._smooth,
@@ -366,14 +363,13 @@ class MatchingPlan:
             cost_out=cost,
             evidence_out=workspace,
         )
-        kernels.clamp(cost, _LEAST_COST, trust.MOST_COST[kind], cost)
         prior.mean(workspace, evidence)
         kernels.judge(
             odds,
             cost,
             evidence,
-            share=trust.SHARE[kind],
-            spread=trust.SPREAD[kind],
+            share=trust.SHARE[self._config.sweep.occlusions],
+            spread=trust.SPREAD[self._config.sweep.occlusions],
             confidence_out=self.confidence,
             variance_out=self._variance,
         )
