@@ -120,7 +120,7 @@ def test_maps_of_another_film_are_refused(gaps: Path, tmp_path: Path) -> None:
     with pytest.raises(LightFieldError, match=r"maps holds maps of other frames: none is of .*frame_000000"):
         opened_all([tmp_path / "other", gaps / "maps"])
     (tmp_path / "maps").mkdir()
-    for words in ("{}", '{"frames": [{"frame": 0}]}', "nonsense"):
+    for words in ("{}", '{"frames": [{"frame": 0}]}', "nonsense", '{"frames": [{"frame": Infinity, "reference": 0}]}'):
         (tmp_path / "maps" / "live.json").write_text(words)
         with pytest.raises(LightFieldError, match="does not say which frame each map is of"):
             opened_all([gaps / "film", tmp_path / "maps"])

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
+from lfgpu.io.about import DAMAGE
+from lfgpu.io.folders import not_waited_for
 from lfgpu.io.map_formats import read_map
 from lfgpu.io.pfm import write_pfm
 
@@ -62,10 +64,11 @@ class LiveMaps:
             If the log cannot be read, or does not say which frames the maps are of.
         """
         log = path / LOG
+        not_waited_for(log)
         try:
             frames = json.loads(log.read_text(encoding="utf-8"))["frames"]
             found = tuple((int(frame["frame"]), str(frame["reference"]), "error" not in frame) for frame in frames)
-        except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        except (OSError, *DAMAGE):
             raise LightFieldError(
                 f"{log} does not say which frame each map is of; make the maps again with lfgpu live -o."
             ) from None
