@@ -110,10 +110,8 @@ def range_(
     check_out(out)
     chosen = tuple(known_backend(name) for name in listed(backends))
     named = tuple(cases.find(name) for name in listed(case_names))
-    found = measuring.run(named, preset, chosen, device, say, seconds=seconds)
-    about = machine.about()
-    live.save(out, {**about, "rows": [asdict(row) for row in found]})
-    measuring.show(found)
+    rows = measuring.run(named, preset, chosen, device, say, seconds=seconds)
+    measuring.show(collected(rows, out, machine.about()))
 
 
 def gpu_parity_(

@@ -136,7 +136,6 @@ def depth(
     """
     from lfgpu.cli import summary
     from lfgpu.cli.console import output, remark
-    from lfgpu.cli.meanwhile import import_meanwhile
     from lfgpu.cli.outputs import check_names, write_outputs, write_saved, write_view_maps
     from lfgpu.data.filling import fill_unknown, filled
     from lfgpu.io import atomic_folder, check_writable, read
@@ -166,7 +165,6 @@ def depth(
 
     lf = read(source, lazy=max_memory is not None, **reading)
     lf = _chosen(lf, place, pattern)
-    import_meanwhile("lfgpu.viz.figures", "lfgpu.calibration")
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)
     result = _judged(lf, result, estimation)
