@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +11,6 @@ from benchmarks import (
     batches,
     cases,
     gpu_parity,
-    live,
     machine,
     measuring,
     operations,
