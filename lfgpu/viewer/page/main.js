@@ -61,12 +61,12 @@ function viewSource(index = ui.view) {
   const one = entry(ui.result);
   if (ui.left === "refocused") {
     const query = { disparity: ui.focus, aperture: ui.aperture, of: state.revision };
-    return { ...common, key: `refocused ${state.views} ${ui.focus} ${ui.aperture}`, what: "refocused", query, whole: true };
+    return { ...common, key: `refocused ${state.views} ${ui.focus} ${ui.aperture}`, what: "refocused", query, isComputed: true };
   }
   if (ui.left === "sharp") {
     if (!one) return null;
     const query = { result: ui.result, stage: ui.stage, of: state.revision };
-    return { ...common, key: `sharp ${state.views} ${one.identity} ${ui.stage}`, what: "sharp", query, whole: true };
+    return { ...common, key: `sharp ${state.views} ${one.identity} ${ui.stage}`, what: "sharp", query, isComputed: true };
   }
   return { ...common, key: `view ${state.views} ${index}`, what: "view", query: { index, of: state.revision } };
 }

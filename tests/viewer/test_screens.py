@@ -1,0 +1,65 @@
+"""The page on dark and light systems and on phones, each tab with its own settings, and its help."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lfgpu.viewer import Viewer
+from tests.viewer.page import Page
+
+
+def test_each_tab_has_its_own_settings_and_follows_the_system(browser: Any, page: Page, viewer: Viewer) -> None:
+    dark = Page(browser, viewer, color_scheme="dark")
+    there = dark.shown("view", "view")
+    page.tab.keyboard.press("ArrowUp")
+    page.shown("view", " 7 ")
+    np.testing.assert_array_equal(dark.pixels("view"), there)
+    colours = [
+        one.tab.evaluate("getComputedStyle(document.body).backgroundColor") for one in (page, dark)
+    ]  # fmt: skip
+    assert [int(colour.split("(")[1].split(",")[0]) > 128 for colour in colours] == [True, False]
+    dark.close()
+
+
+def test_a_phone_shows_one_part_at_a_time(browser: Any, viewer: Viewer) -> None:
+    phone = Page(browser, viewer, width=390, height=844, has_touch=True, is_mobile=True)
+    phone.shown("view", "view")
+    for part, shown in (("view", "#view"), ("map", "#map"), ("settings", "#quantity")):
+        phone.tab.tap(f"nav [data-value={part}]")
+        assert phone.tab.locator(shown).is_visible()
+        assert phone.tab.evaluate("document.documentElement.scrollWidth") <= 390
+        box = phone.tab.locator(shown).bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= 390
+    phone.tab.tap("nav [data-value=map]")
+    phone.shown("map", "disparity")
+    before = phone.place("map")
+    x, y = (round(part) for part in phone.spot("map", 24, 20))
+    touch = phone.tab.context.new_cdp_session(phone.tab)
+
+    def fingers(kind: str, *places: tuple[int, int]) -> None:
+        points = [{"x": px, "y": py, "id": k} for k, (px, py) in enumerate(places)]
+        touch.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+
+    fingers("Start", (x - 20, y), (x + 20, y))
+    for reach in (30, 45, 60, 80):
+        fingers("Move", (x - reach, y), (x + reach, y))
+    fingers("End")
+    phone.moved("map", lambda place: place[2] > 2.5 * before[2], "two fingers enlarge")
+    after = phone.place("map")
+    assert [round(part) for part in phone.spot("map", 24, 20)] == pytest.approx([x, y], abs=after[2])
+    phone.close()
+
+
+def test_help_and_what_cannot_be_opened(page: Page) -> None:
+    page.tab.keyboard.press("?")
+    assert page.tab.locator("#help").is_visible()
+    assert "wheel" in page.tab.inner_text("#help").lower()
+    page.tab.keyboard.press("Escape")
+    page.tab.click("#open-files")
+    page.tab.fill("#path", "/no/such/place")
+    page.tab.press("#path", "Enter")
+    page.says("/no/such/place does not exist")
