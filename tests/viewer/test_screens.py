@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.viewer import Viewer
+from tests.browser import until
 from tests.viewer.page import Page
 
 
@@ -63,3 +66,47 @@ def test_help_and_what_cannot_be_opened(page: Page) -> None:
     page.tab.fill("#path", "/no/such/place")
     page.tab.press("#path", "Enter")
     page.says("/no/such/place does not exist")
+
+
+def test_a_phone_has_room_for_what_a_stream_says(browser: Any, lf: LightField) -> None:
+    """No button of the header is cut, and the name of the light field is there."""
+    named = replace(lf, name="a light field with a name that is longer than a phone is wide")
+    with Viewer(named, port=0) as viewer:
+        viewer.offer(pause=print, record=print)
+        viewer.switch("record", True)
+        viewer.update(np.zeros(lf.size, np.float32), rate=112.5, latency=1.234, dropped=12345)
+        phone = Page(browser, viewer, width=390, height=844, has_touch=True, is_mobile=True)
+        phone.says("recording · 112.5 frames/s · 1234 ms latency · 12345 dropped", "#stream")
+        for name in ("open-files", "save-files", "open-help", "pause", "record", "stream-facts", "name"):
+            box = phone.tab.locator(f"#{name}").bounding_box()
+            assert box["x"] >= 0, name
+            assert box["x"] + box["width"] <= 390, name
+            assert box["width"] >= 40, name
+            if name not in ("name", "stream-facts"):
+                whole = "id => (e => e.scrollWidth <= e.clientWidth)(document.getElementById(id))"
+                assert phone.tab.evaluate(whole, name), name
+        phone.close()
+
+
+def test_dialogs_begin_where_people_type_and_help_fits(browser: Any, page: Page, viewer: Viewer) -> None:
+    for key, field in (("s", "save-name"), (None, "path")):
+        page.tab.keyboard.press(key) if key else page.tab.click("#open-files")
+        assert page.tab.evaluate("document.activeElement.id") == field
+        page.tab.keyboard.press("Escape")
+    page.tab.keyboard.press("?")
+    assert page.tab.locator(".keys").is_visible()
+    assert page.tab.evaluate("(e => e.scrollHeight <= e.clientHeight)(document.getElementById('help'))")
+    phone = Page(browser, viewer, width=390, height=844, has_touch=True, is_mobile=True)
+    phone.tab.tap("#open-help")
+    assert phone.tab.locator("#help").is_visible()
+    assert not phone.tab.locator(".keys").is_visible()  # it has none
+    phone.close()
+
+
+def test_bars_as_light_as_the_page_have_an_outline(page: Page) -> None:
+    """Errors near zero are white, and most of them are near zero."""
+    page.choose("quantity", "error")
+    until(lambda: "error" in page.key("histogram"), "the distribution is drawn", page.tab)
+    picture = page.pixels("histogram").astype(int)
+    middle = picture[24 : len(picture) - 24, 44 + (picture.shape[1] - 56) // 2 - 12 :][:, :24]
+    assert (np.abs(middle - (102, 112, 128)).max(axis=2) < 30).any()

@@ -210,7 +210,7 @@ function showLeft() {
   const title = $("left-title");
   if (!lf()) title.textContent = state ? "No light field" : "";
   else if (ui.left === "refocused") title.textContent = "Click to focus there";
-  else if (ui.left === "sharp") title.textContent = source ? `All views, by the map “${ui.result}”` : "This needs a map: press Estimate";
+  else if (ui.left === "sharp") title.textContent = source ? `Sharp everywhere, by the map “${ui.result}”` : "This needs a map: press Estimate";
   else title.replaceChildren(...viewName());
 }
 
@@ -227,8 +227,8 @@ const signed = (value) => (value > 0 ? "+" : "") + short(value);
 function showEpis() {
   const light = lf();
   if (!light || !ui.pixel) return;
-  label("epi-row-label", `EPI, y ${ui.pixel[1]}`);
-  label("epi-column-label", `EPI, x ${ui.pixel[0]}`);
+  label("epi-row-label", `EPI, y\u00a0${ui.pixel[1]}`);
+  label("epi-column-label", `EPI, x\u00a0${ui.pixel[0]}`); // a narrow one has two lines
   if (light.row.length > 1) epis[0].fetch(ui.pixel[1], state);
   if (light.column.length > 1) epis[1].fetch(ui.pixel[0], state);
 }
@@ -412,7 +412,7 @@ ui.on("hover found other quantity", showReadout);
 
 const estimate = new Estimate(fixed.presets);
 
-const PATIENCE = 500; // milliseconds that pictures have to come before the next state is taken
+const PATIENCE = 2000; // milliseconds that pictures have to come before the next state is taken
 
 let later = null, takenAt = 0;
 
