@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib import colormaps
 from PIL import Image
 
-from lfgpu.io import load, read_map
+from lfgpu import scenes
+from lfgpu.io import load, read_map, write_hci
 from lfgpu.viewer import Viewer
 from tests.browser import until
 from tests.viewer.page import GREY, Page
@@ -139,3 +140,22 @@ def test_a_map_of_another_folder_joins_and_the_page_stays_as_it_is(browser: Any,
         until(lambda: page.tab.input_value("#result") == "fast", "the map is chosen", page.tab)
         until(lambda: boxes() == before, f"everything is as large as before, {before}", page.tab)
         page.close()
+
+
+def test_a_light_field_of_fewer_views_replaces_one_of_more(browser: Any, files: Path, tmp_path: Path) -> None:
+    """Also while a view is looked at that the new one has not."""
+    write_hci(scenes.make("boxes", grid=(3, 3), size=(30, 44)), tmp_path / "small")
+    with Viewer.of([files / "boxes", files / "fast"], port=0, allow_open=True) as viewer:
+        page = Page(browser, viewer)
+        page.shown("map", "disparity")
+        page.tab.keyboard.press("ArrowDown")
+        page.shown("view", " 17 ")
+        page.tab.click("#open-files")
+        page.tab.fill("#path", str(tmp_path / "small"))
+        page.tab.press("#path", "Enter")
+        until(lambda: page.tab.inner_text("#name") == "small", "the other light field is shown", page.tab)
+        page.shown("view", " 4 ")
+        page.shown("map", "disparity")
+        assert "Row 1, column 1" in page.tab.inner_text("#left-title")
+        assert "3 × 3 views, 44 × 30 pixels" in page.tab.inner_text("#facts")
+        page.close()  # without an error on the page

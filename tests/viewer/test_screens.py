@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from lfgpu.data.lightfield import LightField
+from lfgpu.io import load
 from lfgpu.viewer import Viewer
 from tests.browser import until
 from tests.viewer.page import Page
@@ -110,3 +112,39 @@ def test_bars_as_light_as_the_page_have_an_outline(page: Page) -> None:
     picture = page.pixels("histogram").astype(int)
     middle = picture[24 : len(picture) - 24, 44 + (picture.shape[1] - 56) // 2 - 12 :][:, :24]
     assert (np.abs(middle - (102, 112, 128)).max(axis=2) < 30).any()
+
+
+def test_a_canvas_is_never_seen_empty_while_the_window_changes(browser: Any, viewer: Viewer) -> None:
+    page = Page(browser, viewer)
+    page.shown("map", "disparity")
+    page.shown("view", "view")
+    code = """() => window.empty = Promise.all(["view", "map"].map(id => new Promise(done => {
+        const canvas = document.getElementById(id), before = canvas.width;
+        new ResizeObserver(() => { // after the one of the page, before anything is seen
+            if (canvas.width === before) return;
+            const { data } = canvas.getContext("2d").getImageData(canvas.width / 2, canvas.height / 4, 1, 1);
+            done(data[3] === 0);
+        }).observe(canvas);
+    })))"""
+    page.tab.evaluate(f"() => {{ ({code})(); }}")
+    page.tab.set_viewport_size({"width": 1100, "height": 800})
+    assert page.tab.evaluate("window.empty") == [False, False]
+    page.close()
+
+
+def test_long_names_leave_room_for_the_scores(browser: Any, files: Path) -> None:
+    with Viewer.of([files / "boxes"], port=0) as viewer:
+        result = load(files / "fast")
+        for name in ("a name that is far longer than there is room for in the table of the page", "fast"):
+            viewer.add(result, name=name)
+        for width in (390, 1100, 1366, 1600):
+            page = Page(browser, viewer, width=width, height=844)
+            page.tab.wait_for_selector("#right", state="attached")
+            if width == 390:
+                page.tab.click("nav [data-value=map]")
+            page.tab.wait_for_selector("#scores", state="visible")
+            page.shown("map", "disparity")
+            box = page.tab.locator("#results")
+            assert box.evaluate("e => e.scrollWidth <= e.clientWidth"), width
+            assert page.tab.locator("#scores tbody td").first.bounding_box()["width"] > 40
+            page.close()

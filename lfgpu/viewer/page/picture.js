@@ -56,6 +56,7 @@ export class Picture {
     this.canvas.width = Math.max(1, Math.round(clientWidth * ratio));
     this.canvas.height = Math.max(1, Math.round(clientHeight * ratio));
     this.viewport.changed();
+    this.#drawNow(); // else the empty canvas would be seen
   }
 
   #drawNow() {
