@@ -401,6 +401,7 @@ def test_computed_tiles_fit_together_to_the_whole_picture(level: int, masked: bo
     assert truth is not None
     disparity = truth.disparity.copy()
     disparity[40:44, 50:58] = np.nan
+    disparity[60:, 20:] = np.where(np.arange(111) % 30 < 12, 4, -4)  # hides what is 16 pixels beside
     contents = Contents(lf).with_entry("map", Entry(DisparityMap(disparity)))
     rows, columns = (-(-side // (32 << level)) for side in lf.size)
     for tile in (

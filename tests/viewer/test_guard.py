@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import struct
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -95,6 +96,20 @@ def test_nonsense_is_answered_with_a_sentence(
 ) -> None:
     assert status(viewer, path) in {answer, 403 if ".." in path else answer}
     assert capfd.readouterr().err == ""
+
+
+def test_pages_that_close_while_they_are_answered_leave_no_traceback(caplog: pytest.LogCaptureFixture) -> None:
+    views = np.zeros((1, 2, 512, 512, 3), np.uint16)
+    with Viewer(LightField.from_grid(views), port=0) as viewer:
+        found = urlsplit(viewer.url)
+        for _ in range(20):
+            with socket.create_connection(("127.0.0.1", found.port), 5) as connection:
+                words = "data/view?index=0&level=0&column=0&row=0"
+                connection.sendall(f"GET {found.path}{words} HTTP/1.1\r\nHost: {found.netloc}\r\n\r\n".encode())
+                connection.recv(20)  # the answer has begun
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        assert status(viewer, "") == 200
+    assert not [record for record in caplog.records if record.exc_info]
 
 
 _PAYLOAD = '<img src=x onerror="window.owned = 1"><script>window.owned = 2</script>'
