@@ -307,6 +307,16 @@ def _tiles(folder: Path) -> str:
     return _as_table(rows, 4)
 
 
+def _live(folder: Path) -> str:
+    """Rate, latency and errors of streams, warm and cold."""
+    rows = [("preset", "size", "maps / s", "latency, ms: median, 95 %, 99 %", "MSE, BadPix(0.07) to a cold `accurate`")]
+    for r in value(folder, "h200-live.json", "rows"):
+        latency = ", ".join(f"{r[f'latency_p{quantile}']:.1f}" for quantile in (50, 95, 99))
+        what = f"`{r['preset']}`, {'warm' if r['warm'] else 'cold'}", r["case"].replace("x", " × ")
+        rows.append((*what, f"{r['rate']:.0f}", latency, f"{r['mse_ratio']:.2f}, {r['bad_ratio']:.2f}"))
+    return _as_table(rows, 2)
+
+
 def _misalignment(folder: Path) -> str:
     """BadPix(0.03) less the median error with right, disturbed and lined up cameras, and the shifts of the views."""
     columns = ("scene, views, px", "disturbance", "undisturbed", "disturbed", "lined up", "shifts before", "after")
@@ -375,6 +385,7 @@ TABLES: Mapping[str, Table] = {
     "formulas": Table((), _formulas),
     "forms": Table(("paper.json",), _forms),
     "judge": Table(("judge.json",), _judge),
+    "live": Table(("h200-live.json",), _live),
     "misalignment": Table(("misalignment.json",), _misalignment),
     "pipelines": Table(H200, _pipelines),
     "runs": Table(RUNS, _runs),
