@@ -598,10 +598,10 @@ def test_the_comparison_exits_with_what_it_found(tmp_path: Path) -> None:
     assert benchmarks("compare", old, new, "--threshold", "25").returncode == 0
 
 
-# --- the README ---
+# --- the pages ---
 
 
-def test_the_readme_has_each_formula_and_each_case() -> None:
-    text = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
+def test_the_page_on_measuring_has_each_formula_and_each_case() -> None:
+    text = (ROOT / "benchmarks" / "measuring.md").read_text(encoding="utf-8")
     assert all(f"\n| `{operation.name}` | {operation.formula} |\n" in text for operation in OPERATIONS)
     assert all(f"`{case.name}`" in text for case in CASES)
