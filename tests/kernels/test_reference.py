@@ -44,7 +44,7 @@ def changed(inputs: SimpleNamespace, **values: object) -> SimpleNamespace:
 
 
 def tent_of_any(x: float, e: float) -> float:
-    """Λ as DESIGN §5 writes it, for every x."""
+    """Λ written out for every x: a triangle whose kinks are parabolas over 2 e."""
     x, s = abs(x), 1 / (1 - e)
     if x >= 1:
         return 0.0
