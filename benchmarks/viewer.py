@@ -20,9 +20,6 @@ from lfgpu.viewer.answers import DATA, Query
 from lfgpu.viewer.contents import Contents, Entry
 from lfgpu.viewer.pictures import prepare
 
-LIMIT = 0.3
-"""Seconds that nobody should wait longer than for a picture."""
-
 _RESULT = {"result": "map", "stage": "final"}
 _TILE, _QUICK, _FINE = 512, 360, 256  # pixels along a tile, what is computed first, a tile that is, as on the page
 
