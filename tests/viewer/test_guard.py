@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
-import struct
+import threading
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci, write_result
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.viewer import Viewer
+from lfgpu.viewer.answers import DATA
 from tests.viewer.page import Page
 
 
@@ -98,16 +99,26 @@ def test_nonsense_is_answered_with_a_sentence(
     assert capfd.readouterr().err == ""
 
 
-def test_pages_that_close_while_they_are_answered_leave_no_traceback(caplog: pytest.LogCaptureFixture) -> None:
-    views = np.zeros((1, 2, 512, 512, 3), np.uint16)
-    with Viewer(LightField.from_grid(views), port=0) as viewer:
-        found = urlsplit(viewer.url)
-        for _ in range(20):
-            with socket.create_connection(("127.0.0.1", found.port), 5) as connection:
-                words = "data/view?index=0&level=0&column=0&row=0"
-                connection.sendall(f"GET {found.path}{words} HTTP/1.1\r\nHost: {found.netloc}\r\n\r\n".encode())
-                connection.recv(20)  # the answer has begun
-                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+def test_pages_that_close_while_they_are_answered_leave_no_traceback(
+    viewer: Viewer, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, gone, answered = threading.Event(), threading.Event(), threading.Event()
+
+    def slow(*_: object) -> np.ndarray:
+        begun.set()
+        gone.wait(30)
+        answered.set()
+        return np.zeros(3, np.uint8)
+
+    monkeypatch.setitem(DATA, "slow", slow)
+    found = urlsplit(viewer.url)
+    with socket.create_connection(("127.0.0.1", found.port), 5) as connection:
+        connection.sendall(f"GET {found.path}data/slow HTTP/1.1\r\nHost: {found.netloc}\r\n\r\n".encode())
+        assert begun.wait(30)
+    assert status(viewer, "") == 200  # the server has noticed by now that the page has gone
+    gone.set()
+    assert answered.wait(30)
+    for _ in range(3):
         assert status(viewer, "") == 200
     assert not [record for record in caplog.records if record.exc_info]
 
