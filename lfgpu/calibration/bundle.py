@@ -44,10 +44,12 @@ MODELS["homography"] = (
     ((0, 0, 0), (0, 0, 0), (0, 1, 0)),
 )
 
+TOLERANCE = 1.2
+"""Pixels in the farthest view: what is nearer by less hides nothing."""
+
 _TILES = 12  # along the longer side: points are spread over them, and errors within one belong together
 _LEAST_GRADIENT = 0.01  # intensity per pixel: less is no texture
 _EDGE = 1.0  # pixels in the farthest view: where disparities around a point differ by more, it is left out
-_TOLERANCE = 1.2  # pixels in the farthest view: what is nearer by less hides nothing
 _LEAST_NOISE = 0.003  # intensity
 _FEWEST_POINTS = 30
 _MEMORY = 3e7  # numbers that couple views with points
@@ -108,16 +110,20 @@ def choose_points(
         known &= lf.valid[lf.reference_index]
     far = float(np.nanmin(disparity)) if known.any() else 0.0
     map_ = np.where(known, disparity, far).astype(np.float32)
-    flat = ndimage.maximum_filter(map_, 5) - ndimage.minimum_filter(map_, 5) <= _EDGE / farthest(lf)
-    y, x, tile = textured(lf, flat & inner(known), most)
+    y, x, tile = textured(lf, on_surface(lf, map_) & inner(known), most)
     visible = np.empty((len(lf.views), len(y)), np.float32)
     field = kernels.field(map_, device)
     for first in range(0, len(lf.views), _AT_ONCE):
         offsets = lf.offsets[first : first + _AT_ONCE]
         seen = kernels.zeros((len(offsets), height, width), device)
-        kernels.visible(field, kernels.field(offsets, device), tolerance=_TOLERANCE / farthest(lf), visible_out=seen)
+        kernels.visible(field, kernels.field(offsets, device), tolerance=TOLERANCE / farthest(lf), visible_out=seen)
         visible[first : first + _AT_ONCE] = kernels.numpy(seen)[:, y, x]
     return Points(x.astype(np.float64), y.astype(np.float64), map_[y, x].astype(np.float64), visible, tile)
+
+
+def on_surface(lf: LightField, map_: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """[y, x], where no edge of depth is near by."""
+    return np.asarray(ndimage.maximum_filter(map_, 5) - ndimage.minimum_filter(map_, 5) <= _EDGE / farthest(lf))
 
 
 def inner(known: NDArray[np.bool_]) -> NDArray[np.bool_]:

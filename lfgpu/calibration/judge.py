@@ -188,7 +188,7 @@ def explain(
     errors = list(_errors(lf, disparity, kernels, device))
     psnr, predicted, unexplained = _prediction(lf, disparity, errors)
     findings: list[str] = []
-    wrong = _signs(lf, disparity, points, kernels, device)
+    wrong = _signs(lf, disparity, points)
     cameras = _cameras(lf, points)
     if wrong is not None:
         findings.append(SIGNS[wrong])
@@ -275,14 +275,14 @@ def look(
 ) -> Look | None:
     """A quick look at the cameras with the map of the reference view [y, x]; None where texture is too little.
 
-    `colours` says whether tones are told apart by colour, `axes` whether the signs of the axes are looked at, too.
-    While the device is asked for its part, others wait for it; without `axes` that is a small part.
+    `colours` says whether tones are told apart by colour, `axes` whether the signs of the axes are looked at, too. The
+    device is asked for the points only; while it is, others wait for it.
     """
     with kernels.asking(device):
         points = choose_points(lf, disparity, kernels, device, most=_QUICK_POINTS)
         if len(points.x) < _FEWEST:
             return None
-        wrong = _signs(lf, disparity, points, kernels, device) if axes else None
+    wrong = _signs(lf, disparity, points) if axes else None
     cameras = _cameras(lf, points, steps=_QUICK_STEPS, colours=colours)
     moved = tuple(_placement(lf, cameras)) if wrong is None else ()
     findings = (*moved, *_brightness(lf, cameras)) if wrong is None else (SIGNS[wrong],)
@@ -444,12 +444,10 @@ SIGNS = {
 }
 
 
-def _signs(
-    lf: LightField, disparity: NDArray[np.float32], points: Points, kernels: KernelSet, device: str
-) -> str | None:
+def _signs(lf: LightField, disparity: NDArray[np.float32], points: Points) -> str | None:
     known = disparity[np.isfinite(disparity)]
     found = signs.wrong_axis(lf, points, float(np.abs(np.percentile(known, [1, 99])).max()))
-    if found is None and signs.near_and_far_swapped(lf, np.nan_to_num(disparity), kernels, device):
+    if found is None and signs.near_and_far_swapped(lf, disparity):
         return "uv"
     return found
 
