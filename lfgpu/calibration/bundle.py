@@ -417,7 +417,7 @@ def _spread(residuals: Float64Array, seen: Float64Array) -> float:
 def _trust(residuals: Float64Array, weights: Float64Array) -> Float64Array:
     """How much each point counts [p]: less where its views together fit worse than those of most points.
 
-    There the map has the wrong surface, such as the wall behind a thin bar, and no disparity near by explains the views.
+    There the map has the wrong surface, such as the wall behind a thin bar, and no disparity near by explains them.
     """
     fit = np.sqrt((weights * residuals**2).sum(0) / np.maximum(weights.sum(0), 1e-12))
     return np.asarray(1 / (1 + (fit / max(_HALF * float(np.median(fit)), _LEAST_NOISE)) ** 4))
