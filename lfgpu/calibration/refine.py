@@ -17,7 +17,8 @@ import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName, backend_named, load, pick_device
 from lfgpu.calibration.bundle import MODELS, Bundle, choose_points, most_points
-from lfgpu.calibration.judge import explain, measure_tones
+from lfgpu.calibration.judge import explain
+from lfgpu.calibration.quick_look import measure_tones
 from lfgpu.calibration.resample import pixels, resampled, through
 from lfgpu.calibration.tones import Tones, squared_radius, squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array, KernelSet

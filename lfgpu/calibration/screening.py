@@ -1,6 +1,6 @@
 """A screening of the cameras: whether a look at them may find anything at all.
 
-Nearly all light fields are right, and a look (`lfgpu.calibration.judge.look`) takes longer than a fast map. The
+Nearly all light fields are right, and a look (`lfgpu.calibration.quick_look.look`) takes longer than a fast map. The
 screening compares all views with the reference at some hundred points, and reads no more of the views than these. One
 linear step says how each view would have to move, turn, grow and change in brightness. Half of what would be a finding
 makes it worth a look, and so does noise of that size.
@@ -19,7 +19,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.threads import in_threads
 
 MOVED, TURNED, BRIGHTER = 0.05, 0.07, 0.015
-"""Pixels, pixels at the half diagonal, and share: half of what `judge` finds worth saying."""
+"""Pixels, pixels at the half diagonal, and share: half of what `findings` says is worth saying."""
 OUT_OF_LINE, OUT_OF_SHAPE = 0.06, 0.1
 """Pixels, of all views together: half of the same."""
 _POINTS, _FEWEST = 800, 200
