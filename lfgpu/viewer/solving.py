@@ -101,7 +101,11 @@ class Solver:
 
         try:
             result = estimate_depth(
-                request.lf, config=config, disparity_range=request.disparity_range, on_progress=show
+                request.lf,
+                config=config,
+                disparity_range=request.disparity_range,
+                check_cameras=False,
+                on_progress=show,
             )
         except _Stopped:
             self._say("stopped", 0.0, busy=False)
