@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lfgpu.calibration import consensus
 from lfgpu.calibration.bundle import farthest, grey, inner, spline_weights, textured
 from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.windows import window_max, window_min
 from lfgpu.threads import in_threads
 
 MOVED, TURNED, BRIGHTER = 0.05, 0.07, 0.015
@@ -41,7 +41,7 @@ def worth_a_look(lf: LightField, disparity: NDArray[np.float32]) -> bool:
     if lf.valid is not None:
         known &= lf.valid[lf.reference_index]
     map_ = np.where(known, disparity, np.nanmin(disparity))
-    flat = ndimage.maximum_filter(map_, 5) - ndimage.minimum_filter(map_, 5) <= _EDGE / farthest(lf)
+    flat = window_max(map_, 5) - window_min(map_, 5) <= _EDGE / farthest(lf)
     y, x, _ = textured(lf, flat & inner(known), _POINTS)
     return len(x) < _FEWEST or _may_be_off(lf, map_, y, x) or _may_be_swapped(lf, map_, known)
 
