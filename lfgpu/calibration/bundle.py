@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lfgpu.contract import Float64Array, KernelSet
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.windows import eroded, gradient_size, smoothed, window_max, window_min
 from lfgpu.threads import in_threads
 
 MODELS: dict[str, tuple[tuple[tuple[float, ...], ...], ...]] = {
@@ -122,20 +122,19 @@ def choose_points(
 
 def on_surface(lf: LightField, map_: NDArray[np.float32]) -> NDArray[np.bool_]:
     """[y, x], where no edge of depth is near by."""
-    return np.asarray(ndimage.maximum_filter(map_, 5) - ndimage.minimum_filter(map_, 5) <= _EDGE / farthest(lf))
+    return window_max(map_, 5) - window_min(map_, 5) <= _EDGE / farthest(lf)
 
 
 def inner(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """[y, x], what is known less a margin of three pixels."""
-    return np.asarray(ndimage.binary_erosion(known, iterations=3, border_value=0))
+    return eroded(known, 3)
 
 
 def textured(
     lf: LightField, usable: NDArray[np.bool_], most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Rows, columns and tiles of up to `most` pixels of the reference with texture, where they are usable [y, x]."""
-    image = ndimage.gaussian_filter(grey(lf, lf.reference_index), 0.7)
-    strength = np.hypot(ndimage.sobel(image, 0), ndimage.sobel(image, 1)) / 8
+    strength = gradient_size(smoothed(grey(lf, lf.reference_index), 0.7))
     side = max(lf.size) / _TILES
     rows, columns = np.nonzero(usable & (strength >= _LEAST_GRADIENT))
     tiles = (rows / side).astype(np.intp) * _TILES + (columns / side).astype(np.intp)
@@ -242,7 +241,7 @@ class Bundle:
 
         def surface(index: int) -> Surface:
             image = grey(self._lf, index)
-            return Surface(ndimage.gaussian_filter(image, smoothing) if smoothing else image)
+            return Surface(smoothed(image, smoothing) if smoothing else image)
 
         self._surfaces = in_threads(surface, range(len(self._lf.views)))
 
