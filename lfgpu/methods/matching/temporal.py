@@ -8,11 +8,12 @@ strength * same * confidence * min(|d - past|, reach) / reach on top, so that wh
 does not jump between them. And the new map is averaged with the expected one, pixel by pixel, as by a Kalman filter
 whose measurements are all as good as each other: with the number of frames that went into a pixel so far,
 
-    before = persistence * same * frames / (1 + ((past - d) / support)^4),   d <- (d + before past) / (1 + before),
-    frames <- 1 + before.
+    before = persistence * same * frames / (1 + ((past - d) / support)^4) / (1 + (rate / steady)^2),
+    d <- (d + before past) / (1 + before),   frames <- 1 + before.
 
 `same` is 1 where the reference view looks along the motion as it did, and 0 where it does not. The rate is a mean over
-the surface around each pixel, because all of that moves together. The past is mixed in after the last average over the
+the surface around each pixel, because all of that moves together. What comes nearer or goes away does not do so evenly:
+the faster it does, the fewer frames it rests on. The past is mixed in after the last average over the
 image, so that the map is not blurred again and again.
 """
 
@@ -31,6 +32,7 @@ from lfgpu.methods.temporal_prior import TemporalPrior
 
 _SAME = 0.5  # least `same` of a pixel whose past surface hides what lies behind it
 _RATE_GAIN = 0.1  # share of the difference from the expected map that goes into its rate of change
+_STEADY = 0.05  # rate of change that halves the weight of earlier frames, in units of `TemporalPrior.support`
 _NO_RATE = 0.05  # weight of a rate of 0 in the mean over a surface
 
 
@@ -188,6 +190,7 @@ class TemporalMatching(MatchingPlan):
                 self.disparity,
                 persistence=self._temporal.persistence,
                 support=support,
+                steady=_STEADY * support,
                 rate_gain=_RATE_GAIN,
                 frames_out=self._frames,
                 rates_out=rates,
