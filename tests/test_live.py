@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -64,6 +65,14 @@ def grabbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "    yield lf\n"
         "    yield lf.views\n"
         "    raise OSError('the camera was unplugged')\n"
+        "def terminated():\n"
+        "    lf = scenes.make('planes', grid=(3, 3), size=(32, 36), disparity_range=(-1, 1))\n"
+        "    yield lf\n"
+        "    yield lf.views\n"
+        "    import os, signal\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    while True:\n"
+        "        yield lf.views\n"
         "def number():\n"
         "    return 3\n"
     )
@@ -158,6 +167,15 @@ def test_what_came_before_a_source_failed_is_kept(grabbers: None, tmp_path: Path
     assert [frame["frame"] for frame in frames] == [0, 1]
     for frame in frames:
         assert "error" in frame or read_map(tmp_path / "out" / f"disparity_{frame['frame']:06d}.pfm").shape == (32, 36)
+
+
+def test_a_service_that_is_stopped_leaves_its_log(grabbers: None, tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    arguments = ("-o", tmp_path / "out", "--preset=fast", RANGE, "--policy=block", "--frames=1000")
+    outcome = lfgpu_live("grabber_for_tests:terminated", *arguments)
+    assert outcome.exit_code == 0, outcome.output
+    assert len(json.loads((tmp_path / "out" / "live.json").read_text())["frames"]) < 1000
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_maps_are_kept_when_recording_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import signal
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +18,7 @@ from lfgpu.cli.options import Device, Parameters, Quiet, Threads
 from lfgpu.errors import LfgpuError, LightFieldError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from lfgpu.data.lightfield import LightField
     from lfgpu.pipelines.sources import Frames
@@ -128,7 +131,7 @@ def live(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the disparity of each frame of a stream. Ctrl-C ends it.
+    """Estimate the disparity of each frame of a stream. Ctrl-C ends it, and so does SIGTERM.
 
     With -o each map is written as soon as it is computed (disparity_000000.pfm, confidence_000000.pfm). At the end
     live.json records what happened to every frame. With --rectify the gains of the cameras are kept up to date, and a
@@ -190,7 +193,7 @@ def live(
         if recording is not None:
             coming = recorded(coming, first, recording, wanted=page.records)
         watch = nullcontext() if rectifier is None else calibration.RigWatch(stream, on_finding=record.moved)
-        with watch, Display(stream, metrics, quiet=quiet) as display:
+        with _terminated_as_by_ctrl_c(), watch, Display(stream, metrics, quiet=quiet) as display:
             stop.begin()
             try:
                 feed(
@@ -441,6 +444,19 @@ def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
             ("work", f"{times('work')} ms of the device"),
         ]
     return lines
+
+
+@contextmanager
+def _terminated_as_by_ctrl_c() -> Iterator[None]:
+    """SIGTERM, by which services are stopped, is a KeyboardInterrupt in this block; only the main thread may say so."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _say(sentence: str) -> None:
