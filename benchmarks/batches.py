@@ -90,12 +90,12 @@ def run(
 def table(rows: Sequence[Row]) -> str:
     """As Markdown."""
     lines = [
-        "| light field | preset | items | GPUs | workers | items / s | efficiency | busy | ms: read | estimate | write "
-        "|",
-        "|---|---|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| light field | preset | items | GPUs | workers | items / s | efficiency | busy | ms: read | estimate | judge "
+        "| write |",
+        "|---|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for row in rows:
-        parts = " | ".join(f"{1e3 * row.seconds.get(part, 0.0):.0f}" for part in ("read", "estimate", "write"))
+        parts = " | ".join(f"{1e3 * row.seconds.get(part, 0.0):.0f}" for part in ("read", "estimate", "judge", "write"))
         lines.append(
             f"| {row.case} | {row.preset} | {row.kind} | {row.gpus} | {row.workers} | {row.rate:.1f} | "
             f"{100 * row.efficiency:.0f} % | {100 * row.busy:.0f} % | {parts} |"
