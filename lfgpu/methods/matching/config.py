@@ -70,7 +70,9 @@ class SemiGlobalConfig(Section):
     window: int = number(3, 3, 31, "side of the window over which costs are averaged, pixels", odd=True)
     small_penalty: float = number(0.0005, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
     large_penalty: float = number(0.0035, 0.0, 10.0, "cost of a larger change", symbol="P2")
-    resweep_factor: float = number(0.7, 0.1, 100.0, "factor on large_penalty after the second sweep")
+    resweep_factor: float = number(
+        0.7, 0.1, 100.0, "factor on large_penalty after the second sweep, and in frames that start from the last map"
+    )  # fmt: skip
     contrast: float = number(2.0, 1e-3, 10.0, "difference in intensity that lowers both penalties to 1/e")
 
 
