@@ -29,14 +29,14 @@ class SweepConfig(Section):
         "differ by grow with it, and how far views are smoothed"
     )  # fmt: skip
     smoothing: float = number(
-        2.0, 0.0, 100.0, "before views are compared, pixels of a view that differ by less than about this are "
+        1.5, 0.0, 100.0, "before views are compared, pixels of a view that differ by less than about this are "
         "averaged; in units of the grain, the noise of one view; 0 compares views as they are"
     )  # fmt: skip
     reduced_weight: float = number(
         0.15, 0.0, 10.0, "weight of the costs of reduced views, a quarter as wide and as high, in the first sweep; 0 "
         "leaves them out"
     )  # fmt: skip
-    truncation: float = number(0.1, 1e-3, 10.0, "larger differences in intensity count as this one")
+    truncation: float = number(0.06, 1e-3, 10.0, "larger differences in intensity count as this one")
     gradient_weight: float = number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
     gradient_truncation: float = number(
         0.05, 1e-4, 10.0, "larger differences in image gradients count as this one, intensity per pixel"
@@ -105,7 +105,7 @@ class BoundariesConfig(Section):
     share: float = number(
         0.5, 0.0, 1.0, "a pixel with less than this share of the nearer side's colour goes to the farther side"
     )  # fmt: skip
-    contrast: float = number(0.01, 1e-4, 10.0, "least difference in colour of the two sides, intensity")
+    contrast: float = number(0.005, 1e-4, 10.0, "least difference in colour of the two sides, intensity")
 
 
 @dataclass(frozen=True)
