@@ -400,7 +400,7 @@ def _least_costs(on: Desk) -> Work:
 
 def _evidence(on: Desk) -> Work:
     k, a, step = on.kernels, on.arrays, _row(on)["step"]
-    outputs = {"conflict_out": a["conflict"], "evidence_out": a["evidence"]}
+    outputs = {"conflict_out": a["conflict"], "evidence_out": a["evidence"], "cost_out": a["cost"]}
     return Work(lambda: k.evidence(a["volume"], a["path_costs"], step=step, unit=_UNIT, **outputs))
 
 
@@ -418,7 +418,7 @@ def _judge(on: Desk) -> Work:
     k, a, values = on.kernels, on.arrays, on.arrays["other_values"]
     weights = {"share": trust.SHARE["twice"], "spread": trust.SPREAD["twice"]}
     outputs = {"confidence_out": a["confidence"], "variance_out": a["variance"]}
-    return Work(lambda: k.judge(*5 * (values,), span=2 * LARGEST_DISPARITY, **weights, **outputs))
+    return Work(lambda: k.judge(*6 * (values,), span=2 * LARGEST_DISPARITY, **weights, **outputs))
 
 
 def _nlm_plane(on: Desk) -> Work:
@@ -567,7 +567,7 @@ OPERATIONS = (
     Operation(
         "evidence",
         (_VOLUME, Slot("path_costs", "lyx")),
-        (Slot("conflict", "yx"), Slot("evidence", "yx")),
+        (Slot("conflict", "yx"), Slot("evidence", "yx"), Slot("cost", "yx")),
         _evidence,
     ),
     Operation("line_mean", (Slot("other_values", "yx"),), (Slot("means", "yx"),), _line_mean),

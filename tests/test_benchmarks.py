@@ -206,7 +206,7 @@ def test_traffic_of_matching_counts_labels_views_and_neighbours() -> None:
         "semi_global": 2 * volume + image + 4 * pixels,
         "least_costs": volume + 4 * pixels,
         "farthest_as_good": volume + 8 * pixels,
-        "evidence": 2 * volume + 8 * pixels,
+        "evidence": 2 * volume + 12 * pixels,
         "line_mean": 8 * pixels,
         "unevenness": 12 * pixels,
         "judge": 12 * pixels,

@@ -98,7 +98,7 @@ def test_tiles_have_the_same() -> None:
 def made_up(weights: Weights, count: int, seed: int = 0) -> Sample:
     """Pixels whose errors are what the weights say."""
     random = np.random.default_rng(seed)
-    features = {name: random.normal(0, 1, count) for name in ("conflict", "evidence", "bend", "relief", "wide")}
+    features = {name: random.normal(0, 1, count) for name in ("conflict", "evidence", "bend", "relief", "wide", "cost")}
     sample = Sample("made up, fast", "once", features, np.zeros(count), 2.0)
     confidence, deviation = sample.judged(weights)
     right = random.random(count) < confidence

@@ -10,15 +10,26 @@ Array = NDArray[np.float64]
 SHARPNESS = 2.0  # costs that differ by unit / SHARPNESS differ
 PATHS = 8  # whose costs are added up
 LEAST_CONFLICT = 0.03  # units: less is none
+LEAST_COST = 1.0  # units: views that differ by less than their noise say no more than that
+MOST_COST = 4.5  # units: views that differ by more at best show different things
+UNLIKE = 8  # power of the costs in units of that
 BLIND = 8  # power of the share of disparities that are as good as the best one: nearly all of them must be
 LEAST_BEND = 1e-3  # pixels per view step: less is the noise of a map
 LEAST_RELIEF = 0.01  # pixels per view step: less than what counts
 
 
 def evidence(
-    volume: Array, path_costs: Array, *, step: float, unit: float, conflict_out: Array, evidence_out: Array
+    volume: Array,
+    path_costs: Array,
+    *,
+    step: float,
+    unit: float,
+    conflict_out: Array,
+    evidence_out: Array,
+    cost_out: Array,
 ) -> None:
     least = volume.min(0)
+    cost_out[:] = np.log(np.maximum(least / unit, LEAST_COST))
     conflict_out[:] = np.log(np.maximum(path_costs.min(0) / PATHS - least, 0) / unit + LEAST_CONFLICT)
     evidence_out[:] = -np.log(step * np.exp(-SHARPNESS / unit * (volume - least)).sum(0))
 
@@ -57,6 +68,7 @@ def judge(
     bend: Array,
     relief: Array,
     wide: Array,
+    cost: Array,
     *,
     span: float,
     share: Sequence[float],
@@ -67,5 +79,6 @@ def judge(
     features = np.ones_like(conflict), conflict, evidence, bend, relief, bend * relief
     unknown = np.minimum(np.exp(-wide) / span, 1) ** BLIND / 2
     log_odds, log_variance = (sum(weight * f for weight, f in zip(w, features, strict=True)) for w in (share, spread))
-    confidence_out[:] = (1 - unknown) / (1 + np.exp(-log_odds))
+    alike = 1 / (1 + (np.exp(cost) / MOST_COST) ** UNLIKE)
+    confidence_out[:] = alike * (1 - unknown) / (1 + np.exp(-log_odds))
     variance_out[:] = (1 - unknown) * np.exp(log_variance) + unknown * span**2 / 12

@@ -10,6 +10,9 @@ from .runtime import run
 _SHARPNESS = 2.0
 _PATHS = 8.0
 _LEAST_CONFLICT = 0.03
+_LEAST_COST = 1.0
+_MOST_COST = 4.5
+_UNLIKE = 8.0
 _BLIND = 8.0
 _LEAST_BEND = 1e-3
 _LEAST_RELIEF = 0.01
@@ -17,7 +20,13 @@ _LEAST_RELIEF = 0.01
 
 @ti.kernel
 def _evidence_kernel(
-    volume: flat(), path_costs: flat(), step: float, unit: float, conflict_out: flat(), evidence_out: flat()
+    volume: flat(),
+    path_costs: flat(),
+    step: float,
+    unit: float,
+    conflict_out: flat(),
+    evidence_out: flat(),
+    cost_out: flat(),
 ):
     size = conflict_out.shape[0]
     for p in range(size):
@@ -32,6 +41,7 @@ def _evidence_kernel(
             rivals += ti.exp(-_SHARPNESS / unit * (volume[k * size + p] - least))
         conflict_out[p] = ti.log(ti.max(least_path / _PATHS - least, 0.0) / unit + _LEAST_CONFLICT)
         evidence_out[p] = -ti.log(step * rivals)
+        cost_out[p] = ti.log(ti.max(least / unit, _LEAST_COST))
 
 
 @ti.kernel
@@ -84,6 +94,7 @@ def _judge_kernel(
     bend: flat(),
     relief: flat(),
     wide: flat(),
+    cost: flat(),
     span: float,
     share: ti.types.vector(6, float),
     spread: ti.types.vector(6, float),
@@ -93,7 +104,8 @@ def _judge_kernel(
     for p in range(conflict.shape[0]):
         features = ti.Vector([1.0, conflict[p], evidence[p], bend[p], relief[p], bend[p] * relief[p]])
         unknown = 0.5 * ti.min(ti.exp(-wide[p]) / span, 1.0) ** _BLIND
-        confidence_out[p] = (1.0 - unknown) / (1.0 + ti.exp(-share.dot(features)))
+        alike = 1.0 / (1.0 + (ti.exp(cost[p]) / _MOST_COST) ** _UNLIKE)
+        confidence_out[p] = alike * (1.0 - unknown) / (1.0 + ti.exp(-share.dot(features)))
         variance_out[p] = (1.0 - unknown) * ti.exp(spread.dot(features)) + unknown * span * span / 12.0
 
 
@@ -105,8 +117,10 @@ def evidence(
     unit: float,
     conflict_out: DeviceArray,
     evidence_out: DeviceArray,
+    cost_out: DeviceArray,
 ) -> None:
-    run(_evidence_kernel, volume.values, path_costs.values, step, unit, conflict_out.values, evidence_out.values)
+    outputs = conflict_out.values, evidence_out.values, cost_out.values
+    run(_evidence_kernel, volume.values, path_costs.values, step, unit, *outputs)
 
 
 def line_mean(values: DeviceArray, *, axis: int, reach: int, means_out: DeviceArray) -> None:
@@ -123,6 +137,7 @@ def judge(
     bend: DeviceArray,
     relief: DeviceArray,
     wide: DeviceArray,
+    cost: DeviceArray,
     *,
     span: float,
     share: Sequence[float],
@@ -137,6 +152,7 @@ def judge(
         bend.values,
         relief.values,
         wide.values,
+        cost.values,
         span,
         ti.Vector(list(share)),
         ti.Vector(list(spread)),

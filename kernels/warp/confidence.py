@@ -13,6 +13,9 @@ _SHARPNESS = wp.constant(2.0)
 _NO_RIVAL = wp.constant(17.0)  # its share is lost in the rounding of the best one's
 _PATHS = wp.constant(8.0)
 _LEAST_CONFLICT = wp.constant(0.03)
+_LEAST_COST = wp.constant(1.0)
+_MOST_COST = wp.constant(4.5)
+_UNLIKE = wp.constant(8.0)
 _BLIND = wp.constant(8.0)
 _LEAST_BEND = wp.constant(1e-3)
 _LEAST_RELIEF = wp.constant(0.01)
@@ -30,6 +33,7 @@ def _evidence_kernel(
     lanes: int,
     conflict_out: wp.array2d(dtype=float),
     evidence_out: wp.array2d(dtype=float),
+    cost_out: wp.array2d(dtype=float),
 ):
     i = wp.tid()
     y = row + i / lanes
@@ -47,6 +51,7 @@ def _evidence_kernel(
                 rivals += wp.exp(-apart)
         conflict_out[y, x] = wp.log(wp.max(least_path / _PATHS - least, 0.0) / unit + _LEAST_CONFLICT)
         evidence_out[y, x] = -wp.log(step * rivals)
+        cost_out[y, x] = wp.log(wp.max(least / unit, _LEAST_COST))
 
 
 @wp.kernel
@@ -126,6 +131,7 @@ def _judge_kernel(
     bend: wp.array2d(dtype=float),
     relief: wp.array2d(dtype=float),
     wide: wp.array2d(dtype=float),
+    cost: wp.array2d(dtype=float),
     span: float,
     share: _Weights,
     spread: _Weights,
@@ -140,12 +146,22 @@ def _judge_kernel(
         features = _Weights(1.0, conflict[y, x], evidence[y, x], bend[y, x], relief[y, x], bend[y, x] * relief[y, x])
         unknown = 0.5 * wp.pow(wp.min(wp.exp(-wide[y, x]) / span, 1.0), _BLIND)
         known = 1.0 - unknown
-        confidence_out[y, x] = known / (1.0 + wp.exp(-wp.dot(share, features)))
+        alike = 1.0 / (1.0 + wp.pow(wp.exp(cost[y, x]) / _MOST_COST, _UNLIKE))
+        confidence_out[y, x] = alike * known / (1.0 + wp.exp(-wp.dot(share, features)))
         variance_out[y, x] = known * wp.exp(wp.dot(spread, features)) + unknown * span * span / 12.0
 
 
-def evidence(volume: Any, path_costs: Any, *, step: float, unit: float, conflict_out: Any, evidence_out: Any) -> None:
-    launch_rows(_evidence_kernel, [volume, path_costs, step, unit], conflict_out, evidence_out)
+def evidence(
+    volume: Any,
+    path_costs: Any,
+    *,
+    step: float,
+    unit: float,
+    conflict_out: Any,
+    evidence_out: Any,
+    cost_out: Any,
+) -> None:
+    launch_rows(_evidence_kernel, [volume, path_costs, step, unit], conflict_out, evidence_out, cost_out)
 
 
 def line_mean(values: Any, *, axis: int, reach: int, means_out: Any) -> None:
@@ -162,6 +178,7 @@ def judge(
     bend: Any,
     relief: Any,
     wide: Any,
+    cost: Any,
     *,
     span: float,
     share: Sequence[float],
@@ -169,5 +186,5 @@ def judge(
     confidence_out: Any,
     variance_out: Any,
 ) -> None:
-    inputs = [conflict, evidence, bend, relief, wide, span, _Weights(*share), _Weights(*spread)]
+    inputs = [conflict, evidence, bend, relief, wide, cost, span, _Weights(*share), _Weights(*spread)]
     launch_rows(_judge_kernel, inputs, confidence_out, variance_out)

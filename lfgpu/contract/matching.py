@@ -185,6 +185,7 @@ class Matching(Protocol):
         unit: float,
         conflict_out: Array,
         evidence_out: Array,
+        cost_out: Array,
     ) -> None:
         """What the costs C [l, y, x] and the sums S [l, y, x] of `semi_global` over them say about each pixel.
 
@@ -192,6 +193,7 @@ class Matching(Protocol):
         than its best disparity.
         evidence = -log(step * sum_l exp(-2 (C_l - min C) / unit)): one over the width of the disparities that are as
         good as the best one, 1 / (pixels per view step). Disparities are `step` apart.
+        cost = log(max(min C / unit, 1)): how much views differ where they agree best.
         """
 
     def line_mean(self, values: Array, *, axis: int, reach: int, means_out: Array) -> None:
@@ -215,6 +217,7 @@ class Matching(Protocol):
         bend: Array,
         relief: Array,
         wide: Array,
+        cost: Array,
         *,
         span: float,
         share: Sequence[float],
@@ -222,11 +225,12 @@ class Matching(Protocol):
         confidence_out: Array,
         variance_out: Array,
     ) -> None:
-        """confidence = (1 - u) / (1 + exp(-share . f)) and variance = (1 - u) exp(spread . f) + u span^2 / 12.
+        """confidence = a (1 - u) / (1 + exp(-share . f)) and variance = (1 - u) exp(spread . f) + u span^2 / 12.
 
         f = (1, conflict, evidence, bend, relief, bend relief). `wide` is the evidence farther around, and `span` > 0
         what was searched, pixels per view step: u = min(exp(-wide) / span, 1)^8 / 2 is a half where all disparities
-        are as good as the best one, as the map is then a guess, and soon 0 where they are not.
+        are as good as the best one, as the map is then a guess, and soon 0 where they are not. `cost` is that farther
+        around: a = 1 / (1 + (exp(cost) / 4.5)^8) is soon 0 where views that should agree show different things.
         """
 
     def refine_boundaries(

@@ -188,9 +188,12 @@ FAULTS = (
     Fault("spread ignored", "judge", option("spread", np.zeros_like), JUDGE),
     *(
         Fault(f"{name} ignored", "judge", argument(place, np.zeros_like), JUDGE)
-        for place, name in enumerate(("conflict", "evidence", "bend", "relief", "wide"))
+        for place, name in enumerate(("conflict", "evidence", "bend", "relief", "wide", "cost"))
     ),
     Fault("span ignored", "judge", option("span", lambda _: 1.0), JUDGE),
+    Fault("no least cost", "evidence", with_another(confidence, "LEAST_COST", lambda _: 1.5), EVIDENCE),
+    Fault("unlike later", "judge", with_another(confidence, "MOST_COST", lambda _: 5.0), JUDGE),
+    Fault("unlike sooner", "judge", with_another(confidence, "UNLIKE", lambda _: 7), JUDGE),
     Fault("blind sooner", "judge", with_another(confidence, "BLIND", lambda _: 7), JUDGE),
     Fault("doubt", "judge", after(scaled(-1.0), "confidence_out"), JUDGE),
 )

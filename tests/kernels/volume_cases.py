@@ -58,8 +58,8 @@ REDUCED_CASES = (
 )
 """Those whose views have a reduced pixel."""
 
-JUDGED = ((-3.5, 2.0), (-2.0, 4.0), (-7.0, 1.0), (-4.6, 1.5), (-1.3, 0.0))
-"""The conflict, evidence, bend and relief that are judged, and the evidence farther around."""
+JUDGED = ((-3.5, 2.0), (-2.0, 4.0), (-7.0, 1.0), (-4.6, 1.5), (-1.3, 0.0), (0.0, 2.5))
+"""The conflict, evidence, bend and relief that are judged, and the evidence and the cost farther around."""
 
 
 def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace:
@@ -76,7 +76,7 @@ def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace
     i.unit = 0.5 * (case.costs[1] - case.costs[0])
     # Some of the best paths cost what the best disparity costs.
     i.path_costs = (8 * i.volume + rng.choice([0.0, 1.0], shape) * i.unit).astype(np.float32)
-    i.conflict, i.sure, i.bend, i.relief, i.wide = (
+    i.conflict, i.sure, i.bend, i.relief, i.wide, i.dear = (
         rng.uniform(low, high, case.size).astype(np.float32) for low, high in JUDGED
     )
     i.reduced = rng.uniform(*case.costs, (case.count, *(side // REDUCTION for side in case.size))).astype(np.float32)

@@ -58,7 +58,7 @@ def farthest_as_good(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 
 def evidence(desk: Desk, i: SimpleNamespace) -> Outputs:
-    out = {name: desk.out(i.volume.shape[1:]) for name in ("conflict", "evidence")}
+    out = {name: desk.out(i.volume.shape[1:]) for name in ("conflict", "evidence", "cost")}
     desk.kernels.evidence(
         desk.field(i.volume),
         desk.field(i.path_costs),
@@ -66,6 +66,7 @@ def evidence(desk: Desk, i: SimpleNamespace) -> Outputs:
         unit=i.unit,
         conflict_out=out["conflict"],
         evidence_out=out["evidence"],
+        cost_out=out["cost"],
     )
     return out
 
@@ -90,7 +91,7 @@ def unevenness(desk: Desk, i: SimpleNamespace) -> Outputs:
 def judge(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = {name: desk.out(i.conflict.shape) for name in ("confidence", "variance")}
     desk.kernels.judge(
-        *(desk.field(values) for values in (i.conflict, i.sure, i.bend, i.relief, i.wide)),
+        *(desk.field(values) for values in (i.conflict, i.sure, i.bend, i.relief, i.wide, i.dear)),
         span=i.span,
         **i.weights_of_judge,
         confidence_out=out["confidence"],

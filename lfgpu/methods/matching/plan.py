@@ -134,7 +134,8 @@ class MatchingPlan:
         self._curvature, self._slope, self._certainty = (kernels.zeros(lf.size, device) for _ in range(3))
         self._workspace, self._variance, self._penalty_scale = (kernels.zeros(lf.size, device) for _ in range(3))
         # What earlier stages needed is free when the map is judged.
-        self._judged_by = self._curvature, self._certainty, self._slope, self._workspace, self._penalty_scale
+        free = self._curvature, self._certainty, self._slope, self._workspace, self._penalty_scale
+        self._judged_by = *free, kernels.zeros(lf.size, device)
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
         self._trust, self._size = kernels.scalar(0.0, device), lf.size
         self._steps = len(self._moves)
@@ -329,16 +330,17 @@ class MatchingPlan:
         """For those who know something about the surface beforehand: change the costs [l, y, x] of its disparities."""
 
     def _judge(self) -> None:
-        """Confidence and variance from five maps, all logarithms; `trust.py` has the weights that were fitted.
+        """Confidence and variance from six maps, all logarithms; `trust.py` has the weights that were fitted.
 
         `conflict` says how much more the best surface through a pixel costs than the pixel's best disparity: beside
         occlusions, and where a surface goes on past an edge, a pixel and what lies around it disagree. `evidence` says
         how few disparities are as good as the best one. Both are means over a square, as what is wrong at an edge is
         wrong on a band along it. `bend` and `relief` say how far the map around a pixel is from a plane, and from one
-        disparity. `wide`, the evidence farther around, says whether there is anything to go by.
+        disparity. `wide`, the evidence farther around, says whether there is anything to go by, and
+        `cost` there whether the views show the same things at all.
         """
         kernels = self._kernels
-        conflict, evidence, bend, relief, wide = self._judged_by
+        conflict, evidence, bend, relief, wide, cost = self._judged_by
         low, high = self._bounds
         kernels.evidence(
             self._smooth,
@@ -347,8 +349,10 @@ class MatchingPlan:
             unit=self._config.sweep.noise,
             conflict_out=evidence,
             evidence_out=bend,
+            cost_out=wide,
         )
-        for values, reach, means in ((evidence, _AROUND, conflict), (bend, _AROUND, evidence), (evidence, _WIDE, wide)):
+        around = (evidence, _AROUND, conflict), (bend, _AROUND, evidence)
+        for values, reach, means in (*around, (wide, _WIDE, cost), (evidence, _WIDE, wide)):
             kernels.line_mean(values, axis=0, reach=reach, means_out=relief)
             kernels.line_mean(relief, axis=1, reach=reach, means_out=means)
         kernels.unevenness(self.disparity, bend_out=bend, relief_out=relief)
@@ -358,6 +362,7 @@ class MatchingPlan:
             bend,
             relief,
             wide,
+            cost,
             span=high - low,
             share=trust.SHARE[self._config.sweep.occlusions],
             spread=trust.SPREAD[self._config.sweep.occlusions],
@@ -371,7 +376,7 @@ class MatchingPlan:
 
     def features(self) -> dict[str, Float32Array]:
         """What the confidence of the last run was made of, float32 [y, x] by name; waits for the device."""
-        names = ("conflict", "evidence", "bend", "relief", "wide")
+        names = ("conflict", "evidence", "bend", "relief", "wide", "cost")
         return {
             name: self._kernels.numpy(field).astype(np.float32)
             for name, field in zip(names, self._judged_by, strict=True)
