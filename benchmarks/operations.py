@@ -415,10 +415,10 @@ def _unevenness(on: Desk) -> Work:
 
 
 def _judge(on: Desk) -> Work:
-    k, a, values = on.kernels, on.arrays, on.arrays["other_values"]
-    weights = {"share": trust.SHARE["twice"], "spread": trust.SPREAD["twice"]}
+    k, a, v = on.kernels, on.arrays, on.arrays["other_values"]
+    share, spread = trust.SHARE["twice"], trust.SPREAD["twice"]
     outputs = {"confidence_out": a["confidence"], "variance_out": a["variance"]}
-    return Work(lambda: k.judge(*6 * (values,), span=2 * LARGEST_DISPARITY, **weights, **outputs))
+    return Work(lambda: k.judge(v, v, v, v, v, v, span=2 * LARGEST_DISPARITY, share=share, spread=spread, **outputs))
 
 
 def _nlm_plane(on: Desk) -> Work:
