@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
@@ -60,15 +60,15 @@ def run(
     *,
     items: int,
     threads: int,
+    disparity_range: str | None,
     say: Callable[[str], None],
-) -> list[Row]:
-    """Measure each kind of item on each number of (GPUs, workers for each); `items` are for each worker.
+) -> Iterator[Row]:
+    """Measure each kind of item on each number of (GPUs, workers for each), row by row; `items` are for each worker.
 
-    BenchmarkError if a batch fails.
+    The range of each item is found anew unless one is given, as text. BenchmarkError if a batch fails.
     """
     if unknown := [kind for kind in kinds if kind not in KINDS]:
         raise BenchmarkError(f"--kinds must be some of {', '.join(KINDS)}, not {unknown[0]!r}.")
-    rows: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="lfgpu-benchmarks-") as name:
         folder = Path(name)
         say(f"casting {case.name}")
@@ -80,22 +80,23 @@ def run(
             for gpus, each in counts:
                 say(f"{kind} on {gpus} GPUs with {each} workers each")
                 workers = gpus * each
-                entries = _batch(one, folder / f"{kind}-{gpus}-{each}", preset, gpus, workers, items * workers, threads)
+                options = ["--preset", preset, "--workers", str(workers), "--threads", str(threads)]
+                options += [] if disparity_range is None else [f"--disparity-range={disparity_range}"]
+                entries = _batch(one, folder / f"{kind}-{gpus}-{each}", gpus, items * workers, options)
                 rate, busy, seconds = _measured(entries)
                 share = rate / (gpus * alone.setdefault(each, rate / gpus))
-                rows.append(Row(case.name, preset, kind, gpus, workers, rate, share, busy, seconds))
-    return rows
+                yield Row(case.name, preset, kind, gpus, workers, rate, share, busy, seconds)
 
 
 def table(rows: Sequence[Row]) -> str:
     """As Markdown."""
     lines = [
-        "| light field | preset | items | GPUs | workers | items / s | efficiency | busy | ms: read | estimate | write "
-        "|",
-        "|---|---|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| light field | preset | items | GPUs | workers | items / s | efficiency | busy | ms: read | estimate | judge "
+        "| write |",
+        "|---|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for row in rows:
-        parts = " | ".join(f"{1e3 * row.seconds.get(part, 0.0):.0f}" for part in ("read", "estimate", "write"))
+        parts = " | ".join(f"{1e3 * row.seconds.get(part, 0.0):.0f}" for part in ("read", "estimate", "judge", "write"))
         lines.append(
             f"| {row.case} | {row.preset} | {row.kind} | {row.gpus} | {row.workers} | {row.rate:.1f} | "
             f"{100 * row.efficiency:.0f} % | {100 * row.busy:.0f} % | {parts} |"
@@ -115,9 +116,7 @@ def _write(views: Any, case: Case, path: Path, kind: str) -> Path:
     return path
 
 
-def _batch(
-    one: Path, folder: Path, preset: str, gpus: int, workers: int, count: int, threads: int
-) -> list[dict[str, Any]]:
+def _batch(one: Path, folder: Path, gpus: int, count: int, options: Sequence[str]) -> list[dict[str, Any]]:
     """The manifest's entries of a batch of `count` links to `one`."""
     inputs, out = folder / "in", folder / "out"
     inputs.mkdir(parents=True)
@@ -126,8 +125,7 @@ def _batch(
             os.link(one, inputs / f"item_{i:05d}{one.suffix}")
         else:
             shutil.copytree(one, inputs / f"item_{i:05d}", copy_function=os.link)
-    command = [sys.executable, "-m", "lfgpu", "batch", *sorted(map(str, inputs.iterdir())), "-o", str(out)]
-    command += ["--preset", preset, "--workers", str(workers), "--threads", str(threads)]
+    command = [sys.executable, "-m", "lfgpu", "batch", *sorted(map(str, inputs.iterdir())), "-o", str(out), *options]
     shown = {**os.environ, "CUDA_VISIBLE_DEVICES": ",".join(map(str, range(gpus)))}
     done = subprocess.run(command, env=shown, capture_output=True, text=True, check=False)
     if done.returncode:

@@ -11,7 +11,7 @@ import json
 import multiprocessing
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -72,13 +72,16 @@ def devices_here() -> tuple[str, ...]:
     return tuple(name for name in found if name != "cpu") or ("cpu",)
 
 
-def run(plan: Plan, say: Callable[[str], None]) -> list[Row]:
-    """Measure. BenchmarkError if more devices are asked for than there are."""
+def run(plan: Plan, say: Callable[[str], None]) -> Iterator[Row]:
+    """Measure, row by row. BenchmarkError if more devices are asked for than there are."""
     if max(plan.counts) > len(plan.devices):
         raise BenchmarkError(f"there are {len(plan.devices)} devices, not {max(plan.counts)}; give fewer as --counts.")
     if plan.kind not in KINDS:
         raise BenchmarkError(f"--how must be one of {', '.join(KINDS)}, not {plan.kind!r}.")
-    rows: list[Row] = []
+    return _rows(plan, say)
+
+
+def _rows(plan: Plan, say: Callable[[str], None]) -> Iterator[Row]:
     with tempfile.TemporaryDirectory(prefix="lfgpu-benchmarks-") as folder:
         for case in plan.cases:
             path = Path(folder, f"{case.name}.npz")
@@ -92,8 +95,7 @@ def run(plan: Plan, say: Callable[[str], None]) -> list[Row]:
                         rate, each, threads = _together(plan, path, preset, mode, count)
                         alone = rate / count if alone is None else alone
                         share = rate / (count * alone)
-                        rows.append(Row(case.name, preset, mode, plan.kind, count, rate, share, 1e3 * each, threads))
-    return rows
+                        yield Row(case.name, preset, mode, plan.kind, count, rate, share, 1e3 * each, threads)
 
 
 def table(rows: list[Row]) -> str:

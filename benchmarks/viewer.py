@@ -20,11 +20,8 @@ from lfgpu.viewer.answers import DATA, Query
 from lfgpu.viewer.contents import Contents, Entry
 from lfgpu.viewer.pictures import prepare
 
-LIMIT = 0.3
-"""Seconds that nobody should wait longer than for a picture."""
-
 _RESULT = {"result": "map", "stage": "final"}
-_TILE, _QUICK = 512, 360  # pixels along the longer side of a tile, and of what is computed first, as on the page
+_TILE, _QUICK, _FINE = 512, 360, 256  # pixels along a tile, what is computed first, a tile that is, as on the page
 
 
 @dataclass(frozen=True)
@@ -58,8 +55,13 @@ def pictures(lf: LightField) -> list[Picture]:
     reach = float(np.hypot(*lf.offsets.T).max())
     place, disparity = {"column": 0, "row": 0}, {**_RESULT, "kind": "disparity"}
 
-    def focus(level: int, share: float) -> Callable[[int], dict[str, Any]]:
-        return lambda n: {"disparity": 0.1 * n - 0.45, "aperture": share * reach, "level": level}
+    first, fine, half = ({"level": level, "side": side} for level, side in ((quick, _TILE), (0, _FINE), (1, _FINE)))
+
+    def focus(tile: dict[str, int], share: float = 1) -> Callable[[int], dict[str, Any]]:
+        return lambda n: {"disparity": 0.1 * n - 0.45, "aperture": share * reach, **tile, **place}
+
+    def sharp(tile: dict[str, int]) -> Callable[[int], dict[str, Any]]:
+        return lambda _: {**_RESULT, **tile, **place}
 
     def at_pixel(n: int) -> dict[str, Any]:
         return {**_RESULT, "x": width // 2, "y": n}
@@ -82,13 +84,13 @@ def pictures(lf: LightField) -> list[Picture]:
         Picture("EPI of a column", "epi", lambda n: {"along": "column", "at": width // 2 + n}),
         Picture("values at a pixel", "at", lambda n: {**at_pixel(n), "index": -1}),
         Picture("values at a pixel of a view", "at", lambda n: {**at_pixel(n), "index": other(n)}),
-        Picture("refocused", "refocused", focus(quick, 1)),
-        Picture("refocused, half the aperture", "refocused", focus(quick, 0.5)),
-        Picture("refocused, half as large", "refocused", focus(1, 1), is_first=False),
-        Picture("refocused, whole", "refocused", focus(0, 1), is_first=False),
-        Picture("all in focus", "sharp", lambda _: {**_RESULT, "level": quick}),
-        Picture("all in focus, half as large", "sharp", lambda _: {**_RESULT, "level": 1}, is_first=False),
-        Picture("all in focus, whole", "sharp", lambda _: {**_RESULT, "level": 0}, is_first=False),
+        Picture("refocused", "refocused", focus(first)),
+        Picture("refocused, half the aperture", "refocused", focus(first, 0.5)),
+        Picture("refocused, tile of half the size", "refocused", focus(half), is_first=False),
+        Picture("refocused, tile", "refocused", focus(fine), is_first=False),
+        Picture("all in focus", "sharp", sharp(first)),
+        Picture("all in focus, tile of half the size", "sharp", sharp(half), is_first=False),
+        Picture("all in focus, tile", "sharp", sharp(fine), is_first=False),
     ]
 
 

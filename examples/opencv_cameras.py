@@ -14,7 +14,7 @@ import numpy as np
 
 import lfgpu
 
-SOURCES = (0, 1, 2)  # what cv2.VideoCapture opens: numbers of cameras, addresses, files
+SOURCES = (0, 1, 2)  # what cv2.VideoCapture opens: numbers of cameras, addresses of streams
 TOLERANCE = 0.01  # seconds
 
 
@@ -34,10 +34,15 @@ def frames(sources=SOURCES, capture=None) -> Iterator[tuple[np.ndarray, np.ndarr
 
         capture = cv2.VideoCapture
     opened = [capture(source) for source in sources]
-    there, first = opened[0].read()
-    if not there:
-        raise SystemExit(f"camera {sources[0]} gives no picture.")
-    grouper = lfgpu.FrameGrouper(len(opened), first.shape, tolerance=TOLERANCE)
+    shapes = []
+    for source, one in zip(sources, opened, strict=True):
+        there, picture = one.read()
+        if not there:
+            raise SystemExit(f"camera {source} gives no picture.")
+        shapes.append(picture.shape)
+    if len(set(shapes)) > 1:
+        raise SystemExit(f"the cameras give pictures of {sorted(set(shapes))}; set them to one size.")
+    grouper = lfgpu.FrameGrouper(len(opened), shapes[0], tolerance=TOLERANCE)
     threads = [threading.Thread(target=record, args=(n, one, grouper), daemon=True) for n, one in enumerate(opened)]
     for thread in threads:
         thread.start()

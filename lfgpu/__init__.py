@@ -157,6 +157,7 @@ def _later(home: str, name: str) -> Callable[..., Any]:
 
 _hooks.attach("save", _later("lfgpu.io", "save"))
 _hooks.attach("explanation_html", _later("lfgpu.reports.report", "explanation_html"))
+_hooks.attach("judged", _later("lfgpu.calibration.trust", "judged"))
 _hooks.attach("light_field_html", _later("lfgpu.viz.notebook", "light_field_html"))
 _hooks.attach("map_html", _later("lfgpu.viz.notebook", "map_html"))
 _hooks.attach("result_html", _later("lfgpu.viz.notebook", "result_html"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -36,6 +37,16 @@ class Capture:
         return (True, self.left.pop(0)) if self.left else (False, None)
 
 
+@dataclass
+class Still:
+    """A stand-in for a camera that gives the same picture for ever."""
+
+    picture: np.ndarray | None
+
+    def read(self) -> tuple[bool, np.ndarray | None]:
+        return self.picture is not None, self.picture
+
+
 def test_opencv_cameras() -> None:
     found = list(example("opencv_cameras").frames(sources=(3, 5), capture=Capture))
     assert found
@@ -45,7 +56,12 @@ def test_opencv_cameras() -> None:
             if valid[camera]:
                 assert views[camera, 0, 0, :2].tolist() == [source, 50]  # red first
     with pytest.raises(SystemExit, match="gives no picture"):
-        next(example("opencv_cameras").frames(capture=lambda _: SimpleNamespace(read=lambda: (False, None))))
+        next(example("opencv_cameras").frames(capture=lambda _: Still(None)))
+    with pytest.raises(SystemExit, match="camera 2 gives no picture"):
+        next(example("opencv_cameras").frames(capture=lambda n: Capture(n) if n < 2 else Still(None)))
+    sizes = {0: (4, 5, 3), 1: (4, 6, 3)}
+    with pytest.raises(SystemExit, match=r"pictures of \[\(4, 5, 3\), \(4, 6, 3\)\]; set them to one size"):
+        next(example("opencv_cameras").frames(sources=(0, 1), capture=lambda n: Still(np.zeros(sizes[n], np.uint8))))
 
 
 def test_gstreamer_appsink(monkeypatch: pytest.MonkeyPatch) -> None:

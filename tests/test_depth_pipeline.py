@@ -15,6 +15,7 @@ from lfgpu.config import Config
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import BackendError, LightFieldError
+from lfgpu.methods import configured
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.pipeline import DepthPipeline
@@ -243,3 +244,52 @@ def test_what_is_not_deterministic_is_refused_when_it_must_be(monkeypatch: pytes
     with pytest.raises(BackendError, match="differs from run to run"):
         DepthPipeline(scene(), disparity_range=RANGE, backend="reference", deterministic=True)
     DepthPipeline(scene(), disparity_range=RANGE, backend="reference")
+
+
+@pytest.mark.parametrize("damaged", [False, True])
+def test_views_that_are_not_used_stay_on_the_host(target: Any, damaged: bool) -> None:
+    config = configured("fast")
+    first, second = (scenes.make("relief", grid=(5, 5), size=(32, 36), seed=seed) for seed in (0, 1))
+    if damaged:
+        valid = np.ones(first.views.shape[:3], bool)
+        valid[:, 5:9, 4:12] = False
+        first, second = (
+            LightField(lf.views, lf.positions, reference=lf.reference, valid=valid) for lf in (first, second)
+        )
+    used = [2, 7, 10, 11, 12, 13, 14, 17, 22]
+    pipeline, others = made(first, target, config), second.views.copy()
+    assert len(target.kernels.numpy(pipeline._input)) == len(used)
+    others[[index for index in range(25) if index not in used]] = 0
+    # The range and the noise are those of the first light field.
+    measured = DepthPipeline(
+        second, config=config, measured=pipeline.measured, backend=target.backend, device=target.device
+    )
+    assert_same(ran(pipeline, others), ran(measured), target)
+
+
+@pytest.mark.parametrize("chosen", [None, [0], [1, 2, 3], [0, 2, 3, 4, 6], [6, 1]])
+@pytest.mark.parametrize("kind", ["image", "field"])
+def test_chosen_parts_of_an_array_are_uploaded(target: Any, chosen: list[int] | None, kind: str) -> None:
+    kernels, device = target.kernels, target.device
+    values = np.random.default_rng(0).integers(0, 255, (7, 5, 6, 3), np.uint8)
+    if kind == "field":
+        values = values[..., 0].astype(np.float32)
+    wanted = values if chosen is None else values[chosen]
+    array = getattr(kernels, kind)(np.zeros_like(wanted), device)
+    kernels.upload(values, array, chosen=chosen)
+    np.testing.assert_array_equal(kernels.numpy(array), wanted)
+
+
+def test_staged_parts_are_all_bytes_in_order() -> None:
+    pytest.importorskip("warp")
+    from lfgpu.kernels.warp.staging import parts_of
+
+    values = np.random.default_rng(0).integers(0, 255, 1000, np.uint8)
+    pieces = [values[:300], values[300:301], values[301:301], values[301:]]
+    parts = parts_of(pieces, 128)
+    assert max(len(part) for _, part in parts) == 128
+    found = np.zeros_like(values)
+    for start, part in parts:
+        found[start : start + len(part)] = part
+    np.testing.assert_array_equal(found, values)
+    assert sum(len(part) for _, part in parts) == len(values)

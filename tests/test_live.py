@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.cli import app
+from lfgpu.cli.live import End
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map, write_hci
@@ -58,6 +60,19 @@ def grabbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "    return iter(())\n"
         "def arrays():\n"
         "    yield np.zeros((9, 32, 36, 3), np.uint8)\n"
+        "def unplugged():\n"
+        "    lf = scenes.make('planes', grid=(3, 3), size=(32, 36), disparity_range=(-1, 1))\n"
+        "    yield lf\n"
+        "    yield lf.views\n"
+        "    raise OSError('the camera was unplugged')\n"
+        "def terminated():\n"
+        "    lf = scenes.make('planes', grid=(3, 3), size=(32, 36), disparity_range=(-1, 1))\n"
+        "    yield lf\n"
+        "    yield lf.views\n"
+        "    import os, signal\n"
+        "    os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    while True:\n"
+        "        yield lf.views\n"
         "def number():\n"
         "    return 3\n"
     )
@@ -142,6 +157,50 @@ def test_grabber_with_a_bad_frame_and_a_missing_camera(grabbers: None, tmp_path:
     assert [frame.get("views") for frame in frames] == [9, 9, None, 8]
     assert not (tmp_path / "out" / "disparity_000002.pfm").exists()
     assert "lfgpu_stream_frames_failed_total 1\n" in (tmp_path / "m.prom").read_text()
+
+
+def test_what_came_before_a_source_failed_is_kept(grabbers: None, tmp_path: Path) -> None:
+    """Maps without the log cannot be shown with their frames."""
+    outcome = lfgpu_live("grabber_for_tests:unplugged", "-o", tmp_path / "out", "--preset=fast", RANGE)
+    assert outcome.exit_code == 1
+    frames = json.loads((tmp_path / "out" / "live.json").read_text())["frames"]
+    assert [frame["frame"] for frame in frames] == [0, 1]
+    for frame in frames:
+        assert "error" in frame or read_map(tmp_path / "out" / f"disparity_{frame['frame']:06d}.pfm").shape == (32, 36)
+
+
+def test_a_service_that_is_stopped_leaves_its_log(grabbers: None, tmp_path: Path) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    arguments = ("-o", tmp_path / "out", "--preset=fast", RANGE, "--policy=block", "--frames=1000")
+    outcome = lfgpu_live("grabber_for_tests:terminated", *arguments)
+    assert outcome.exit_code == 0, outcome.output
+    assert len(json.loads((tmp_path / "out" / "live.json").read_text())["frames"]) < 1000
+    assert signal.getsignal(signal.SIGTERM) == before
+
+
+def test_maps_are_kept_when_recording_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("lfgpu.pipelines.sources.recording.np.savez", full)
+    outcome = lfgpu_live("planes", "--grid=3x3", "--size=32x36", "--preset=fast", RANGE, "--record", tmp_path / "film")
+    assert outcome.exit_code == 1
+    assert outcome.stderr.splitlines()[-1].endswith("cannot be written: No space left on device.")
+    assert not (tmp_path / "film" / "frame_000000").exists()
+
+
+def test_a_time_to_wait_begins_when_the_stream_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr("lfgpu.cli.live.time.monotonic", lambda: now)
+    stop, never = End("--until", "10s"), End("--until", None)
+    now = 105.0
+    stop.begin()
+    never.begin()
+    now = 114.0
+    assert not stop()
+    now = 115.0
+    assert stop()
+    assert not never()
 
 
 def test_scene_goes_round() -> None:
@@ -279,10 +338,10 @@ def test_bias_and_blend(device: str, rng: np.random.Generator) -> None:
 
     names = ("frames_out", "rates_out", "weights_out")
     outs = {name: kernels.zeros((9, 11), device) for name in names}
-    live.blend(*fields, persistence=0.7, support=0.3, rate_gain=0.2, **outs)
+    live.blend(*fields, persistence=0.7, support=0.3, steady=0.8, rate_gain=0.2, **outs)
     surprise = disparity - past
     goes_on = trust / (1 + (surprise / 0.3) ** 4)
-    before = 0.7 * goes_on * frames
+    before = 0.7 * goes_on * frames / (1 + (rate / 0.8) ** 2)
     weight = goes_on * before / (1 + before)
     wanted = (1 + before, weight * (rate + 0.2 * surprise), weight)
     for name, values in zip(names, wanted, strict=True):

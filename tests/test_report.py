@@ -311,6 +311,7 @@ def test_a_report_with_what_the_judge_says(lf: LightField) -> None:
     (axes,) = figure.axes
     assert len(axes.patches) == len(lf.views)
     (arrows,) = axes.collections
+    assert len(arrows.U) == len(lf.views) - 1, "the reference view has none"
     longest = int(np.hypot(arrows.U, arrows.V).argmax())
     assert longest == 1
     np.testing.assert_allclose((arrows.X[1], arrows.Y[1]), lf.positions[1])

@@ -17,7 +17,7 @@ from benchmarks.errors import BenchmarkError
 @pytest.mark.parametrize(("kind", "counts"), [("processes", (2,)), ("threads", (1, 2))])
 def test_every_mode_and_count_is_measured(kind: str, counts: tuple[int, ...], tmp_path: Path) -> None:
     plan = scaling.Plan(CASES[:1], ("fast",), ("cpu", "cpu"), counts, kind, 0.1)
-    rows = scaling.run(plan, lambda _: None)
+    rows = list(scaling.run(plan, lambda _: None))
     assert [(row.mode, row.devices) for row in rows] == [(m, n) for m in scaling.MODES for n in counts]
     for row in rows:
         assert row.rate > 0

@@ -57,21 +57,32 @@ def test_warm_maps_are_near_the_cold_ones_and_flicker_less() -> None:
     assert error(warm) < 1.15 * error(cold)
 
 
+@pytest.mark.parametrize("config", ["accurate", "fast"])
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_past_is_not_believed_where_the_reference_view_shows_something_else(seed: int) -> None:
-    """Half of the views is of another scene in the last frame. Were it believed, 65 to 76 % there would be wrong."""
+def test_the_past_is_not_believed_where_the_reference_view_shows_something_else(seed: int, config: str) -> None:
+    """Half of the views is of another scene in the last frame: there its map is as right as one of this frame alone.
+
+    Were the past believed, 65 to 76 % would be wrong there; did its surfaces hide anything, 26 to 40 %, not 12 to 17.
+    """
     options: dict[str, Any] = {"grid": (3, 5), "size": (64, 72)}
     before, after = scenes.make("planes", seed=seed, **options), scenes.make("boxes", seed=seed + 10, **options)
     assert after.truth is not None
     changed = before.views.copy()
     changed[:, :, 36:] = after.views[:, :, 36:]
-    with made(before, disparity_range=(-1.6, 1.7)) as stream:
+
+    def wrong(result: lfgpu.StreamResult) -> float:
+        error = np.abs(result.numpy() - after.truth.disparity)[8:-8, 44:-6]  # type: ignore[union-attr]
+        return float((error > 0.07).mean())
+
+    with made(before, config=config, disparity_range=(-1.6, 1.7)) as stream:
         for _ in range(6):
-            stream.push(before.views).numpy()
-        result = stream.push(changed)
-        error = np.abs(result.numpy() - after.truth.disparity)[8:-8, 44:-6]
-    assert (result.cut, result.cold) == (False, False)
-    assert (error > 0.07).mean() < 0.5
+            stream.push(before.views).wait()
+        warm = stream.push(changed)
+        warm.wait()
+        stream.restart()
+        cold = stream.push(changed)
+        assert (warm.cut, warm.cold, cold.cold) == (False, False, True)
+        assert wrong(warm) < wrong(cold) + 0.03
 
 
 def test_scene_cut_starts_cold() -> None:

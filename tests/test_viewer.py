@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ from lfgpu.viz import panels as frames
 from lfgpu.viz.refocusing import all_in_focus, refocus
 
 SIZE = (24, 32)
+WHOLE = (0, 0, pictures.TILE)  # column, row and side of the tile that is the whole of a small picture
 
 
 def wall(disparity: float, *, valid: bool = False) -> LightField:
@@ -364,13 +366,13 @@ def test_small_views_are_made_once_and_not_too_many_are_kept(monkeypatch: pytest
     lf, made = scenes.make("boxes", grid=(5, 5), size=SIZE), list[Any]()
     make = pictures._small_view
     monkeypatch.setattr(pictures, "_small_view", lambda *asked: made.append(asked[1:]) or make(*asked))
-    first = pictures.refocused(lf, 0.5, None, 2)
+    first = pictures.refocused(lf, 0.5, None, 2, *WHOLE)
     assert len(made) == len(lf.views)
-    pictures.refocused(lf, 0.7, None, 2)
+    pictures.refocused(lf, 0.7, None, 2, *WHOLE)
     assert len(made) == len(lf.views)
     monkeypatch.setattr(pictures, "_ROOM", 4 * 12 * 10 * 3)
-    np.testing.assert_array_equal(pictures.refocused(lf, 0.5, None, 2), first)
-    pictures.refocused(lf, 0.5, None, 1)
+    np.testing.assert_array_equal(pictures.refocused(lf, 0.5, None, 2, *WHOLE), first)
+    pictures.refocused(lf, 0.5, None, 1, *WHOLE)
     assert sum(view.nbytes for view, _ in pictures._small[lf].values()) <= pictures._ROOM
 
 
@@ -384,6 +386,69 @@ def test_small_views_are_in_line_with_large_ones(size: tuple[int, int], factor: 
     np.testing.assert_array_equal(
         small[: whole[0], : whole[1]], pictures._reduced(ramp, factor)[: whole[0], : whole[1]]
     )
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+@pytest.mark.parametrize("masked", [False, True])
+def test_computed_tiles_fit_together_to_the_whole_picture(level: int, masked: bool) -> None:
+    """Points that other surfaces hide, colours from beyond a tile, and sides that no tile divides."""
+    lf = scenes.make("boxes", grid=(5, 5), size=(101, 131))
+    if masked:
+        valid = np.ones((len(lf.views), *lf.size), np.bool_)
+        valid[3, 30:60, 20:90] = False
+        lf = replace(lf, valid=valid)
+    truth = lf.reference_truth()
+    assert truth is not None
+    disparity = truth.disparity.copy()
+    disparity[40:44, 50:58] = np.nan
+    disparity[60:, 20:] = np.where(np.arange(111) % 30 < 12, 4, -4)  # hides what is 16 pixels beside
+    contents = Contents(lf).with_entry("map", Entry(DisparityMap(disparity)))
+    rows, columns = (-(-side // (32 << level)) for side in lf.size)
+    for tile in (
+        lambda *place: pictures.refocused(lf, 1.3, None, level, *place),
+        lambda *place: pictures.sharp(contents, "map", "final", level, *place),
+    ):
+        lines = [np.concatenate([tile(column, row, 32) for column in range(columns)], axis=1) for row in range(rows)]
+        whole = tile(*WHOLE).astype(int)
+        assert whole.shape[:2] == (-(-101 // 2**level), -(-131 // 2**level))
+        np.testing.assert_allclose(np.concatenate(lines), whole, atol=1)
+
+
+def test_levels_end_where_one_pixel_is_the_whole_picture() -> None:
+    lf = wall(1.0)
+    assert pictures.view_tile(lf, 0, 5, 0, 0).shape == (1, 1, 1)
+    for level in (-1, 6, 16):  # of 65536 x 65536 pixels
+        with pytest.raises(LightFieldError, match="no tile"):
+            pictures.view_tile(lf, 0, level, 0, 0)
+    for side in (0, pictures.TILE + 1):
+        with pytest.raises(LightFieldError, match="no tile"):
+            pictures.refocused(lf, 0.0, None, 0, 0, 0, side)
+
+
+_EVERYTHING = """
+import sys
+from lfgpu import Viewer, estimate_depth, scenes
+from lfgpu.viewer import pictures, saving
+from lfgpu.viewer.space import Space
+lf = scenes.make("boxes", grid=(5, 5), size=(40, 48))
+with Viewer(lf, port=0) as viewer:
+    before = set(sys.modules)
+    pictures.prepare()
+    for preset in ("fast", "paper"):
+        viewer.add(estimate_depth(lf, config=preset), name=preset)
+    limits, colours = (-1.0, 1.0), "viridis"
+    saving.figure(viewer.contents, "fast", "disparity", "final", colours=colours, limits=limits)
+    saving.saved(viewer.contents, "fast", "final", ".ply")
+    Space(viewer, print).close()
+ours = {"lfgpu", "scipy", "matplotlib", "viser", "trimesh", "plyfile"}
+print(sorted(name for name in set(sys.modules) - before if name.split(".")[0] in ours))
+"""
+
+
+def test_nothing_is_imported_once_kernels_are_loaded() -> None:
+    """Both parse Python, which two threads must not do: pictures, estimates and 3D come in threads of their own."""
+    found = subprocess.run([sys.executable, "-c", _EVERYTHING], capture_output=True, text=True, timeout=300)
+    assert found.stdout.splitlines()[-1:] == ["[]"], found.stdout + found.stderr
 
 
 def test_a_smaller_lens_takes_fewer_views() -> None:

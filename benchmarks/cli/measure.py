@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
@@ -33,9 +34,12 @@ from benchmarks.cli.options import (
 )
 from benchmarks.cli.outputs import check_out, collected, finish, say
 from benchmarks.errors import BenchmarkError
+from benchmarks.operation import Operation
 from lfgpu._backends import list_backends
 from lfgpu.io.atomic import check_writable
 from lfgpu.threads import get_threads
+
+_Row = TypeVar("_Row")
 
 _PIPELINES_HELP = f'{", ".join(pipelines.NAMES)}; default: all; or "none".'
 
@@ -84,7 +88,7 @@ def measure(
     finish(suite.run(plan, say), out)
 
 
-def _operations(text: str) -> tuple[operations.Operation, ...]:
+def _operations(text: str) -> tuple[Operation, ...]:
     if text == "none":
         return ()
     return tuple(operations.find(name) for name in listed(text)) or operations.OPERATIONS
@@ -148,10 +152,7 @@ def scaling_(
     plan = scaling.Plan(
         tuple(cases.find(n) for n in listed(case_names)), tuple(listed(presets)), names, wanted, how, seconds
     )
-    rows = scaling.run(plan, say)
-    if out is not None:
-        scaling.save(rows, out)
-    typer.echo(scaling.table(rows), nl=False)
+    typer.echo(scaling.table(_saved(scaling.run(plan, say), out)), nl=False)
 
 
 def batches_(
@@ -162,6 +163,9 @@ def batches_(
     items: Annotated[int, typer.Option(min=10, help="For each worker.")] = 100,
     per_gpu: Annotated[str, typer.Option(metavar="N,...", help="Workers for each GPU.")] = "1",
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of each worker.")] = 4,
+    disparity_range: Annotated[
+        str | None, typer.Option(metavar="LOW,HIGH", help="Of all items.", show_default="found for each")
+    ] = None,
     out: Out = None,
 ) -> None:
     """Measure the items in a second that `lfgpu batch` does on 1, 2, 4 .. GPUs of this machine, and where they wait."""
@@ -174,11 +178,10 @@ def batches_(
         [(gpus, int(n)) for n in listed(per_gpu) for gpus in wanted],
         items=items,
         threads=threads,
+        disparity_range=disparity_range,
         say=say,
     )
-    if out is not None:
-        scaling.save(rows, out)
-    typer.echo(batches.table(rows), nl=False)
+    typer.echo(batches.table(_saved(rows, out)), nl=False)
 
 
 def tiles_(
@@ -205,6 +208,16 @@ def viewer_(
     check_out(out)
     about = {**machine.about(), "case": case_name}
     viewer.show(collected(viewer.run(cases.parse(case_name), times, say), out, about, key="pictures"))
+
+
+def _saved(rows: Iterable[_Row], out: Path | None) -> list[_Row]:
+    """All rows; the file, if one is wanted, has those that there are after each."""
+    found: list[_Row] = []
+    for row in rows:
+        found.append(row)
+        if out is not None:
+            scaling.save(found, out)
+    return found
 
 
 def _gpu_counts(text: str, there: int) -> tuple[int, ...]:

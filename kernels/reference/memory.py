@@ -33,8 +33,8 @@ def scalar(value: float, device: str) -> Array:
     return np.array([value], np.float64)
 
 
-def upload(values: NDArray[Any], array_out: Array) -> None:
-    array_out[...] = values
+def upload(values: NDArray[Any], array_out: Array, *, chosen: Sequence[int] | None = None) -> None:
+    array_out[...] = values if chosen is None else values[list(chosen)]
 
 
 def numpy(array: Array) -> Array:

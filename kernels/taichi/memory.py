@@ -99,8 +99,9 @@ def scalar(value: float, device: str) -> DeviceArray:
     return doubles(np.array([value]))
 
 
-def upload(values: NDArray[Any], array_out: DeviceArray) -> None:
-    _filled(array_out, np.asarray(values, np.float32) if array_out.channels is None else np.asarray(values))
+def upload(values: NDArray[Any], array_out: DeviceArray, *, chosen: Sequence[int] | None = None) -> None:
+    taken = np.asarray(values) if chosen is None else np.asarray(values)[list(chosen)]
+    _filled(array_out, taken.astype(np.float32, copy=False) if array_out.channels is None else taken)
 
 
 def shared(field: DeviceArray) -> Any:

@@ -17,6 +17,7 @@ import warp as wp
 
 from lfgpu.contract import Alignment, ZBuffer
 
+from .cpu_alignment import ALIGN_ROW
 from .memory import pixel_type
 from .splat import as_offsets
 from .threads import in_slices, lanes, launch, launch_rows, load, once, slices
@@ -66,7 +67,7 @@ _LAND = """
     }
 """
 
-# A CPU takes the window outside and the row inside, which it runs many pixels at a time.
+# A CPU takes the window outside and pixels inside, many at a time.
 _LOOK_AROUND = """
     const int height = nearest.shape[1], width = nearest.shape[2], side = 2 * reach + 3, wide = width + side - 1;
     const float* __restrict__ const front = fronts.data + (size_t)n * (height + side - 1) * wide + (size_t)y * wide;
@@ -85,12 +86,21 @@ _LOOK_AROUND = """
         out[x] = found > NOWHERE ? found : far_around(x);
     }
 #else
-    for (int x = 0; x < width; ++x) out[x] = NOWHERE;
-    for (int j = 1; j < side - 1; ++j)
-        for (int i = 1; i < side - 1; ++i) {
-            const float* __restrict__ const row = front + j * wide + i;
-            for (int x = 0; x < width; ++x) out[x] = out[x] < row[x] ? row[x] : out[x];
+    // Down the columns first, and then along the row.
+    constexpr int ROOM = 256;
+    float highest[ROOM];
+    for (int begin = 0, most = ROOM - 2 * reach; begin < width; begin += most) {
+        const int many = width - begin < most ? width - begin : most;
+        for (int k = 0; k < many + 2 * reach; ++k) highest[k] = NOWHERE;
+        for (int j = 1; j < side - 1; ++j) {
+            const float* __restrict__ const row = front + j * wide + 1 + begin;
+            for (int k = 0; k < many + 2 * reach; ++k) highest[k] = highest[k] < row[k] ? row[k] : highest[k];
         }
+        for (int k = 0; k < many; ++k) out[begin + k] = highest[k];
+        for (int i = 1; i <= 2 * reach; ++i)
+            for (int k = 0; k < many; ++k)
+                out[begin + k] = out[begin + k] < highest[k + i] ? highest[k + i] : out[begin + k];
+    }
     for (int x = 0; x < width; ++x)
         if (out[x] <= NOWHERE) out[x] = far_around(x);
 #endif
@@ -117,10 +127,13 @@ def _look_around_row(
 ): ...
 
 
+@wp.func_native(f"for (int k = 0; k < fronts.shape[0]; ++k) fronts.data[k] = {_NOWHERE}f;")
+def _clear(fronts: wp.array(dtype=float)): ...
+
+
 @wp.kernel
 def _clear_kernel(fronts_out: wp.array(dtype=float)):
-    for k in range(fronts_out.shape[0]):
-        fronts_out[k] = wp.static(_NOWHERE)
+    _clear(fronts_out)
 
 
 @wp.kernel
@@ -173,11 +186,9 @@ def z_buffer(shape: Sequence[int], offsets: Any, *, reach: int) -> ZBuffer:
     return find
 
 
-# What follows is the same code for both: on a CPU a thread has a row and goes along it in chunks, view by view, with
-# their sums on its stack and the channels of a pixel in one register; on a GPU it has one pixel.
+# On a GPU a thread has one pixel; `cpu_alignment.py` has the same for a row.
 _ALIGN = """
-#ifdef __CUDA_ARCH__
-    constexpr int CHUNK = 1;
+    constexpr int CHUNK = 1;  // pixels of a thread
     struct Value {
         float c[CHANNELS];
         CUDA_CALLABLE float& operator[](int i) { return c[i]; }
@@ -202,10 +213,6 @@ _ALIGN = """
             return r;
         }
     };
-#else
-    constexpr int CHUNK = 64;
-    typedef float Value __attribute__((vector_size(4 * PAD)));
-#endif
     struct alignas(PAD * sizeof(KEPT)) Kept { KEPT c[PAD]; };
     const Kept* const recorded = (const Kept*)views.data;
     const int height = disparity.shape[0], width = disparity.shape[1], count = offsets.shape[0];
@@ -214,16 +221,11 @@ _ALIGN = """
     const float weaken = 1.f / (3 * CHANNELS * robust * robust);
 
     auto value_of = [](const Kept& kept) {
-    #ifdef __CUDA_ARCH__
         const WORDS words = *(const WORDS*)&kept;  // one load
         const Kept loaded = *(const Kept*)&words;
         Value value;
         for (int i = 0; i < CHANNELS; ++i) value[i] = (float)loaded.c[i];
         return value;
-    #else
-        typedef KEPT Stored __attribute__((vector_size(PAD * sizeof(KEPT))));
-        return __builtin_convertvector(*(const Stored*)&kept, Value);
-    #endif
     };
     auto sum_of = [](Value value) {
         float sum = 0.f;
@@ -370,7 +372,7 @@ _ALIGN = """
 
 
 @once
-def _kernels(channels: int, stored: Any, compact: Any) -> SimpleNamespace:
+def _kernels(channels: int, stored: Any, compact: Any, on_cpu: bool) -> SimpleNamespace:
     """Views come as `stored` and are kept as `compact` scalars."""
     pad = 4 if channels == 3 else 2
     pixel, stored_pixel, kept_pixel = (
@@ -378,7 +380,7 @@ def _kernels(channels: int, stored: Any, compact: Any) -> SimpleNamespace:
         pixel_type(channels, stored),
         pixel_type(pad, compact),
     )
-    module = f"lfgpu_alignment_{channels}_{stored.__name__}_{compact.__name__}"
+    module = f"lfgpu_{'cpu' if on_cpu else 'gpu'}_alignment_{channels}_{stored.__name__}_{compact.__name__}"
     kept_name, bytes_ = {
         wp.uint8: ("unsigned char", 1),
         wp.uint16: ("unsigned short", 2),
@@ -387,12 +389,18 @@ def _kernels(channels: int, stored: Any, compact: Any) -> SimpleNamespace:
     }[compact]
     words = {2: "unsigned short", 4: "unsigned", 8: "uint2", 16: "uint4"}[pad * bytes_]
 
-    code = _ALIGN
+    # A CPU reads a pixel as one integer, and of floats each channel by itself.
+    integers = {2: "unsigned short", 4: "unsigned", 8: "unsigned long long"}
+    word = integers[pad * bytes_] if compact in (wp.uint8, wp.uint16) else f"struct {{ {kept_name} c[{pad}]; }}"
+    code = ALIGN_ROW if on_cpu else _ALIGN
     for name, value in (
         ("CHANNELS", channels),
         ("PAD", pad),
         ("KEPT", kept_name),
         ("WORDS", words),
+        ("WORD", word),
+        ("BITS", 8 * bytes_),
+        ("IS_FLOAT", int(compact is wp.float32)),
         ("BORDER", _BORDER),
         ("BEFORE", _BEFORE),
         ("NEAR", f"{_AT_REFERENCE}f"),
@@ -505,7 +513,7 @@ class _Alignment:
             # A CPU reads half precision slowly, and each pixel many times.
             compact = wp.float32 if stored is wp.float16 and device.is_cpu else stored
             size, kept = (n, height + _BORDER, width + _BORDER), pixel_type(4 if channels == 3 else 2, compact)
-            self._stored, self._kernels = stored, _kernels(channels, stored, compact)
+            self._stored, self._kernels = stored, _kernels(channels, stored, compact, device.is_cpu)
             self._packed = wp.empty(size, dtype=kept, device=device)
         self._image = image
         launch_rows(self._kernels.pack, [recorded, valid], self._packed)

@@ -88,19 +88,31 @@ def scalar(value: float, device: str) -> Any:
         return wp.array([value], dtype=wp.float64, device=device)
 
 
-def upload(values: Any, array_out: Any) -> None:
+def upload(values: Any, array_out: Any, *, chosen: Sequence[int] | None = None) -> None:
     if not isinstance(values, np.ndarray):
-        take(values, array_out)
+        take(values, array_out, chosen=chosen)
         return
     if array_out.dtype is wp.float32:
         values = np.asarray(values, np.float32)
-    contiguous = np.ascontiguousarray(values)
+    runs = [slice(None)] if chosen is None else _runs(chosen)
+    parts = [np.ascontiguousarray(values[run]) for run in runs]
     with asking(array_out.device.alias):
-        if array_out.device.is_cuda and contiguous.nbytes >= WORTHWHILE:
-            staging(array_out.device.alias).send(contiguous.reshape(-1).view(np.uint8), _bytes(array_out))
+        if array_out.device.is_cuda and sum(part.nbytes for part in parts) >= WORTHWHILE:
+            staging(array_out.device.alias).send([part.reshape(-1).view(np.uint8) for part in parts], _bytes(array_out))
             return
-        wp.copy(array_out, wp.array(contiguous, dtype=array_out.dtype, shape=array_out.shape, device="cpu", copy=False))
+        first = 0
+        for part in parts:
+            target = array_out if chosen is None else array_out[first : first + len(part)]
+            wp.copy(target, wp.array(part, dtype=target.dtype, shape=target.shape, device="cpu", copy=False))
+            first += len(part) if chosen is not None else 0
         _read(array_out)
+
+
+def _runs(chosen: Sequence[int]) -> list[slice]:
+    """Indices in order as slices of neighbours, which lie side by side in memory."""
+    indices = np.asarray(chosen)
+    pieces = np.split(indices, np.flatnonzero(np.diff(indices) != 1) + 1)
+    return [slice(int(piece[0]), int(piece[-1]) + 1) for piece in pieces]
 
 
 def numpy(array: Any) -> NDArray[Any]:

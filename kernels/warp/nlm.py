@@ -1,4 +1,7 @@
-"""Non-local-means weights and the two linear operators that they make; `kernels/reference/nlm.py` says which."""
+"""Non-local-means weights and the two linear operators that they make; `kernels/reference/nlm.py` says which.
+
+`cpu_nlm.py` has the weights of a CPU, but for gradients of whole patches.
+"""
 
 from collections.abc import Sequence
 from types import SimpleNamespace
@@ -9,6 +12,7 @@ import warp as wp
 
 from lfgpu.contract import NlmWeights, OverPatch, PatchGradients, half_window
 
+from .cpu_nlm import CpuWeights
 from .memory import pixel_type
 from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once
 
@@ -305,9 +309,19 @@ def nlm_weights(
             in_slices(place, len(steps), some_neighbors)
 
         return weigh_by_patches
+    color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
+    if place.is_cpu:
+        return CpuWeights(
+            (height, width, channels),
+            steps,
+            patch=patch,
+            color=color,
+            gradient=gradient,
+            floor=floor,
+            is_mean=is_mean == 1,
+        )
     features = wp.empty((height, width), dtype=pixel_type(3 * channels), device=place)
     distances = wp.empty((len(steps), height, width), dtype=float, device=place)
-    color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
 
     def weigh(image: Any, weights_out: Any) -> None:
         threads = lanes(image)

@@ -1,6 +1,7 @@
 """Arrays of other libraries on the same GPU, taken and given where they are, in the order of everybody's streams."""
 
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -56,9 +57,10 @@ def shared(field: Any) -> Shared:
     return Shared(field)
 
 
-def take(values: Any, array_out: Any, own: Any = None) -> None:
+def take(values: Any, array_out: Any, own: Any = None, *, chosen: Sequence[int] | None = None) -> None:
     """Copy an array [..., c] of another library on this GPU: after what its library was asked for, before what it will.
 
+    With `chosen`, those of its parts along the first axis, in that order.
     The copy takes its turn on the stream `own`, by default Warp's. Where that library does not say on which stream it
     works, the host waits for the copy.
     """
@@ -79,8 +81,13 @@ def take(values: Any, array_out: Any, own: Any = None) -> None:
         else:
             own.wait_stream(stream)
         place, strides = interface["data"][0], interface.get("strides")
+        shape = tuple(interface["shape"])
         source = wp.array(ptr=place, dtype=scalar, shape=shape, strides=strides, device=device, copy=False)
-    wp.copy(target, source, stream=own)
+    if chosen is None:
+        wp.copy(target, source, stream=own)
+    else:
+        for k, index in enumerate(chosen):
+            wp.copy(target[k], source[index], stream=own)
     if stream is None:
         wp.synchronize_stream(own)
     else:

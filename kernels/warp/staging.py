@@ -4,6 +4,7 @@ What a program has in ordinary memory the driver copies on one core, which is sl
 """
 
 import threading
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -29,18 +30,21 @@ class _Staging:
         self._pool = ThreadPoolExecutor(_PARTS, thread_name_prefix="lfgpu-staging")
         self._lock = threading.Lock()
 
-    def send(self, values: NDArray[np.uint8], target: Any) -> None:
-        """Bytes into bytes on the device, in the order of its stream; `values` may be changed once this returns."""
+    def send(self, pieces: Sequence[NDArray[np.uint8]], target: Any) -> None:
+        """Bytes, one piece after the other, into bytes on the device, in the order of its stream.
+
+        The pieces may be changed once this returns.
+        """
         with self._lock:
-            size = min(max(-(-len(values) // _PARTS), _LEAST_PART), _PART)
-            starts = range(0, len(values), size)
+            size = min(max(-(-sum(map(len, pieces)) // _PARTS), _LEAST_PART), _PART)
+            parts = parts_of(pieces, size)
             filling: list[Future[int]] = []
-            for k, start in enumerate(starts):
+            for k, (_, part) in enumerate(parts):
                 if k >= _PARTS:
-                    self._post(k - _PARTS, filling[k - _PARTS], starts[k - _PARTS], target)
-                filling.append(self._pool.submit(self._fill, k % _PARTS, values[start : start + size]))
-            for k in range(max(0, len(starts) - _PARTS), len(starts)):
-                self._post(k, filling[k], starts[k], target)
+                    self._post(k - _PARTS, filling[k - _PARTS], parts[k - _PARTS][0], target)
+                filling.append(self._pool.submit(self._fill, k % _PARTS, part))
+            for k in range(max(0, len(parts) - _PARTS), len(parts)):
+                self._post(k, filling[k], parts[k][0], target)
 
     def receive(self, source: Any) -> NDArray[np.uint8]:
         """Bytes of the device, once all is done that its stream was asked for."""
@@ -72,6 +76,15 @@ class _Staging:
         stream = (target if target.device.is_cuda else source).device.stream
         stream.record_event(self._free[place])
         self._used[place] = True
+
+
+def parts_of(pieces: Sequence[NDArray[np.uint8]], size: int) -> list[tuple[int, NDArray[np.uint8]]]:
+    """Pieces cut into parts of at most `size` bytes, each with where it begins among the bytes of all."""
+    parts, first = [], 0
+    for piece in pieces:
+        parts += [(first + k, piece[k : k + size]) for k in range(0, len(piece), size)]
+        first += len(piece)
+    return parts
 
 
 @once

@@ -42,6 +42,7 @@ def _blend_kernel(
     rate: wp.array2d(dtype=float),
     persistence: float,
     support: float,
+    steady: float,
     rate_gain: float,
     row: int,
     lanes: int,
@@ -57,7 +58,8 @@ def _blend_kernel(
         change = innovation / support
         square = change * change
         goes_on = same[y, x] / (1.0 + square * square)
-        before = persistence * goes_on * frames[y, x]
+        drift = rate[y, x] / steady
+        before = persistence * goes_on * frames[y, x] / (1.0 + drift * drift)
         weight = goes_on * before / (1.0 + before)
         disparity[y, x] = past[y, x] + innovation / (1.0 + before)
         frames_out[y, x] = 1.0 + before
@@ -79,10 +81,11 @@ def blend(
     *,
     persistence: float,
     support: float,
+    steady: float,
     rate_gain: float,
     frames_out: Any,
     rates_out: Any,
     weights_out: Any,
 ) -> None:
-    inputs = [past, same, frames, rate, persistence, support, rate_gain]
+    inputs = [past, same, frames, rate, persistence, support, steady, rate_gain]
     launch_rows(_blend_kernel, inputs, frames_out, rates_out, weights_out, disparity)

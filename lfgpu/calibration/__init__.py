@@ -4,9 +4,10 @@ from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.export import export_scene
 from lfgpu.calibration.formats import Calibration, read_calibration, write_cameras
 from lfgpu.calibration.glance import glance
-from lfgpu.calibration.judge import Explanation, explain, remarks, residual_pictures
+from lfgpu.calibration.judge import Explanation, explain, residual_pictures
 from lfgpu.calibration.misalign import Disturbed, Misalignment, disturb
 from lfgpu.calibration.parallel import CameraInfo, camera_info
+from lfgpu.calibration.quick_look import remarks
 from lfgpu.calibration.rectifiers import read_rectifier
 from lfgpu.calibration.rectify import Rectified, rectify, write_rectified
 from lfgpu.calibration.refine import Refinement, equalise, refine

@@ -6,9 +6,9 @@ Points of the reference view that have texture are looked up in all views. The r
 
 with the recorded view V_n between its pixels (`Surface`), the offset o_n of its camera, and the unknowns: a homography
 H_n from where the point should be to where it is recorded, a change δ_n of the camera's position, a gain g_n and an
-offset b_n; and for each point its disparity d_p and its brightness T_p. Gauss-Newton steps with robust weights solve
-for all of them at once: disparity and brightness of each point are eliminated (Schur complement), so that a view that
-is out of line is not hidden by a map that follows it.
+offset b_n; and for each point its disparity d_p and its brightness T_p. Gauss-Newton steps with robust weights, of
+single residuals and of points as a whole, solve for all of them at once: disparity and brightness of each point are
+eliminated (Schur complement), so that a view that is out of line is not hidden by a map that follows it.
 
 What views cannot tell (the gauge: all of them moved alike, or in proportion to their offsets, which is another plane of
 disparity 0) is decided by weak priors that keep every unknown near where it was.
@@ -21,10 +21,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lfgpu.contract import Float64Array, KernelSet
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.windows import eroded, gradient_size, smoothed, window_max, window_min
 from lfgpu.threads import in_threads
 
 MODELS: dict[str, tuple[tuple[tuple[float, ...], ...], ...]] = {
@@ -44,12 +44,13 @@ MODELS["homography"] = (
     ((0, 0, 0), (0, 0, 0), (0, 1, 0)),
 )
 
+TOLERANCE = 1.2
+"""Pixels in the farthest view: what is nearer by less hides nothing."""
+
 _TILES = 12  # along the longer side: points are spread over them, and errors within one belong together
 _LEAST_GRADIENT = 0.01  # intensity per pixel: less is no texture
 _EDGE = 1.0  # pixels in the farthest view: where disparities around a point differ by more, it is left out
-_TOLERANCE = 1.2  # pixels in the farthest view: what is nearer by less hides nothing
 _LEAST_NOISE = 0.003  # intensity
-_FEWEST_POINTS = 30
 _MEMORY = 3e7  # numbers that couple views with points
 _AT_ONCE = 16  # views whose visibility is looked at together
 _PRIOR_SHIFT = 3.0  # pixels: weak priors, see the head of this file
@@ -57,6 +58,7 @@ _PRIOR_SHAPE = 3.0  # pixels at the half diagonal
 _PRIOR_POSITION = 0.1  # view steps
 _PRIOR_GAIN, _PRIOR_OFFSET = 0.3, 0.1
 _PRIOR_DISPARITY = 1.0  # pixels in the farthest view
+_HALF = 0.7  # of the usual misfit: a point that fits as badly as that counts half
 _LONGEST = 1.0  # pixels in the farthest view: bound of a step of disparity
 _LONGEST_SHIFT = 2.0  # pixels: bound of a step of a view
 
@@ -107,29 +109,32 @@ def choose_points(
         known &= lf.valid[lf.reference_index]
     far = float(np.nanmin(disparity)) if known.any() else 0.0
     map_ = np.where(known, disparity, far).astype(np.float32)
-    flat = ndimage.maximum_filter(map_, 5) - ndimage.minimum_filter(map_, 5) <= _EDGE / farthest(lf)
-    y, x, tile = textured(lf, flat & inner(known), most)
+    y, x, tile = textured(lf, on_surface(lf, map_) & inner(known), most)
     visible = np.empty((len(lf.views), len(y)), np.float32)
     field = kernels.field(map_, device)
     for first in range(0, len(lf.views), _AT_ONCE):
         offsets = lf.offsets[first : first + _AT_ONCE]
         seen = kernels.zeros((len(offsets), height, width), device)
-        kernels.visible(field, kernels.field(offsets, device), tolerance=_TOLERANCE / farthest(lf), visible_out=seen)
+        kernels.visible(field, kernels.field(offsets, device), tolerance=TOLERANCE / farthest(lf), visible_out=seen)
         visible[first : first + _AT_ONCE] = kernels.numpy(seen)[:, y, x]
     return Points(x.astype(np.float64), y.astype(np.float64), map_[y, x].astype(np.float64), visible, tile)
 
 
+def on_surface(lf: LightField, map_: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """[y, x], where no edge of depth is near by."""
+    return window_max(map_, 5) - window_min(map_, 5) <= _EDGE / farthest(lf)
+
+
 def inner(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """[y, x], what is known less a margin of three pixels."""
-    return np.asarray(ndimage.binary_erosion(known, iterations=3, border_value=0))
+    return eroded(known, 3)
 
 
 def textured(
     lf: LightField, usable: NDArray[np.bool_], most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Rows, columns and tiles of up to `most` pixels of the reference with texture, where they are usable [y, x]."""
-    image = ndimage.gaussian_filter(grey(lf, lf.reference_index), 0.7)
-    strength = np.hypot(ndimage.sobel(image, 0), ndimage.sobel(image, 1)) / 8
+    strength = gradient_size(smoothed(grey(lf, lf.reference_index), 0.7))
     side = max(lf.size) / _TILES
     rows, columns = np.nonzero(usable & (strength >= _LEAST_GRADIENT))
     tiles = (rows / side).astype(np.intp) * _TILES + (columns / side).astype(np.intp)
@@ -236,7 +241,7 @@ class Bundle:
 
         def surface(index: int) -> Surface:
             image = grey(self._lf, index)
-            return Surface(ndimage.gaussian_filter(image, smoothing) if smoothing else image)
+            return Surface(smoothed(image, smoothing) if smoothing else image)
 
         self._surfaces = in_threads(surface, range(len(self._lf.views)))
 
@@ -266,6 +271,7 @@ class Bundle:
         seen = np.stack([look.weight for look in looks])
         self.noise = _spread(residuals, seen)
         weights = seen / (1 + (residuals / (3 * self.noise)) ** 2) ** 2 / self.noise**2
+        weights *= _trust(residuals, weights)
         columns = looks[0].jacobian.shape[0]
 
         by_disparity = np.stack([look.by_disparity for look in looks])
@@ -404,6 +410,15 @@ def _spread(residuals: Float64Array, seen: Float64Array) -> float:
     """Robust standard deviation of the residuals that count."""
     counted = np.abs(residuals[seen > 0])
     return max(_LEAST_NOISE, 1.4826 * float(np.median(counted))) if len(counted) else _LEAST_NOISE
+
+
+def _trust(residuals: Float64Array, weights: Float64Array) -> Float64Array:
+    """How much each point counts [p]: less where its views together fit worse than those of most points.
+
+    There the map has the wrong surface, such as the wall behind a thin bar, and no disparity near by explains them.
+    """
+    fit = np.sqrt((weights * residuals**2).sum(0) / np.maximum(weights.sum(0), 1e-12))
+    return np.asarray(1 / (1 + (fit / max(_HALF * float(np.median(fit)), _LEAST_NOISE)) ** 4))
 
 
 def most_points(views: int, parameters: Sequence[object] | int) -> int:

@@ -12,7 +12,8 @@ import numpy as np
 from lfgpu._backends import DEFAULT, load
 from lfgpu.calibration import signs
 from lfgpu.calibration.bundle import Points, grey, inner, textured
-from lfgpu.calibration.judge import SIGNS, array_wide, part_of
+from lfgpu.calibration.findings import SIGNS
+from lfgpu.calibration.quick_look import array_wide, part_of
 from lfgpu.calibration.sweep import LABELS, patches, sweep
 from lfgpu.contract import Float32Array
 from lfgpu.data.lightfield import LightField

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy import ndimage
 
 from lfgpu.calibration.cameras import Camera, turned
 from lfgpu.calibration.parallel import ideal_cameras
@@ -197,6 +196,8 @@ def _worse(
 
 def _seen(image: Float32Array, ideal: Camera, real: Camera) -> Float32Array:
     """What the real camera records where an ideal one at its place records the image [y, x, c]."""
+    from scipy import ndimage  # slow to import, and rarely needed
+
     if real is ideal:
         return image
     height, width = image.shape[:2]

@@ -14,7 +14,7 @@ from lfgpu.calibration.formats import BESIDE, Calibration, read_calibration
 from lfgpu.calibration.rectifiers import NUMBERS, numbers, rectifier_of
 from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.resample import pixels, through
-from lfgpu.calibration.rig import Rig, fit_rig, matched
+from lfgpu.calibration.rig import Rig, fit_rig, matched, told_by_order
 from lfgpu.calibration.tones import squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
@@ -24,6 +24,8 @@ from lfgpu.io import atomic_folder, check_writable, read, write_description
 from lfgpu.io.pictures import load_pictures
 from lfgpu.io.png import write_png
 from lfgpu.pipelines.rectifier import Rectifier
+
+_BY_ORDER = ("Kalibr", "LLFF")  # formats that have no names of pictures
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +148,8 @@ def rectify(
     if calibration is not None:
         names = pictures.files or tuple(f"view_{n:03d}" for n in range(len(pictures.views)))
         cameras = matched(calibration.cameras, names, pictures.size, calibration.source, rig=calibration.rig)
+        if pictures.files and calibration.format not in _BY_ORDER and (said := told_by_order(cameras, names)):
+            pictures = replace(pictures, notes=(*pictures.notes, said))
         told = isinstance(source, LightField) or pictures.truth is not None
         reference = pictures.reference if told else None
         depths = depths or calibration.depths

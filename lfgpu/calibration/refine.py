@@ -17,11 +17,13 @@ import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName, backend_named, load, pick_device
 from lfgpu.calibration.bundle import MODELS, Bundle, choose_points, most_points
-from lfgpu.calibration.judge import explain, measure_tones
+from lfgpu.calibration.judge import explain
+from lfgpu.calibration.quick_look import measure_tones
 from lfgpu.calibration.resample import pixels, resampled, through
 from lfgpu.calibration.tones import Tones, squared_radius, squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array, KernelSet
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.estimate import estimate_depth
 
@@ -174,9 +176,7 @@ class _Search:
         factor = max(1, max(lf.size) // coarseness)
         small = self._now(factor)
         bounds = self._bounds(factor)
-        map_ = estimate_depth(
-            small, config="fast", disparity_range=bounds, backend=backend_named(self._kernels.name), device=self._device
-        ).disparity
+        map_ = self._map(small, bounds).disparity
         disparity = _enlarged(map_, factor, lf.size)
         columns = self.warps.shape[1] + 4
         moved = replace(lf, positions=lf.positions + self.shifted, grid_shape=None, truth=None)
@@ -309,6 +309,17 @@ class _Search:
         views, valid = resampled(small, places, lambda view, n, _: self.tones.equalised(view, n, across=across))
         return replace(small, views=views, valid=valid, positions=lf.positions + self.shifted, grid_shape=None)
 
+    def _map(self, lf: LightField, bounds: tuple[float, float] | None) -> DepthResult:
+        """A coarse map of a light field."""
+        return estimate_depth(
+            lf,
+            config="fast",
+            disparity_range=bounds,
+            backend=backend_named(self._kernels.name),
+            device=self._device,
+            check_cameras=False,
+        )
+
     def _bounds(self, factor: int) -> tuple[float, float] | None:
         """The range of disparities that was given, for views shrunk by `factor`."""
         return None if self._range is None else (self._range[0] / factor, self._range[1] / factor)
@@ -320,7 +331,7 @@ class _Search:
             now = self._lf.downsampled(factor) if factor > 1 else self._lf
         options: dict[str, Any] = {"backend": self._kernels.name, "device": self._device}
         bounds = self._bounds(max(1, max(self._lf.size) // _MIDDLE))
-        map_ = estimate_depth(now, config="fast", disparity_range=bounds, **options)
+        map_ = self._map(now, bounds)
         return explain(now, map_, **options).mean_psnr
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
@@ -33,6 +32,8 @@ def looked_up(image: Float32Array, at: Float64Array) -> tuple[Float32Array, NDAr
 
     NaN places lie outside; what is outside is the nearest pixel of the border.
     """
+    from scipy import ndimage
+
     height, width = image.shape[:2]
     # Half a pixel beyond the outermost centres is still inside their pixels.
     with np.errstate(invalid="ignore"):
@@ -71,6 +72,8 @@ def resampled(
     -------
     Views [n, y, x, c] in the stored type, and bool [n, y, x], None if all is valid.
     """
+    import scipy.ndimage  # noqa: F401 - slow, so not at the top; here, as threads should import nothing
+
     views = np.empty_like(lf.views)
     valid = np.ones(lf.views.shape[:3], np.bool_) if lf.valid is None else lf.valid.copy()
 

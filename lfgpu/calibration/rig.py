@@ -227,15 +227,29 @@ def matched(
     """The camera of each picture: by name where the calibration has names of pictures, else by order.
 
     If no picture is one that was calibrated, the cameras of the calibration's `rig` are taken, if it has one. Cameras
-    are scaled to the size of the pictures if these have the same shape. LightFieldError if a picture has no camera, or
-    the shapes differ.
+    are scaled to the size of the pictures if these have the same shape. LightFieldError if a picture has no camera, two
+    have the same one, a name is that of two cameras, or the shapes differ.
     """
 
     def named(known: Sequence[Camera]) -> list[Camera | None]:
-        by_name: dict[str, Camera] = {}
+        by_name: dict[str, list[Camera]] = {}
         for camera in known:
-            by_name.setdefault(_stem(camera.name), camera)
-        return [by_name.get(_stem(name)) for name in names]
+            by_name.setdefault(_stem(camera.name), []).append(camera)
+        pictures: dict[str, str] = {}
+        for name in names:
+            stem = _stem(name)
+            if len(by_name.get(stem, ())) > 1:
+                raise LightFieldError(
+                    f"{source} has {len(by_name[stem])} cameras of the name {by_name[stem][0].name}; give each camera "
+                    "the name of its own picture."
+                )
+            if stem in by_name and stem in pictures:
+                raise LightFieldError(
+                    f"{pictures[stem]} and {name} both have the name of the camera {by_name[stem][0].name} of "
+                    f"{source}; give it one picture."
+                )
+            pictures[stem] = name
+        return [by_name[_stem(name)][0] if _stem(name) in by_name else None for name in names]
 
     found = named(cameras)
     if rig and not any(found):
@@ -254,6 +268,16 @@ def matched(
             "; calibrate it, or take its picture away."
         )  # fmt: skip
     return [_scaled(camera, size, source) for camera in found if camera is not None]
+
+
+def told_by_order(cameras: Sequence[Camera], names: Sequence[str]) -> str | None:
+    """A sentence if none of the pictures has the name of the camera that it was `matched` with; else None."""
+    if any(_stem(camera.name) == _stem(name) for camera, name in zip(cameras, names, strict=True)):
+        return None
+    return (
+        f"No picture has the name of a camera, so they were matched in order: {_last(names[0])} is of "
+        f"{cameras[0].name}, ..., {_last(names[-1])} of {cameras[-1].name}."
+    )
 
 
 def _scaled(camera: Camera, size: tuple[int, int], source: str) -> Camera:
@@ -346,8 +370,12 @@ def _notes(
     )
 
 
+def _last(name: str) -> str:
+    return name.replace("\\", "/").rsplit("/", 1)[-1]
+
+
 def _stem(name: str) -> str:
-    return name.replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0].lower()
+    return _last(name).rsplit(".", 1)[0].lower()
 
 
-__all__ = ["Rig", "fit_rig", "matched"]
+__all__ = ["Rig", "fit_rig", "matched", "told_by_order"]

@@ -1,6 +1,6 @@
 """A screening of the cameras: whether a look at them may find anything at all.
 
-Nearly all light fields are right, and a look (`lfgpu.calibration.judge.look`) takes longer than a fast map. The
+Nearly all light fields are right, and a look (`lfgpu.calibration.quick_look.look`) takes longer than a fast map. The
 screening compares all views with the reference at some hundred points, and reads no more of the views than these. One
 linear step says how each view would have to move, turn, grow and change in brightness. Half of what would be a finding
 makes it worth a look, and so does noise of that size.
@@ -10,27 +10,23 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from lfgpu.calibration import consensus
-from lfgpu.calibration.bundle import farthest, grey, inner, spline_weights, textured
+from lfgpu.calibration.bundle import inner, on_surface, spline_weights, textured
+from lfgpu.calibration.hiding import hidden, order_of_depth
 from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.threads import in_threads
 
 MOVED, TURNED, BRIGHTER = 0.05, 0.07, 0.015
-"""Pixels, pixels at the half diagonal, and share: half of what `judge` finds worth saying."""
+"""Pixels, pixels at the half diagonal, and share: half of what `findings` says is worth saying."""
 OUT_OF_LINE, OUT_OF_SHAPE = 0.06, 0.1
 """Pixels, of all views together: half of the same."""
 _POINTS, _FEWEST = 800, 200
-_EDGE = 1.0  # pixels in the farthest view: where disparities around a point differ by more, it is left out
-_TOLERANCE = 1.2  # pixels in the farthest view: what is nearer by less hides nothing
 _AGREE = 0.4  # pixels: views that differ from the reference by no more than this in the median have the right axes
 _ROUNDS = 2  # of robust weights
 _LEAST_NOISE = 0.003  # intensity
 _SIDES = 4  # views, those farthest away, in which it is looked at what hides what
-_GAP = 2.0  # pixels in the farthest view: what is nearer by more hides what is behind it
-_DIFFERENT = 0.03  # intensity: colours that can be told apart
 _TOLD = 50  # pixels that tell what hides what; from fewer nobody can tell
 _AS_GOOD = 0.95  # of the loss: how much better the right order must be than the other one
 
@@ -41,9 +37,8 @@ def worth_a_look(lf: LightField, disparity: NDArray[np.float32]) -> bool:
     if lf.valid is not None:
         known &= lf.valid[lf.reference_index]
     map_ = np.where(known, disparity, np.nanmin(disparity))
-    flat = ndimage.maximum_filter(map_, 5) - ndimage.minimum_filter(map_, 5) <= _EDGE / farthest(lf)
-    y, x, _ = textured(lf, flat & inner(known), _POINTS)
-    return len(x) < _FEWEST or _may_be_off(lf, map_, y, x) or _may_be_swapped(lf, map_, known)
+    y, x, _ = textured(lf, on_surface(lf, map_) & inner(known), _POINTS)
+    return len(x) < _FEWEST or _may_be_off(lf, map_, y, x) or _may_be_swapped(lf, disparity)
 
 
 def _may_be_off(lf: LightField, map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp]) -> bool:
@@ -98,7 +93,7 @@ def _shown(
     four = np.arange(-1, 3)
     rows, columns = y0[:, None, None] + four[:, None], x0[:, None, None] + four
     taps = lf.views[index, rows, columns].mean(axis=3, dtype=np.float64) * lf.scale
-    seen = inside & ~_hidden(lf, map_, y, x, d, du, dv)
+    seen = inside & ~hidden(lf, map_, y, x, index)
     if lf.valid is not None:
         seen &= lf.valid[index, rows, columns].all(axis=(1, 2))
     by_row, slope = np.einsum("pji,ip->jp", taps, wx), np.einsum("pji,ip->jp", taps, sx)
@@ -106,57 +101,10 @@ def _shown(
     return np.einsum("jp,jp->p", by_row, wy), np.einsum("jp,jp->p", slope, wy), by_y, seen.astype(np.float64)
 
 
-def _hidden(
-    lf: LightField,
-    map_: NDArray[np.float32],
-    y: NDArray[np.intp],
-    x: NDArray[np.intp],
-    d: Float64Array,
-    du: float,
-    dv: float,
-) -> NDArray[np.bool_]:
-    """Whether something nearer lands where the points land in the view at (du, dv).
-
-    What is nearer by k pixels there lies k pixels beside the point in the reference, along the offset.
-    """
-    distance, (height, width) = float(np.hypot(du, dv)), lf.size
-    if distance == 0:
-        return np.zeros(len(d), np.bool_)
-    steps = np.arange(1, int(np.ceil((float(map_.max()) - float(d.min())) * distance)) + 1)[:, None] / distance
-    rows = np.rint(y + steps * dv).astype(np.intp)
-    columns = np.rint(x + steps * du).astype(np.intp)
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    nearer = map_[rows.clip(0, height - 1), columns.clip(0, width - 1)] - d
-    least = np.maximum(steps - 0.7 / distance, _TOLERANCE / farthest(lf))
-    return np.asarray((inside & (nearer >= least) & (nearer <= steps + 0.7 / distance)).any(0))
-
-
-def _may_be_swapped(lf: LightField, map_: NDArray[np.float32], known: NDArray[np.bool_]) -> bool:
+def _may_be_swapped(lf: LightField, disparity: NDArray[np.float32]) -> bool:
     """Whether what the map takes for near may be hidden by what it takes for far."""
-    distance = np.hypot(*lf.offsets.T)
-    image, (height, width) = grey(lf, lf.reference_index).ravel(), lf.size
-    order = np.argsort(map_, axis=None, kind="stable")
-    order = order[known.ravel()[order]]
-    d, (rows, columns) = map_.ravel()[order], np.divmod(order, width)
-    told, right, other = 0, 0.0, 0.0
-    for n in np.argsort(-distance, kind="stable")[:_SIDES]:
-        du, dv = lf.offsets[n]
-        x, y = np.rint(columns - d * du).astype(np.intp), np.rint(rows - d * dv).astype(np.intp)
-        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-        landed, place = order[inside], y[inside] * width + x[inside]
-        front, back = np.full(height * width, -1), np.full(height * width, -1)
-        front[place], back[place[::-1]] = landed, landed[::-1]  # the last one stays
-        there = np.flatnonzero(front >= 0)
-        front, back = front[there], back[there]
-        apart = map_.ravel()[front] - map_.ravel()[back] > _GAP / distance.max()
-        apart &= np.abs(image[front] - image[back]) > _DIFFERENT
-        if lf.valid is not None:
-            apart &= lf.valid[n].ravel()[there]
-        shown = grey(lf, int(n)).ravel()[there[apart]]
-        told += len(shown)
-        right += float(np.minimum(np.abs(shown - image[front[apart]]), 0.1).sum())
-        other += float(np.minimum(np.abs(shown - image[back[apart]]), 0.1).sum())
-    return told >= _TOLD and right > _AS_GOOD * other
+    order = order_of_depth(lf, disparity, views=_SIDES)
+    return order.told >= _TOLD and order.near.sum() > _AS_GOOD * order.far.sum()
 
 
 __all__ = ["worth_a_look"]

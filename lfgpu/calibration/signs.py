@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.calibration.bundle import Points, grey
+from lfgpu.calibration.hiding import order_of_depth
 from lfgpu.calibration.sweep import LABELS, patches, sweep
-from lfgpu.contract import Float64Array, KernelSet
+from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
 
 Signs = Literal["v", "uv", "transposed"]
@@ -31,11 +32,10 @@ _PARALLAX = 6.0  # pixels by which the views that are compared move at most, abo
 _AGREE = 0.15  # of the contrast: where patches differ by less, the way that was told is right
 _BETTER = 0.92  # of the median cost: how much better another way must be,
 _SURE = 5.0  # and by how many standard errors of the mean over points
-_HIDES_BETTER = 0.85  # of the loss: how much better the other order of depth must be
-_GAP = 2.0  # pixels in the farthest view: what is nearer by more hides what is behind it
-_DIFFERENT = 0.03  # intensity: where both orders of depth predict this different colours, they can be told apart
-_FEWEST = 400  # such pixels
-_SHARP = 1e3  # of the z-buffer, so that the nearest alone is seen
+_FARTHEST = 8  # views in which it is looked at what hides what
+_FEWEST = 100  # pixels that tell it
+_HIDES_BETTER = 0.9  # of the loss: how much better the other order of depth must be,
+_SURELY = 2.5  # and by how many standard errors, over parts of the picture
 _SPREAD = 0.5  # view steps: cameras in one line say nothing about the other axis
 
 
@@ -70,45 +70,13 @@ def wrong_axis(lf: LightField, points: Points, largest: float) -> Signs | None:
     return best if sure and np.median(costs[best]) < _BETTER * np.median(costs[None]) else None
 
 
-def near_and_far_swapped(lf: LightField, disparity: NDArray[np.float32], kernels: KernelSet, device: str) -> bool:
-    """Whether what the map takes for far hides what it takes for near."""
-    distance = np.hypot(*lf.offsets.T)
-    order = [int(n) for n in np.argsort(-distance, kind="stable") if distance[n] > 0]
-    chosen = order[: max(4, min(8, len(order)))]
-    shape = (len(chosen), *lf.size)
-    gap = _GAP / float(distance.max())
-
-    def splat(picture: NDArray[np.float32], sign: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        channels = picture.shape[2]
-        views, coverage = kernels.zeros_image((*shape, channels), device, np.float32), kernels.zeros(shape, device)
-        kernels.splat_z_buffered(
-            kernels.image(picture, device),
-            kernels.field(sign * disparity, device),
-            kernels.field(sign * lf.offsets[chosen], device),
-            softness=0.1,
-            sharpness=_SHARP,
-            views_out=views,
-            coverage_out=coverage,
-        )
-        return kernels.numpy(views), kernels.numpy(coverage)
-
-    image = lf.image(lf.reference_index)
-    (right, coverage), (other, _) = splat(image, 1.0), splat(image, -1.0)
-    front, back = (splat(disparity[..., None].astype(np.float32), sign)[0][..., 0] for sign in (1.0, -1.0))
-    told = (front - back > gap) & (coverage >= 0.5) & (np.abs(right - other).mean(-1) > _DIFFERENT)
-    loss = np.zeros(2)
-    for place, n in enumerate(chosen):
-        recorded = lf.image(n)
-        if lf.valid is not None:
-            told[place] &= lf.valid[n]
-        # Brightness of the whole view is no matter of what hides what.
-        seen = coverage[place] >= 0.5
-        if not seen.any():
-            continue
-        recorded = recorded * (right[place][seen].mean() / max(float(recorded[seen].mean()), 1e-6))
-        for k, view in enumerate((right[place], other[place])):
-            loss[k] += np.minimum(np.abs(view - recorded).mean(-1), 0.1)[told[place]].sum()
-    return bool(told.sum() >= _FEWEST and loss[1] < _HIDES_BETTER * loss[0])
+def near_and_far_swapped(lf: LightField, disparity: NDArray[np.float32]) -> bool:
+    """Whether what the map takes for far hides what it takes for near, in several places: a single outline that the map
+    has wrong looks like that, too."""
+    order = order_of_depth(lf, disparity, views=_FARTHEST)
+    gain = order.near - order.far
+    sure = gain.sum() > _SURELY * np.sqrt((gain**2).sum())
+    return bool(order.told >= _FEWEST and sure and order.far.sum() < _HIDES_BETTER * order.near.sum())
 
 
 def _spread_over_angles(order: NDArray[np.intp], offsets: Float64Array) -> NDArray[np.intp]:

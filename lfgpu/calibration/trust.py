@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
-from lfgpu.calibration.judge import Look, checked, look, part_of
+from lfgpu.calibration.quick_look import Look, checked, look, part_of
 from lfgpu.calibration.screening import worth_a_look
 from lfgpu.contract import Float32Array
 from lfgpu.data.lightfield import LightField

@@ -9,7 +9,7 @@ from contextlib import suppress
 import numpy as np
 
 from lfgpu._backends import DEFAULT, load
-from lfgpu.calibration.judge import Look, look
+from lfgpu.calibration.quick_look import Look, look
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.pipelines.stream import DepthStream
 

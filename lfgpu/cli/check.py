@@ -88,7 +88,7 @@ def check(
         lf = lf.with_reference(lf.index_of(*place))
     elif found is not None and found.position is not None:
         lf = lf.with_reference(lf.index_of(found.position[1], found.position[0]))
-    judged = found or estimation.run(lf, quiet=quiet)
+    judged = found or estimation.run(lf, quiet=quiet, check_cameras=False)
     explanation = explain(lf, judged, backend=estimation.backend, device=device)
     files = [] if out is None else _write(out, lf, judged, explanation, estimation)
     if not quiet:

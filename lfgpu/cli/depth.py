@@ -59,13 +59,13 @@ class Estimation:
 
         pick_device(load(self.backend), self.device)
 
-    def run(self, lf: LightField, *, quiet: bool) -> DepthResult:
+    def run(self, lf: LightField, *, quiet: bool, check_cameras: bool = True) -> DepthResult:
         """Estimate the map of the reference view, with a progress display."""
         from lfgpu.cli.console import progress
         from lfgpu.pipelines.estimate import estimate_depth
 
         with progress(self.config, quiet=quiet) as on_progress:
-            return estimate_depth(lf, on_progress=on_progress, **self._options)
+            return estimate_depth(lf, on_progress=on_progress, check_cameras=check_cameras, **self._options)
 
     def run_all(self, lf: LightField, *, quiet: bool) -> ViewsResult:
         """Estimate the maps of all views, with a progress display."""
@@ -166,8 +166,7 @@ def depth(
     lf = read(source, lazy=max_memory is not None, **reading)
     lf = _chosen(lf, place, pattern)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
-    result = views.reference if views else estimation.run(lf, quiet=quiet)
-    result = _judged(lf, result, estimation)
+    result = _judged(lf, views.reference, estimation) if views else estimation.run(lf, quiet=quiet)
     if fill:
         result = filled(result)
     if views:
@@ -193,13 +192,11 @@ def depth(
 
 
 def _judged(lf: LightField, result: DepthResult, estimation: Estimation) -> DepthResult:
-    """The result after a look at the cameras, at a part of them if memory is limited; as it is where the map says
-    nothing of them."""
+    """The result after a look at the cameras; as it is where the map says nothing of them."""
     from lfgpu.calibration import judged
 
-    quickly = estimation.max_memory is not None
     try:
-        return judged(lf, result, backend=estimation.backend, device=estimation.device, quickly=quickly)
+        return judged(lf, result, backend=estimation.backend, device=estimation.device)
     except LightFieldError:
         return result
 

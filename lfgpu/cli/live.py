@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import signal
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,10 +15,10 @@ import typer
 
 from lfgpu.cli import values
 from lfgpu.cli.options import Device, Parameters, Quiet, Threads
-from lfgpu.errors import LightFieldError
+from lfgpu.errors import LfgpuError, LightFieldError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from lfgpu.data.lightfield import LightField
     from lfgpu.pipelines.sources import Frames
@@ -68,7 +71,10 @@ def live(
     frames: Annotated[int | None, typer.Option(metavar="N", help="Stop after N frames.", min=1)] = None,
     until: Annotated[
         str | None,
-        typer.Option(metavar="TIME", help="Stop after a time (90s, 10m, 2h) or at a time of this day (18:30)."),
+        typer.Option(
+            metavar="TIME",
+            help="Stop after a time (90s, 10m, 2h) from the first frame on, or at a time of this day (18:30).",
+        ),
     ] = None,
     view: Annotated[
         bool,
@@ -125,13 +131,13 @@ def live(
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the disparity of each frame of a stream. Ctrl-C ends it.
+    """Estimate the disparity of each frame of a stream. Ctrl-C ends it, and so does SIGTERM.
 
     With -o each map is written as soon as it is computed (disparity_000000.pfm, confidence_000000.pfm). At the end
     live.json records what happened to every frame. With --rectify the gains of the cameras are kept up to date, and a
     message says if cameras have moved.
     """
-    from contextlib import nullcontext
+    from contextlib import nullcontext, suppress
     from functools import partial
 
     from lfgpu import calibration
@@ -151,7 +157,7 @@ def live(
         raise typer.BadParameter("the rate must be a number above 0.", param_hint="--max-fps")
     if like is not None and rectify is not None:
         raise typer.BadParameter("leave it out: what --rectify names says where the cameras are.", param_hint="--like")
-    stop = _never if until is None else _at(time.monotonic() + values.parse_until("--until", until))
+    stop = End("--until", until)
     config = values.configured(preset, settings or ())
     bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
     chosen = None if policy is None else values.parse_policy("--policy", policy)
@@ -187,7 +193,8 @@ def live(
         if recording is not None:
             coming = recorded(coming, first, recording, wanted=page.records)
         watch = nullcontext() if rectifier is None else calibration.RigWatch(stream, on_finding=record.moved)
-        with watch, Display(stream, metrics, quiet=quiet) as display:
+        with _terminated_as_by_ctrl_c(), watch, Display(stream, metrics, quiet=quiet) as display:
+            stop.begin()
             try:
                 feed(
                     stream,
@@ -201,6 +208,10 @@ def live(
                 )
             except KeyboardInterrupt:
                 stream.close(finish=False)
+            except BaseException:
+                with suppress(LfgpuError):  # it is the first error that is told
+                    record.finish(stream, stream.stats())
+                raise
         stats = stream.stats()
     record.finish(stream, stats)
     if not quiet:
@@ -284,6 +295,26 @@ class Record:
         }
         with atomic_write(self.out / LOG) as temporary:
             temporary.write_text(json.dumps(about, indent=1, allow_nan=False), encoding="utf-8")
+
+
+class End:
+    """Whether it is time to stop: never without a text, else as `values.parse_until` has it.
+
+    A time to wait begins anew when the stream is there: the first one of a machine takes minutes.
+    """
+
+    def __init__(self, option: str, text: str | None) -> None:
+        self._seconds = math.inf if text is None else values.parse_until(option, text)
+        self._waits = text is not None and ":" not in text
+        self._end = time.monotonic() + self._seconds
+
+    def begin(self) -> None:
+        """The stream takes frames from now on."""
+        if self._waits:
+            self._end = time.monotonic() + self._seconds
+
+    def __call__(self) -> bool:
+        return time.monotonic() >= self._end
 
 
 class View:
@@ -415,13 +446,17 @@ def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
     return lines
 
 
-def _never() -> bool:
-    return False
-
-
-def _at(end: float) -> Callable[[], bool]:
-    """Whether a time of the monotonic clock has come."""
-    return lambda: time.monotonic() >= end
+@contextmanager
+def _terminated_as_by_ctrl_c() -> Iterator[None]:
+    """SIGTERM, by which services are stopped, is a KeyboardInterrupt in this block; only the main thread may say so."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _say(sentence: str) -> None:

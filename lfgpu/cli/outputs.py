@@ -30,12 +30,12 @@ def write_outputs(folder: Path, result: DepthResult) -> list[tuple[str, str]]:
     import numpy as np
 
     from lfgpu.io import write_pfm, write_result
-    from lfgpu.viz.figures import confidence_figure, disparity_figure, save_png
+    from lfgpu.viz.pictures import write_confidence, write_disparity
 
     write_pfm(folder / DISPARITY_FILE, result.disparity)
-    save_png(disparity_figure(result.disparity, name=result.name), folder / PICTURE_FILE)
+    write_disparity(result.disparity, folder / PICTURE_FILE, name=result.name)
     known = np.where(np.isnan(result.disparity), np.float32(np.nan), result.confidence)
-    save_png(confidence_figure(known, name=result.name), folder / CONFIDENCE_FILE)
+    write_confidence(known, folder / CONFIDENCE_FILE, name=result.name)
     if result.depth is not None:
         write_pfm(folder / DEPTH_FILE, result.depth)
     write_result(result, folder / RESULT_FILE)

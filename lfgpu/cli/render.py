@@ -276,7 +276,7 @@ def _map(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bo
     from lfgpu.io import VIEWS_FILE, load
 
     if path is None:
-        return estimation.run(lf, quiet=quiet)
+        return estimation.run(lf, quiet=quiet, check_cameras=False)
     found = load(path / VIEWS_FILE if (path / VIEWS_FILE).exists() else path)
     if not isinstance(found, ViewsResult):
         return found

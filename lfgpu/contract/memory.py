@@ -32,9 +32,10 @@ class Memory(Protocol):
     def scalar(self, value: float, device: str) -> Scalar:
         """A number on the device."""
 
-    def upload(self, values: NDArray[Any], array_out: Array) -> None:
+    def upload(self, values: NDArray[Any], array_out: Array, *, chosen: Sequence[int] | None = None) -> None:
         """New contents of a field or an image, of the same shape and, for an image, the type that it is stored in.
 
+        With `chosen`, the indices along the first axis of the values that are taken, in that order; all by default.
         A backend may also take arrays of other libraries (`__dlpack__` or `__cuda_array_interface__`) on the device
         itself, and then copies there: after what their library was asked for before, and before what it is asked for
         later.

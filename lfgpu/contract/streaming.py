@@ -157,6 +157,7 @@ class Streaming(Protocol):
         *,
         persistence: float,
         support: float,
+        steady: float,
         rate_gain: float,
         frames_out: Array,
         rates_out: Array,
@@ -164,7 +165,8 @@ class Streaming(Protocol):
     ) -> None:
         """The mean of the map that was expected, `past`, which `frames` went into, and that of now; fields [y, x].
 
-        With e = disparity - past, s = same / (1 + (e / support)^4) and b = persistence s frames:
-        disparity = past + e / (1 + b), frames_out = 1 + b. What is known about the change from frame to frame is
-        rates_out = weights_out (rate + rate_gain e), weights_out = s b / (1 + b).
+        With e = disparity - past, s = same / (1 + (e / support)^4) and
+        b = persistence s frames / (1 + (rate / steady)^2), disparity = past + e / (1 + b) and frames_out = 1 + b. What
+        is known about the change from frame to frame is rates_out = weights_out (rate + rate_gain e),
+        weights_out = s b / (1 + b).
         """

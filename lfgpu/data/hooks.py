@@ -1,4 +1,4 @@
-"""Hooks through which higher packages add methods to light fields and results: saving, and HTML for notebooks.
+"""Hooks to higher packages: how results are saved and shown in notebooks, and how their cameras are judged.
 
 `lfgpu/__init__.py` attaches the functions, so that this package does not import them.
 """

@@ -74,7 +74,7 @@ class DepthResult:
         what the views show, views that show nothing, a map that goes on beyond its range, or is confident nowhere.
     remarks
         What stands out about the cameras, one sentence each, from `lfgpu.calibration.judged`, which lowers the
-        confidence accordingly; empty if nothing does, or if nobody looked.
+        confidence accordingly; empty if nothing does, or if nobody looked. `lfgpu.estimate_depth` looks.
     """
 
     disparity: Float32Array
@@ -107,7 +107,7 @@ class DepthResult:
         return {name: map_ for name, map_ in self.stages.items() if not name.startswith("coherence")}
 
     def __repr__(self) -> str:
-        notes = "".join(f"\n note: {note}" for note in self.notes)
+        notes = "".join(f"\n note: {note}" for note in (*self.notes, *self.remarks))
         seconds = self.timings.get("total")
         took = "" if seconds is None else f", {seconds:.3g} s"
         return (

@@ -27,7 +27,7 @@ class TemporalPrior:
         1 / (1 - persistence) frames are averaged. 0 to 0.99, default 0.9.
     strength
         Largest cost of a disparity that differs from the last map, in units of `semi_global.large_penalty`. 0 to 10,
-        default 1.5.
+        default 0.5.
     reach
         Difference in disparity from which on this cost is constant, in steps of the sweep. 0.5 to 100, default 2.
     tolerance
@@ -44,7 +44,7 @@ class TemporalPrior:
     """
 
     persistence: float = 0.9
-    strength: float = 1.5
+    strength: float = 0.5
     reach: float = 2.0
     tolerance: float = 2.0
     support: float = 0.4

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.config import Config
+from lfgpu.data import hooks
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
+from lfgpu.errors import LightFieldError
 from lfgpu.methods import PresetName, configured
 from lfgpu.methods.footprint import parse_memory
 from lfgpu.methods.range_check import doubt_about, doubted
@@ -22,6 +24,7 @@ def estimate_depth(
     device: str | None = None,
     deterministic: bool = False,
     max_memory: str | float | None = None,
+    check_cameras: bool = True,
     on_progress: Progress | None = None,
 ) -> DepthResult:
     """Estimate the disparity of the reference view of a light field.
@@ -49,6 +52,10 @@ def estimate_depth(
         Memory limit, as "8GiB", "500MB" or a number of bytes. It applies to the process on a CPU, and to each GPU.
         Light fields that do not fit are estimated in overlapping tiles, on all GPUs unless `device` names one. Read
         large light fields with `lfgpu.read(..., lazy=True)`. Default None: no limit, and no tiles.
+    check_cameras
+        Whether to look, with the map, at whether the cameras stand and look where they should. It takes a fraction of a
+        second where nothing may be wrong, and a few seconds where something may be. With `max_memory` it looks at some
+        of the views. Default True.
     on_progress
         Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
         iteration of those that have some: value is the root mean square step in pixels per view step (align), the
@@ -59,8 +66,8 @@ def estimate_depth(
     DepthResult
         Disparity, confidence and depth of the reference view, each [y, x] at full resolution. Its `notes` say so if the
         given range leaves out what the views show, if they show nothing, if the map goes on beyond its range, or if it
-        is confident nowhere. Whether cameras stand where they should is not looked at: `lfgpu.calibration.judged(lf,
-        result)` does that.
+        is confident nowhere. Its `remarks` say what stands out about the cameras, and the confidence is lower then
+        (`lfgpu.calibration.judged`).
 
     Raises
     ------
@@ -82,14 +89,22 @@ def estimate_depth(
             max_memory=parse_memory(max_memory),
         )
         kernels = load(backend)
-        return doubted(result, doubt_about(lf, disparity_range, kernels, pick_device(kernels, device)))
-    pipeline = DepthPipeline(
-        lf,
-        config=config,
-        disparity_range=disparity_range,
-        backend=backend,
-        device=device,
-        deterministic=deterministic,
-    )
-    result = pipeline.estimate(on_progress=on_progress)
-    return doubted(result, doubt_about(lf, disparity_range, pipeline.kernels, pipeline.device))
+        device = pick_device(kernels, device)
+    else:
+        pipeline = DepthPipeline(
+            lf,
+            config=config,
+            disparity_range=disparity_range,
+            backend=backend,
+            device=device,
+            deterministic=deterministic,
+        )
+        result = pipeline.estimate(on_progress=on_progress)
+        kernels, device = pipeline.kernels, pipeline.device
+    result = doubted(result, doubt_about(lf, disparity_range, kernels, device))
+    if not check_cameras:
+        return result
+    try:
+        return hooks.call("judged", lf, result, backend=backend, device=device, quickly=max_memory is not None)
+    except LightFieldError:  # the map says nothing of the cameras
+        return result

@@ -90,30 +90,32 @@ class DepthPipeline:
         self._graph: Callable[[], None] | None = None
         self._runs = 0
         self._unseen = False  # whether the views came from a GPU, where NaN is not looked for
-        rehearsal = Rehearsal(self.method, lf, self.kernels, self.device)
+        used = self.method.used_views(lf)
+        self._used = used if len(used) < len(lf.views) else None
+        some = lf if self._used is None else lf.subset(used)  # no others go to the device
         with self.kernels.asking(self.device):
             with self._timed("compile"):
                 if measured is None:
-                    rehearsal.measure(disparity_range)
+                    Rehearsal(self.method, lf, self.kernels, self.device).measure(disparity_range)
             with self._timed("measure"):
                 self._rectification = None
                 if rectifier is not None:
-                    self._rectification = Rectification(rectifier, pictures, self.kernels, self.device)
+                    self._rectification = Rectification(rectifier, pictures, self.kernels, self.device, used=used)
                     self._input, self._views = self._rectification.pictures, self._rectification.views
                 else:
-                    self._input = self._views = self.kernels.image(lf.views, self.device)
+                    self._input = self._views = self.kernels.image(some.views, self.device)
                 self.measured = measured or self.method.measure(
                     lf,
                     self.kernels,
                     self.device,
                     disparity_range=disparity_range,
-                    views=self._views if rectifier is None else None,
+                    views=self._views if rectifier is None and self._used is None else None,
                 )
             with self._timed("compile"):
-                rehearsal.run(self.measured)
+                Rehearsal(self.method, some, self.kernels, self.device).run(self.measured)
             with self._timed("measure"):
                 self._waited_for = self.kernels.scalar(0.0, self.device)  # who reads it waits for all that was asked
-                self._plan: Plan = self.method.plan(lf, self.measured, self.kernels, self.device)
+                self._plan: Plan = self.method.plan(some, self.measured, self.kernels, self.device)
 
     def upload(self, views: Any) -> None:
         """Replace the views.
@@ -160,7 +162,7 @@ class DepthPipeline:
             raise LightFieldError(f"views are on {place}, but the pipeline is on {self.device}; copy them there first.")
         try:
             with self.kernels.asking(self.device):
-                self.kernels.upload(views, self._input)
+                self.kernels.upload(views, self._input, chosen=self._used)
         except (BufferError, RuntimeError) as error:  # raised by the library of the array
             raise LightFieldError(f"views cannot be read: {' '.join(str(error).split())}") from error
         self._unseen = place != "cpu" and expected.dtype.kind == "f"
@@ -276,10 +278,6 @@ class DepthPipeline:
         iteration, or with None; it can be captured only with None. `run` and `estimate` do all stages.
         """
         return self._plan.stages(self._views)
-
-    def buffers(self) -> tuple[Array, dict[str, Array]]:
-        """Input and outputs of `work`, for recording: the views, and the maps by name; arrays of the backend."""
-        return self._input, {"disparity": self._plan.disparity, "confidence": self._plan.confidence}
 
     def work(self) -> None:
         """Start all stages, one operation after the other. `run` does this until it has captured them."""

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import atexit
 import logging
-import math
 import os
 import queue
 import threading
-import weakref
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from numbers import Integral, Real
 from time import perf_counter
 from typing import Any
 
@@ -21,19 +17,23 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from lfgpu._backends import DEFAULT, load, pick_device
 from lfgpu.config import Config
-from lfgpu.contract import Float64Array, KernelSet
+from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import BackendError, LfgpuError, LightFieldError
 from lfgpu.methods import configured, method_of
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.pipelines import stream_stats
-from lfgpu.pipelines.inbox import POLICIES, Inbox
+from lfgpu.pipelines.first_errors import FirstErrors
+from lfgpu.pipelines.inbox import Inbox
 from lfgpu.pipelines.intake import Intake
+from lfgpu.pipelines.open_streams import OPEN
 from lfgpu.pipelines.range_watch import RangeWatch
 from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.snapshots import Snapshots
 from lfgpu.pipelines.stamps import StampWatch, checked_stamps, checked_tolerance
+from lfgpu.pipelines.stream_levels import Level, fitting, prepared
+from lfgpu.pipelines.stream_options import check_options, most_waiting
 from lfgpu.pipelines.stream_result import FrameDroppedError, OnResult, StreamResult
 
 _USUAL_NOISE = 0.004  # intensity: the noise of cameras of which nothing is known
@@ -43,19 +43,7 @@ SEEN_CHANGE = 4.0
 CUT = 0.5
 """Share of the samples that must have changed for a frame to start without the previous map."""
 
-_MOST_WAITING = 1000
-_SMOOTHING = 0.1  # weight of the latest frame in the mean time of a level of work
-
 _LOG = logging.getLogger(__name__)
-
-
-@dataclass
-class _Level:
-    """One amount of work for a frame, prepared."""
-
-    steps: int
-    work: Callable[[], None]
-    seconds: float = 0.0
 
 
 class DepthStream:
@@ -147,9 +135,9 @@ class DepthStream:
         rectifier: Rectifier | None = None,
         tolerance: float | None = None,
     ) -> None:
-        _check(cut, budget_ms)
+        check_options(cut, budget_ms)
         checked_tolerance(tolerance)
-        most = _waiting(policy, waiting)
+        most = most_waiting(policy, waiting)
         given = disparity_range is not None or measured is not None
         method, kernels = method_of(config), load(backend)
         streaming = kernels.streaming
@@ -190,7 +178,8 @@ class DepthStream:
             self._present = np.ones(len(lf.views), bool)
             self._set_mask()
         self._budget = budget_ms
-        self._cold, self._warm = self._prepared(kernels, warm=prior is not None)
+        self._cold = self._prepared(self._plan.levels)
+        self._warm = self._prepared(self._plan.warm_levels) if prior is not None else []
         self._cut = cut
         self._fresh = True  # whether there is no previous map to start from
         self.on_result, self._end_on_error = on_result, end_on_error
@@ -198,7 +187,7 @@ class DepthStream:
         # A range that was found was found in these views; a stream that was made without a frame has none.
         self._first = self._like if given and np.any(self._like.views) else None
         self._stamps = StampWatch(tolerance, self._used)
-        self._logged: set[tuple[object, ...]] = set()
+        self._errors = FirstErrors(_LOG)
         self._process = os.getpid()
 
         self._counters = stream_stats.Counters()
@@ -207,14 +196,14 @@ class DepthStream:
         self._returned, self._buffers = False, 0
         slots = [self._transport.slot() for _ in range(most + 2)]
         self._inbox: Inbox[StreamResult, Any] = Inbox(policy, most, slots, self._drop)
-        self._under_way: queue.SimpleQueue[tuple[StreamResult, Any, _Level] | None] = queue.SimpleQueue()
+        self._under_way: queue.SimpleQueue[tuple[StreamResult, Any, Level] | None] = queue.SimpleQueue()
         self._threads = [
             threading.Thread(target=target, name=f"lfgpu-{name}", daemon=True)
             for name, target in (("solve", self._serve), ("deliver", self._deliver), ("range", self._watch_range))
         ]
         for thread in self._threads:
             thread.start()
-        _open.add(self)
+        OPEN.add(self)
 
     @classmethod
     def for_cameras(
@@ -421,7 +410,7 @@ class DepthStream:
         for thread in self._threads:
             thread.join()
         self._intake.close()
-        _open.discard(self)
+        OPEN.discard(self)
         with self._numbering:
             if not self._returned:
                 self._returned, self._buffers = True, self._transport.made
@@ -438,38 +427,16 @@ class DepthStream:
 
     # --- the work ---
 
-    def _prepared(self, kernels: KernelSet, *, warm: bool) -> tuple[list[_Level], list[_Level]]:
-        """The amounts of work for a frame, from least to most, captured and timed; without a budget, the largest."""
-        views = self._views
-
-        def bound(levels: Sequence[tuple[int, Callable[[Any], None]]]) -> list[_Level]:
-            return [_Level(steps, partial(self._rectified, work, views)) for steps, work in levels]
-
-        cold, levels = bound(self._plan.levels), bound(self._plan.warm_levels) if warm else []
-        if self._budget is None:
-            cold, levels = cold[-1:], levels[-1:]
-        for level in (*cold, *levels):
-            with kernels.asking(self.device):
-                level.work()
-            level.work = self._transport.captured(level.work)
-        for level in (*cold, *levels) if self._budget is not None else ():
-            self._transport.synchronize()
-            start = perf_counter()
-            level.work()
-            self._transport.synchronize()
-            level.seconds = perf_counter() - start
-        return cold, levels
+    def _prepared(self, works: Sequence[tuple[int, Callable[[Any], None]]]) -> list[Level]:
+        """Levels of work on the views of the stream, which are rectified before if they must be."""
+        bound = [(steps, partial(self._rectified, work, self._views)) for steps, work in works]
+        return prepared(bound, self._budget, self._transport, self._kernels, self.device)
 
     def _rectified(self, work: Callable[[Any], None], views: Any) -> None:
         """Work on views that are rectified before, if they must be."""
         if self._rectification is not None:
             self._rectification.work()
         work(views)
-
-    def _level(self, levels: list[_Level]) -> _Level:
-        """The largest amount of work that fits into the budget."""
-        fitting = [level for level in levels if self._budget is None or level.seconds * 1000 <= self._budget]
-        return fitting[-1] if fitting else levels[0]
 
     def _serve(self) -> None:
         """The loop of the thread that starts work on the device."""
@@ -487,7 +454,7 @@ class DepthStream:
                     continue
                 result.cut = not self._fresh and bool(self._warm) and changed > self._cut
                 result.cold = self._fresh or result.cut or not self._warm
-                level = self._level(self._cold if result.cold else self._warm)
+                level = fitting(self._cold if result.cold else self._warm, self._budget)
                 result.steps, self._fresh = level.steps, False
                 maps = self._transport.solve(level.work, self._masking(result.valid[self._used]))
                 self._show_views(result)
@@ -537,7 +504,7 @@ class DepthStream:
                 self._fresh = True
                 self._fail(result, self._failed(error))
                 continue
-            level.seconds += _SMOOTHING * (work - level.seconds)
+            level.took(work)
             problem = None
             if not np.isfinite(moved):
                 problem = "views hold NaN or infinity; mask or replace these values."
@@ -570,7 +537,7 @@ class DepthStream:
                 callback(result)
             except BaseException as error:  # others' mistakes must not end the thread, sys.exit() included
                 self._counters.add("callback_errors")
-                self._log(f"on_result failed with frame {result.index}", error)
+                self._errors.log(f"on_result failed with frame {result.index}", error)
                 if self._end_on_error:
                     said = f"{type(error).__name__}: {error}".rstrip(": ")
                     self._inbox.close(finish=False, reason=f"on_result failed ({said})")
@@ -587,7 +554,7 @@ class DepthStream:
             try:
                 new = () if lf is None else self._watch.search(lf, what)
             except Exception as error:  # the maps do not need it
-                self._log("the disparity range of a frame could not be found", error)
+                self._errors.log("the disparity range of a frame could not be found", error)
                 return
             for sentence in new:
                 _LOG.warning(sentence)
@@ -596,19 +563,9 @@ class DepthStream:
                 return
             lf, what = shown[0], f"the views of frame {shown[1].index}"
 
-    def _log(self, what: str, error: BaseException) -> None:
-        """Log an exception with its traceback; of those from one line of code only the first."""
-        place = error.__traceback__
-        while place is not None and place.tb_next is not None:
-            place = place.tb_next
-        kind = type(error), place and (place.tb_frame.f_code.co_filename, place.tb_lineno)
-        if kind not in self._logged:
-            self._logged.add(kind)
-            _LOG.error("%s; the next ones like this are only counted", what, exc_info=error)
-
     def _failed(self, error: Exception) -> LfgpuError:
         """The sentence about a failure of the device."""
-        self._log("the device failed", error)
+        self._errors.log("the device failed", error)
         remedy = "" if self.device == "cpu" else "; if all frames fail from now on, start the program again"
         return LfgpuError(f"the device failed ({' '.join(str(error).split()).rstrip('.')}){remedy}.")
 
@@ -625,41 +582,5 @@ class DepthStream:
         )
 
 
-def _check(cut: float, budget_ms: float | None) -> None:
-    if not (_is_number(cut) and 0 <= cut <= 1):
-        raise LightFieldError(f"cut must be a share, 0 to 1, not {cut!r}.")
-    if budget_ms is not None and not (_is_number(budget_ms) and 0 < budget_ms < math.inf):
-        raise LightFieldError(f"budget_ms must be a number of milliseconds > 0, not {budget_ms!r}.")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def _waiting(policy: str, waiting: int | None) -> int:
-    if policy not in POLICIES:
-        raise LightFieldError(f"policy must be one of {', '.join(POLICIES)}, not {policy!r}.")
-    if waiting is None:
-        return POLICIES[policy]
-    if not isinstance(waiting, Integral) or isinstance(waiting, bool) or not 1 <= waiting <= _MOST_WAITING:
-        raise LightFieldError(f"waiting must be a whole number from 1 to {_MOST_WAITING}, not {waiting!r}.")
-    if policy == "latest" and waiting != 1:
-        raise LightFieldError(f"waiting must be 1 for the policy latest, not {waiting!r}.")
-    return int(waiting)
-
-
 def _cannot_be_taken(error: Exception) -> LightFieldError:
     return LightFieldError(f"views cannot be read: {' '.join(str(error).split())}")
-
-
-_open: weakref.WeakSet[DepthStream] = weakref.WeakSet()
-
-
-def _close_all() -> None:
-    """Close all streams when the interpreter exits, because no device work may run then."""
-    for stream in list(_open):
-        stream.close(finish=False)
-
-
-# Pools of threads end when the main thread does, before `atexit`; what is registered here ends before them.
-getattr(threading, "_register_atexit", atexit.register)(_close_all)

@@ -151,9 +151,10 @@ def cameras(found: Explanation, limits: tuple[float, float]) -> tuple[Figure, fl
         corner = (u - 0.46 * apart, v - 0.46 * apart)
         axes.add_patch(Rectangle(corner, 0.92 * apart, 0.92 * apart, facecolor=fill, linewidth=0))
     small = min(1.0, 72 * (_SIZE[0] - 1) * apart / (right - left) / _LARGE)  # of many cameras the arrows are finer
+    others = np.arange(len(places)) != found.reference
     axes.quiver(
-        *places.T,
-        *arrows.T,
+        *places[others].T,
+        *arrows[others].T,
         angles="xy",
         scale_units="xy",
         scale=1.0,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -89,19 +89,17 @@ def _thumbnails(contents: Contents, _: Query) -> Any:
     return pictures.thumbnails(_lf(contents))
 
 
-def _level(lf: LightField, query: Query) -> int:
-    """How often a picture is halved: not so often that nothing is left."""
-    return min(max(query.whole("level"), 0), min(lf.size).bit_length() - 1)
+def _computed_tile(query: Query) -> Iterator[int]:
+    return (query.whole(name) for name in ("level", "column", "row", "side"))
 
 
 def _refocused(contents: Contents, query: Query) -> Any:
-    lf = _lf(contents)
-    return pictures.refocused(lf, query.number("disparity"), query.number("aperture"), _level(lf, query))
+    lens = query.number("disparity"), query.number("aperture")
+    return pictures.refocused(_lf(contents), *lens, *_computed_tile(query))
 
 
 def _sharp(contents: Contents, query: Query) -> Any:
-    level = _level(_lf(contents), query)
-    return pictures.sharp(contents, query.text("result"), query.text("stage", FINAL), level)
+    return pictures.sharp(contents, query.text("result"), query.text("stage", FINAL), *_computed_tile(query))
 
 
 def _at(contents: Contents, query: Query) -> Any:

@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Protocol, TypeVar
 from urllib.parse import urlsplit
 
+from tornado.iostream import StreamClosedError
 from tornado.web import HTTPError, RequestHandler
 from tornado.websocket import WebSocketClosedError
 
@@ -18,6 +19,7 @@ from lfgpu.viewer.facts import Facts
 
 _HOSTS = ("127.0.0.1", "localhost", "::1")
 _NO_TOKEN = "The address of the page has a token; see lfgpu view"
+_EXPECTED = (LfgpuError, HTTPError, WebSocketClosedError, StreamClosedError)  # said to the page, or it has gone
 _T = TypeVar("_T")
 
 
@@ -75,7 +77,7 @@ class Guarded(RequestHandler):
         self.finish({"error": sentence})
 
     def log_exception(self, typ: Any, value: Any, tb: Any) -> None:
-        if not isinstance(value, LfgpuError | HTTPError | WebSocketClosedError):
+        if not isinstance(value, _EXPECTED):
             logging.getLogger("lfgpu.viewer").error("a page could not be answered", exc_info=(typ, value, tb))
 
     async def or_sentence(self, work: Awaitable[_T]) -> _T | None:

@@ -18,9 +18,10 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents, Entry
+from lfgpu.viewer.late import import_all
 
 TILE = 512
-"""Pixels along each side of a tile; those at the right and the lower end are smaller."""
+"""Pixels along each side of a tile; those at the right and the lower end are smaller. Computed ones may be smaller."""
 
 _FOCUS_VIEWS, _QUICK_FOCUS_VIEWS = (
     49,
@@ -34,6 +35,7 @@ _LARGEST_THUMBNAIL = 96
 _MOST_BINS = 1024
 
 
+_Window = tuple[slice, slice]
 _SmallView = tuple[NDArray[Any], NDArray[np.bool_]]
 _small = WeakKeyDictionary[LightField, dict[tuple[int, int], _SmallView]]()
 _keeping = Lock()
@@ -109,43 +111,60 @@ def thumbnails(lf: LightField) -> NDArray[np.uint8]:
     return np.ascontiguousarray(np.broadcast_to(grey, (*grey.shape[:3], 3)))
 
 
-def refocused(lf: LightField, disparity: float, aperture: float | None, level: int) -> NDArray[Any]:
-    """The view [y, x, c] of a lens focused on a disparity, 2**level times smaller. See `lfgpu.refocus`."""
-    from lfgpu.viz.refocusing import refocus, spread, within  # SciPy takes a while; pages come first
-    from lfgpu.viz.splines import LINEAR
-
-    chosen = spread(lf, _QUICK_FOCUS_VIEWS if level else _FOCUS_VIEWS, within(lf, aperture))
-    if len(chosen) == 1:
-        return _small_view(lf, level, lf.reference_index)[0]
-    few = _smaller(lf, level, chosen)
-    return _encoded(refocus(few, disparity / 2**level, order=LINEAR), lf)
-
-
-def sharp(contents: Contents, name: str, stage: str, level: int) -> NDArray[Any]:
-    """The reference view [y, x, c] from all views, in focus everywhere, 2**level times smaller.
+def refocused(
+    lf: LightField, disparity: float, aperture: float | None, level: int, column: int, row: int, side: int
+) -> NDArray[Any]:
+    """A tile [y, x, c] of the view of a lens focused on a disparity, 2**level times smaller. See `lfgpu.refocus`.
 
     Raises
     ------
     LightFieldError
-        If there is no map.
+        If there is no such tile.
     """
+    import_all()
+    from lfgpu.viz.refocusing import refocus, spread, within
+    from lfgpu.viz.splines import LINEAR
+
+    window = _window(lf.size, level, column, row, side)
+    chosen = spread(lf, _QUICK_FOCUS_VIEWS if level else _FOCUS_VIEWS, within(lf, aperture))
+    if len(chosen) == 1:
+        return _small_view(lf, level, lf.reference_index, window)[0]
+    part, inner = _around(lf.size, level, window, abs(disparity) * _farthest(lf, chosen))
+    few = _smaller(lf, level, chosen, part)
+    return _encoded(refocus(few, disparity / 2**level, order=LINEAR)[inner], lf)
+
+
+def sharp(contents: Contents, name: str, stage: str, level: int, column: int, row: int, side: int) -> NDArray[Any]:
+    """A tile [y, x, c] of the reference view from all views, in focus everywhere, 2**level times smaller.
+
+    Raises
+    ------
+    LightFieldError
+        If there is no map, or no such tile.
+    """
+    import_all()
     from lfgpu.viz.refocusing import all_in_focus, spread
     from lfgpu.viz.splines import LINEAR
 
     lf, entry = contents.lf, contents.all_entries().get(name)
     if lf is None or entry is None:
         raise LightFieldError("a picture that is in focus everywhere needs a map; press Estimate.")
-    few = _smaller(lf, level, spread(lf, _SHARP_VIEWS))
+    window = _window(lf.size, level, column, row, side)
+    chosen = spread(lf, _SHARP_VIEWS)
+    low, high = entry.ends(stage)
+    reach = max(-low, high, high - low) * _farthest(lf, chosen)  # of colours, and of what hides a point
+    part, inner = _around(lf.size, level, window, reach)
     step = 2**level
-    values = DisparityMap(np.ascontiguousarray(entry.stage(stage)[::step, ::step]) / np.float32(step))
-    return _encoded(all_in_focus(few, values, order=LINEAR), lf)
+    values = DisparityMap(np.ascontiguousarray(entry.stage(stage)[part][::step, ::step]) / np.float32(step))
+    return _encoded(all_in_focus(_smaller(lf, level, chosen, part), values, order=LINEAR)[inner], lf)
 
 
 def prepare() -> None:
-    """Load what the first refocused picture would wait for: SciPy, a backend and its kernels."""
+    """Load what the first computed picture would wait for: all that is imported late, and kernels."""
     lf = LightField.from_grid(np.zeros((1, 2, 8, 8, 1), np.uint8))
-    refocused(lf, 0.0, None, 0)
-    sharp(Contents(lf).with_entry("map", Entry(DisparityMap(np.zeros(lf.size, np.float32)))), "map", FINAL, 0)
+    tile = (0, 0, 0, TILE)
+    refocused(lf, 0.0, None, *tile)
+    sharp(Contents(lf).with_entry("map", Entry(DisparityMap(np.zeros(lf.size, np.float32)))), "map", FINAL, *tile)
 
 
 def values_at(contents: Contents, name: str, stage: str, x: int, y: int) -> dict[str, float | None]:
@@ -218,9 +237,32 @@ def _between(at: float, step: float, low: float, high: float, side: int) -> rang
     return range(max(0, math.floor(ends[0] - 1)), min(side, math.ceil(ends[1] + 2)))
 
 
-def _smaller(lf: LightField, level: int, chosen: NDArray[np.intp]) -> LightField:
-    """Some views of a light field, 2**level times smaller."""
-    found = [_kept_view(lf, level, int(n)) for n in chosen]
+def _farthest(lf: LightField, chosen: NDArray[np.intp]) -> float:
+    """How far views are from the reference, view steps along one axis."""
+    return float(np.abs(lf.offsets[chosen]).max())
+
+
+def _around(size: tuple[int, int], level: int, window: _Window, reach: float) -> tuple[_Window, _Window]:
+    """A window with what lies at most `reach` pixels around it, and where the window is in this at a level.
+
+    What is computed from the larger window is right in the smaller one.
+    """
+    step = 2**level
+    margin = step * (math.ceil(min(reach, max(size)) / step) + 2)  # two more for what lies between pixels
+    rows, columns = (_along(one, side, step, margin) for one, side in zip(window, size, strict=True))
+    return (rows[0], columns[0]), (rows[1], columns[1])
+
+
+def _along(window: slice, side: int, step: int, margin: int) -> tuple[slice, slice]:
+    """`_around` along one axis."""
+    part = slice(max(0, window.start - margin), min(side, window.stop + margin))
+    first = (window.start - part.start) // step
+    return part, slice(first, first + -(-(min(window.stop, side) - window.start) // step))
+
+
+def _smaller(lf: LightField, level: int, chosen: NDArray[np.intp], part: _Window) -> LightField:
+    """A part of some views of a light field, 2**level times smaller."""
+    found = [_kept_view(lf, level, int(n), part) for n in chosen]
     return LightField(
         np.stack([views for views, _ in found]),
         lf.positions[chosen],
@@ -229,15 +271,16 @@ def _smaller(lf: LightField, level: int, chosen: NDArray[np.intp]) -> LightField
     )
 
 
-def _kept_view(lf: LightField, level: int, index: int) -> _SmallView:
-    """A small view; the last ones that were made are kept, as long as the light field is."""
-    if not level:
-        return _small_view(lf, level, index)
+def _kept_view(lf: LightField, level: int, index: int, part: _Window) -> _SmallView:
+    """A part of a view, smaller. The last whole ones that were made are kept, as long as the light field is."""
+    whole = all(one.stop - one.start == side for one, side in zip(part, lf.size, strict=True))
+    if not (level and whole):
+        return _small_view(lf, level, index, part)
     with _keeping:
         known = _small.setdefault(lf, {})
         found = known.pop((level, index), None)
     if found is None:
-        found = _small_view(lf, level, index)
+        found = _small_view(lf, level, index, part)
     with _keeping:
         known[level, index] = found  # the last one
         while sum(view.nbytes + valid.nbytes for view, valid in known.values()) > _ROOM:
@@ -245,13 +288,13 @@ def _kept_view(lf: LightField, level: int, index: int) -> _SmallView:
     return found
 
 
-def _small_view(lf: LightField, level: int, index: int) -> _SmallView:
-    """A view [y, x, c], 2**level times smaller, and which of its pixels are valid."""
+def _small_view(lf: LightField, level: int, index: int, part: _Window) -> _SmallView:
+    """A part [y, x, c] of a view, 2**level times smaller, and which of its pixels are valid."""
     if lf.valid is None:
         valid = np.ones((1, 1), np.bool_)  # is not asked for
     else:
-        valid = _middles(lf.valid[index][..., None].astype(np.float32), 2**level)[..., 0] > 1 - 1e-3
-    return intensities(_middles(lf.views[index], 2**level), lf), valid
+        valid = _middles(lf.valid[index][part][..., None].astype(np.float32), 2**level)[..., 0] > 1 - 1e-3
+    return intensities(_middles(lf.views[index][part], 2**level), lf), valid
 
 
 def _middles(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
@@ -265,9 +308,13 @@ def _middles(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
     return total * np.float32(0.25)
 
 
-def _window(size: tuple[int, int], level: int, column: int, row: int) -> tuple[slice, slice]:
-    side = TILE * 2**level if 0 <= level <= 16 else 0
+def _window(size: tuple[int, int], level: int, column: int, row: int, side: int = TILE) -> _Window:
+    """Rows and columns of a tile of `side` pixels at a level, 1 to `TILE`; the ends may lie beyond the picture.
+
+    At the highest level one pixel is the whole picture.
+    """
     height, width = size
+    side = side * 2**level if 0 <= level <= (max(size) - 1).bit_length() and 1 <= side <= TILE else 0
     if not (side and 0 <= row * side < height and 0 <= column * side < width):
         raise LightFieldError(f"there is no tile ({column}, {row}) at level {level}.")
     return slice(row * side, (row + 1) * side), slice(column * side, (column + 1) * side)

@@ -10,6 +10,7 @@ from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import MAP_FORMATS, save
 from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents
+from lfgpu.viewer.late import import_all
 
 
 def saved(contents: Contents, name: str, stage: str, suffix: str) -> bytes:
@@ -47,6 +48,7 @@ def saved(contents: Contents, name: str, stage: str, suffix: str) -> bytes:
 
 def figure(contents: Contents, name: str, kind: str, stage: str, *, colours: str, limits: tuple[float, float]) -> bytes:
     """A map with its scale as a PNG, each pixel a square of whole pixels; LightFieldError if there is no such map."""
+    import_all()
     from lfgpu.viz.figures import map_figure, save_png
 
     values = contents.map(name, kind, stage)

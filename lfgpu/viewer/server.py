@@ -14,6 +14,7 @@ from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.extras import how_to_install
 from lfgpu.viewer.board import Board
+from lfgpu.viewer.late import import_all
 from lfgpu.viewer.place import Place
 
 _NEEDED = ("tornado", "viser")
@@ -63,6 +64,7 @@ class Viewer(Board):
         super().__init__(allow_open=allow_open)
         self._closed = threading.Event()
         if lf is not None:
+            import_all()  # who has a light field may go on with kernels of his own while pages are looked at
             self.show(lf, result)
         elif result is not None:
             self.add(result)

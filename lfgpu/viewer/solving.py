@@ -12,6 +12,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LfgpuError
 from lfgpu.methods import method_of
+from lfgpu.viewer.late import import_all
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,8 @@ class Solver:
             self._thread.join(timeout)
 
     def _work(self, request: Request) -> None:
-        from lfgpu.pipelines.estimate import estimate_depth  # takes a while; pages come first
+        import_all()
+        from lfgpu.pipelines.estimate import estimate_depth
 
         start = perf_counter()
         config = request.config
@@ -99,7 +101,11 @@ class Solver:
 
         try:
             result = estimate_depth(
-                request.lf, config=config, disparity_range=request.disparity_range, on_progress=show
+                request.lf,
+                config=config,
+                disparity_range=request.disparity_range,
+                check_cameras=False,
+                on_progress=show,
             )
         except _Stopped:
             self._say("stopped", 0.0, busy=False)

@@ -19,6 +19,7 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler, websocket_
 from lfgpu.errors import LfgpuError
 from lfgpu.viewer.contents import Contents
 from lfgpu.viewer.guard import Guarded
+from lfgpu.viewer.late import import_all
 from lfgpu.viewer.place import HOST
 from lfgpu.viewer.scene import Scene
 
@@ -116,6 +117,7 @@ class Tab(Guarded, WebSocketHandler):
         await self.write_message({"space": True})
 
     def _new_space(self) -> Space:
+        import_all()
         from lfgpu.viewer.space import Space
 
         return Space(self.site.board, self._picked)

@@ -157,7 +157,8 @@ def all_in_focus(
             weight = weight * valid_at(lf.valid[n], at)
         picture = np.moveaxis(lf.image(n), 2, 0) if order == LINEAR else spline(lf.image(n))
         colour = colours(picture, at, order)
-        unlike = np.where(trusted, ((colour - reference) ** 2).mean(2) / np.float32(_UNLIKE**2), 0)
+        away = colour - reference
+        unlike = np.where(trusted, np.einsum("yxc,yxc->yx", away, away) / np.float32(lf.channels * _UNLIKE**2), 0)
         weight = weight / (1 + unlike) ** 2
         total += weight[..., None] * colour
         weights += weight

@@ -29,7 +29,10 @@ def colours(coefficients: Float32Array, at: Float32Array, order: int = CUBIC) ->
 
     `coefficients` [c, y, x] are those of `spline`, or for order 1 the pixels themselves.
     """
-    return np.stack([sampled(plane, at, order) for plane in coefficients], axis=-1)
+    found = np.empty((*at.shape[1:], len(coefficients)), np.float32)
+    for channel, plane in enumerate(coefficients):
+        found[..., channel] = sampled(plane, at, order)
+    return found
 
 
 def sampled(values: Float32Array, at: Float32Array, order: int) -> Float32Array:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import Misalignment, disturb, glance, judged
-from lfgpu.calibration.judge import part_of
+from lfgpu.calibration.quick_look import part_of
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import write_hci

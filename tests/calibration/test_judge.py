@@ -14,6 +14,8 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import residual_pictures
 from lfgpu.calibration.consensus import outliers, without_gauge
+from lfgpu.calibration.hiding import order_of_depth
+from lfgpu.calibration.signs import near_and_far_swapped
 from lfgpu.calibration.tones import match_tones, squared_radius
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
@@ -104,6 +106,23 @@ def test_wrong_signs_are_found(
     found = lfgpu.explain(turned, lfgpu.estimate_depth(turned, config="fast"))
     assert found.signs == signs
     assert len(found.findings) == 1
+
+
+def test_an_outline_that_the_map_has_wrong_says_nothing_of_signs() -> None:
+    """All that is told comes from one place, and there the other order of depth is far better."""
+    lf = scenes.make("relief", grid=(5, 5), size=(160, 160), seed=3)
+    wrong = truth(lf).copy()
+    wrong[70:94, 60:84] += 1.5
+    order = order_of_depth(lf, wrong, views=8)
+    assert order.told > 400
+    assert order.far.sum() < 0.2 * order.near.sum()
+    assert not near_and_far_swapped(lf, wrong)
+
+
+def test_points_that_no_disparity_explains_count_less() -> None:
+    """The map takes what is behind thin bars for what is in front: their points move otherwise."""
+    lf = scenes.make("bars", grid=(5, 5), size=(160, 160), seed=3, noise=0.02)
+    assert lfgpu.explain(lf, ndimage.grey_erosion(truth(lf), 9)).misalignment < 0.01
 
 
 def test_a_map_of_something_else_is_told(boxes: LightField) -> None:

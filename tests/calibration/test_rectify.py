@@ -288,9 +288,14 @@ def not_in_a_plane(text: str) -> str:
     return "".join(f"{head}translation = [{place}" for head, place in zip(heads, moved, strict=False))
 
 
+def with_one_name_twice(text: str) -> str:
+    return text.replace("view_008.png", "view_007.png")
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        (with_one_name_twice, "has 2 cameras of the name view_007.png; give each"),
         (mirrored, "the rotation mirrors"),
         (of_other_size, "was calibrated for pictures of 200 x 128, these are 144 x 128"),
         (without_the_last, "has no camera for"),
@@ -310,6 +315,27 @@ def test_a_wrong_calibration_is_one_sentence(
     assert words in run.stderr
     assert len(run.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_cameras_of_other_names_are_taken_in_order_and_that_is_said(boxes: LightField, tmp_path: Path) -> None:
+    for n, view in enumerate(boxes.views):
+        Image.fromarray(view).save(tmp_path / f"view_{n:03d}.png")
+    file = tmp_path / "cameras.toml"
+    lfgpu.calibration.write_cameras(ideal_cameras(boxes), file)
+    assert not any("in order" in note for note in rectify(tmp_path).light_field.notes)
+    file.write_text(file.read_text().replace("view_", "device_"))
+    run = CliRunner().invoke(app, ["rectify", str(tmp_path), "-o", str(tmp_path / "out")])
+    assert run.exit_code == 0, run.output
+    said = " ".join(run.stdout.split())
+    assert "matched in order: view_000.png is of device_000.png, ..., view_008.png of device_008.png." in said
+
+
+def test_two_pictures_of_one_name_are_refused(boxes: LightField) -> None:
+    names = (*(f"view_{n:03d}.png" for n in range(8)), "other/view_007.jpg")
+    with pytest.raises(
+        LightFieldError, match=r"view_007\.png and other/view_007\.jpg both have the name of the camera"
+    ):
+        rectify(replace(boxes, files=names), calibration=known(tuple(ideal_cameras(boxes))))
 
 
 def test_what_is_written_is_read_back(boxes: LightField, tmp_path: Path) -> None:

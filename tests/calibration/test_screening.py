@@ -82,7 +82,7 @@ def test_no_look_is_taken_where_none_is_worth_it(boxes: LightField, monkeypatch:
         looks.append(lf)
 
     monkeypatch.setattr("lfgpu.calibration.trust.look", look)
-    result = lfgpu.estimate_depth(boxes, config="fast", disparity_range=(-2, 2), device="cpu")
+    result = lfgpu.estimate_depth(boxes, config="fast", disparity_range=(-2, 2), device="cpu", check_cameras=False)
     assert isinstance(result, DepthResult)
     assert judged(boxes, result, device="cpu") is result
     assert not looks

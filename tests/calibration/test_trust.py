@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ def planes() -> LightField:
 
 
 def estimated(lf: LightField) -> DepthResult:
-    return lfgpu.estimate_depth(lf, config="fast", disparity_range=(-2, 2), device="cpu")
+    return lfgpu.estimate_depth(lf, config="fast", disparity_range=(-2, 2), device="cpu", check_cameras=False)
 
 
 def right(result: DepthResult, lf: LightField) -> float:
@@ -73,6 +74,28 @@ def test_brightness_is_said_and_leaves_the_confidence(planes: LightField) -> Non
     after = judged(wrong, result, device="cpu")
     assert "brightness" in after.remarks[0]
     np.testing.assert_array_equal(after.confidence, result.confidence)
+
+
+@pytest.mark.parametrize("memory", [None, "1GiB"])
+def test_estimate_depth_looks_and_the_pipeline_does_not(planes: LightField, memory: str | None) -> None:
+    wrong = disturb(planes, Misalignment(shift=0.5), seed=1).light_field
+    found = lfgpu.estimate_depth(wrong, config="fast", disparity_range=(-2, 2), device="cpu", max_memory=memory)
+    assert "out of line" in found.remarks[0]
+    assert found.remarks[0] in repr(found)
+    pipeline = lfgpu.DepthPipeline(wrong, config="fast", disparity_range=(-2, 2), device="cpu")
+    before = pipeline.estimate()
+    assert before.remarks == ()
+    assert said(found) < said(before) - 0.1
+    np.testing.assert_array_equal(found.disparity, before.disparity)
+
+
+def test_a_map_that_says_nothing_of_the_cameras_is_a_result_all_the_same() -> None:
+    valid = np.ones((9, 32, 32), np.bool_)
+    valid[4] = False  # the reference shows nothing
+    lf = replace(scenes.make("planes", grid=(3, 3), size=(32, 32), seed=1), valid=valid, truth=None)
+    found = lfgpu.estimate_depth(lf, config="fast", disparity_range=(-2, 2), device="cpu")
+    assert np.isnan(found.disparity).all()
+    assert found.remarks == ()
 
 
 def test_depth_says_it_and_writes_it(planes: LightField, tmp_path: Path) -> None:

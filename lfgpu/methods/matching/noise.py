@@ -7,11 +7,11 @@ from dataclasses import fields, replace
 from typing import TypeVar
 
 import numpy as np
-from scipy.ndimage import correlate1d, maximum_filter, minimum_filter, uniform_filter
 
 from lfgpu.config import Section
 from lfgpu.contract import WHITE, KernelSet
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.windows import window_max, window_mean, window_min
 from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
 from lfgpu.methods.matching.sweep import labels, planned_sweep, used_views
 from lfgpu.methods.prior import UNLIKE_ANY
@@ -45,15 +45,13 @@ def measured_grain(lf: LightField) -> float:
     if min(lf.size) < _GRAIN_SEEN:
         return 0.0
     image = lf.views[lf.reference_index].astype(np.float32) * np.float32(lf.scale)
-    fine = image
-    for axis in (0, 1):
-        fine = correlate1d(fine, _FOURTH_DIFFERENCE, axis=axis)
-    sizes = np.abs(fine).mean(2)[inner] * (math.sqrt(math.pi / 2) / np.square(_FOURTH_DIFFERENCE).sum())
-    sizes = uniform_filter(sizes, _GRAIN_WINDOW, mode="reflect")
+    fine = np.diff(np.diff(image, 4, axis=0), 4, axis=1)
+    sizes = np.abs(fine).mean(2) * np.float32(math.sqrt(math.pi / 2) / np.square(_FOURTH_DIFFERENCE).sum())
+    sizes = window_mean(sizes, _GRAIN_WINDOW)
     limits = ((image == image.min((0, 1))) | (image == image.max((0, 1)))).any(2)
-    counts = (sizes > _LEAST_GRAIN) | ~maximum_filter(limits, _GRAIN_SEEN, mode="nearest")[inner]
+    counts = (sizes > _LEAST_GRAIN) | ~window_max(limits, _GRAIN_SEEN)[inner]
     if lf.valid is not None:
-        counts &= minimum_filter(lf.valid[lf.reference_index], _GRAIN_SEEN, mode="nearest")[inner]
+        counts &= window_min(lf.valid[lf.reference_index], _GRAIN_SEEN)[inner]
     return max(0.0, float(np.percentile(sizes[counts], _GRAIN_SHARE))) if counts.any() else 0.0
 
 

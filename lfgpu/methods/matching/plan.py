@@ -19,10 +19,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import minimum_filter
 
 from lfgpu.contract import REDUCTION, WHITE, Array, Float32Array, KernelSet
 from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.data.windows import window_min
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Callback, Work
 from lfgpu.methods.matching import trust
@@ -86,7 +86,7 @@ class MatchingPlan:
         self._known = None if lf.valid is None else kernels.field(lf.valid[lf.reference_index], device)
         # Where a patch holds a pixel that the reference did not record, it is like no other patch.
         patch = config.prior.patch
-        alike = None if lf.valid is None else minimum_filter(lf.valid[lf.reference_index], patch, mode="nearest")
+        alike = None if lf.valid is None else window_min(lf.valid[lf.reference_index], patch)
         self._alike = None if alike is None else kernels.field(alike, device)
         self._far = None if lf.valid is None else kernels.field(np.full(lf.size, bounds[0]), device)
         self._unknown = None if lf.valid is None else kernels.field(np.full(lf.size, np.nan), device)

@@ -2,22 +2,26 @@
 
 First the motion of the reference view is found, and what is known of each surface moves along: its disparity, which is
 then past + rate, the rate at which that changes, and the number of frames that it rests on. Three things come from it.
-The views that should see these surfaces are those that are compared, which spares the first sweep. Costs get
+The views that should see these surfaces are those that are compared, which spares the first sweep; where the reference
+view has changed, nothing is hidden by what was there. Costs get
 strength * same * confidence * min(|d - past|, reach) / reach on top, so that what looks alike at several disparities
 does not jump between them. And the new map is averaged with the expected one, pixel by pixel, as by a Kalman filter
 whose measurements are all as good as each other: with the number of frames that went into a pixel so far,
 
-    before = persistence * same * frames / (1 + ((past - d) / support)^4),   d <- (d + before past) / (1 + before),
-    frames <- 1 + before.
+    before = persistence * same * frames / (1 + ((past - d) / support)^4) / (1 + (rate / steady)^2),
+    d <- (d + before past) / (1 + before),   frames <- 1 + before.
 
 `same` is 1 where the reference view looks along the motion as it did, and 0 where it does not. The rate is a mean over
-the surface around each pixel, because all of that moves together. The past is mixed in after the last average over the
+the surface around each pixel, because all of that moves together. What comes nearer or goes away does not do so evenly:
+the faster it does, the fewer frames it rests on. The past is mixed in after the last average over the
 image, so that the map is not blurred again and again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+
+import numpy as np
 
 from lfgpu.contract import Array, KernelSet, Scalar, Streaming
 from lfgpu.data.lightfield import LightField
@@ -26,7 +30,9 @@ from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior
 
+_SAME = 0.5  # least `same` of a pixel whose past surface hides what lies behind it
 _RATE_GAIN = 0.1  # share of the difference from the expected map that goes into its rate of change
+_STEADY = 0.05  # rate of change that halves the weight of earlier frames, in units of `TemporalPrior.support`
 _NO_RATE = 0.05  # weight of a rate of 0 in the mean over a surface
 
 
@@ -66,6 +72,7 @@ class TemporalMatching(MatchingPlan):
         self._past, self._frames, self._rate = (kernels.zeros(lf.size, device) for _ in range(3))
         self._expected, self._frames_before, self._rate_before = (kernels.zeros(lf.size, device) for _ in range(3))
         self._same, self._believed = (kernels.zeros(lf.size, device) for _ in range(2))
+        self._farthest_surface = kernels.field(np.full(lf.size, self._bounds[0]), device)
         self._last_image = kernels.zeros_image((*lf.size, lf.channels), device)
         self._motion = streaming.motion(self._last_image)
 
@@ -140,9 +147,12 @@ class TemporalMatching(MatchingPlan):
         )
         kernels.clamp(self._expected, *self._bounds, self._expected)
         kernels.multiply(self._same, self._believed, self._believed)
-        self._past_hiding(self._expected, self._swept_nearest)
+        # A surface that is not there any more hides nothing.
+        kernels.threshold(self._same, _SAME, self._workspace)
+        kernels.select(self._workspace, self._expected, self._farthest_surface, self._workspace)
+        self._past_hiding(self._workspace, self._swept_nearest)
         self._sweep.by_visibility(self._swept_nearest, self._swept_nearest, self._volume)
-        self._find_surface(self._swept)
+        self._find_surface(self._swept, self._config.semi_global.resweep_factor)
         if self._twice:
             kernels.copy(self._swept, self._matched)
         self._improve(None)
@@ -180,6 +190,7 @@ class TemporalMatching(MatchingPlan):
                 self.disparity,
                 persistence=self._temporal.persistence,
                 support=support,
+                steady=_STEADY * support,
                 rate_gain=_RATE_GAIN,
                 frames_out=self._frames,
                 rates_out=rates,

@@ -26,7 +26,7 @@ def feed(
     tag: Callable[[int, Any], Any] = lambda index, _: index,
     on_done: Callable[[StreamResult], None] | None = None,
 ) -> None:
-    """Push frames into a stream until they end, and wait for the last map.
+    """Push frames into a stream until they end, and wait for the last map, also where the frames end with an error.
 
     Parameters
     ----------
@@ -71,6 +71,9 @@ def feed(
             frame = next(frames)
         except StopIteration:
             break
+        except Exception:
+            look(wait=True)
+            raise
         views, valid = frame if isinstance(frame, tuple) and len(frame) == 2 else (frame, None)
         views = views.views if isinstance(views, LightField) else views
         pending.append(stream.push(views, valid=valid, tag=tag(index, views)))

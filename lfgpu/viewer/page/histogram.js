@@ -72,6 +72,13 @@ export class Histogram {
       context.fillStyle = css(colours, (k + 0.5) / shares.length);
       context.fillRect(from, box.bottom - high, Math.max(1, to - from - 0.5), high);
     });
+    context.strokeStyle = ink("--muted"); // colours that are as light or as dark as the page are seen, too
+    context.lineWidth = 1;
+    context.beginPath();
+    shares.forEach((share, k) => {
+      for (const end of [k, k + 1]) context.lineTo(at(end / shares.length), box.bottom - (share / most) * (box.bottom - box.top));
+    });
+    context.stroke();
     context.fillStyle = ink("--line");
     context.fillRect(box.left, box.bottom, box.right - box.left, 1);
     context.fillStyle = ink("--muted");

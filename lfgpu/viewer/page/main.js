@@ -61,12 +61,12 @@ function viewSource(index = ui.view) {
   const one = entry(ui.result);
   if (ui.left === "refocused") {
     const query = { disparity: ui.focus, aperture: ui.aperture, of: state.revision };
-    return { ...common, key: `refocused ${state.views} ${ui.focus} ${ui.aperture}`, what: "refocused", query, whole: true };
+    return { ...common, key: `refocused ${state.views} ${ui.focus} ${ui.aperture}`, what: "refocused", query, isComputed: true };
   }
   if (ui.left === "sharp") {
     if (!one) return null;
     const query = { result: ui.result, stage: ui.stage, of: state.revision };
-    return { ...common, key: `sharp ${state.views} ${one.identity} ${ui.stage}`, what: "sharp", query, whole: true };
+    return { ...common, key: `sharp ${state.views} ${one.identity} ${ui.stage}`, what: "sharp", query, isComputed: true };
   }
   return { ...common, key: `view ${state.views} ${index}`, what: "view", query: { index, of: state.revision } };
 }
@@ -189,7 +189,8 @@ function layoutMaps(count) {
   const below = pane.clientHeight > 480 ? LEAST_HISTOGRAM : 0;
   const [height, width] = state.size, across = box.clientWidth - BAR - GAP, down = pane.clientHeight - others - below - 2 * GAP;
   const fit = (columns, rows) => Math.min((across - (columns - 1) * GAP) / columns / width, (down - (rows - 1) * GAP) / rows / height);
-  const isBeside = count > 1 && fit(2, 1) >= fit(1, 2), [columns, rows] = count === 1 ? [1, 1] : isBeside ? [2, 1] : [1, 2];
+  const isBeside = count > 1 && fit(2, 1) >= 0.7 * fit(1, 2); // one below the other if they are much larger so
+  const [columns, rows] = count === 1 ? [1, 1] : isBeside ? [2, 1] : [1, 2];
   const scale = Math.max(0.01, fit(columns, rows)), repeat = (times, side) => `repeat(${times}, ${Math.floor(side * scale)}px)`;
   box.style.gridTemplate = `${repeat(rows, height)} / ${repeat(columns, width)} ${BAR}px`;
   $("colour-bar").style.gridArea = `1 / ${columns + 1} / ${rows + 1} / ${columns + 2}`;
@@ -210,7 +211,7 @@ function showLeft() {
   const title = $("left-title");
   if (!lf()) title.textContent = state ? "No light field" : "";
   else if (ui.left === "refocused") title.textContent = "Click to focus there";
-  else if (ui.left === "sharp") title.textContent = source ? `All views, by the map “${ui.result}”` : "This needs a map: press Estimate";
+  else if (ui.left === "sharp") title.textContent = source ? `Sharp everywhere, by the map “${ui.result}”` : "This needs a map: press Estimate";
   else title.replaceChildren(...viewName());
 }
 
@@ -227,8 +228,8 @@ const signed = (value) => (value > 0 ? "+" : "") + short(value);
 function showEpis() {
   const light = lf();
   if (!light || !ui.pixel) return;
-  label("epi-row-label", `EPI, y ${ui.pixel[1]}`);
-  label("epi-column-label", `EPI, x ${ui.pixel[0]}`);
+  label("epi-row-label", `EPI, y\u00a0${ui.pixel[1]}`);
+  label("epi-column-label", `EPI, x\u00a0${ui.pixel[0]}`); // a narrow one has two lines
   if (light.row.length > 1) epis[0].fetch(ui.pixel[1], state);
   if (light.column.length > 1) epis[1].fetch(ui.pixel[0], state);
 }
@@ -412,7 +413,7 @@ ui.on("hover found other quantity", showReadout);
 
 const estimate = new Estimate(fixed.presets);
 
-const PATIENCE = 500; // milliseconds that pictures have to come before the next state is taken
+const PATIENCE = 2000; // milliseconds that pictures have to come before the next state is taken
 
 let later = null, takenAt = 0;
 
@@ -439,17 +440,12 @@ function takeNow(next) {
   state = next;
   const other = !before || before.lightField?.name !== state.lightField?.name || String(before.size) !== String(state.size)
     || before.lightField?.views !== state.lightField?.views;
-  chooseMaps(before, other);
   if (other && state.size) {
-    const [height, width] = state.size, light = lf();
-    ui.set({
-      view: light?.reference ?? 0, pixel: [Math.floor(width / 2), Math.floor(height / 2)], hover: null, found: null,
-      aperture: light?.aperture ?? 0, ranges: {}, metric: true, ...(light ? {} : { left: "view" }),
-    });
-    $("aperture").max = light?.aperture ?? 1;
+    $("aperture").max = lf()?.aperture ?? 1;
     viewport.fit(state.size);
   }
-  if (lf()) ui.set({ view: Math.min(ui.view, lf().views - 1) });
+  // all at once: a view of the last light field may not be one of this
+  ui.set({ ...(other && state.size ? beginning() : {}), ...chosenMaps(before, other) });
   const span = state.scales.disparity?.limits ?? [-3, 3], margin = 0.2 * (span[1] - span[0]);
   [$("focus").min, $("focus").max] = [span[0] - margin, span[1] + margin];
   $("left").hidden = !lf();
@@ -479,6 +475,15 @@ function takeNow(next) {
   space.refresh();
 }
 
+/** What a tab shows of a light field that it has not shown before. */
+function beginning() {
+  const [height, width] = state.size, light = lf();
+  return {
+    view: light?.reference ?? 0, pixel: [Math.floor(width / 2), Math.floor(height / 2)], hover: null, found: null,
+    focus: 0, aperture: light?.aperture ?? 0, ranges: {}, metric: true, ...(light ? {} : { left: "view" }),
+  };
+}
+
 function facts() {
   const light = lf();
   if (!light) return state.size ? `${state.size[1]} × ${state.size[0]} pixels` : "";
@@ -487,8 +492,8 @@ function facts() {
   return `${views}, ${state.size[1]} × ${state.size[0]} pixels, ${light.stored}${light.channels === 1 ? ", grey" : ""}`;
 }
 
-/** Choose among the maps that there are now: the newest one, or the one that was chosen, or the first estimate. */
-function chooseMaps(before, other) {
+/** What is shown of the maps that there are now: the newest one, or the one that was chosen, or the first estimate. */
+function chosenMaps(before, other) {
   const names = state.results.map(({ name }) => name), known = new Set((other ? null : before)?.results.map(({ name }) => name));
   let { result, stage, other: beside, quantity } = ui;
   const isNew = state.newest !== null && names.includes(state.newest) && !known.has(state.newest);
@@ -501,7 +506,7 @@ function chooseMaps(before, other) {
   if (!names.includes(beside) || beside === result) beside = NOTHING;
   if (!entry(result)?.stages.includes(stage)) stage = FINAL;
   if (result && !entry(result).kinds.includes(quantity)) quantity = "disparity";
-  ui.set({ result, stage, other: beside, quantity });
+  return { result, stage, other: beside, quantity };
 }
 
 let loadingSince = 0;

@@ -1,11 +1,11 @@
 // A canvas that shows a picture of tiles, moves and enlarges it, and tells where somebody points.
 
-import { SIDE, tile, want } from "./tiles.js";
+import { coarsest, sideAt, tile, want } from "./tiles.js";
 
 const CLICK = 5; // pixels: who moves less has clicked
 const GRIP = 14; // pixels beside the line of a wipe where it can be taken
 const NEARLY = 1.25; // enlargement at which what is computed still looks sharp
-const QUICK = 360; // pixels of the longer side of what is computed first
+const CALM = 400; // milliseconds without a change, after which it is computed as fine as the screen
 
 export class Picture {
   #sources = []; // one, or two that a wipe divides
@@ -56,6 +56,7 @@ export class Picture {
     this.canvas.width = Math.max(1, Math.round(clientWidth * ratio));
     this.canvas.height = Math.max(1, Math.round(clientHeight * ratio));
     this.viewport.changed();
+    this.#drawNow(); // else the empty canvas would be seen
   }
 
   #drawNow() {
@@ -71,7 +72,7 @@ export class Picture {
     const edge = second ? Math.round(place.left + this.wipe * first.size[1] * place.scale) : canvas.width;
     let complete = this.#drawPart(context, place, first, 0, edge, wishes);
     if (second) complete = this.#drawPart(context, place, second, edge, canvas.width, wishes) && complete;
-    if (complete && !first.whole) {
+    if (complete && !first.isComputed) {
       const next = this.on.next?.() ?? [];
       wishes.push(...next.flatMap((source) => wishes.slice().map(([, ...place]) => [source, ...place])));
     }
@@ -81,7 +82,7 @@ export class Picture {
     canvas.dataset.drawn = complete ? this.#sources.map(({ key, look }) => `${key} ${look}`).join(" / ") : "";
     Object.assign(canvas.dataset, { left: place.left, top: place.top, scale: place.scale });
     this.on.overlay?.(context, place);
-    if (!complete && first.whole) drawNote(context, "Computing …");
+    if (!complete && first.isComputed) drawNote(context, "Computing …");
     if (second) this.#drawWipe(context, edge);
     if (complete) this.on.complete?.();
   }
@@ -92,72 +93,74 @@ export class Picture {
     context.beginPath();
     context.rect(from, 0, to - from, context.canvas.height);
     context.clip();
-    const complete = source.whole ? this.#drawWhole(context, place, source, wishes) : this.#drawTiles(context, place, source, wishes);
+    const draw = source.isComputed ? this.#drawComputed : this.#drawStored;
+    const complete = draw.call(this, context, place, source, wishes);
     context.restore();
     return complete;
   }
 
-  #drawTiles(context, place, source, wishes) {
-    const [height, width] = source.size, most = Math.max(0, Math.ceil(Math.log2(Math.max(height, width) / SIDE)));
-    const level = Math.min(most, Math.max(0, Math.floor(Math.log2(1 / place.scale) + 1e-6)));
-    const drawLevel = (source, level, wished) => {
-      let complete = true;
-      const step = SIDE * 2 ** level;
-      const range = (start, room, side) => [
-        Math.max(0, Math.floor(-start / place.scale / step)),
-        Math.min(Math.ceil(side / step), Math.ceil((room - start) / place.scale / step)),
-      ];
-      const [left, right] = range(place.left, context.canvas.width, width);
-      const [top, bottom] = range(place.top, context.canvas.height, height);
-      for (let row = top; row < bottom; row++) {
-        for (let column = left; column < right; column++) {
-          const found = tile(source, level, column, row);
-          if (found) this.#put(context, place, source, found, column * step, row * step, 2 ** level);
-          else complete = false;
-          wished?.push([source, level, column, row]);
-        }
+  /** Draw the tiles of a level that are seen and have come; returns whether all have. `wishes` gets all that are seen. */
+  #drawLevel(context, place, source, level, wishes) {
+    const [height, width] = source.size, step = sideAt(source, level) * 2 ** level;
+    const range = (start, room, side) => [
+      Math.max(0, Math.floor(-start / place.scale / step)),
+      Math.min(Math.ceil(side / step), Math.ceil((room - start) / place.scale / step)),
+    ];
+    const [left, right] = range(place.left, context.canvas.width, width);
+    const [top, bottom] = range(place.top, context.canvas.height, height);
+    let complete = true;
+    for (let row = top; row < bottom; row++) {
+      for (let column = left; column < right; column++) {
+        const found = tile(source, level, column, row);
+        if (found) this.#put(context, place, source, found, column * step, row * step, 2 ** level);
+        else complete = false;
+        wishes?.push([source, level, column, row]);
       }
-      return complete;
-    };
-    const overview = tile(source, most, 0, 0);
-    if (!overview && this.#before && this.#before.size.join() === source.size.join()) {
-      if (this.#before.whole) this.#drawWhole(context, place, this.#before, null);
-      else drawLevel(this.#before, level, null) || drawLevel(this.#before, most, null);
     }
+    return complete;
+  }
+
+  /** The coarsest level whose pixels are enlarged at most so much. */
+  #levelFor(place, source, enlargement) {
+    return Math.min(coarsest(source), Math.max(0, Math.floor(Math.log2(enlargement / place.scale) + 1e-6)));
+  }
+
+  /** Draw what was drawn last, as far as it is still there. */
+  #drawBefore(context, place, size) {
+    const before = this.#before;
+    if (before?.size.join() !== size.join()) return;
+    this.#drawLevel(context, place, before, coarsest(before), null);
+    this.#drawLevel(context, place, before, this.#levelFor(place, before, before.isComputed ? NEARLY : 1), null);
+  }
+
+  #drawStored(context, place, source, wishes) {
+    const most = coarsest(source), level = this.#levelFor(place, source, 1), overview = tile(source, most, 0, 0), own = [];
+    if (!overview) this.#drawBefore(context, place, source.size);
     if (overview && level < most) this.#put(context, place, source, overview, 0, 0, 2 ** most);
-    const own = [];
-    const complete = drawLevel(source, level, own);
+    const complete = this.#drawLevel(context, place, source, level, own);
     if (!complete && level < most) wishes.push([source, most, 0, 0]);
     wishes.push(...own);
     return complete;
   }
 
   /** What the server computes comes coarse first, and as fine as the screen when nothing has changed for a while. */
-  #drawWhole(context, place, source, wishes) {
-    const quick = Math.max(0, Math.ceil(Math.log2(Math.max(...source.size) / QUICK)));
-    const fine = Math.min(quick, Math.max(0, Math.floor(Math.log2(NEARLY / place.scale))));
-    let best = null;
-    for (let level = 0; level <= quick && !best; level++) {
-      const found = tile(source, level, 0, 0);
-      if (found) best = [found, level];
-    }
-    if (best) this.#put(context, place, source, best[0], 0, 0, 2 ** best[1]);
-    else if (this.#before && wishes) {
-      if (this.#before.whole) this.#drawWhole(context, place, this.#before, null);
-      else if (tile(this.#before, 0, 0, 0)) this.#put(context, place, this.#before, tile(this.#before, 0, 0, 0), 0, 0, 1);
-    }
-    wishes?.push([source, quick, 0, 0]);
-    if (wishes && best && best[1] > fine) {
-      if (this.isSharp) wishes.push([source, fine, 0, 0]);
-      else {
+  #drawComputed(context, place, source, wishes) {
+    const most = coarsest(source), level = this.#levelFor(place, source, NEARLY);
+    const overview = tile(source, most, 0, 0);
+    if (!overview) this.#drawBefore(context, place, source.size);
+    else this.#put(context, place, source, overview, 0, 0, 2 ** most);
+    wishes.push([source, most, 0, 0]);
+    if (overview && level < most) {
+      this.#drawLevel(context, place, source, level, this.isSharp ? wishes : null);
+      if (!this.isSharp) {
         clearTimeout(this.#sharpen);
         this.#sharpen = setTimeout(() => {
           this.isSharp = true;
           this.draw();
-        }, 400);
+        }, CALM);
       }
     }
-    return best !== null;
+    return Boolean(overview);
   }
 
   #put(context, place, source, image, x, y, step) {

@@ -3,12 +3,14 @@
 import { tell } from "./elements.js";
 import { array } from "./server.js";
 
-export const SIDE = 512; // pixels of a tile
+const SIDE = 512; // pixels of a tile, as the server has them
+const QUICK = 360; // pixels of the longer side of what is computed first: one tile
+const COMPUTED = 256; // pixels of a finer tile that is computed
 const ROOM = 256 * 2 ** 20; // bytes that are kept
 const AT_ONCE = 5;
 
-// A source of tiles: { key, size: [height, width], what, query, paint(data, shape), look, whole, isMap }.
-// `look` changes with what `paint` draws. A source that is `whole` has one tile, of the whole picture, at each level.
+// A source of tiles: { key, size: [height, width], what, query, paint(data, shape), look, isComputed, isMap }.
+// `look` changes with what `paint` draws. What `isComputed` by the server takes long: its tiles are smaller.
 
 const known = new Map(); // tiles by key, the least recently used first
 let waiting = []; // { key, source, level, column, row, asker }
@@ -17,6 +19,14 @@ const under = new Set();
 const listeners = new Set();
 
 export const onArrival = (listener) => listeners.add(listener);
+
+/** The level of a source at which it is one tile. */
+export function coarsest({ size, isComputed }) {
+  return Math.max(0, Math.ceil(Math.log2(Math.max(...size) / (isComputed ? QUICK : SIDE))));
+}
+
+/** Pixels of a tile of a source at a level. */
+export const sideAt = (source, level) => (source.isComputed && level < coarsest(source) ? COMPUTED : SIDE);
 
 export const keyOf = (source, level, column, row) => `${source.key}|${level}|${column}|${row}`;
 
@@ -45,16 +55,22 @@ export function want(asker, wishes) {
   work();
 }
 
+function ask(source, level, column, row) {
+  const query = { ...source.query, level, column, row };
+  if (source.isComputed) query.side = sideAt(source, level);
+  return array(source.what, query);
+}
+
 /** All tiles of a source at full size, for saving. */
 export async function wholePicture(source) {
   const [height, width] = source.size;
   const canvas = Object.assign(document.createElement("canvas"), { width, height });
   const context = canvas.getContext("2d");
-  const side = source.whole ? Infinity : SIDE;
-  for (let row = 0; row === 0 || row * side < height; row++) {
-    for (let column = 0; column === 0 || column * side < width; column++) {
-      const { data, shape } = await array(source.what, { ...source.query, level: 0, column, row });
-      context.putImageData(source.paint(data, shape), column ? column * side : 0, row ? row * side : 0);
+  const side = sideAt(source, 0);
+  for (let row = 0; row * side < height; row++) {
+    for (let column = 0; column * side < width; column++) {
+      const { data, shape } = await ask(source, 0, column, row);
+      context.putImageData(source.paint(data, shape), column * side, row * side);
     }
   }
   return canvas;
@@ -66,7 +82,7 @@ function work() {
     if (known.has(key) || under.has(key)) continue;
     busy++;
     under.add(key);
-    array(source.what, { ...source.query, level, column, row })
+    ask(source, level, column, row)
       .then((found) => keep(key, found), (error) => fail(key, source, error))
       .finally(() => {
         busy--;
@@ -81,7 +97,7 @@ function work() {
 function fail(key, source, error) {
   if (error.isGone) return;
   known.set(key, {});
-  if (source.whole) tell(error.message);
+  if (source.isComputed) tell(error.message);
 }
 
 function keep(key, { data, shape }) {

@@ -1,0 +1,71 @@
+"""Filters over square windows, by NumPy alone: SciPy's take longer to import than to run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def window_max(values: NDArray[Any], size: int) -> NDArray[Any]:
+    """The largest of the size x size pixels around each pixel [y, x], as far as they are there; size is odd."""
+    return _along_both(np.maximum, values, size, "edge")
+
+
+def window_min(values: NDArray[Any], size: int) -> NDArray[Any]:
+    """The smallest value; as `window_max`."""
+    return _along_both(np.minimum, values, size, "edge")
+
+
+def window_mean(values: NDArray[Any], size: int) -> NDArray[Any]:
+    """The mean of the size x size pixels around each pixel [y, x], which is mirrored at its borders; size is odd."""
+    return _along_both(np.add, values, size, "symmetric") / values.dtype.type(size**2)
+
+
+def smoothed(values: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
+    """A Gaussian of that standard deviation, in pixels, over an image [y, x] that is mirrored at its borders."""
+    places = np.arange(-int(4 * deviation + 0.5), int(4 * deviation + 0.5) + 1)
+    weights = np.exp(-0.5 * (places / deviation) ** 2)
+    for axis in (0, 1):
+        values = _weighted(values, tuple(weights / weights.sum()), axis)
+    return values
+
+
+def gradient_size(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The length of the gradient of an image [y, x], differences per pixel, by Sobel's filters."""
+    slopes = [_weighted(_weighted(values, (-0.5, 0, 0.5), axis), (0.25, 0.5, 0.25), 1 - axis) for axis in (0, 1)]
+    return np.hypot(*slopes)
+
+
+def eroded(known: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
+    """Pixels [y, x] from which nothing that is not set, and no border, is `times` steps along the axes away or less."""
+    for _ in range(times):
+        around = np.pad(known, 1)
+        known = known & around[:-2, 1:-1] & around[2:, 1:-1] & around[1:-1, :-2] & around[1:-1, 2:]
+    return known
+
+
+def _weighted(values: NDArray[np.float32], weights: Sequence[float], axis: int) -> NDArray[np.float32]:
+    """Sums with weights along an axis, mirrored at its ends."""
+    radius = len(weights) // 2
+    around = np.pad(values, [(radius, radius) if axis == k else (0, 0) for k in (0, 1)], mode="symmetric")
+    along = np.moveaxis(around, axis, 0)
+    total = np.zeros_like(along[: values.shape[axis]])
+    for k, weight in enumerate(weights):
+        if weight:
+            total += np.float32(weight) * along[k : k + values.shape[axis]]
+    return np.moveaxis(total, 0, axis)
+
+
+def _along_both(join: Callable[..., NDArray[Any]], values: NDArray[Any], size: int, beyond: Any) -> NDArray[Any]:
+    radius = size // 2
+    for axis in (0, 1):
+        around = np.pad(values, [(radius, radius) if axis == k else (0, 0) for k in (0, 1)], mode=beyond)
+        along = np.moveaxis(around, axis, 0)
+        result = along[: values.shape[axis]].copy()
+        for k in range(1, size):
+            join(result, along[k : k + values.shape[axis]], out=result)
+        values = np.moveaxis(result, 0, axis)
+    return values

@@ -1,0 +1,34 @@
+"""What the viewer imports late, as the first pictures come before it: all of it, before any kernel is loaded.
+
+To import and to load a kernel both parse Python, which two threads must not do at the same time.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import threading
+
+from lfgpu import methods
+from lfgpu._backends import DEFAULT
+
+_MODULES = (
+    "lfgpu.viz.refocusing",
+    f"lfgpu.kernels.{DEFAULT}",
+    "lfgpu.pipelines.estimate",
+    "lfgpu.viewer.space",
+    "viser",
+    "trimesh",
+    "rich.panel",
+    "rich.table",
+    "plyfile",
+    "lfgpu.viz.figures",
+)
+_importing = threading.Lock()
+
+
+def import_all() -> None:
+    """Import all of it, unless that was done. Who comes meanwhile waits, and so loads no kernel yet."""
+    with _importing:
+        for name in (*_MODULES, *(one.name for one in pkgutil.walk_packages(methods.__path__, f"{methods.__name__}."))):
+            importlib.import_module(name)

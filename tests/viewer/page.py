@@ -1,0 +1,123 @@
+"""A tab of the browser that shows the viewer, as tests use it."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from PIL import Image
+
+from lfgpu.viewer import Viewer
+from tests.browser import until
+
+SIZE = (40, 48)
+GREY = (158, 158, 158)
+MARK = (232, 35, 122)  # on light pages
+HOLE = (5, 8, 12, 20)  # top, bottom, left, right of the pixels that are unknown
+
+
+class Page:
+    """One tab that shows the viewer."""
+
+    def __init__(self, browser: Any, viewer: Viewer, *, width: int = 1366, height: int = 650, **options: Any) -> None:
+        context = browser.new_context(viewport={"width": width, "height": height}, **options)
+        self.tab = context.new_page()
+        self.errors: list[str] = []
+        self.asked: list[str] = []
+        self.tab.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.tab.on("request", lambda request: self.asked.append(request.url))
+        self.tab.goto(viewer.url)
+        self.tab.set_default_timeout(60_000)
+
+    def close(self) -> None:
+        assert not self.errors
+        self.tab.context.close()
+
+    def key(self, name: str) -> str:
+        """What a canvas shows when all of it has come: its sources and how they are coloured; else nothing."""
+        return str(self.tab.evaluate("id => document.getElementById(id).dataset.drawn ?? ''", name))
+
+    def pixels(self, name: str) -> np.ndarray:
+        """A canvas, [y, x, 3]."""
+        data = self.tab.evaluate("id => document.getElementById(id).toDataURL()", name)
+        with Image.open(io.BytesIO(base64.b64decode(data.partition(",")[2]))) as image:
+            return np.asarray(image.convert("RGB"))
+
+    def place(self, name: str) -> tuple[float, float, float]:
+        """(left, top, scale) of the picture on a canvas."""
+        found = self.tab.evaluate("id => ({ ...document.getElementById(id).dataset })", name)
+        return float(found["left"]), float(found["top"]), float(found["scale"])
+
+    def shown(self, name: str, what: str, before: str | None = None) -> np.ndarray:
+        """A canvas, when it shows all of something; with `before`, of something else than that."""
+
+        def is_there() -> bool:
+            key = self.key(name)
+            return what in key and key != before
+
+        until(is_there, f"{name} shows {what!r}; it shows {self.key(name)!r}", self.tab)
+        self.still()  # for marks, which come with the next frame
+        return self.pixels(name)
+
+    def at(self, name: str, x: float, y: float) -> tuple[int, ...]:
+        """The colour of a canvas in the middle of a pixel of the picture."""
+        left, top, scale = self.place(name)
+        picture = self.pixels(name)
+        return tuple(map(int, picture[int(top + (y + 0.5) * scale), int(left + (x + 0.5) * scale)]))
+
+    def spot(self, name: str, x: float, y: float) -> tuple[float, float]:
+        """The place in the window of a pixel of the picture."""
+        box = self.tab.locator(f"#{name}").bounding_box()
+        left, top, scale = self.place(name)
+        return box["x"] + left + (x + 0.5) * scale, box["y"] + top + (y + 0.5) * scale
+
+    def click(self, name: str, x: float, y: float) -> None:
+        self.tab.mouse.click(*self.spot(name, x, y))
+
+    def choose(self, name: str, value: str) -> None:
+        self.tab.select_option(f"#{name}", value)
+
+    def set(self, name: str, value: float) -> None:
+        """Move a slider."""
+        code = "([id, value]) => { const e = document.getElementById(id); e.value = value; e.oninput(); }"
+        self.tab.evaluate(code, [name, value])
+
+    def still(self) -> None:
+        """Wait until everything that was going to be drawn is: nothing changes from one frame to the next."""
+        self.tab.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
+    def moved(self, name: str, condition: Callable[[tuple[float, float, float]], bool], what: str) -> None:
+        """Wait until the place of a picture on its canvas is as wanted."""
+        until(lambda: condition(self.place(name)), f"{what}; {name} is at {self.place(name)}", self.tab)
+
+    def readout(self) -> str:
+        return str(self.tab.inner_text("#readout"))
+
+    def says(self, text: str, where: str = "#messages") -> None:
+        until(lambda: text in self.tab.inner_text(where), f"{where} says {text!r}", self.tab)
+
+    def back(self) -> None:
+        """As it was at first, whatever a test has chosen."""
+        self.tab.evaluate("document.querySelectorAll('dialog[open]').forEach(one => one.close())")
+        self.tab.evaluate("document.activeElement.blur()")
+        for key in ("f", "r", "m"):
+            self.tab.keyboard.press(key)
+        for name, value in (("quantity", "disparity"), ("result", "fast"), ("other", "")):
+            self.choose(name, value)
+        self.shown("map", "disparity")
+        self.click("map", 24, 2)  # so that the marks are not where tests look
+        self.tab.mouse.move(5, 5)
+        until(lambda: "chosen x, y 24, 2" in self.readout().replace("\n", " "), "the pixel is chosen", self.tab)
+
+
+def viridis(value: float, limits: tuple[float, float]) -> tuple[int, ...]:
+    share = min(max((value - limits[0]) / (limits[1] - limits[0]), 0), 1)
+    return tuple((colormaps["viridis"](int(255 * share + 0.5))[:3] * np.array(255) + 0.5).astype(int))
+
+
+def marked(page: Page) -> Callable[[], list[str]]:
+    return lambda: page.readout().replace("\n", " ").split("disparity")[0].split()[-2:]

@@ -1,0 +1,161 @@
+"""Estimates that the page starts, results and pictures that it saves, maps that it opens."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from PIL import Image
+
+from lfgpu import scenes
+from lfgpu.io import load, read_map, write_hci
+from lfgpu.viewer import Viewer
+from tests.browser import until
+from tests.viewer.page import GREY, Page
+
+
+def test_it_is_estimated_again(page: Page, viewer: Viewer) -> None:
+    page.tab.evaluate("document.getElementById('parameters').open = true")
+    page.choose("preset", "paper")
+    assert page.tab.locator('[data-name="semi_global.small_penalty"]').count() == 0
+    page.choose("preset", "fast")
+    assert page.tab.locator('[data-name="refinement.iterations"]').count() == 0
+    field = page.tab.locator('[data-name="alignment.iterations"] input')
+    field.fill("many")
+    page.tab.click("#run")
+    page.says("must be a number, not 'many'")
+    field.fill("3")
+    page.tab.uncheck("#find-range")
+    page.tab.fill("#from", "-2")
+    page.tab.fill("#to", "2")
+    page.tab.fill("#estimate-name", "three steps")
+    page.tab.click("#run")
+    page.says("three steps: done in", "#progress-text")
+    page.tab.click("[data-value=wipe]")
+    page.shown("map", " / ")
+    assert page.tab.input_value("#result") == "three steps"
+    assert page.tab.input_value("#other") == "fast"
+    result = viewer.contents.entries["three steps"].result
+    assert result is not None
+    assert result.config.alignment.iterations == 3  # type: ignore[attr-defined]
+
+
+def test_results_and_pictures_are_saved(page: Page, viewer: Viewer, tmp_path: Path) -> None:
+    entry = viewer.contents.entries["fast"]
+    page.tab.keyboard.press("s")
+    page.tab.fill("#save-name", "my map")
+    saved = {}
+    buttons = {text: page.tab.get_by_role("button", name=text, exact=True) for text in (".npz", ".pfm", ".ply")}
+    buttons["Map"] = page.tab.locator("#save-map")
+    buttons["Map with scale"] = page.tab.locator("#save-figure")
+    for text, button in buttons.items():
+        with page.tab.expect_download() as download:
+            button.click()
+        saved[text] = tmp_path / download.value.suggested_filename
+        download.value.save_as(saved[text])
+    assert {path.name for path in saved.values()} == {
+        "my map.npz", "my map.pfm", "my map.ply", "my map-disparity.png"
+    }  # fmt: skip
+    result = load(saved[".npz"])
+    assert result.config == entry.result.config  # type: ignore[union-attr]
+    np.testing.assert_array_equal(read_map(saved[".pfm"]), entry.disparity)
+    np.testing.assert_allclose(read_map(saved[".ply"]), entry.disparity, atol=1e-5)
+
+
+def test_saved_maps_have_one_pixel_for_each_and_no_marks(page: Page, viewer: Viewer, tmp_path: Path) -> None:
+    entry = viewer.contents.entries["fast"]
+    page.tab.keyboard.press("s")
+    with page.tab.expect_download() as download:
+        page.tab.click("#save-map")
+    download.value.save_as(tmp_path / "map.png")
+    with Image.open(tmp_path / "map.png") as image:
+        found = np.asarray(image.convert("RGB"))
+    limits = viewer.contents.limits("disparity")
+    share = np.clip((np.nan_to_num(entry.disparity) - limits[0]) / (limits[1] - limits[0]), 0, 1)
+    expected = (colormaps["viridis"]((255 * share + 0.5).astype(int))[..., :3] * 255 + 0.5).astype(np.uint8)
+    expected[~np.isfinite(entry.disparity)] = GREY
+    np.testing.assert_allclose(found.astype(int), expected.astype(int), atol=6)
+    assert (np.abs(found.astype(int) - expected) <= 1).mean() > 0.99  # the next step of the colour map here and there
+
+
+def test_points_are_drawn_and_saved_without_marks(page: Page, tmp_path: Path) -> None:
+    page.tab.keyboard.press("d")
+    page.choose("space-paint", "confidence")
+
+    until(lambda: not page.tab.locator("#space-note").is_visible(), "the points are on the page", page.tab)
+    wide = int(page.tab.locator("#space-frame").bounding_box()["width"])
+    page.tab.keyboard.press("s")
+
+    def saved() -> list[np.ndarray]:
+        with page.tab.expect_download() as download:
+            page.tab.click("#save-space")
+        download.value.save_as(tmp_path / "space.png")
+        with Image.open(tmp_path / "space.png") as image:
+            found = np.asarray(image.convert("RGB")).astype(int)
+        return [found] if len(np.unique(found[:, :wide].reshape(-1, 3), axis=0)) > 100 else []
+
+    found = until(saved, "points are in the picture", page.tab)[0]
+    assert (found[:3, :3] == 255).all()  # the background of a light page
+    for column in (found[:, wide:], page.pixels("space-bar")):  # beside the points stands their scale
+        shades = colormaps["cividis"]([0.25, 0.5, 0.75], bytes=True)[:, :3].astype(int)
+        assert all((np.abs(column - shade).max(axis=-1) <= 2).sum() > 10 for shade in shades)
+    page.says("colour: confidence", "#right-title")
+    pink = (found[..., 0] > 200) & (found[..., 1] < 120) & (found[..., 2] > 90)
+    assert not pink.any()  # there is none in the colours of the confidence
+    page.tab.keyboard.press("Escape")
+    with Image.open(io.BytesIO(page.tab.locator("#space-frame").screenshot(timeout=90_000))) as image:
+        seen = np.asarray(image.convert("RGB")).astype(int)
+    assert len(np.unique(seen.reshape(-1, 3), axis=0)) > 100
+    assert ((seen[..., 0] > 200) & (seen[..., 1] < 120) & (seen[..., 2] > 90)).any()  # the mark
+
+
+def test_a_map_of_another_folder_joins_and_the_page_stays_as_it_is(browser: Any, files: Path) -> None:
+    """Of its own viewer: how large the map is depends on how many maps the table has below it."""
+    names = ("left", "right", "view", "map")
+    with Viewer.of([files / "boxes", files / "fast"], port=0) as viewer:
+        page = Page(browser, viewer)
+
+        def boxes() -> list[Any]:
+            return [page.tab.locator(f"#{name}").bounding_box() for name in names]
+
+        page.shown("map", "disparity")
+        until(lambda: page.tab.locator("#scores").is_visible(), "the table is there", page.tab)
+        page.still()
+        before = boxes()
+        page.tab.click("#open-files")
+        page.tab.fill("#path", str(files / "boxes"))
+        page.tab.press("#path", "Enter")
+        until(lambda: page.tab.input_value("#result") == "ground truth", "the light field is alone", page.tab)
+        page.shown("map", "disparity")
+        title = page.tab.inner_text("#right-title")
+        assert "ground truth" in title
+        assert "no estimate yet" in title
+        assert page.tab.inner_text("#map-label") == "ground truth"
+        until(lambda: boxes()[:2] == before[:2], "the parts are as wide as before", page.tab)
+        viewer.open(files / "fast")
+        page.shown("map", "disparity")
+        until(lambda: page.tab.input_value("#result") == "fast", "the map is chosen", page.tab)
+        until(lambda: boxes() == before, f"everything is as large as before, {before}", page.tab)
+        page.close()
+
+
+def test_a_light_field_of_fewer_views_replaces_one_of_more(browser: Any, files: Path, tmp_path: Path) -> None:
+    """Also while a view is looked at that the new one has not."""
+    write_hci(scenes.make("boxes", grid=(3, 3), size=(30, 44)), tmp_path / "small")
+    with Viewer.of([files / "boxes", files / "fast"], port=0, allow_open=True) as viewer:
+        page = Page(browser, viewer)
+        page.shown("map", "disparity")
+        page.tab.keyboard.press("ArrowDown")
+        page.shown("view", " 17 ")
+        page.tab.click("#open-files")
+        page.tab.fill("#path", str(tmp_path / "small"))
+        page.tab.press("#path", "Enter")
+        until(lambda: page.tab.inner_text("#name") == "small", "the other light field is shown", page.tab)
+        page.shown("view", " 4 ")
+        page.shown("map", "disparity")
+        assert "Row 1, column 1" in page.tab.inner_text("#left-title")
+        assert "3 × 3 views, 44 × 30 pixels" in page.tab.inner_text("#facts")
+        page.close()  # without an error on the page
