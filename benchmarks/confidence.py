@@ -6,8 +6,9 @@ The features of each pixel come from the method (`MatchingPlan.features`), the f
 from __future__ import annotations
 
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 from scipy.optimize import minimize
 
 from benchmarks.errors import BenchmarkError
@@ -22,6 +24,7 @@ from benchmarks.population import light_fields
 from benchmarks.tables import Table
 from lfgpu import LightField, read, scenes
 from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu.data.lightfield import GroundTruth
 from lfgpu.io.atomic import atomic_write
 from lfgpu.methods import method_of
 from lfgpu.methods.matching import trust
@@ -40,11 +43,14 @@ OWN = tuple((name, *kind) for name in ("boxes", "planes", "bars", "textureless")
 """Scenes of the package that are always fitted on: name, seed, noise, rows and columns of views, and side in pixels."""
 _MOST = 20_000  # pixels of a scene
 _LEAST_ERROR = 0.003  # pixels per view step: smaller errors are the truth's own
+_OWN = 0.5
+_BLURS, _SEEDS = (0.0, 2.0, 4.0), range(1, 7)  # of noise, pixels and random numbers
+_NOISY, _NOISE_SIZE, _NOISE_RANGE = 5, (96, 96), (-4.0, 8.0)  # views in a row, pixels, pixels per view step
 _RIDGE = 1e-3
 _HEAD = '''"""Weights of what the confidence and the uncertainty of matching are made of.
 
 {written}
-`MatchingPlan._judge` says what the weights belong to: 1, -log odds, log(max(cost, 1)), log evidence.
+`MatchingPlan._judge` says what the weights belong to: 1, conflict, evidence, bend, relief, bend times relief.
 """
 
 SHARE = {share}
@@ -67,15 +73,25 @@ class Sample:
     kind: str
     """Which weights it has: `sweep.occlusions` of the preset."""
     features: Mapping[str, Vector]
+    """By name, as `MatchingPlan.features`."""
     error: Vector
     """Pixels per view step."""
+    span: float
+    """Of the range that was searched, pixels per view step."""
+    own: bool = False
+    """Of a scene of the package."""
 
     def judged(self, weights: Weights) -> tuple[Vector, Vector]:
         """Confidence and standard deviation with these weights."""
         confidence, variance = (np.empty_like(self.error) for _ in range(2))
         share, spread = weights.share[self.kind], weights.spread[self.kind]
         load("reference").judge(
-            **self.features, share=share, spread=spread, confidence_out=confidence, variance_out=variance
+            **self.features,
+            span=self.span,
+            share=share,
+            spread=spread,
+            confidence_out=confidence,
+            variance_out=variance,
         )
         return confidence, np.sqrt(variance)
 
@@ -109,8 +125,8 @@ def own_samples(presets: Sequence[str], say: Say) -> list[Sample]:
     found = []
     for name, seed, noise, views, side in OWN:
         lf = scenes.make(name, seed=seed, noise=noise, grid=(views, views), size=(side, side))
-        found += [_sample(lf, f"own {name}, {preset}", preset, say) for preset in presets]
-    return found
+        found += [replace(_sample(lf, f"own {name}, {preset}", preset, say), own=True) for preset in presets]
+    return [*found, *(_of_nothing(blur, seed, preset, say) for blur in _BLURS for seed in _SEEDS for preset in presets)]
 
 
 def fit(fitted: Sequence[Sample]) -> Weights:
@@ -122,28 +138,42 @@ def fit(fitted: Sequence[Sample]) -> Weights:
 
 
 def _fit(fitted: Sequence[Sample]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Of right and wrong pixels, and of their errors as Laplace's: a few large ones say little about the others."""
-    x = np.concatenate([_logarithms(sample) for sample in fitted])
+    """Of right and wrong pixels, and of their errors as Laplace's: a few large ones say little about the others.
+
+    What the package makes has a share of `_OWN` together, and each scene of it counts as much as another.
+    """
+    count = Counter(sample.own for sample in fitted)
+    of_scene = {own: (_OWN if own else 1 - _OWN) / count[own] for own in count}
+    each = np.concatenate([np.full(len(sample.error), of_scene[sample.own] / len(sample.error)) for sample in fitted])
+    each /= each.sum()
+    known = np.concatenate([1 - _unknown(sample) for sample in fitted])
+    x = np.concatenate([_inputs(sample) for sample in fitted])
     error = np.concatenate([sample.error for sample in fitted])
-    right = np.where(np.abs(error) <= RIGHT, 1.0, -1.0)
+    right = np.abs(error) <= RIGHT
     size = np.hypot(error, _LEAST_ERROR)
-    middle, scale = x.mean(0), x.std(0)
+    middle = each @ x
+    scale = np.sqrt(each @ (x - middle) ** 2)
     middle[0], scale[0] = 0.0, 1.0
     z = (x - middle) / scale
 
     def wrong(w: Vector) -> tuple[float, Vector]:
-        margin = right * (z @ w)
-        slope = -(right / (1 + np.exp(np.clip(margin, -50, 50))))
-        return float(np.logaddexp(0, -margin).mean() + _ridge(w)), (z * slope[:, None]).mean(0) + _ridge_slope(w)
+        share = 1 / (1 + np.exp(-np.clip(z @ w, -30, 30)))
+        doubt = 1 - known * share
+        slope = np.where(right, share - 1, known * share * (1 - share) / doubt)
+        loss = -np.log(np.where(right, known * share, doubt))
+        return float(each @ loss + _ridge(w)), (each * slope) @ z + _ridge_slope(w)
+
+    weight = each * known
 
     def spread(w: Vector) -> tuple[float, Vector]:
         log = z @ w  # of the mean absolute error
         ratio = size * np.exp(-np.clip(log, -50, 50))
-        return float((log + ratio).mean() + _ridge(w)), (z * (1 - ratio)[:, None]).mean(0) + _ridge_slope(w)
+        return float(weight @ (log + ratio) + _ridge(w)), (weight * (1 - ratio)) @ z + _ridge_slope(w)
 
-    mean = 2 * minimize(spread, np.zeros(4), jac=True).x
+    start = np.zeros(x.shape[1])
+    mean = 2 * minimize(spread, start, jac=True).x
     mean[0] += np.log(2)  # the variance is twice the square of the mean absolute error
-    return _unscaled(minimize(wrong, np.zeros(4), jac=True).x, middle, scale), _unscaled(mean, middle, scale)
+    return _unscaled(minimize(wrong, start, jac=True).x, middle, scale), _unscaled(mean, middle, scale)
 
 
 def write(weights: Weights, fitted: Sequence[Sample]) -> Path:
@@ -207,7 +237,7 @@ def draw(groups: Mapping[str, Sequence[Sample]], weights: Weights, out: Path) ->
         figure.savefig(temporary, format="png")
 
 
-def _sample(lf: LightField, name: str, preset: str, say: Say) -> Sample:
+def _sample(lf: LightField, name: str, preset: str, say: Say, bounds: tuple[float, float] | None = None) -> Sample:
     say(name)
     truth = lf.reference_truth()
     if truth is None:
@@ -217,7 +247,8 @@ def _sample(lf: LightField, name: str, preset: str, say: Say) -> Sample:
     method = method_of(preset)
     if not isinstance(method.config, MatchingConfig):
         raise BenchmarkError(f"the preset {preset!r} has no calibrated confidence; take accurate or fast.")
-    plan = method.plan(lf, method.measure(lf, kernels, device), kernels, device)
+    measured = method.measure(lf, kernels, device) if bounds is None else method.measured(lf, bounds, kernels, device)
+    plan = method.plan(lf, measured, kernels, device)
     assert isinstance(plan, MatchingPlan)  # whose configuration it is
     views = kernels.image(lf.views, device)
     for work in plan.stages(views).values():
@@ -231,20 +262,32 @@ def _sample(lf: LightField, name: str, preset: str, say: Say) -> Sample:
     if len(scored) > _MOST:
         scored = np.random.default_rng(0).choice(scored, _MOST, replace=False)
     features = {feature: map_.ravel()[scored].astype(np.float64) for feature, map_ in plan.features().items()}
-    return Sample(name, method.config.sweep.occlusions, features, error.ravel()[scored])
+    low, high = measured.disparity_range
+    return Sample(name, method.config.sweep.occlusions, features, error.ravel()[scored], high - low)
 
 
-def _logarithms(sample: Sample) -> Vector:
-    """[p, 4]: what the weights belong to, from what the form makes of them one by one."""
-    columns = []
-    for place in range(4):
-        one = np.eye(4)[place]
-        variance = np.empty_like(sample.error)
-        ignored = np.empty_like(variance)
-        load("reference").judge(**sample.features, share=one, spread=one, confidence_out=ignored, variance_out=variance)
-        columns.append(np.log(variance))
-    columns[0][:] = 1.0
-    return np.stack(columns, axis=1)
+def _of_nothing(blur: float, seed: int, preset: str, say: Say) -> Sample:
+    """Of views of blurred noise that have nothing in common: no disparity is right."""
+    random = np.random.default_rng(seed).normal(size=(_NOISY, *_NOISE_SIZE, 3))
+    noise = gaussian_filter(random, (0, blur, blur, 0))
+    views = np.clip(128 + 40 * noise / noise.std(), 0, 255).astype(np.uint8)
+    low, high = _NOISE_RANGE
+    # A truth so far away that all errors are about those of a guess.
+    truth = GroundTruth(np.full(_NOISE_SIZE, high + (high - low) / 2, np.float32), position=(0.0, 0.0))
+    lf = LightField(views, np.stack([np.arange(_NOISY) - _NOISY // 2, np.zeros(_NOISY)], axis=1), truth=truth)
+    return replace(_sample(lf, f"own noise, {preset}", preset, say, _NOISE_RANGE), own=True)
+
+
+def _inputs(sample: Sample) -> Vector:
+    """[p, 6]: what the weights belong to."""
+    conflict, evidence, bend, relief = (sample.features[name] for name in ("conflict", "evidence", "bend", "relief"))
+    return np.stack([np.ones_like(conflict), conflict, evidence, bend, relief, bend * relief], axis=1)
+
+
+def _unknown(sample: Sample) -> Vector:
+    """[p]: how likely it is that nothing is known, which no weights change."""
+    sure = Weights({sample.kind: (50.0, 0, 0, 0, 0, 0)}, {sample.kind: (0.0, 0, 0, 0, 0, 0)})
+    return 1 - sample.judged(sure)[0]
 
 
 def _bins(confidence: Vector, error: Vector) -> list[tuple[float, float, float]]:

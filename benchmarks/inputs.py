@@ -160,6 +160,11 @@ def volume(case: Case) -> NDArray[np.float32]:
     return (0.05 * np.minimum(far**2, 1) + 0.003 * noise).astype(np.float32)
 
 
+def path_costs(case: Case) -> NDArray[np.float32]:
+    """[l, y, x]: sums over eight paths, at some pixels of no more than the costs."""
+    return (8 * volume(case) + 0.01 * np.rint(other_values(case))).astype(np.float32)
+
+
 def reduced_volume(case: Case) -> NDArray[np.float32]:
     """[l, r, s]: costs of reduced views, which are nearly the means of those of their pixels."""
     (height, width), costs = (side // REDUCTION for side in case.size), volume(case)
@@ -207,6 +212,7 @@ INPUTS: dict[str, Callable[[Case], NDArray[Any]]] = {
     "nearest": nearest,
     "certain": certain,
     "volume": volume,
+    "path_costs": path_costs,
     "reduced_volume": reduced_volume,
     "other_values": other_values,
     "x": disparity,

@@ -19,6 +19,7 @@ from lfgpu.methods.structure_tensor import structure_filters
 
 _FLOOR = 1e-3  # of what is divided by: there is no division by 0
 _MARGIN = 0.02  # of costs between 0 and 0.05
+_JUDGED = 4  # pixels
 _UNIT = 0.004  # intensity: the noise in whose units costs are
 _RIDGE = 0.5  # pixels squared
 _EDGE = 0.3  # pixels per view step: larger differences are depth edges
@@ -276,16 +277,26 @@ def _least_costs(on: Desk) -> Work:
 
 
 def _evidence(on: Desk) -> Work:
-    k, a, row = on.kernels, on.arrays, _row(on)
-    outputs = {"cost_out": a["cost"], "evidence_out": a["evidence"]}
-    return Work(lambda: k.evidence(a["volume"], a["layers"], **row, unit=_UNIT, **outputs))
+    k, a, step = on.kernels, on.arrays, _row(on)["step"]
+    outputs = {"conflict_out": a["conflict"], "evidence_out": a["evidence"], "cost_out": a["cost"]}
+    return Work(lambda: k.evidence(a["volume"], a["path_costs"], step=step, unit=_UNIT, **outputs))
+
+
+def _line_mean(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(lambda: k.line_mean(a["other_values"], axis=0, reach=_JUDGED, means_out=a["means"]))
+
+
+def _unevenness(on: Desk) -> Work:
+    k, a = on.kernels, on.arrays
+    return Work(lambda: k.unevenness(a["layers"], bend_out=a["bend"], relief_out=a["relief"]))
 
 
 def _judge(on: Desk) -> Work:
-    k, a, values = on.kernels, on.arrays, on.arrays["other_values"]
-    weights = {"share": trust.SHARE["twice"], "spread": trust.SPREAD["twice"]}
+    k, a, v = on.kernels, on.arrays, on.arrays["other_values"]
+    share, spread = trust.SHARE["twice"], trust.SPREAD["twice"]
     outputs = {"confidence_out": a["confidence"], "variance_out": a["variance"]}
-    return Work(lambda: k.judge(values, values, values, **weights, **outputs))
+    return Work(lambda: k.judge(v, v, v, v, v, v, span=2 * LARGEST_DISPARITY, share=share, spread=spread, **outputs))
 
 
 def _nlm_plane(on: Desk) -> Work:
@@ -431,7 +442,14 @@ OPERATIONS = (
     Operation("least_costs", (_VOLUME,), (Slot("least", "yx"),), _least_costs),
     Operation("farthest_as_good", (_VOLUME, Slot("levels", "yx")), (Slot("farthest", "yx"),), _farthest_as_good),
     Operation("winner_takes_all", (_VOLUME,), (Slot("disparity_out", "yx"),), _winner_takes_all),
-    Operation("evidence", (_VOLUME, _LAYERS), (Slot("cost", "yx"), Slot("evidence", "yx")), _evidence),
+    Operation(
+        "evidence",
+        (_VOLUME, Slot("path_costs", "lyx")),
+        (Slot("conflict", "yx"), Slot("evidence", "yx"), Slot("cost", "yx")),
+        _evidence,
+    ),
+    Operation("line_mean", (Slot("other_values", "yx"),), (Slot("means", "yx"),), _line_mean),
+    Operation("unevenness", (_LAYERS,), (Slot("bend", "yx"), Slot("relief", "yx")), _unevenness),
     Operation(
         "judge",
         (Slot("other_values", "yx"),),

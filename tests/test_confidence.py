@@ -17,7 +17,7 @@ from lfgpu import DepthResult, LightField, scenes
 from lfgpu.io.hci import write_hci
 
 RANGE = (-1.6, 1.7)
-WEIGHTS = Weights({"once": (0.5, 0.4, -0.8, 1.2)}, {"once": (-3.0, -0.3, 0.5, -1.0)})
+WEIGHTS = Weights({"once": (0.5, -1.2, 0.8, -0.4, 0.3, 0.2)}, {"once": (-3.0, 0.5, -1.0, 0.3, -0.2, 0.1)})
 
 
 def estimated(lf: LightField, **options: object) -> DepthResult:
@@ -98,12 +98,16 @@ def test_tiles_have_the_same() -> None:
 def made_up(weights: Weights, count: int, seed: int = 0) -> Sample:
     """Pixels whose errors are what the weights say."""
     random = np.random.default_rng(seed)
-    features = {name: np.exp(random.normal(0, 1, count)) for name in ("odds", "cost", "evidence")}
-    sample = Sample("made up, fast", "once", features, np.zeros(count))
+    features = {name: random.normal(0, 1, count) for name in ("conflict", "evidence", "bend", "relief", "wide", "cost")}
+    sample = Sample("made up, fast", "once", features, np.zeros(count), 2.0)
     confidence, deviation = sample.judged(weights)
     right = random.random(count) < confidence
     return Sample(
-        "made up, fast", "once", features, np.where(right, 0.0, 1.0 + deviation * np.abs(random.normal(0, 1, count)))
+        "made up, fast",
+        "once",
+        features,
+        np.where(right, 0.0, 1.0 + deviation * np.abs(random.normal(0, 1, count))),
+        2.0,
     )
 
 

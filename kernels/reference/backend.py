@@ -4,7 +4,7 @@ import numpy as np
 
 from .alignment import alignment, z_buffer
 from .boundaries import refine_boundaries
-from .confidence import evidence, judge
+from .confidence import evidence, judge, line_mean, unevenness
 from .control import asking, capture, is_deterministic, kernel_cache, repeat
 from .cost_volume import add_reduced, farthest_as_good, least_costs, nlm_average, winner_takes_all
 from .lbfgs import lbfgs
@@ -57,6 +57,7 @@ __all__ = [
     "kernel_cache",
     "lbfgs",
     "least_costs",
+    "line_mean",
     "line_of_views",
     "multiply",
     "name",
@@ -94,6 +95,7 @@ __all__ = [
     "streaming",
     "structure_tensor",
     "threshold",
+    "unevenness",
     "upload",
     "visible",
     "winner_takes_all",

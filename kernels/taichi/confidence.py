@@ -8,64 +8,138 @@ from .memory import DeviceArray, flat
 from .runtime import run
 
 _SHARPNESS = 2.0
+_PATHS = 8.0
+_LEAST_CONFLICT = 0.03
 _LEAST_COST = 1.0
+_MOST_COST = 4.5
+_UNLIKE = 8.0
+_BLIND = 8.0
+_LEAST_BEND = 1e-3
+_LEAST_RELIEF = 0.01
 
 
 @ti.kernel
 def _evidence_kernel(
-    volume: flat(), disparity: flat(), first: float, step: float, unit: float, cost_out: flat(), evidence_out: flat()
+    volume: flat(),
+    path_costs: flat(),
+    step: float,
+    unit: float,
+    conflict_out: flat(),
+    evidence_out: flat(),
+    cost_out: flat(),
 ):
-    size = disparity.shape[0]
+    size = conflict_out.shape[0]
     for p in range(size):
         count = volume.shape[0] // size
-        place = ti.min(ti.max((disparity[p] - first) / step, 0.0), ti.cast(count - 1, ti.f32))
-        below = ti.min(ti.cast(place, ti.i32), count - 2)
-        part = place - ti.cast(below, ti.f32)
-        here = below * size + p
-        cost_out[p] = ((1.0 - part) * volume[here] + part * volume[here + size]) / unit
         least = volume[p]
+        least_path = path_costs[p]
         for k in range(1, count):
             least = ti.min(least, volume[k * size + p])
+            least_path = ti.min(least_path, path_costs[k * size + p])
         rivals = 0.0
         for k in range(count):
             rivals += ti.exp(-_SHARPNESS / unit * (volume[k * size + p] - least))
-        evidence_out[p] = 1.0 / (step * rivals)
+        conflict_out[p] = ti.log(ti.max(least_path / _PATHS - least, 0.0) / unit + _LEAST_CONFLICT)
+        evidence_out[p] = -ti.log(step * rivals)
+        cost_out[p] = ti.log(ti.max(least / unit, _LEAST_COST))
+
+
+@ti.kernel
+def _line_mean_kernel(values: flat(), height: int, width: int, down: int, across: int, reach: int, means_out: flat()):
+    for p in range(height * width):
+        total = 0.0
+        count = 0.0
+        for k in range(-reach, reach + 1):
+            x = p % width + k * across
+            y = p // width + k * down
+            if y >= 0 and y < height and x >= 0 and x < width:
+                total += values[y * width + x]
+                count += 1.0
+        means_out[p] = total / count
+
+
+@ti.func
+def _at(disparity: ti.template(), y: int, x: int, height: int, width: int):
+    return disparity[ti.min(ti.max(y, 0), height - 1) * width + ti.min(ti.max(x, 0), width - 1)]
+
+
+@ti.kernel
+def _unevenness_kernel(disparity: flat(), height: int, width: int, bend_out: flat(), relief_out: flat()):
+    for p in range(height * width):
+        x = p % width
+        y = p // width
+        bends = 0.0
+        nearest = disparity[p]
+        farthest = disparity[p]
+        for qy in range(y - 2, y + 3):
+            for qx in range(x - 2, x + 3):
+                here = _at(disparity, qy, qx, height, width)
+                nearest = ti.max(nearest, here)
+                farthest = ti.min(farthest, here)
+                if ti.abs(qy - y) < 2 and ti.abs(qx - x) < 2:
+                    bend = 0.0
+                    for dy, dx in ti.static(((0, 1), (1, 0), (1, 1), (1, -1))):
+                        ahead = _at(disparity, qy + dy, qx + dx, height, width)
+                        behind = _at(disparity, qy - dy, qx - dx, height, width)
+                        bend += ti.abs((ahead - here) + (behind - here))
+                    bends += ti.log(bend / 4.0 + _LEAST_BEND)
+        bend_out[p] = bends / 9.0
+        relief_out[p] = ti.log(nearest - farthest + _LEAST_RELIEF)
 
 
 @ti.kernel
 def _judge_kernel(
-    odds: flat(),
-    cost: flat(),
+    conflict: flat(),
     evidence: flat(),
-    share: ti.types.vector(4, float),
-    spread: ti.types.vector(4, float),
+    bend: flat(),
+    relief: flat(),
+    wide: flat(),
+    cost: flat(),
+    span: float,
+    share: ti.types.vector(6, float),
+    spread: ti.types.vector(6, float),
     confidence_out: flat(),
     variance_out: flat(),
 ):
-    for p in range(odds.shape[0]):
-        features = ti.Vector([1.0, -ti.log(odds[p]), ti.log(ti.max(cost[p], _LEAST_COST)), ti.log(evidence[p])])
-        confidence_out[p] = 1.0 / (1.0 + ti.exp(-share.dot(features)))
-        variance_out[p] = ti.exp(spread.dot(features))
+    for p in range(conflict.shape[0]):
+        features = ti.Vector([1.0, conflict[p], evidence[p], bend[p], relief[p], bend[p] * relief[p]])
+        unknown = 0.5 * ti.min(ti.exp(-wide[p]) / span, 1.0) ** _BLIND
+        alike = 1.0 / (1.0 + (ti.exp(cost[p]) / _MOST_COST) ** _UNLIKE)
+        confidence_out[p] = alike * (1.0 - unknown) / (1.0 + ti.exp(-share.dot(features)))
+        variance_out[p] = (1.0 - unknown) * ti.exp(spread.dot(features)) + unknown * span * span / 12.0
 
 
 def evidence(
     volume: DeviceArray,
-    disparity: DeviceArray,
+    path_costs: DeviceArray,
     *,
-    first: float,
     step: float,
     unit: float,
-    cost_out: DeviceArray,
+    conflict_out: DeviceArray,
     evidence_out: DeviceArray,
+    cost_out: DeviceArray,
 ) -> None:
-    run(_evidence_kernel, volume.values, disparity.values, first, step, unit, cost_out.values, evidence_out.values)
+    outputs = conflict_out.values, evidence_out.values, cost_out.values
+    run(_evidence_kernel, volume.values, path_costs.values, step, unit, *outputs)
+
+
+def line_mean(values: DeviceArray, *, axis: int, reach: int, means_out: DeviceArray) -> None:
+    run(_line_mean_kernel, values.values, *values.shape, 1 - axis, axis, reach, means_out.values)
+
+
+def unevenness(disparity: DeviceArray, *, bend_out: DeviceArray, relief_out: DeviceArray) -> None:
+    run(_unevenness_kernel, disparity.values, *disparity.shape, bend_out.values, relief_out.values)
 
 
 def judge(
-    odds: DeviceArray,
-    cost: DeviceArray,
+    conflict: DeviceArray,
     evidence: DeviceArray,
+    bend: DeviceArray,
+    relief: DeviceArray,
+    wide: DeviceArray,
+    cost: DeviceArray,
     *,
+    span: float,
     share: Sequence[float],
     spread: Sequence[float],
     confidence_out: DeviceArray,
@@ -73,9 +147,13 @@ def judge(
 ) -> None:
     run(
         _judge_kernel,
-        odds.values,
-        cost.values,
+        conflict.values,
         evidence.values,
+        bend.values,
+        relief.values,
+        wide.values,
+        cost.values,
+        span,
         ti.Vector(list(share)),
         ti.Vector(list(spread)),
         confidence_out.values,

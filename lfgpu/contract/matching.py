@@ -179,35 +179,58 @@ class Matching(Protocol):
     def evidence(
         self,
         volume: Array,
-        disparity: Array,
+        path_costs: Array,
         *,
-        first: float,
         step: float,
         unit: float,
-        cost_out: Array,
+        conflict_out: Array,
         evidence_out: Array,
+        cost_out: Array,
     ) -> None:
-        """What the costs C [l, y, x] of the disparities first + l * step say about a map [y, x].
+        """What the costs C [l, y, x] and the sums S [l, y, x] of `semi_global` over them say about each pixel.
 
-        cost = C(disparity) / unit, linear between the two nearest disparities, which are those of the ends beyond them.
-        evidence = 1 / (step * sum_l exp(-2 (C_l - min C) / unit)): one over the width of the disparities that are as
-        good as the best one, 1 / (pixels per view step).
+        conflict = log(max(min S / 8 - min C, 0) / unit + 0.03): how much more the best surface through a pixel costs
+        than its best disparity.
+        evidence = -log(step * sum_l exp(-2 (C_l - min C) / unit)): one over the width of the disparities that are as
+        good as the best one, 1 / (pixels per view step). Disparities are `step` apart.
+        cost = log(max(min C / unit, 1)): how much views differ where they agree best.
+        """
+
+    def line_mean(self, values: Array, *, axis: int, reach: int, means_out: Array) -> None:
+        """The mean over each pixel of a map [y, x] and the `reach` >= 0 on either side along an axis, 0 or 1.
+
+        Only pixels in the image count. `means_out` is not `values`.
+        """
+
+    def unevenness(self, disparity: Array, *, bend_out: Array, relief_out: Array) -> None:
+        """How far a map [y, x] is from a plane, and from one disparity, around each pixel.
+
+        b_q = (|d_(q+r) - 2 d_q + d_(q-r)| + ..) / 4 with the steps r to the right, down and along both diagonals; bend
+        is the mean of log(b_q + 0.001) over 3 x 3 pixels, relief = log(max d - min d + 0.01) over 5 x 5. Beyond its
+        border the map goes on with its border pixels. No output is `disparity`.
         """
 
     def judge(
         self,
-        odds: Array,
-        cost: Array,
+        conflict: Array,
         evidence: Array,
+        bend: Array,
+        relief: Array,
+        wide: Array,
+        cost: Array,
         *,
+        span: float,
         share: Sequence[float],
         spread: Sequence[float],
         confidence_out: Array,
         variance_out: Array,
     ) -> None:
-        """confidence = 1 / (1 + exp(-share . f)) and variance = exp(spread . f) of each pixel.
+        """confidence = a (1 - u) / (1 + exp(-share . f)) and variance = (1 - u) exp(spread . f) + u span^2 / 12.
 
-        f = (1, -log odds, log(max(cost, 1)), log evidence); odds and evidence are > 0.
+        f = (1, conflict, evidence, bend, relief, bend relief). `wide` is the evidence farther around, and `span` > 0
+        what was searched, pixels per view step: u = min(exp(-wide) / span, 1)^8 / 2 is a half where all disparities
+        are as good as the best one, as the map is then a guess, and soon 0 where they are not. `cost` is that farther
+        around: a = 1 / (1 + (exp(cost) / 4.5)^8) is soon 0 where views that should agree show different things.
         """
 
     def refine_boundaries(

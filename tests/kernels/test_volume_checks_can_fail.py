@@ -110,7 +110,8 @@ def text(old: str, new: str) -> Callable[..., Any]:
     return rewritten(cost_volume, old, new)
 
 
-AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, FARTHEST, EVIDENCE, JUDGE = map(value_of, volume_checks.OPERATIONS)
+AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, FARTHEST, *CONFIDENCE = map(value_of, volume_checks.OPERATIONS)
+EVIDENCE, LINE_MEAN, UNEVENNESS, JUDGE = CONFIDENCE
 
 FIRST_ROW = "reduced[:, :1].repeat(volume_inout.shape[1], 1)"
 FAULTS = (
@@ -168,19 +169,32 @@ FAULTS = (
     Fault("first ignored", "farthest_as_good", option("first", lambda _: 0.0), FARTHEST),
     Fault("step ignored, seen in a program", "farthest_as_good", option("step", lambda _: 1.0), PROGRAM),
     Fault("adds to its output", "farthest_as_good", accumulating("disparity_out"), FARTHEST),
-    Fault("first ignored", "evidence", option("first", lambda _: 0.0), EVIDENCE),
     Fault("step ignored", "evidence", option("step", lambda _: 1.0), EVIDENCE),
     Fault("unit ignored", "evidence", option("unit", lambda _: 1.0), EVIDENCE),
     Fault("sharper", "evidence", with_another(confidence, "SHARPNESS", lambda s: 1.1 * s), EVIDENCE),
-    Fault("map ignored", "evidence", argument(1, np.zeros_like), EVIDENCE),
+    Fault("a sum for a mean of paths", "evidence", with_another(confidence, "PATHS", lambda _: 1), EVIDENCE),
+    Fault("any conflict counts", "evidence", with_another(confidence, "LEAST_CONFLICT", lambda _: 0.02), EVIDENCE),
+    Fault("paths ignored", "evidence", argument(1, np.zeros_like), EVIDENCE),
     Fault("last slice ignored", "evidence", argument(0, lambda volume: volume[:-1]), EVIDENCE),
     Fault("one pixel off", "evidence", after(one_off, "evidence_out"), EVIDENCE),
+    Fault("other axis", "line_mean", option("axis", lambda axis: 1 - axis), LINE_MEAN),
+    Fault("reaches too far", "line_mean", option("reach", lambda reach: reach + 1), LINE_MEAN),
+    Fault("a sum", "line_mean", after(scaled(3.0), "means_out"), LINE_MEAN),
+    Fault("map ignored", "unevenness", argument(0, np.zeros_like), UNEVENNESS),
+    Fault("any bend counts", "unevenness", with_another(confidence, "LEAST_BEND", lambda _: 1e-4), UNEVENNESS),
+    Fault("any relief counts", "unevenness", with_another(confidence, "LEAST_RELIEF", lambda _: 0.02), UNEVENNESS),
+    Fault("one pixel off", "unevenness", after(one_off, "bend_out"), UNEVENNESS),
     Fault("weights of the variance", "judge", option("share", lambda share: share[::-1]), JUDGE),
     Fault("spread ignored", "judge", option("spread", np.zeros_like), JUDGE),
-    Fault("odds ignored", "judge", argument(0, np.ones_like), JUDGE),
-    Fault("cost ignored", "judge", argument(1, np.zeros_like), JUDGE),
-    Fault("evidence ignored", "judge", argument(2, np.ones_like), JUDGE),
-    Fault("no least cost", "judge", with_another(confidence, "LEAST_COST", lambda _: 0.5), JUDGE),
+    *(
+        Fault(f"{name} ignored", "judge", argument(place, np.zeros_like), JUDGE)
+        for place, name in enumerate(("conflict", "evidence", "bend", "relief", "wide", "cost"))
+    ),
+    Fault("span ignored", "judge", option("span", lambda _: 1.0), JUDGE),
+    Fault("no least cost", "evidence", with_another(confidence, "LEAST_COST", lambda _: 1.5), EVIDENCE),
+    Fault("unlike later", "judge", with_another(confidence, "MOST_COST", lambda _: 5.0), JUDGE),
+    Fault("unlike sooner", "judge", with_another(confidence, "UNLIKE", lambda _: 7), JUDGE),
+    Fault("blind sooner", "judge", with_another(confidence, "BLIND", lambda _: 7), JUDGE),
     Fault("doubt", "judge", after(scaled(-1.0), "confidence_out"), JUDGE),
 )
 

@@ -58,8 +58,8 @@ REDUCED_CASES = (
 )
 """Those whose views have a reduced pixel."""
 
-POSITIVE = ((1e-3, 10.0), (-0.5, 8.0), (0.01, 10.0))
-"""The odds, costs, of which rounding may make small negative ones, and evidence that are judged."""
+JUDGED = ((-3.5, 2.0), (-2.0, 4.0), (-7.0, 1.0), (-4.6, 1.5), (-1.3, 0.0), (0.0, 2.5))
+"""The conflict, evidence, bend and relief that are judged, and the evidence and the cost farther around."""
 
 
 def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace:
@@ -74,8 +74,16 @@ def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace
     last = case.first + case.step * (case.count - 1)
     i.map = rng.uniform(case.first - 0.5, last + 0.5, case.size).astype(np.float32)  # beyond both ends, too
     i.unit = 0.5 * (case.costs[1] - case.costs[0])
-    i.odds, i.cost, i.sure = (rng.uniform(low, high, case.size).astype(np.float32) for low, high in POSITIVE)
+    # Some of the best paths cost what the best disparity costs.
+    i.path_costs = (8 * i.volume + rng.choice([0.0, 1.0], shape) * i.unit).astype(np.float32)
+    i.conflict, i.sure, i.bend, i.relief, i.wide, i.dear = (
+        rng.uniform(low, high, case.size).astype(np.float32) for low, high in JUDGED
+    )
     i.reduced = rng.uniform(*case.costs, (case.count, *(side // REDUCTION for side in case.size))).astype(np.float32)
     i.weight = 0.7
-    i.weights_of_judge = {"share": (0.5, 0.25, -0.75, 1.5), "spread": (-3.0, -0.5, 0.25, -1.0)}
+    i.span = 3.3
+    i.weights_of_judge = {
+        "share": (0.5, -1.25, 0.75, -0.5, 0.25, 0.125),
+        "spread": (-3.0, 0.5, -0.25, 1.0, -0.75, -0.25),
+    }
     return i

@@ -58,24 +58,41 @@ def farthest_as_good(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 
 def evidence(desk: Desk, i: SimpleNamespace) -> Outputs:
-    out = {name: desk.out(i.volume.shape[1:]) for name in ("cost", "evidence")}
+    out = {name: desk.out(i.volume.shape[1:]) for name in ("conflict", "evidence", "cost")}
     desk.kernels.evidence(
         desk.field(i.volume),
-        desk.field(i.map),
-        **i.row,
+        desk.field(i.path_costs),
+        step=i.row["step"],
         unit=i.unit,
-        cost_out=out["cost"],
+        conflict_out=out["conflict"],
         evidence_out=out["evidence"],
+        cost_out=out["cost"],
     )
     return out
 
 
+def line_mean(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = {name: desk.out(i.map.shape) for name in ("down", "across", "far", "same")}
+    for name, axis, reach in (("down", 0, 2), ("across", 1, 3), ("far", 1, 50), ("same", 0, 0)):
+        desk.kernels.line_mean(desk.field(i.map), axis=axis, reach=reach, means_out=out[name])
+    return out
+
+
+def unevenness(desk: Desk, i: SimpleNamespace) -> Outputs:
+    """Of a map without order, and of a slanted plane."""
+    y, x = np.mgrid[: i.map.shape[0], : i.map.shape[1]]
+    maps = {"random": i.map, "plane": ((x + 2 * y) / 64).astype(np.float32)}
+    out = {f"{name} {what}": desk.out(i.map.shape) for name in maps for what in ("bend", "relief")}
+    for name, map_ in maps.items():
+        desk.kernels.unevenness(desk.field(map_), bend_out=out[f"{name} bend"], relief_out=out[f"{name} relief"])
+    return out
+
+
 def judge(desk: Desk, i: SimpleNamespace) -> Outputs:
-    out = {name: desk.out(i.odds.shape) for name in ("confidence", "variance")}
+    out = {name: desk.out(i.conflict.shape) for name in ("confidence", "variance")}
     desk.kernels.judge(
-        desk.field(i.odds),
-        desk.field(i.cost),
-        desk.field(i.sure),
+        *(desk.field(values) for values in (i.conflict, i.sure, i.bend, i.relief, i.wide, i.dear)),
+        span=i.span,
         **i.weights_of_judge,
         confidence_out=out["confidence"],
         variance_out=out["variance"],
@@ -112,10 +129,12 @@ OPERATIONS = (
     Operation(least_costs, "volume"),
     Operation(winner_takes_all, "volume", lowest_errors),
     Operation(farthest_as_good, "volume"),
-    Operation(evidence, "volume", relative_to_terms(cost=lambda i: size(i.volume) / i.unit)),
+    Operation(evidence, "volume", relative_to_terms(conflict=lambda i: size(i.volume) / i.unit)),
+    Operation(line_mean, "volume"),
+    Operation(unevenness, "volume"),
     Operation(judge, "volume"),
 )
-AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, FARTHEST, EVIDENCE, JUDGE = OPERATIONS
+AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, FARTHEST, EVIDENCE, LINE_MEAN, UNEVENNESS, JUDGE = OPERATIONS
 
 
 # --- a program of them, for devices that can do work as a whole ---

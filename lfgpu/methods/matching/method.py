@@ -96,7 +96,7 @@ class Matching(Method[MatchingConfig]):
             weights += 2 * 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels
         hiding = 4 * (taken + copied + (some if config.sweep.occlusions == "twice" else 0))
         workspaces = 0 if on_gpu else 2 * 4 * _SLICES
-        fields = 4 * (25 + 2 * channels)
+        fields = 4 * (26 + 2 * channels)
         per_pixel = host + views + swept + packed + hiding + volumes + weights + workspaces + fields + masks
         return Footprint(per_pixel, GPU_CONTEXT if on_gpu else PROCESS)
 

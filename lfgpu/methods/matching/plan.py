@@ -42,8 +42,8 @@ _LEAST_REDUCED = 2  # pixels, side of the smallest views that are worth comparin
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
 _MOST_NOISY = 4.0  # in units of the noise: how much the least costs around a pixel raise the penalties there
 
-_DOUBT = 0.22  # pixels per view step, rms, that make a pixel as likely off by more than 0.07 as not
-_LEAST_ODDS = 1e-3
+_AROUND = 4  # pixels on each side of one, whose costs are judged with its own
+_WIDE = 16  # pixels on each side of those, in which there may be something to go by
 _CONVERGED = 0.02  # pixels per view step, rms of the last step
 
 
@@ -133,6 +133,9 @@ class MatchingPlan:
         self._hole_filling = HoleFilling(lf.size, self._prior, config.hole_filling)
         self._curvature, self._slope, self._certainty = (kernels.zeros(lf.size, device) for _ in range(3))
         self._workspace, self._variance, self._penalty_scale = (kernels.zeros(lf.size, device) for _ in range(3))
+        # What earlier stages needed is free when the map is judged.
+        free = self._curvature, self._certainty, self._slope, self._workspace, self._penalty_scale
+        self._judged_by = *free, kernels.zeros(lf.size, device)
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
         self._trust, self._size = kernels.scalar(0.0, device), lf.size
         self._steps = len(self._moves)
@@ -327,61 +330,57 @@ class MatchingPlan:
         """For those who know something about the surface beforehand: change the costs [l, y, x] of its disparities."""
 
     def _judge(self) -> None:
-        """Confidence and variance from three maps; `lfgpu/methods/matching/trust.py` has the weights that were fitted.
+        """Confidence and variance from six maps, all logarithms; `trust.py` has the weights that were fitted.
 
-        `odds` = (1 - c) / 2 + (s / _DOUBT)². c is the mean certainty of the pixel's window. s² is the mean of
-        (matched_q - disparity_p)² over the window: edges of depth between pixels that look alike, and what later stages
-        had to move, make it large. `cost` says how far the views differ at the final disparity, in units of the noise:
-        misregistered, glossy and hidden surfaces make it large. `evidence` says how few disparities are as good as the
-        best one, as the mean over the window.
+        `conflict` says how much more the best surface through a pixel costs than the pixel's best disparity: beside
+        occlusions, and where a surface goes on past an edge, a pixel and what lies around it disagree. `evidence` says
+        how few disparities are as good as the best one. Both are means over a square, as what is wrong at an edge is
+        wrong on a band along it. `bend` and `relief` say how far the map around a pixel is from a plane, and from one
+        disparity. `wide`, the evidence farther around, says whether there is anything to go by, and
+        `cost` there whether the views show the same things at all.
         """
-        kernels, prior, ones, workspace = self._kernels, self._prior, self._prior.ones, self._workspace
-        certain, cost, odds, evidence = self._certainty, self._slope, self._curvature, self._certainty
-        kernels.axpby(1.0, self._certainty, -_STILL, ones, workspace)
-        prior.mean(workspace, certain)
-
-        middle, matched = sum(self._bounds) / 2, self._slope  # squares of small numbers lose less in their difference
-        kernels.axpby(1.0, self._matched, -middle, ones, workspace)
-        prior.mean(workspace, matched)
-        kernels.multiply(workspace, workspace, workspace)
-        prior.mean(workspace, odds)
-        kernels.axpby(1.0, self.disparity, -middle, ones, workspace)
-        kernels.axpby(1.0, workspace, -2.0, matched, matched)
-        kernels.multiply(workspace, matched, matched)
-        kernels.axpby(1.0, odds, 1.0, matched, odds)
-
-        kernels.axpby(-0.5, certain, 1 / _DOUBT**2, odds, odds)
-        kernels.axpby(1.0, odds, 0.5, ones, odds)
-        kernels.clamp(odds, _LEAST_ODDS, 1 / _LEAST_ODDS, odds)  # rounding can make s² negative
-
+        kernels = self._kernels
+        conflict, evidence, bend, relief, wide, cost = self._judged_by
+        low, high = self._bounds
         kernels.evidence(
             self._smooth,
-            self.disparity,
-            first=self._first,
+            self._volume,
             step=self._step,
             unit=self._config.sweep.noise,
-            cost_out=cost,
-            evidence_out=workspace,
+            conflict_out=evidence,
+            evidence_out=bend,
+            cost_out=wide,
         )
-        prior.mean(workspace, evidence)
+        around = (evidence, _AROUND, conflict), (bend, _AROUND, evidence)
+        for values, reach, means in (*around, (wide, _WIDE, cost), (evidence, _WIDE, wide)):
+            kernels.line_mean(values, axis=0, reach=reach, means_out=relief)
+            kernels.line_mean(relief, axis=1, reach=reach, means_out=means)
+        kernels.unevenness(self.disparity, bend_out=bend, relief_out=relief)
         kernels.judge(
-            odds,
-            cost,
+            conflict,
             evidence,
+            bend,
+            relief,
+            wide,
+            cost,
+            span=high - low,
             share=trust.SHARE[self._config.sweep.occlusions],
             spread=trust.SPREAD[self._config.sweep.occlusions],
             confidence_out=self.confidence,
             variance_out=self._variance,
         )
-        low, high = self._bounds  # between which nothing is more uncertain than anything
+        # Between the bounds nothing is more uncertain than anything.
         kernels.clamp(self._variance, 0.0, (high - low) ** 2 / 12, self._variance)
         if self._known is not None:
             kernels.multiply(self.confidence, self._known, self.confidence)
 
     def features(self) -> dict[str, Float32Array]:
         """What the confidence of the last run was made of, float32 [y, x] by name; waits for the device."""
-        made_of = {"odds": self._curvature, "cost": self._slope, "evidence": self._certainty}
-        return {name: self._kernels.numpy(field).astype(np.float32) for name, field in made_of.items()}
+        names = ("conflict", "evidence", "bend", "relief", "wide", "cost")
+        return {
+            name: self._kernels.numpy(field).astype(np.float32)
+            for name, field in zip(names, self._judged_by, strict=True)
+        }
 
     def uncertainty(self) -> Float32Array:
         """The standard deviation of the disparity, float32 [y, x], NaN where it is undefined; waits for the device."""
