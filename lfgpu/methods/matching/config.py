@@ -36,7 +36,7 @@ class SweepConfig(Section):
         0.15, 0.0, 10.0, "weight of the costs of reduced views, a quarter as wide and as high, in the first sweep; 0 "
         "leaves them out"
     )  # fmt: skip
-    truncation: float = number(0.06, 1e-3, 10.0, "larger differences in intensity count as this one")
+    truncation: float = number(0.1, 1e-3, 10.0, "larger differences in intensity count as this one")
     gradient_weight: float = number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
     gradient_truncation: float = number(
         0.05, 1e-4, 10.0, "larger differences in image gradients count as this one, intensity per pixel"
