@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.cases import Case
 from benchmarks.inputs import CONFIG, LARGEST_DISPARITY
-from benchmarks.operations import Operation, Slot
+from benchmarks.operation import Operation, Slot
 from benchmarks.prepare import Prepared, Region, prepare, whole
 from lfgpu._backends import load
 from lfgpu.contract import REDUCTION, Array, KernelSet

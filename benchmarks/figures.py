@@ -26,7 +26,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from benchmarks import merge, operations, paper, pipelines, results, show, tables
+from benchmarks import merge, operations, paper, pipelines, rendering, results, show, tables
 from benchmarks.errors import BenchmarkError
 from lfgpu.io.atomic import atomic_write
 
@@ -307,6 +307,32 @@ def _tiles(folder: Path) -> str:
     return _as_table(rows, 4)
 
 
+def _live(folder: Path) -> str:
+    """Rate, latency and errors of streams, warm and cold."""
+    rows = [("preset", "size", "maps / s", "latency, ms: median, 95 %, 99 %", "MSE, BadPix(0.07) to a cold `accurate`")]
+    for r in value(folder, "h200-live.json", "rows"):
+        latency = ", ".join(f"{r[f'latency_p{quantile}']:.1f}" for quantile in (50, 95, 99))
+        what = f"`{r['preset']}`, {'warm' if r['warm'] else 'cold'}", r["case"].replace("x", " × ")
+        rows.append((*what, f"{r['rate']:.0f}", latency, f"{r['mse_ratio']:.2f}, {r['bad_ratio']:.2f}"))
+    return _as_table(rows, 2)
+
+
+def _rendering(folder: Path) -> str:
+    """PSNR of rendered views, and of two simple ways."""
+    return rendering.markdown(_rendered(folder))
+
+
+def _new_views(folder: Path) -> str:
+    """The same in short: whole views, rendered and as the mean of the neighbours."""
+    names = ("rendered", "mean of neighbours")
+    rows = [(f"`{row.scene}`", *(f"{row.whole[name]:.1f} dB" for name in names)) for row in _rendered(folder)]
+    return _as_table([("scene", *names), *rows], 1)
+
+
+def _rendered(folder: Path) -> list[rendering.Row]:
+    return [rendering.Row(**row) for row in value(folder, "rendering.json", "rows")]
+
+
 def _misalignment(folder: Path) -> str:
     """BadPix(0.03) less the median error with right, disturbed and lined up cameras, and the shifts of the views."""
     columns = ("scene, views, px", "disturbance", "undisturbed", "disturbed", "lined up", "shifts before", "after")
@@ -375,8 +401,11 @@ TABLES: Mapping[str, Table] = {
     "formulas": Table((), _formulas),
     "forms": Table(("paper.json",), _forms),
     "judge": Table(("judge.json",), _judge),
+    "live": Table(("h200-live.json",), _live),
     "misalignment": Table(("misalignment.json",), _misalignment),
     "pipelines": Table(H200, _pipelines),
+    "new-views": Table(("rendering.json",), _new_views),
+    "rendering": Table(("rendering.json",), _rendering),
     "runs": Table(RUNS, _runs),
     "tiles": Table(("tiles.json",), _tiles),
     "times": Table(H200, _times),

@@ -1,4 +1,4 @@
-"""The gallery of the README: three of the package's own scenes, what is found in them, and how wrong it is."""
+"""The picture of the site's first page: three scenes of the package, what is found in them, and how wrong it is."""
 
 from __future__ import annotations
 

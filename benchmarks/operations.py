@@ -3,148 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from itertools import cycle
 
 import numpy as np
 
-from benchmarks.cases import CHANNELS, Case
+from benchmarks.cases import CHANNELS
 from benchmarks.errors import BenchmarkError
-from benchmarks.inputs import BYTE, CONFIG, INPUTS, LARGEST_DISPARITY, MATCHING, line_offsets, sweep_labels
-from lfgpu.contract import REDUCTION, Array, Float64Array, KernelSet, PlaneSweep, StructureFilters, half_window
+from benchmarks.inputs import BYTE, CONFIG, INPUTS, LARGEST_DISPARITY, MATCHING
+from benchmarks.operation import PAIRS, Desk, Operation, Slot, Work
+from lfgpu.contract import Float64Array, PlaneSweep, StructureFilters
 from lfgpu.data.lightfield import farthest
 from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.sweep import labels, view_sets
 from lfgpu.methods.structure_tensor import structure_filters
 
-_PAIRS = 10  # that the method's L-BFGS remembers
-_TOLERANCE = 1e-4  # relative error of operations in float32, at any size
 _FLOOR = 1e-3  # of what is divided by: there is no division by 0
 _MARGIN = 0.02  # of costs between 0 and 0.05
 _UNIT = 0.004  # intensity: the noise in whose units costs are
 _RIDGE = 0.5  # pixels squared
 _EDGE = 0.3  # pixels per view step: larger differences are depth edges
 _DEVIATION = 0.02  # intensity: pixels that differ by this are alike
-_HALF_STEP = 2.0**-11  # half a step of float16, relative
-
-
-def _nothing() -> None:
-    pass
-
-
-@dataclass(frozen=True)
-class Work:
-    """What is timed, and where it remembers something what brings it back to its first call."""
-
-    call: Callable[[], None]
-    begin: Callable[[], None] = _nothing
-
-
-@dataclass(frozen=True)
-class Desk:
-    """A backend, a device, and by name the arrays there and their shapes."""
-
-    kernels: KernelSet
-    device: str
-    arrays: Mapping[str, Array]
-    shapes: Mapping[str, tuple[int, ...]]
-
-
-Plan = Callable[[Desk], Work]
-"""From what lies ready to what is timed; what is planned once is planned here."""
-
-
-@dataclass(frozen=True)
-class Slot:
-    """An array: its name, a letter for each axis (see `extents`), and what an element is on the device.
-
-    Arrays whose last axis is c are images, others are fields; what has no axes is a number.
-    """
-
-    name: str
-    axes: str
-    dtype: str = "float32"
-    on_gpu: str = ""
-    """What an element is on a GPU, if not `dtype`."""
-    inside: bool = False
-    """Whether it is a part of what was planned, that nobody else sees."""
-
-    def __str__(self) -> str:
-        if not self.axes:
-            return f"{self.name} (a number)"
-        kinds = [self.dtype] if self.dtype != "float32" else []
-        kinds += [f"{self.on_gpu} on a GPU"] if self.on_gpu else []
-        return " ".join([f"{self.name}[{','.join(self.axes)}]", *kinds])
-
-    @property
-    def is_image(self) -> bool:
-        """Whether it has channels."""
-        return self.axes.endswith("c")
-
-    def stored(self, device: str) -> np.dtype[np.generic]:
-        """What an element is on that device."""
-        return np.dtype(self.on_gpu if self.on_gpu and device != "cpu" else self.dtype)
-
-
-@dataclass(frozen=True)
-class Operation:
-    """One operation of the contract."""
-
-    name: str
-    reads: tuple[Slot, ...]
-    writes: tuple[Slot, ...]
-    plan: Plan
-    local: bool = True
-    """What it writes at a pixel depends on its surroundings alone, so that a window of it can be checked."""
-    mask: bool = False
-    """What it writes is 0 or 1."""
-    trusted: tuple[str, float] | None = None
-    """(array, least value): the other arrays mean something only where this one is at least that."""
-
-    def traffic(self, case: Case, device: str) -> int:
-        """Compulsory bytes: each array that is read once, each array that is written once, nothing twice."""
-        return sum(size(slot, case) * slot.stored(device).itemsize for slot in (*self.reads, *self.writes))
-
-    def tolerance(self, device: str) -> float:
-        """The relative error above which something is wrong; what is written as float16 is rounded in any case."""
-        half = any(slot.stored(device) == np.float16 for slot in self.writes)
-        return _TOLERANCE + (_HALF_STEP if half else 0.0)
-
-    @property
-    def formula(self) -> str:
-        """What `traffic` adds up, in words."""
-        return f"{' + '.join(map(str, self.reads))} → {' + '.join(map(str, self.writes))}"
-
-
-def extents(case: Case) -> dict[str, int]:
-    """How long each axis is: n views, u views of the reference's row that are used, y, x, c, k neighbours, m pairs.
-
-    Of matching: l labels, p neighbours on a surface, w neighbours over which costs are averaged, r rows and s columns
-    of a reduced view.
-    """
-    filters = structure_filters(line_offsets(case).astype(np.float64), CONFIG.local)
-    return {
-        "n": case.grid[0] * case.grid[1],
-        "u": int((filters.along_value != 0).any(0).sum()),
-        "y": case.size[0],
-        "x": case.size[1],
-        "c": CHANNELS,
-        "k": len(half_window(CONFIG.prior.window)),
-        "l": sweep_labels(case)[2],
-        "m": _PAIRS,
-        "p": len(half_window(MATCHING.prior.window)),
-        "r": case.size[0] // REDUCTION,
-        "s": case.size[1] // REDUCTION,
-        "w": len(half_window(MATCHING.semi_global.window)),
-        "2": 2,
-    }
-
-
-def size(slot: Slot, case: Case) -> int:
-    """Elements of an array."""
-    lengths = extents(case)
-    return math.prod(lengths[axis] for axis in slot.axes)
 
 
 def find(name: str) -> Operation:
@@ -284,7 +162,7 @@ def _lbfgs_learn(on: Desk) -> Work:
     memory = k.lbfgs(
         on.shapes["x"],
         on.device,
-        memory=_PAIRS,
+        memory=PAIRS,
         low=-LARGEST_DISPARITY,
         high=LARGEST_DISPARITY,
         first_step=0.02,
@@ -310,7 +188,7 @@ def _lbfgs_learn(on: Desk) -> Work:
         k.copy(zero, value)
         memory.begin(x, gradient, value)
         memory.judge(value, much_less)  # an accepted trial stays accepted until the next one is judged
-        for _ in range(_PAIRS):
+        for _ in range(PAIRS):
             learn()
 
     return Work(learn, begin)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.cases import Case
 from benchmarks.inputs import INPUTS
-from benchmarks.operations import Desk, Operation, Slot, Work, extents
+from benchmarks.operation import Desk, Operation, Slot, Work, extents
 from lfgpu.contract import REDUCTION, Array, KernelSet
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,25 +38,25 @@ class Row:
     """Share of the pixels that some kept view shows."""
 
 
-def run(scenes: Sequence[str], data: Path, *, preset: str, every: int, say: Callable[[str], None]) -> list[Row]:
+def run(scenes: Sequence[str], data: Path, *, preset: str, every: int, say: Callable[[str], None]) -> Iterator[Row]:
     """A row for each scene; every `every`-th of the views that are left out is rendered."""
-    rows = []
+    count = 0
     for name in scenes:
         if not (data / name).is_dir():
             say(f"{name}: {data / name} is not there, left out.")
             continue
         say(f"{name}: maps of the views that are kept ...")
-        rows.append(_measure(name, read(data / name), preset, every, say))
-    if not rows:
+        yield _measure(name, read(data / name), preset, every, say)
+        count += 1
+    if not count:
         raise BenchmarkError("no light field is there; set LFGPU_DATA or --data.")
-    return rows
 
 
 def markdown(rows: Sequence[Row]) -> str:
     """The rows as a table."""
     lines = [
         f"| scene | kept / rendered views | {' | '.join(METHODS)} | worst view | shown by a kept view |",
-        f"|---|---|{'---|' * len(METHODS)}---|---|",
+        f"| --- | --- | {'--- | ' * len(METHODS)}--- | --- |",
     ]
     for row in rows:
         best = max(row.whole.values())

@@ -11,7 +11,7 @@ from pathlib import Path
 from benchmarks import bandwidth, machine, pipelines, processes, scene, startup
 from benchmarks.cases import STARTUP_CASE, Case
 from benchmarks.jobs import Job
-from benchmarks.operations import Operation
+from benchmarks.operation import Operation
 from benchmarks.results import Record, Run, Skipped
 
 _REFERENCE = "reference"

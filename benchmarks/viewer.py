@@ -20,9 +20,6 @@ from lfgpu.viewer.answers import DATA, Query
 from lfgpu.viewer.contents import Contents, Entry
 from lfgpu.viewer.pictures import prepare
 
-LIMIT = 0.3
-"""Seconds that nobody should wait longer than for a picture."""
-
 _RESULT = {"result": "map", "stage": "final"}
 _TILE, _QUICK = 512, 360  # pixels along the longer side of a tile, and of what is computed first, as on the page
 

@@ -7,6 +7,8 @@ FOLDER is a light field of yours; without it a scene of lfgpu is made, whose tru
 
 import sys
 
+import numpy as np
+
 import lfgpu
 from lfgpu import scenes
 from lfgpu.viz.figures import disparity_figure, save_png
@@ -17,9 +19,10 @@ def main(
 ) -> lfgpu.DepthResult:
     lf = lfgpu.read(folder) if folder else scenes.make("boxes", grid=(7, 7), size=size)
     result = lfgpu.estimate_depth(lf)  # a GPU if there is one
-    print(f"{lf.name}: {result.disparity.min():.2f} to {result.disparity.max():.2f} px per view step, larger is nearer")
+    low, high = np.nanmin(result.disparity), np.nanmax(result.disparity)  # NaN is unknown
+    print(f"{lf.name}: {low:.2f} to {high:.2f} px per view step, larger is nearer")
     if result.depth is not None:
-        print(f"{result.depth.min():.2f} to {result.depth.max():.2f} m")
+        print(f"{np.nanmin(result.depth):.2f} to {np.nanmax(result.depth):.2f} m")
     truth = lf.reference_truth()
     if truth is not None:
         print(lfgpu.evaluate(result.disparity, truth.disparity, mask=truth.mask))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from lfgpu._backends import list_backends, load
 from lfgpu.contract import KernelSet
 from lfgpu.errors import BackendError
+from lfgpu.io import write_hci
 from lfgpu.threads import get_threads
 
 SEED = "LFGPU_TEST_SEED"
@@ -142,6 +144,28 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[Any]:
     if report.failed and "rng" in getattr(item, "fixturenames", ()):
         report.sections.append(("random inputs", f"the same ones again: pytest --seed={os.environ[SEED]}"))
     return report
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small scene as an HCI folder; tests that change it take `views`."""
+    from command_line import boxes  # imports all commands, which most tests do not need
+
+    folder = tmp_path_factory.mktemp("recorded") / "boxes"
+    write_hci(boxes(), folder)
+    return folder
+
+
+@pytest.fixture
+def views(recorded: Path, tmp_path: Path) -> Path:
+    """A copy of the views, to be damaged."""
+    return Path(shutil.copytree(recorded, tmp_path / "views"))
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """A place for outputs whose parent is not there yet."""
+    return tmp_path / "deep" / "out"
 
 
 @pytest.fixture

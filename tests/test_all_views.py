@@ -161,9 +161,9 @@ def test_any_method_and_backend_will_do(target: Any) -> None:
     options = {"keys": 2, "disparity_range": RANGE, "config": "fast"}
     result = estimate_all_views(lf, backend=target.backend, device=target.device, **options)
     truth = estimate_all_views(lf, backend="reference", **options)
-    assert np.nanmedian(np.abs(result.disparities - truth.disparities)) < 1e-3
+    assert np.nanmax(np.abs(result.disparities - truth.disparities)) < 1e-3
     paper = estimate_all_views(lf, backend=target.backend, device=target.device, **(options | {"config": "paper"}))
-    assert np.nanmedian(np.abs(paper.disparities - truth.disparities)) < 0.05
+    assert np.nanmean(np.abs(paper.disparities - truth.disparities) > 0.1) < 0.06
 
 
 def test_progress_goes_from_nothing_to_all() -> None:

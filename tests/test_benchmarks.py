@@ -39,7 +39,8 @@ from benchmarks.cli import app
 from benchmarks.compare import compare
 from benchmarks.inputs import INPUTS, LARGEST_DISPARITY, sweep_labels
 from benchmarks.jobs import Job
-from benchmarks.operations import OPERATIONS, Operation
+from benchmarks.operation import Operation, size
+from benchmarks.operations import OPERATIONS
 from benchmarks.prepare import prepare, whole
 from benchmarks.results import Record, Run, Skipped, Spread
 from lfgpu import PRESETS, DepthPipeline, scenes
@@ -174,7 +175,7 @@ def test_traffic_is_the_size_of_the_arrays(operation: Operation) -> None:
         slots = (*operation.reads, *operation.writes)
         counted = [kernels.numpy(arrays[s.name]).nbytes for s in slots if s.axes and not s.inside]
         numbers = sum(8 for slot in slots if not slot.axes)
-        inside = sum(4 * operations.size(slot, TINY) for slot in slots if slot.inside)
+        inside = sum(4 * size(slot, TINY) for slot in slots if slot.inside)
         assert operation.traffic(TINY, device) == sum(counted) + numbers + inside
 
 
@@ -597,10 +598,10 @@ def test_the_comparison_exits_with_what_it_found(tmp_path: Path) -> None:
     assert benchmarks("compare", old, new, "--threshold", "25").returncode == 0
 
 
-# --- the README ---
+# --- the pages ---
 
 
-def test_the_readme_has_each_formula_and_each_case() -> None:
-    text = (ROOT / "benchmarks" / "README.md").read_text(encoding="utf-8")
+def test_the_page_on_measuring_has_each_formula_and_each_case() -> None:
+    text = (ROOT / "benchmarks" / "measuring.md").read_text(encoding="utf-8")
     assert all(f"\n| `{operation.name}` | {operation.formula} |\n" in text for operation in OPERATIONS)
     assert all(f"`{case.name}`" in text for case in CASES)

@@ -28,30 +28,10 @@ def scene() -> LightField:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The scene as an HCI folder; tests that change it take `views`."""
-    folder = tmp_path_factory.mktemp("recorded") / "boxes"
-    write_hci(boxes(), folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
 def solved(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     """The folder that `depth` wrote, and what it said."""
     folder = tmp_path_factory.mktemp("solved") / "out"
     return folder, lfgpu("depth", recorded, "-o", folder, *RANGE)
-
-
-@pytest.fixture
-def views(recorded: Path, tmp_path: Path) -> Path:
-    """A copy of the views, to be damaged."""
-    return Path(shutil.copytree(recorded, tmp_path / "views"))
-
-
-@pytest.fixture
-def out(tmp_path: Path) -> Path:
-    """A place for outputs whose parent is not there yet."""
-    return tmp_path / "deep" / "out"
 
 
 # --- depth: what goes well ---
@@ -160,7 +140,8 @@ def test_maps_of_all_views_lie_beside_that_of_the_reference(recorded: Path, scen
         assert "larger is nearer" in str(maps["convention"])
         reference = maps["disparities"][scene.reference_index]
     assert np.isfinite(reference).mean() > 0.95
-    assert np.nanmedian(np.abs(reference - read_result(out / "result.npz").disparity)) < 0.05
+    apart = np.abs(reference - read_result(out / "result.npz").disparity)
+    assert np.nanmean(apart > 0.05) < 0.18
 
 
 def test_a_map_within_the_border_is_not_scored(tmp_path: Path, out: Path) -> None:

@@ -9,31 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import RANGE, boxes, holes, lfgpu, refused
+from command_line import RANGE, holes, lfgpu, refused
 from PIL import Image
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import write_hci, write_pfm
-
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The scene as an HCI folder; tests that change it take `views`."""
-    folder = tmp_path_factory.mktemp("recorded") / "boxes"
-    write_hci(boxes(), folder)
-    return folder
-
-
-@pytest.fixture
-def views(recorded: Path, tmp_path: Path) -> Path:
-    """A copy of the views, to be damaged."""
-    return Path(shutil.copytree(recorded, tmp_path / "views"))
-
-
-@pytest.fixture
-def out(tmp_path: Path) -> Path:
-    """A place for outputs whose parent is not there yet."""
-    return tmp_path / "deep" / "out"
+from lfgpu.io import write_pfm
 
 
 def keep_one(folder: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -19,18 +18,6 @@ from lfgpu.io import formats
 from lfgpu.io.formats import FORMATS, Format
 from lfgpu.methods import METHODS, PRESETS, preset
 from lfgpu.methods.entry import Entry
-
-
-@pytest.fixture
-def views(recorded: Path, tmp_path: Path) -> Path:
-    """A copy of the views, to be damaged."""
-    return Path(shutil.copytree(recorded, tmp_path / "views"))
-
-
-@pytest.fixture
-def out(tmp_path: Path) -> Path:
-    """A place for outputs whose parent is not there yet."""
-    return tmp_path / "deep" / "out"
 
 
 def python(*arguments: str) -> subprocess.CompletedProcess[str]:

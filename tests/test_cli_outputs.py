@@ -111,7 +111,8 @@ def test_convert(recorded: Path, solved: Path, tmp_path: Path) -> None:
     # all views' clouds are of one frame: where both see the same, their points are the same
     a, b = (lfgpu.point_cloud(maps.map(n)).points for n in (2, 4))
     distance = np.linalg.norm(b[:, None, :] - a[None, ::7], axis=2).min(0)
-    assert np.median(distance) < 0.06  # metres, at 4 to 8 m, pixels being 0.05 to 0.1 m apart
+    assert (distance > 0.1).mean() < 0.08  # metres, at 4 to 8 m, pixels being 0.05 to 0.1 m apart
+    assert distance.max() < 0.4
 
     refused(
         "no map of a view at row 9", "convert", solved / "disparities.npz", "--view", "9,9", "-o", tmp_path / "c.tif"

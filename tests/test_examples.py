@@ -59,6 +59,16 @@ def test_first_depth_map(tmp_path: Path) -> None:
     assert result.disparity.shape == (40, 48)
 
 
+def test_first_depth_map_of_views_with_masks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lf = scenes.make("boxes", grid=(3, 3), size=(40, 48))
+    valid = np.ones(lf.views.shape[:3], bool)
+    valid[:, :5, :5] = False
+    np.savez(tmp_path / "masked.npz", views=lf.views, positions=lf.positions, valid=valid)
+    result = example("first_depth_map").main(str(tmp_path / "masked.npz"), out=str(tmp_path / "map.png"))
+    assert np.isnan(result.disparity).any()
+    assert "nan" not in capsys.readouterr().out
+
+
 def test_own_camera_array() -> None:
     size = (48, 64)
     result = example("own_camera_array").main(size=size)

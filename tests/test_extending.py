@@ -204,5 +204,4 @@ def test_a_new_data_term_is_taken(copy: Path, recorded: Path, tmp_path: Path) ->
     for term in ("soft", "additive"):
         lfgpu(copy, tmp_path, *common, *few, "--set", f"refinement.data_term={term}", "-o", term)
     maps = [read_map(tmp_path / term / "disparity.pfm") for term in ("soft", "additive")]
-    assert not np.array_equal(*maps)
-    assert np.median(np.abs(maps[0] - maps[1])) < 0.1
+    assert 1e-3 < np.abs(maps[0] - maps[1]).max() < 0.04

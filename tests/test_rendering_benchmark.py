@@ -27,7 +27,7 @@ def test_psnr_by_hand() -> None:
 def test_rendered_views_win_on_a_scene_and_the_table_says_so(tmp_path: Path) -> None:
     write_hci(scenes.make("relief", grid=(5, 5), size=(48, 48)), tmp_path / "relief")
     said: list[str] = []
-    rows = rendering.run(["relief", "nothing"], tmp_path, preset="fast", every=6, say=said.append)
+    rows = list(rendering.run(["relief", "nothing"], tmp_path, preset="fast", every=6, say=said.append))
     assert any("nothing" in line and "not there" in line for line in said)
     (row,) = rows
     assert (row.scene, row.kept, row.rendered) == ("relief", 9, 3)
@@ -35,4 +35,4 @@ def test_rendered_views_win_on_a_scene_and_the_table_says_so(tmp_path: Path) -> 
         assert values["rendered"] > values["mean of neighbours"] > values["nearest view"]
     assert f"**{row.whole['rendered']:.1f} / {row.inner['rendered']:.1f}**" in rendering.markdown(rows)
     with pytest.raises(BenchmarkError, match="LFGPU_DATA"):
-        rendering.run(["nothing"], tmp_path, preset="fast", every=1, say=said.append)
+        list(rendering.run(["nothing"], tmp_path, preset="fast", every=1, say=said.append))

@@ -409,7 +409,9 @@ def test_lbfgs_ends_where_scipy_ends(target: Any) -> None:
     limits = {"tolerance": 1e-5, "max_iterations": 300}
     own, scipy = (case.solved(solver, **limits) for solver in (BoundedLbfgs, ScipyLbfgsb))
     assert own.solution.trace[-1] == pytest.approx(scipy.solution.trace[-1], rel=5e-3)
-    assert np.median(np.abs(own.values - scipy.values)) < 1e-3
+    apart = np.abs(own.values - scipy.values)
+    assert (apart > 1e-3).mean() < 0.15
+    assert (apart > 1e-2).mean() < 0.02
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -446,7 +448,7 @@ def test_refinement_from_its_own_minimum_gains_nothing(target: Any) -> None:
     values, again = case._replace(start=minimum).solved(BoundedLbfgs)
     assert again.iterations <= 10
     assert first.trace[-1] * (1 - 1e-3) <= again.trace[-1] <= again.trace[0] <= first.trace[-1] * (1 + 1e-6)
-    assert np.median(np.abs(values - minimum)) < 1e-3
+    assert np.abs(values - minimum).max() < 0.01
 
 
 # --- the propagation: both solvers, and the energy's normal equations written out ---
@@ -514,7 +516,7 @@ def test_propagation_by_cg_and_by_lbfgsb_is_the_same(target: Any, rng: np.random
     image, local = rng.random((*size, 3), np.float32), gappy(rng, size)
     by_cg = propagated(local, image, target, solver="cg", tolerance=1e-6)
     by_lbfgsb = propagated(local, image, target, solver="lbfgsb", tolerance=1e-8, max_iterations=2000)
-    assert np.median(np.abs(by_cg.values - by_lbfgsb.values)) < 1e-3
+    assert np.abs(by_cg.values - by_lbfgsb.values).max() < 1e-3
     assert by_cg.solution.converged  # L-BFGS-B may end at the last bit of float32 instead
 
 

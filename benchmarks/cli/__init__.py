@@ -3,8 +3,8 @@
 `accuracy` scores a population of light fields, `ablation` leaves ingredients out, `rendering` renders views that were
 left out, `misalignment` lines up cameras that were moved, `judge` looks for a single view that was moved, `live`,
 `rectify`, `ring`, `flicker`, `drift` and `soak` are about streams, `scaling` takes several GPUs, `tiles` limits the
-memory, `viewer` asks for pictures as pages do, `gallery` draws the picture of the README, `figures` writes the figures
-of all pages from the committed results.
+memory, `viewer` asks for pictures as pages do, `gallery` draws the picture of the site's first page, `figures` writes
+the figures of all pages from the committed results.
 """
 
 from __future__ import annotations

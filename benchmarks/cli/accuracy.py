@@ -13,6 +13,7 @@ from benchmarks import (
     error_sheet,
     files,
     live,
+    machine,
     paper,
     population,
     rendering,
@@ -22,7 +23,7 @@ from benchmarks import (
     tile_differences,
 )
 from benchmarks.cli.options import Data, Out, Presets, check_known, listed
-from benchmarks.cli.outputs import check_out, finish, say
+from benchmarks.cli.outputs import check_out, collected, finish, say
 from benchmarks.errors import BenchmarkError
 from lfgpu.io.atomic import check_writable
 
@@ -125,14 +126,15 @@ def rendering_(
     ] = "accurate",
     every: Annotated[int, typer.Option(min=1, help="Render every so many of the views that are left out.")] = 1,
     data: Data = rendering.DATA,
+    out: Out = None,
 ) -> None:
     """Leave out every second row and column of views, render them from the rest, and print how near that comes."""
-    rows = rendering.run(
-        tuple(listed(scene_names)) or rendering.SCENES,
-        data,
-        preset=preset,
-        every=every,
-        say=say,
+    check_out(out)
+    scenes = tuple(listed(scene_names)) or rendering.SCENES
+    rows = collected(
+        rendering.run(scenes, data, preset=preset, every=every, say=say),
+        out,
+        {**machine.about(), "preset": preset, "every": every},
     )
     typer.echo(rendering.markdown(rows), nl=False)
 

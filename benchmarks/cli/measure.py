@@ -33,6 +33,7 @@ from benchmarks.cli.options import (
 )
 from benchmarks.cli.outputs import check_out, collected, finish, say
 from benchmarks.errors import BenchmarkError
+from benchmarks.operation import Operation
 from lfgpu._backends import list_backends
 from lfgpu.io.atomic import check_writable
 from lfgpu.threads import get_threads
@@ -84,7 +85,7 @@ def measure(
     finish(suite.run(plan, say), out)
 
 
-def _operations(text: str) -> tuple[operations.Operation, ...]:
+def _operations(text: str) -> tuple[Operation, ...]:
     if text == "none":
         return ()
     return tuple(operations.find(name) for name in listed(text)) or operations.OPERATIONS

@@ -50,7 +50,7 @@ def gallery_(
         "docs/gallery.png"
     ),
 ) -> None:
-    """Draw the gallery of the README: three scenes of the package, their disparity, its error, and points in space."""
+    """Draw the picture of the site's first page: three scenes, their disparity, its error, and points in space."""
     check_writable(out, folder=False)
     for line in gallery.write(out):
         typer.echo(line)

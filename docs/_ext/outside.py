@@ -19,6 +19,9 @@ PAGES = {
     "CONTRIBUTING.md": "contributing",
     "SECURITY.md": "security",
     "benchmarks/README.md": "benchmarks",
+    "benchmarks/ablation.md": "ablation",
+    "benchmarks/measuring.md": "measuring",
+    "benchmarks/recorded.md": "recorded",
     "kernels/README.md": "backend",
     "benchmarks/results/README.md": "measured",
 }

@@ -12,7 +12,14 @@ wp.set_module_options({"enable_backward": False})
 # The sums are native code like those of the operators in `nlm.py`. On a CPU a row goes in chunks, whose sums lie on the
 # stack. On a GPU each warp of a block has one row of the half window.
 
-_OF_ROW = """
+_BY_ROW = """
+    constexpr int CHUNK = 128;
+    const int height = weights.shape[1], width = weights.shape[2], size = height * width, row = y * width;
+    const float weaken = 1.f / (support * support);
+FIELDS
+    for (int begin = 0; begin < width; begin += CHUNK) {
+        const int end = wp::min(begin + CHUNK, width);
+START
         for (int k = 0; k < steps.shape[0]; ++k)
             for (int sign = 1; sign >= -1; sign -= 2) {
                 const int dy = sign * steps.data[k].c[0], dx = sign * steps.data[k].c[1];
@@ -20,8 +27,10 @@ _OF_ROW = """
                 const int first = wp::max(begin, -dx), last = wp::min(end, width - dx), other = row + dy * width + dx;
                 // Of a pair the second pixel finds the weight at the first.
                 const float* __restrict__ const w = weights.data + (size_t)k * size + (sign > 0 ? row : other);
-BODY
+ADD
             }
+FINISH
+    }
 """
 
 _OF_PIXEL = """
@@ -36,9 +45,17 @@ _OF_PIXEL = """
 """
 
 
-def _of_row(body: str) -> str:
-    """The loop over the neighbours of a row, on a CPU: `body` adds those from `first` to `last`."""
-    return _OF_ROW.replace("BODY", body.strip("\n"))
+def _by_row(fields: str, start: str, add: str, finish: str) -> str:
+    """The code of one row on a CPU.
+
+    Pointers to `fields`; then for each chunk of pixels, from `begin` to `end`, how sums `start`, what is to `add`
+    of the neighbours of the pixels from `first` to `last`, and how sums `finish` as results.
+    """
+    parts = {"FIELDS": fields, "START": start, "ADD": add, "FINISH": finish}
+    code = _BY_ROW
+    for name, part in parts.items():
+        code = code.replace(f"{name}\n", part.strip("\n").rstrip() + "\n")
+    return code
 
 
 def _of_pixel(code: str, radius: int) -> str:
@@ -46,33 +63,29 @@ def _of_pixel(code: str, radius: int) -> str:
     return code.replace("OF_PIXEL", _OF_PIXEL).replace("RADIUS", str(radius))
 
 
-_RATIO_ROW = (
+_RATIO_ROW = _by_row(
     """
-    constexpr int CHUNK = 128;
-    const int height = guide.shape[0], width = guide.shape[1], size = height * width, row = y * width;
     const float* __restrict__ const g = guide.data;
     const float* __restrict__ const a = numerator.data;
     const float* __restrict__ const b = denominator.data;
-    const float weaken = 1.f / (support * support);
-    for (int begin = 0; begin < width; begin += CHUNK) {
-        const int end = wp::min(begin + CHUNK, width);
+""",
+    """
         float above[CHUNK], below[CHUNK];
         for (int x = begin; x < end; ++x) {
             above[x - begin] = a[row + x];
             below[x - begin] = b[row + x] + floor;
         }
-"""
-    + _of_row("""
+""",
+    """
                 for (int x = first; x < last; ++x) {
                     const float apart = g[other + x] - g[row + x], v = w[x] / (1.f + apart * apart * weaken);
                     above[x - begin] += v * a[other + x];
                     below[x - begin] += v * (b[other + x] + floor);
                 }
-""")
-    + """
+""",
+    """
         for (int x = begin; x < end; ++x) ratio.data[row + x] = above[x - begin] / below[x - begin];
-    }
-"""
+""",
 )
 
 
@@ -206,22 +219,19 @@ _PLANE_AT = """
     };
 """
 
-_PLANE_ROW = (
+_PLANE_ROW = _by_row(
     """
-    constexpr int CHUNK = 128;
-    const int height = values.shape[0], width = values.shape[1], size = height * width, row = y * width;
     const float* __restrict__ const d = values.data;
     const float* __restrict__ const c = certainty.data;
-    const float weaken = 1.f / (support * support);
-    for (int begin = 0; begin < width; begin += CHUNK) {
-        const int end = wp::min(begin + CHUNK, width);
+""",
+    """
         float total[CHUNK], sx[CHUNK], sy[CHUNK], sxx[CHUNK], sxy[CHUNK], syy[CHUNK], sd[CHUNK], sxd[CHUNK], syd[CHUNK];
         for (int j = 0; j < end - begin; ++j) {
             total[j] = c[row + begin + j];
             sx[j] = sy[j] = sxx[j] = sxy[j] = syy[j] = sd[j] = sxd[j] = syd[j] = 0.f;
         }
-"""
-    + _of_row("""
+""",
+    """
                 const float fx = (float)dx, fy = (float)dy;
                 #pragma clang loop vectorize(assume_safety)
                 for (int x = first; x < last; ++x) {
@@ -238,14 +248,13 @@ _PLANE_ROW = (
                     sxd[j] += fx * ud;
                     syd[j] += fy * ud;
                 }
-""")
-    + """
+""",
+    """
         for (int j = 0; j < end - begin; ++j) {
             const float sums[9] = {total[j], sx[j], sy[j], sxx[j], sxy[j], syy[j], sd[j], sxd[j], syd[j]};
             plane.data[row + begin + j] = plane_at(d[row + begin + j], sums);
         }
-    }
-"""
+""",
 )
 
 

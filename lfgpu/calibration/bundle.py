@@ -49,7 +49,6 @@ _LEAST_GRADIENT = 0.01  # intensity per pixel: less is no texture
 _EDGE = 1.0  # pixels in the farthest view: where disparities around a point differ by more, it is left out
 _TOLERANCE = 1.2  # pixels in the farthest view: what is nearer by less hides nothing
 _LEAST_NOISE = 0.003  # intensity
-_FEWEST_POINTS = 30
 _MEMORY = 3e7  # numbers that couple views with points
 _AT_ONCE = 16  # views whose visibility is looked at together
 _PRIOR_SHIFT = 3.0  # pixels: weak priors, see the head of this file

@@ -53,8 +53,8 @@ def evaluate(
         typer.Option(
             "--hci-submission",
             metavar="FOLDER",
-            help="Write maps and runtimes as the HCI benchmark takes them, instead: of each RESULT, a folder that "
-            "depth wrote, named as the scene.",
+            help="Score nothing, and write the files of a submission to the HCI benchmark. Each RESULT is a folder "
+            "that `lfgpu depth` wrote, named as its scene.",
         ),
     ] = None,
 ) -> None:

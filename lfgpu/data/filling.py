@@ -38,7 +38,7 @@ def fill_unknown(disparity: ArrayLike) -> Float32Array:
     if maps.ndim != 2:
         raise LightFieldError(f"disparity must be [y, x] or [n, y, x], found shape {maps.shape}.")
     if np.isnan(maps).all():
-        raise LightFieldError("a map cannot be filled that has no known value.")
+        raise LightFieldError("the map cannot be filled, as it has no known value.")
     values = np.where(np.isnan(maps), np.float32(np.inf), maps)
     unknown = np.isnan(maps)
     while unknown.any():

@@ -277,10 +277,6 @@ class DepthPipeline:
         """
         return self._plan.stages(self._views)
 
-    def buffers(self) -> tuple[Array, dict[str, Array]]:
-        """Input and outputs of `work`, for recording: the views, and the maps by name; arrays of the backend."""
-        return self._input, {"disparity": self._plan.disparity, "confidence": self._plan.confidence}
-
     def work(self) -> None:
         """Start all stages, one operation after the other. `run` does this until it has captured them."""
         if self._rectification is not None:

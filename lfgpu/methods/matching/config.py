@@ -13,10 +13,10 @@ class SweepConfig(Section):
     """The plane sweep: every view is compared with the reference at a row of disparities."""
 
     views: str = choice(
-        "alternate", ("full", "alternate", "star", "cross"), "views that are used: all; all, but every other one only, "
-        "as the squares of one colour on a chessboard, before the last step of the alignment, if that leaves at least "
-        "40 of a grid; those in the reference's row, column and diagonals; or those in its row and column. All are "
-        "used where fewer than four would be left beside it"
+        "alternate", ("full", "alternate", "star", "cross"), "views that are used. full: all. alternate: all, but "
+        "until the last step of the alignment every other one, as the squares of one colour on a chessboard, if that "
+        "leaves 40 or more of a grid. star: those in the reference's row, column and diagonals. cross: those in its "
+        "row and column. If fewer than four are left beside the reference, all are used"
     )  # fmt: skip
     occlusions: str = choice(
         "twice", ("once", "twice"), "once compares partial view sets; twice sweeps again with the views that see a "
@@ -29,8 +29,8 @@ class SweepConfig(Section):
         "differ by grow with it, and how far views are smoothed"
     )  # fmt: skip
     smoothing: float = number(
-        2.0, 0.0, 100.0, "pixels of a view that differ by this are alike, and are averaged before views are compared; "
-        "in units of the grain, the noise of one view; 0 compares views as they are"
+        2.0, 0.0, 100.0, "before views are compared, pixels of a view that differ by less than about this are "
+        "averaged; in units of the grain, the noise of one view; 0 compares views as they are"
     )  # fmt: skip
     reduced_weight: float = number(
         0.15, 0.0, 10.0, "weight of the costs of reduced views, a quarter as wide and as high, in the first sweep; 0 "
@@ -54,11 +54,12 @@ class SweepConfig(Section):
         0.02, 0.0, 1.0, "share of the views, but at least one, that must see a pixel in the second sweep"
     )  # fmt: skip
     hiding_margin: float = number(
-        0.1, 0.0, 100.0, "a surface that could lie farther away at costs higher by at most this hides for certain "
-        "only from there, units of the noise"
+        0.1, 0.0, 100.0, "a surface may lie farther away than it was found: as far as its costs are higher by at "
+        "most this; it hides something for certain only from there on; units of the noise"
     )  # fmt: skip
     certain_penalty: float = number(
-        0.01, 0.0, 100.0, "what is seen only past what certainly hides costs this much more, units of the noise"
+        0.01, 0.0, 100.0, "added to the mean cost over the views that see a pixel past what hides for certain, "
+        "units of the noise"
     )  # fmt: skip
 
 
