@@ -238,7 +238,7 @@ def matched(
         pictures: dict[str, str] = {}
         for name in names:
             stem = _stem(name)
-            if len(by_name.get(stem, ())) > 1:
+            if len(by_name.get(stem, ())) > 1 and not rig:  # cameras of a rig each have a picture of that name
                 raise LightFieldError(
                     f"{source} has {len(by_name[stem])} cameras of the name {by_name[stem][0].name}; give each camera "
                     "the name of its own picture."

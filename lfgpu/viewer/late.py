@@ -16,6 +16,8 @@ _MODULES = (
     "lfgpu.viz.refocusing",
     f"lfgpu.kernels.{DEFAULT}",
     "lfgpu.pipelines.estimate",
+    "lfgpu.calibration",  # an estimate looks at the cameras
+    "lfgpu.io.pictures",
     "lfgpu.viewer.space",
     "viser",
     "trimesh",

@@ -19,25 +19,25 @@ from tests.browser import chromium
 from tests.viewer.page import HOLE, SIZE, Page
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def extra() -> None:
     """Tests are skipped where what the viewer needs is not installed."""
     for name in ("viser", "tornado"):
         pytest.importorskip(name, reason=f"{name} is not installed: pip install -e '.[viewer]'")
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     with chromium() as opened:
         yield opened
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def lf() -> LightField:
     return scenes.make("boxes", grid=(5, 5), size=SIZE)
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def files(lf: LightField, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A light field and a result of it with a hole."""
     folder = tmp_path_factory.mktemp("shown")
@@ -50,13 +50,13 @@ def files(lf: LightField, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def viewer(files: Path) -> Iterator[Viewer]:
     with Viewer.of([files / "fast", files / "boxes"], port=0, allow_open=True) as opened:
         yield opened
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def shared(browser: Any, viewer: Viewer) -> Iterator[Page]:
     opened = Page(browser, viewer)
     opened.shown("map", "disparity")
