@@ -29,7 +29,7 @@ class SweepConfig(Section):
         "differ by grow with it, and how far views are smoothed"
     )  # fmt: skip
     smoothing: float = number(
-        1.5, 0.0, 100.0, "before views are compared, pixels of a view that differ by less than about this are "
+        2.0, 0.0, 100.0, "before views are compared, pixels of a view that differ by less than about this are "
         "averaged; in units of the grain, the noise of one view; 0 compares views as they are"
     )  # fmt: skip
     reduced_weight: float = number(
