@@ -1,4 +1,4 @@
-"""What the confidence of matching says against what is true: weights are fitted on some scenes and held against others.
+"""What the confidence of matching says against what is true, with weights that were fitted on other scenes.
 
 The features of each pixel come from the method (`MatchingPlan.features`), the form from the reference's `judge`.
 """
@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.population import light_fields
-from benchmarks.tables import Table
+from benchmarks.tables import NONE, Table
 from lfgpu import LightField, read, scenes
 from lfgpu._backends import DEFAULT, load, pick_device
 from lfgpu.data.lightfield import GroundTruth
@@ -35,6 +35,8 @@ from lfgpu.metrics import BORDER
 RIGHT = 0.07  # pixels per view step: errors up to this are right
 EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0)
 """Of the confidences that are looked at together."""
+LEAST_SHARE = 0.005
+"""Of the pixels of a map: bins that hold fewer are not shown."""
 _KINDS = (
     *((1, 0.02, 9, 256), (2, 0.0, 9, 256), (3, 0.0, 5, 128)),
     *((4, 0.005, 5, 128), (5, 0.0, 5, 128), (6, 0.005, 5, 128), (7, 0.0, 5, 128), (8, 0.0, 9, 256)),
@@ -43,7 +45,7 @@ OWN = tuple((name, *kind) for name in ("boxes", "planes", "bars", "textureless")
 """Scenes of the package that are always fitted on: name, seed, noise, rows and columns of views, and side in pixels."""
 _MOST = 20_000  # pixels of a scene
 _LEAST_ERROR = 0.003  # pixels per view step: smaller errors are the truth's own
-_OWN = 0.5
+_OWN_SHARE, _OWN_SPREAD = 0.2, 0.5  # of scenes of the package in the fits of both; errors there are smaller
 _BLURS, _SEEDS = (0.0, 2.0, 4.0), range(1, 7)  # of noise, pixels and random numbers
 _NOISY, _NOISE_SIZE, _NOISE_RANGE = 5, (96, 96), (-4.0, 8.0)  # views in a row, pixels, pixels per view step
 _RIDGE = 1e-3
@@ -54,10 +56,10 @@ _HEAD = '''"""Weights of what the confidence and the uncertainty of matching are
 """
 
 SHARE = {share}
-"""Of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `sweep.occlusions`."""
+"""Of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `SweepConfig.kind`."""
 
 SPREAD = {spread}
-"""Of the logarithm of the variance of the disparity, (pixels per view step)², by `sweep.occlusions`."""
+"""Of the logarithm of the variance of the disparity, (pixels per view step)², by `SweepConfig.kind`."""
 '''
 
 Vector = NDArray[np.float64]
@@ -68,10 +70,10 @@ Say = Callable[[str], None]
 class Sample:
     """Some pixels of one map: what their confidence is made of, and their error."""
 
-    name: str
-    """Scene and preset."""
+    scene: str
+    preset: str
     kind: str
-    """Which weights it has: `sweep.occlusions` of the preset."""
+    """Which weights it has: `SweepConfig.kind` of the preset."""
     features: Mapping[str, Vector]
     """By name, as `MatchingPlan.features`."""
     error: Vector
@@ -81,8 +83,7 @@ class Sample:
     own: bool = False
     """Of a scene of the package."""
 
-    def judged(self, weights: Weights) -> tuple[Vector, Vector]:
-        """Confidence and standard deviation with these weights."""
+    def judged(self, weights: Weights) -> Judged:
         confidence, variance = (np.empty_like(self.error) for _ in range(2))
         share, spread = weights.share[self.kind], weights.spread[self.kind]
         load("reference").judge(
@@ -93,7 +94,46 @@ class Sample:
             confidence_out=confidence,
             variance_out=variance,
         )
-        return confidence, np.sqrt(variance)
+        return Judged(self, confidence, np.sqrt(np.minimum(variance, self.span**2 / 12)))  # as `MatchingPlan` does
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """What is said of a sample with some weights."""
+
+    sample: Sample
+    confidence: Vector
+    deviation: Vector
+    """Standard deviations that are stated, pixels per view step."""
+
+
+@dataclass(frozen=True)
+class Bin:
+    """Pixels whose confidence is from one of `EDGES` up to the next; shares are from 0 to 1."""
+
+    low: float
+    said: float
+    """Their mean confidence."""
+    right: float
+    """Share of them that is right."""
+    share: float
+    """Of all pixels."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What was found on one map, or on all."""
+
+    scene: str
+    preset: str
+    bins: tuple[Bin, ...]
+    """Those that hold pixels."""
+    said_rms: float
+    """Of the standard deviations that are stated, pixels per view step; the next is that of the errors."""
+    error_rms: float
+    within_1: float
+    """Share of the errors that are at most one stated standard deviation; the next, two."""
+    within_2: float
 
 
 @dataclass(frozen=True)
@@ -107,17 +147,10 @@ class Weights:
 NOW = Weights(trust.SHARE, trust.SPREAD)
 
 
-def samples(folders: Sequence[Path], names: Sequence[str], presets: Sequence[str], say: Say) -> list[Sample]:
-    """Pixels of the light fields in folders, all or those that are named, with each preset."""
+def samples(folders: Sequence[Path], presets: Sequence[str], say: Say) -> list[Sample]:
+    """Pixels of the light fields in folders, with each preset."""
     found = light_fields(folders)
-    if unknown := [name for name in names if name not in found]:
-        raise BenchmarkError(f"there is no light field {unknown[0]!r}; there are {', '.join(found)}.")
-    return [
-        _sample(read(path), f"{name}, {preset}", preset, say)
-        for name, path in found.items()
-        if name in names
-        for preset in presets
-    ]
+    return [_sample(read(path), name, preset, say) for name, path in found.items() for preset in presets]
 
 
 def own_samples(presets: Sequence[str], say: Say) -> list[Sample]:
@@ -125,8 +158,18 @@ def own_samples(presets: Sequence[str], say: Say) -> list[Sample]:
     found = []
     for name, seed, noise, views, side in OWN:
         lf = scenes.make(name, seed=seed, noise=noise, grid=(views, views), size=(side, side))
-        found += [replace(_sample(lf, f"own {name}, {preset}", preset, say), own=True) for preset in presets]
+        found += [replace(_sample(lf, f"own {name}", preset, say), own=True) for preset in presets]
     return [*found, *(_of_nothing(blur, seed, preset, say) for blur in _BLURS for seed in _SEEDS for preset in presets)]
+
+
+def by_the_others(fitted: Sequence[Sample], say: Say) -> list[Judged]:
+    """Each sample that is not the package's own, judged with weights that were fitted without its scene."""
+    found = []
+    for scene in dict.fromkeys(sample.scene for sample in fitted if not sample.own):
+        say(f"without {scene}")
+        weights = fit([sample for sample in fitted if sample.scene != scene])
+        found += [sample.judged(weights) for sample in fitted if sample.scene == scene]
+    return found
 
 
 def fit(fitted: Sequence[Sample]) -> Weights:
@@ -140,12 +183,10 @@ def fit(fitted: Sequence[Sample]) -> Weights:
 def _fit(fitted: Sequence[Sample]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Of right and wrong pixels, and of their errors as Laplace's: a few large ones say little about the others.
 
-    What the package makes has a share of `_OWN` together, and each scene of it counts as much as another.
+    What the package makes has a share of `_OWN_SHARE` together, `_OWN_SPREAD` where errors are fitted, and each scene
+    of it counts as much as another.
     """
-    count = Counter(sample.own for sample in fitted)
-    of_scene = {own: (_OWN if own else 1 - _OWN) / count[own] for own in count}
-    each = np.concatenate([np.full(len(sample.error), of_scene[sample.own] / len(sample.error)) for sample in fitted])
-    each /= each.sum()
+    each, each_spread = (_counts(fitted, own) for own in (_OWN_SHARE, _OWN_SPREAD))
     known = np.concatenate([1 - _unknown(sample) for sample in fitted])
     x = np.concatenate([_inputs(sample) for sample in fitted])
     error = np.concatenate([sample.error for sample in fitted])
@@ -163,7 +204,7 @@ def _fit(fitted: Sequence[Sample]) -> tuple[tuple[float, ...], tuple[float, ...]
         loss = -np.log(np.where(right, known * share, doubt))
         return float(each @ loss + _ridge(w)), (each * slope) @ z + _ridge_slope(w)
 
-    weight = each * known
+    weight = each_spread * known
 
     def spread(w: Vector) -> tuple[float, Vector]:
         log = z @ w  # of the mean absolute error
@@ -176,9 +217,17 @@ def _fit(fitted: Sequence[Sample]) -> tuple[tuple[float, ...], tuple[float, ...]
     return _unscaled(minimize(wrong, start, jac=True).x, middle, scale), _unscaled(mean, middle, scale)
 
 
+def _counts(fitted: Sequence[Sample], of_own: float) -> Vector:
+    """How much each pixel counts; 1 together."""
+    count = Counter(sample.own for sample in fitted)
+    of_scene = {own: (of_own if own else 1 - of_own) / count[own] for own in count}
+    each = np.concatenate([np.full(len(sample.error), of_scene[sample.own] / len(sample.error)) for sample in fitted])
+    return np.asarray(each / each.sum())
+
+
 def write(weights: Weights, fitted: Sequence[Sample]) -> Path:
     """Write the weights where the method takes them from."""
-    names = list(dict.fromkeys(sample.name.split(",")[0] for sample in fitted))
+    names = list(dict.fromkeys(sample.scene for sample in fitted))
     path, where = Path(trust.__file__), "`python -m benchmarks confidence --fit`, on"
     lines = textwrap.wrap(f"Written by {where} {', '.join(names)}.", 118)
     share, spread = (str(dict(w)).replace("'", '"') for w in (weights.share, weights.spread))
@@ -188,27 +237,44 @@ def write(weights: Weights, fitted: Sequence[Sample]) -> Path:
     return path
 
 
-def tables(checked: Sequence[Sample], weights: Weights) -> list[Table]:
-    """How often pixels of each confidence are right, all together and scene by scene, and what the errors are."""
-    judged = [sample.judged(weights) for sample in checked]
-    rows = []
-    for name, confidence, error in [
-        ("all", np.concatenate([c for c, _ in judged]), np.concatenate([s.error for s in checked])),
-        *((s.name, c, s.error) for s, (c, _) in zip(checked, judged, strict=True)),
-    ]:
-        cells = []
-        for said, found, share in _bins(confidence, error):
-            cells.append(f"{100 * said:.0f} → {100 * found:.0f} ({100 * share:.0f})" if share >= 0.005 else "–")
-        rows.append((name, *cells))
-    columns = ("scene", *(f"{low:g} to {high:g}" for low, high in pairwise(EDGES)))
-    spreads = []
-    for sample, (_, deviation) in zip(checked, judged, strict=True):
-        size = np.abs(sample.error)
-        inside = [f"{100 * float((size <= k * deviation).mean()):.0f} %" for k in (1, 2)]
-        said, found = (float(np.sqrt(np.mean(values**2))) for values in (deviation, sample.error))
-        spreads.append((sample.name, f"{said:.3f}", f"{found:.3f}", *inside))
+def rows(judged: Sequence[Judged]) -> list[Row]:
+    """How often pixels of each confidence are right and how large errors are: of all maps together, then of each."""
+    confidence, deviation, error = (
+        np.concatenate(maps)
+        for maps in zip(*((one.confidence, one.deviation, one.sample.error) for one in judged), strict=True)
+    )
     return [
-        Table("Percent said to be right → percent right (percent of the pixels)", columns, 1, rows),
+        _row("all", "all", confidence, deviation, error),
+        *(_row(j.sample.scene, j.sample.preset, j.confidence, j.deviation, j.sample.error) for j in judged),
+    ]
+
+
+def _row(scene: str, preset: str, confidence: Vector, deviation: Vector, error: Vector) -> Row:
+    said, found = (float(np.sqrt(np.mean(values**2))) for values in (deviation, error))
+    within = (float((np.abs(error) <= k * deviation).mean()) for k in (1, 2))
+    return Row(scene, preset, _bins(confidence, error), said, found, *within)
+
+
+def tables(found: Sequence[Row]) -> list[Table]:
+    """The confidences and the uncertainties of all rows."""
+    shares, spreads = [], []
+    for row in found:
+        name = ", ".join(dict.fromkeys((row.scene, row.preset)))
+        cells = {
+            b.low: f"{100 * b.said:.0f} → {100 * b.right:.0f} ({100 * b.share:.0f})"
+            for b in row.bins
+            if b.share >= LEAST_SHARE
+        }
+        shares.append((name, *(cells.get(low, NONE) for low in EDGES[:-1])))
+        within = (f"{100 * share:.0f} %" for share in (row.within_1, row.within_2))
+        spreads.append((name, f"{row.said_rms:.3f}", f"{row.error_rms:.3f}", *within))
+    return [
+        Table(
+            "Percent said to be right → percent right (percent of the pixels)",
+            ("scene", *(f"{low:g} to {high:g}" for low, high in pairwise(EDGES))),
+            1,
+            shares,
+        ),
         Table(
             "Uncertainty, pixels per view step",
             ("scene", "said, rms", "error, rms", "within 1", "within 2 deviations"),
@@ -218,27 +284,26 @@ def tables(checked: Sequence[Sample], weights: Weights) -> list[Table]:
     ]
 
 
-def draw(groups: Mapping[str, Sequence[Sample]], weights: Weights, out: Path) -> None:
-    """The reliability diagram of groups of scenes as a PNG: share right over share said."""
+def draw(groups: Mapping[str, Sequence[Judged]], out: Path) -> None:
+    """The reliability diagram of groups of maps as a PNG: share right over share said."""
     figure = Figure((5.5, 4.2), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.plot((0, 1), (0, 1), color="0.6", linewidth=1)
     axes.fill_between((0, 1), (-0.05, 0.95), (0.05, 1.05), color="0.92", label="within 5 points")
     for name, group in groups.items():
-        if group:
-            confidence = np.concatenate([sample.judged(weights)[0] for sample in group])
-            error = np.concatenate([sample.error for sample in group])
-            said, found, _ = np.array([b for b in _bins(confidence, error) if b[2] >= 0.005]).T
-            axes.plot(said, found, "o-", markersize=4, label=f"{name} ({len(group)} maps)")
+        confidence = np.concatenate([judged.confidence for judged in group])
+        error = np.concatenate([judged.sample.error for judged in group])
+        points = [(b.said, b.right) for b in _bins(confidence, error) if b.share >= LEAST_SHARE]
+        axes.plot(*zip(*points, strict=True), "o-", markersize=4, label=f"{name} ({len(group)} maps)")
     axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="confidence", ylabel=f"share of pixels within {RIGHT} px of the truth")
     axes.legend(fontsize=8)
     with atomic_write(out) as temporary:
         figure.savefig(temporary, format="png")
 
 
-def _sample(lf: LightField, name: str, preset: str, say: Say, bounds: tuple[float, float] | None = None) -> Sample:
-    say(name)
+def _sample(lf: LightField, scene: str, preset: str, say: Say, bounds: tuple[float, float] | None = None) -> Sample:
+    say(f"{scene}, {preset}")
     truth = lf.reference_truth()
     if truth is None:
         raise BenchmarkError(f"{lf.name} has no truth of its reference view to score by.")
@@ -263,7 +328,7 @@ def _sample(lf: LightField, name: str, preset: str, say: Say, bounds: tuple[floa
         scored = np.random.default_rng(0).choice(scored, _MOST, replace=False)
     features = {feature: map_.ravel()[scored].astype(np.float64) for feature, map_ in plan.features().items()}
     low, high = measured.disparity_range
-    return Sample(name, method.config.sweep.occlusions, features, error.ravel()[scored], high - low)
+    return Sample(scene, preset, method.config.sweep.kind, features, error.ravel()[scored], high - low)
 
 
 def _of_nothing(blur: float, seed: int, preset: str, say: Say) -> Sample:
@@ -275,7 +340,7 @@ def _of_nothing(blur: float, seed: int, preset: str, say: Say) -> Sample:
     # A truth so far away that all errors are about those of a guess.
     truth = GroundTruth(np.full(_NOISE_SIZE, high + (high - low) / 2, np.float32), position=(0.0, 0.0))
     lf = LightField(views, np.stack([np.arange(_NOISY) - _NOISY // 2, np.zeros(_NOISY)], axis=1), truth=truth)
-    return replace(_sample(lf, f"own noise, {preset}", preset, say, _NOISE_RANGE), own=True)
+    return replace(_sample(lf, "own noise", preset, say, _NOISE_RANGE), own=True)
 
 
 def _inputs(sample: Sample) -> Vector:
@@ -287,18 +352,17 @@ def _inputs(sample: Sample) -> Vector:
 def _unknown(sample: Sample) -> Vector:
     """[p]: how likely it is that nothing is known, which no weights change."""
     sure = Weights({sample.kind: (50.0, 0, 0, 0, 0, 0)}, {sample.kind: (0.0, 0, 0, 0, 0, 0)})
-    return 1 - sample.judged(sure)[0]
+    return 1 - sample.judged(sure).confidence
 
 
-def _bins(confidence: Vector, error: Vector) -> list[tuple[float, float, float]]:
-    """(mean confidence, share of right pixels, share of all pixels) in each bin."""
+def _bins(confidence: Vector, error: Vector) -> tuple[Bin, ...]:
     found = []
     for low, high in pairwise(EDGES):
         some = (confidence >= low) & ((confidence < high) | (high == 1))
-        count = int(some.sum())
-        right = float((np.abs(error[some]) <= RIGHT).mean()) if count else float("nan")
-        found.append((float(confidence[some].mean()) if count else float("nan"), right, count / len(error)))
-    return found
+        if some.any():
+            right = np.abs(error[some]) <= RIGHT
+            found.append(Bin(low, float(confidence[some].mean()), float(right.mean()), float(some.mean())))
+    return tuple(found)
 
 
 def _ridge(w: Vector) -> float:

@@ -23,10 +23,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from benchmarks import merge, operations, paper, pipelines, rendering, results, show, tables
+from benchmarks import confidence, merge, operations, paper, pipelines, rendering, results, show, tables
 from benchmarks.errors import BenchmarkError
 from lfgpu.io.atomic import atomic_write
 
@@ -359,6 +360,27 @@ def _judge(folder: Path) -> str:
     return _as_table(rows, 1)
 
 
+def _confidence(folder: Path) -> str:
+    """How often pixels of each confidence are right: on all maps, and on the map on which they are seldomest."""
+    columns = ("confidence", "share of pixels", "stated", "right", "right on the worst map")
+    whole, *maps = value(folder, "confidence.json", "rows")
+    rows = []
+    for low, high in pairwise(confidence.EDGES):
+        together, *each = (_bin(row, low) for row in (whole, *maps))
+        if together is not None:
+            found = [(one["right"], row) for one, row in zip(each, maps, strict=True) if one is not None]
+            right, worst = min(found, key=lambda one: one[0])
+            shares = (f"{100 * together[name]:.0f} %" for name in ("share", "said", "right"))
+            on_worst = f"{100 * right:.0f} % (`{worst['scene']}`, `{worst['preset']}`)"
+            rows.append((f"{low:g} to {high:g}", *shares, on_worst))
+    return _as_table([columns, *reversed(rows)], 1)
+
+
+def _bin(row: Mapping[str, Any], low: float) -> Mapping[str, float] | None:
+    """The bin of a row that begins there, if it holds enough pixels to be shown."""
+    return next((b for b in row["bins"] if b["low"] == low and b["share"] >= confidence.LEAST_SHARE), None)
+
+
 _ARRAYS = {"star": "star of {}", "row": "row of {}", "irregular": "{} in no grid"}
 
 
@@ -395,6 +417,7 @@ RUNS = ("cpu-2-cores.json", "h200-machine-cpu.json", "h200-taichi.json", *H200, 
 TABLES: Mapping[str, Table] = {
     "ablation": Table(("ablation.json",), _ablation),
     "accuracy": Table((ACCURACY,), _accuracy),
+    "confidence": Table(("confidence.json",), _confidence),
     "compared": Table((ACCURACY, PUBLISHED), _compared),
     "experiments": Table(("paper.json",), _experiments),
     "paper": Table(("paper-accuracy.json",), _paper),
@@ -418,9 +441,9 @@ def _table(name: str, where: str) -> Table:
     return TABLES[name]
 
 
-def listing(found: Sequence[Mark], root: Path = ROOT) -> list[str]:
+def listing(found: Sequence[Mark]) -> list[str]:
     """Where each figure stands and where it comes from, a line each."""
-    return [f"{mark.page.relative_to(root)}:{mark.line}: {_short(mark.found)} < {mark.source}" for mark in found]
+    return [f"{mark.page.relative_to(ROOT)}:{mark.line}: {_short(mark.found)} < {mark.source}" for mark in found]
 
 
 def _short(text: str) -> str:

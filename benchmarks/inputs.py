@@ -145,13 +145,6 @@ def nearest(case: Case) -> NDArray[np.float32]:
     return found + np.float32(_NO_TIE)
 
 
-def certain(case: Case) -> NDArray[np.float32]:
-    """[n, y, x]: the same half a pixel per view step farther away, in every other row."""
-    found = nearest(case)
-    found[:, ::2] -= 0.5
-    return found
-
-
 def volume(case: Case) -> NDArray[np.float32]:
     """[l, y, x]: costs as a sweep finds them, least near the disparity, with noise."""
     first, step, count = sweep_labels(case)
@@ -210,7 +203,6 @@ INPUTS: dict[str, Callable[[Case], NDArray[Any]]] = {
     "levels": levels,
     "layers": layers,
     "nearest": nearest,
-    "certain": certain,
     "volume": volume,
     "path_costs": path_costs,
     "reduced_volume": reduced_volume,

@@ -31,6 +31,7 @@ _CHAINS, _CHAIN = 1 << 20, 512  # threads, and multiply-adds of each
 
 # Floating point operations for each sample that an operation looks at; samples are counted below.
 _SWEEP, _AVERAGE, _RATIO, _PLANE, _PATHS, _ALIGN, _WEIGHTS, _MOTION, _SMOOTH = 24, 2, 8, 20, 8, 40, 24, 120, 19
+_INTENSITIES = 10  # of a sweep without gradients
 
 
 @dataclass(frozen=True)
@@ -189,7 +190,8 @@ def _operations(call: _Call) -> float:
     match call.name:
         case "plane_sweep.by_view_sets" | "plane_sweep.by_visibility":
             views = call.function.__self__._shape  # type: ignore[attr-defined]
-            return float(_SWEEP * views[0] * views[3] * largest)
+            each = _SWEEP if call.options.get("truncation") is None else _INTENSITIES
+            return float(each * views[0] * views[3] * largest)
         case "nlm_average":
             return float(_AVERAGE * window * call.options["average_out"].size)
         case "nlm_ratio" | "nlm_neighbors" | "nlm_laplacian":

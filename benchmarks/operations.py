@@ -18,7 +18,6 @@ from lfgpu.methods.matching.sweep import labels, view_sets
 from lfgpu.methods.structure_tensor import structure_filters
 
 _FLOOR = 1e-3  # of what is divided by: there is no division by 0
-_MARGIN = 0.02  # of costs between 0 and 0.05
 _JUDGED = 4  # pixels
 _UNIT = 0.004  # intensity: the noise in whose units costs are
 _RIDGE = 0.5  # pixels squared
@@ -214,7 +213,6 @@ def _planned_sweep(on: Desk) -> PlaneSweep:
         preference=config.view_set_penalty,
         tolerance=config.tolerance / farthest(places),
         least=max(1, math.ceil(config.min_share * (len(places) - 1))),
-        penalty=config.certain_penalty * config.noise,
     )
     sweep.load(a["image"], a["views"], None)
     return sweep
@@ -227,7 +225,7 @@ def _sweep_by_view_sets(on: Desk) -> Work:
 
 def _sweep_by_visibility(on: Desk) -> Work:
     sweep, a = _planned_sweep(on), on.arrays
-    return Work(lambda: sweep.by_visibility(a["nearest"], a["certain"], a["volume_out"]))
+    return Work(lambda: sweep.by_visibility(a["nearest"], a["volume_out"]))
 
 
 def _nlm_average(on: Desk) -> Work:
@@ -265,12 +263,6 @@ def _row(on: Desk) -> dict[str, float]:
     return {"first": -LARGEST_DISPARITY, "step": 2 * LARGEST_DISPARITY / (on.shapes["volume"][0] - 1)}
 
 
-def _farthest_as_good(on: Desk) -> Work:
-    k, a = on.kernels, on.arrays
-    options = {**_row(on), "margin": _MARGIN}
-    return Work(lambda: k.farthest_as_good(a["volume"], a["levels"], **options, disparity_out=a["farthest"]))
-
-
 def _least_costs(on: Desk) -> Work:
     k, a = on.kernels, on.arrays
     return Work(lambda: k.least_costs(a["volume"], least_out=a["least"]))
@@ -294,7 +286,7 @@ def _unevenness(on: Desk) -> Work:
 
 def _judge(on: Desk) -> Work:
     k, a, v = on.kernels, on.arrays, on.arrays["other_values"]
-    share, spread = trust.SHARE["twice"], trust.SPREAD["twice"]
+    share, spread = trust.SHARE["again"], trust.SPREAD["again"]
     outputs = {"confidence_out": a["confidence"], "variance_out": a["variance"]}
     return Work(lambda: k.judge(v, v, v, v, v, v, span=2 * LARGEST_DISPARITY, share=share, spread=spread, **outputs))
 
@@ -334,6 +326,7 @@ def _alignment(on: Desk) -> Work:
         a["offsets"],
         scale=BYTE,
         gradient_weight=config.gradient_weight,
+        contrast=config.contrast,
         robust=config.robust,
         tolerance=MATCHING.sweep.tolerance / farthest(_host_offsets(on)),
     )
@@ -428,19 +421,13 @@ OPERATIONS = (
         trusted=("coherence", CONFIG.local.coherence_threshold),
     ),
     Operation("plane_sweep_by_view_sets", _VIEWS, (Slot("volume_out", "lyx"),), _sweep_by_view_sets),
-    Operation(
-        "plane_sweep_by_visibility",
-        (*_VIEWS, _NEAREST, Slot("certain", "nyx")),
-        (Slot("volume_out", "lyx"),),
-        _sweep_by_visibility,
-    ),
+    Operation("plane_sweep_by_visibility", (*_VIEWS, _NEAREST), (Slot("volume_out", "lyx"),), _sweep_by_visibility),
     Operation("nlm_average", (Slot("near_weights", "wyx"), _VOLUME), (Slot("average", "lyx"),), _nlm_average),
     Operation(
         "semi_global", (_VOLUME, _IMAGE, Slot("other_values", "yx")), (Slot("sum", "lyx"),), _semi_global, local=False
     ),
     Operation("add_reduced", (Slot("reduced_volume", "lrs"), _VOLUME), (_VOLUME,), _add_reduced),
     Operation("least_costs", (_VOLUME,), (Slot("least", "yx"),), _least_costs),
-    Operation("farthest_as_good", (_VOLUME, Slot("levels", "yx")), (Slot("farthest", "yx"),), _farthest_as_good),
     Operation("winner_takes_all", (_VOLUME,), (Slot("disparity_out", "yx"),), _winner_takes_all),
     Operation(
         "evidence",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from statistics import median
+from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,30 +22,33 @@ def measure(
 ) -> tuple[dict[str, float], bool]:
     """Medians in seconds, the device waited for after each part, and whether the stages were captured as in a run.
 
-    Each part is repeated as often as given, but no more than `_MOST` times and than fit into `_BUDGET`.
+    The parts are done in their order, as often as given, but no more than `_MOST` times and than fit into `_BUDGET`: a
+    stage may change what an earlier one left, so that none can be repeated by itself.
     The pipeline must have run before. Where a solver of the host takes part, nothing can be captured: its stages are
     those that one more estimate tells.
     """
     kernels, device = pipeline.kernels, pipeline.device
     stop = clock.stopper(kernels, device)
-    parts: dict[str, Callable[[], None]] = {UPLOAD: lambda: pipeline.upload(views)}
+    parts: dict[str, Callable[[], object]] = {UPLOAD: lambda: pipeline.upload(views)}
     captured = False
     if pipeline.method.is_on_device:
         works = {name: partial(stage, None) for name, stage in pipeline.stages().items()}
         graphs = {stage: kernels.capture(work, device) for stage, work in works.items()}
         captured = None not in graphs.values()
         parts |= {stage: graphs[stage] or work for stage, work in works.items()}
-    seconds = {name: _median(part, stop, repeats) for name, part in parts.items()}
-    if not pipeline.method.is_on_device:
-        seconds |= {stage: s for stage, s in pipeline.estimate().timings.items() if stage != "total"}
-    seconds[DOWNLOAD] = _median(pipeline.disparity, lambda: None, repeats)
-    return seconds, captured
+    parts[DOWNLOAD] = pipeline.disparity
+    times: dict[str, list[float]] = {name: [] for name in parts}
 
-
-def _median(part: Callable[[], object], stop: Callable[[], object], repeats: int) -> float:
-    def call() -> None:
-        part()
-        stop()
+    def in_order() -> None:
+        for name, part in parts.items():
+            start = perf_counter()
+            part()
+            stop()
+            times[name].append(perf_counter() - start)
 
     stop()
-    return median(clock.singly(call, least=1, most=min(repeats, _MOST), budget=_BUDGET))
+    clock.singly(in_order, least=1, most=min(repeats, _MOST), budget=_BUDGET)
+    seconds = {name: median(each) for name, each in times.items()}
+    if not pipeline.method.is_on_device:
+        seconds |= {stage: s for stage, s in pipeline.estimate().timings.items() if stage != "total"}
+    return seconds, captured

@@ -19,9 +19,9 @@ def number(default: float, low: float, high: float, doc: str, *, symbol: str = "
     return field(default=default, metadata={"low": low, "high": high, "doc": doc, "symbol": symbol, "odd": odd})
 
 
-def choice(default: str, choices: tuple[str, ...], doc: str, *, symbol: str = "") -> Any:
+def choice(default: str, choices: tuple[str, ...], doc: str) -> Any:
     """A parameter that is one of several words."""
-    return field(default=default, metadata={"choices": choices, "doc": doc, "symbol": symbol})
+    return field(default=default, metadata={"choices": choices, "doc": doc, "symbol": ""})
 
 
 @dataclass(frozen=True)

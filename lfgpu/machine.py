@@ -6,12 +6,14 @@ import ctypes
 import importlib.metadata
 import platform
 import sys
+from functools import lru_cache
 from pathlib import Path
 
 _MEMINFO = Path("/proc/meminfo")
 _LONGEST = 256  # bytes of a name, with its terminating zero
 
 
+@lru_cache
 def version_of(package: str) -> str | None:
     """The version of a package; None if it is not installed, as lfgpu is not when a checkout is put on the path."""
     try:

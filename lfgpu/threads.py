@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -15,6 +17,8 @@ _Done = TypeVar("_Done")
 
 _VARIABLE = "LFGPU_THREADS"
 _chosen: int | None = None
+_here = threading.local()
+_SHORT = 5e-4  # seconds after which Python lets another thread go on that leaves it soon, as decoders do
 
 
 def set_threads(count: int | None) -> None:
@@ -45,8 +49,20 @@ def limited_threads(count: int) -> Iterator[None]:
         _chosen = before
 
 
+@contextmanager
+def alone_here() -> Iterator[None]:
+    """Work of the calling thread stays on it while the block runs: it has others beside it that must not wait."""
+    _here.alone = True
+    try:
+        yield
+    finally:
+        _here.alone = False
+
+
 def get_threads() -> int:
     """The largest number of CPU threads: from `set_threads`, else from $LFGPU_THREADS, else one per core."""
+    if getattr(_here, "alone", False):
+        return 1
     if _chosen is not None:
         return _chosen
     given = os.environ.get(_VARIABLE)
@@ -60,7 +76,39 @@ def in_threads(work: Callable[[_Item], _Done], items: Iterable[_Item], *, most: 
     as large NumPy operations and image decoders do.
     """
     with ThreadPoolExecutor(min(get_threads(), most or get_threads())) as pool:
-        return list(pool.map(work, items))
+        results = pool.map(work, items)
+        try:
+            _do_waiting()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        return list(results)
+
+
+@contextmanager
+def meanwhile(work: Callable[[], None]) -> Iterator[None]:
+    """Do `work` on this thread while the block's first call of `in_threads` waits for others, at its end at the latest.
+
+    It is not done if the block raises before. What it raises itself ends the block.
+    """
+    _here.work = work
+    try:
+        yield
+        _do_waiting()
+    finally:
+        _here.work = None
+
+
+def _do_waiting() -> None:
+    work, _here.work = getattr(_here, "work", None), None
+    if work is None:
+        return
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(_SHORT)
+    try:
+        work()
+    finally:
+        sys.setswitchinterval(interval)
 
 
 def _cores() -> int:

@@ -48,7 +48,9 @@ def pytest_configure(config: pytest.Config) -> None:
     # By way of the environment, so that all workers of pytest-xdist have the same one.
     os.environ[SEED] = str(given) if given is not None else os.environ.get(SEED) or str(secrets.randbits(32))
     _share_cores()
-    config.stash[_TARGETS] = list(_find_targets(config.getoption("--backend"), config.getoption("--device")))
+    wanted = config.getoption("--backend"), config.getoption("--device")
+    config.stash[_TARGETS] = list(_find_targets(*wanted))
+    _refuse_nothing(config.stash[_TARGETS], *wanted)
 
 
 _TARGETS = pytest.StashKey[list[Target]]()
@@ -88,6 +90,14 @@ def _find_targets(only_backend: str | None, only_device: str | None) -> Iterator
         raise pytest.UsageError(f"--backend={only_backend}: there are {', '.join(list_backends())}")
 
 
+def _refuse_nothing(targets: list[Target], only_backend: str | None, only_device: str | None) -> None:
+    """A run that was to try a backend or device and cannot is an error: with all tests skipped it would look right."""
+    if (only_backend or only_device) and not any(target.kernels for target in targets):
+        wanted = [target for target in targets if not target.reason.startswith("--")]
+        reasons = "; ".join(f"{target}: {target.reason}" for target in wanted)
+        raise pytest.UsageError(f"what --backend and --device name cannot be tried here ({reasons})")
+
+
 def _started(target: Target) -> Target:
     """The target if an array can be made there: a backend may run on one device per process, the first asked for."""
     assert target.kernels is not None
@@ -111,18 +121,22 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """`target`: each backend x device that can be tried; `other`: those but the reference; `absent`: the rest."""
+    """`target`: each backend x device that can be tried; `other`: those but the reference; `named`: all."""
     targets = metafunc.config.stash[_TARGETS]
     there = [target for target in targets if target.kernels is not None]
     chosen = {
         "target": there,
         "other": [target for target in there if target.backend != "reference"],
-        "absent": [target for target in targets if target.kernels is None],
+        "named": [target if target.kernels else _skipped(target) for target in targets],
     }
     for name, values in chosen.items():
         own = any(name in mark.args[0] for mark in metafunc.definition.iter_markers("parametrize"))
         if name in metafunc.fixturenames and not own:
             metafunc.parametrize(name, values, ids=str)
+
+
+def _skipped(target: Target) -> Any:
+    return pytest.param(target, marks=pytest.mark.skip(reason=f"{target}: {target.reason}"))
 
 
 @pytest.fixture
@@ -154,6 +168,15 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded") / "boxes"
     write_hci(boxes(), folder)
     return folder
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """One browser for all tests of a file: it takes long to come."""
+    from tests.browser import chromium
+
+    with chromium() as opened:
+        yield opened
 
 
 @pytest.fixture

@@ -26,7 +26,7 @@ from lfgpu.methods.matching.noise import in_units_of
 ROOT = Path(__file__).parents[1]
 SIZE = 48
 SCALED = {
-    **dict.fromkeys(("alignment.robust", "boundaries.contrast"), 1.0),
+    **dict.fromkeys(("alignment.robust", "alignment.contrast", "boundaries.contrast"), 1.0),
     **dict.fromkeys(("semi_global.small_penalty", "semi_global.large_penalty", "semi_global.contrast"), 1.0),
     "prior.sigma_color": 0.5,
 }
@@ -130,7 +130,7 @@ def test_a_real_scene_is_scored_in_its_mask(tmp_path: Path) -> None:
     (record,) = ablation.run(plan_of(Scene("real", judging=True), data=tmp_path, variants=FEW[:1]), quiet).records
     assert record.compared == f"truth of the data set, {5 * 13} pixels"  # rows 15 to 19, columns 20 to 32
     assert record.details["judging"]
-    assert record.details["config"]["sweep"]["occlusions"] == "twice"
+    assert record.details["config"]["sweep"]["resweeps"] == 3
 
 
 def test_what_fails_is_listed_and_the_rest_goes_on(tmp_path: Path) -> None:

@@ -182,6 +182,15 @@ def test_tests_try_a_backend_of_one_device_on_the_first_that_it_names(monkeypatc
     assert (second.device, second.kernels) == ("cpu", one_device)
 
 
+def test_a_run_that_can_try_nothing_of_what_it_names_is_refused() -> None:
+    there = conftest.Target("one", "cpu", _backends.load("reference"))
+    gone = conftest.Target("one", "cuda:0", None, "no GPU")
+    conftest._refuse_nothing([gone], None, None)  # nothing was named
+    conftest._refuse_nothing([there, gone], "one", None)
+    with pytest.raises(pytest.UsageError, match=r"cannot be tried here \(one-cuda:0: no GPU\)"):
+        conftest._refuse_nothing([gone, conftest.Target("two", "any device", None, "--backend=one")], "one", None)
+
+
 @pytest.mark.parametrize(
     ("asked", "found"), [(None, "cuda:0"), ("cuda", "cuda:0"), ("cuda:1", "cuda:1"), ("cpu", "cpu")]
 )

@@ -78,6 +78,20 @@ def test_only_what_is_missing_failed_or_stale_is_done_again(recorded: Path, tmp_
     assert (third.computed, third.kept) == (0, 5)
 
 
+def test_a_process_can_run_one_batch_after_another(tmp_path: Path) -> None:
+    """The settings of the first, in a process that has not loaded Dask yet, take nothing away from the second."""
+    runs = tmp_path / "runs.py"
+    runs.write_text(
+        "from lfgpu.batch.cluster import Cluster\n"
+        "if __name__ == '__main__':\n"
+        "    for _ in range(2):\n"
+        "        with Cluster(devices=('cpu',)):\n"
+        "            pass\n"
+    )
+    done = subprocess.run([sys.executable, str(runs)], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+
+
 def test_a_worker_that_is_killed_in_the_middle_costs_nothing(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
     cluster, killed = local(), []
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,16 +21,9 @@ from lfgpu.batch.work import Settings, work
 from lfgpu.io import REPORT_FILE, write_hci
 from lfgpu.methods import PRESETS
 from lfgpu.viz.panels import UNDEFINED
-from tests.browser import chromium
 
 SETTINGS = Settings(PRESETS["fast"], disparity_range=(-1.2, 1.2))
 HOLE = np.s_[:16, -20:]
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

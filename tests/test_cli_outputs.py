@@ -38,7 +38,7 @@ def refused(words: str, *arguments: object) -> None:
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded") / "boxes"
-    write_hci(scenes.make("boxes", grid=(3, 3), size=(48, 56)), folder)
+    write_hci(scenes.make("boxes", grid=(3, 3), size=(48, 56), seed=1), folder)
     return folder
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,38 +100,65 @@ def made_up(weights: Weights, count: int, seed: int = 0) -> Sample:
     """Pixels whose errors are what the weights say."""
     random = np.random.default_rng(seed)
     features = {name: random.normal(0, 1, count) for name in ("conflict", "evidence", "bend", "relief", "wide", "cost")}
-    sample = Sample("made up, fast", "once", features, np.zeros(count), 2.0)
-    confidence, deviation = sample.judged(weights)
-    right = random.random(count) < confidence
-    return Sample(
-        "made up, fast",
-        "once",
-        features,
-        np.where(right, 0.0, 1.0 + deviation * np.abs(random.normal(0, 1, count))),
-        2.0,
-    )
+    sample = Sample("made up", "fast", "once", features, np.zeros(count), 2.0)
+    said = sample.judged(weights)
+    right = random.random(count) < said.confidence
+    return replace(sample, error=np.where(right, 0.0, 1.0 + said.deviation * np.abs(random.normal(0, 1, count))))
 
 
 def test_fitting_finds_the_weights_that_made_the_data() -> None:
     found = benchmark.fit([made_up(WEIGHTS, 200_000)])
     np.testing.assert_allclose(found.share["once"], WEIGHTS.share["once"], atol=0.1)
-    assert found.share["twice"] == benchmark.NOW.share["twice"]
+    assert found.share["again"] == benchmark.NOW.share["again"]
 
 
 def test_a_calibrated_confidence_is_right_as_often_as_it_says() -> None:
     sample = made_up(WEIGHTS, 100_000)
-    said = sample.judged(WEIGHTS)[0]
-    for confidence, right, share in benchmark._bins(said, sample.error):
-        assert share == 0 or abs(confidence - right) < 0.02
-    table, _ = benchmark.tables([sample], WEIGHTS)
-    assert [row[0] for row in table.rows] == ["all", "made up, fast"]
+    whole, alone = benchmark.rows([sample.judged(WEIGHTS)])
+    assert (whole.scene, alone.scene, alone.preset) == ("all", "made up", "fast")
+    assert whole.bins == alone.bins
+    assert sum(one.share for one in alone.bins) == pytest.approx(1)
+    assert len(alone.bins) > 4
+    for one in alone.bins:
+        assert abs(one.said - one.right) < 0.02
+    for table in benchmark.tables([whole, alone]):
+        assert [row[0] for row in table.rows] == ["all", "made up, fast"]
+        assert {len(row) for row in table.rows} == {len(table.columns)}
+
+
+def test_no_scene_judges_itself() -> None:
+    """What is odd about one scene does not help its own confidence, and scenes of the package are not judged."""
+    odd = replace(made_up(Weights({"once": (-2.0, 0, 0, 0, 0, 0)}, WEIGHTS.spread), 20_000), scene="odd")
+    usual = [replace(made_up(WEIGHTS, 20_000, seed), scene=f"usual {seed}") for seed in (1, 2)]
+    own = replace(made_up(WEIGHTS, 20_000, 3), scene="own", own=True)
+    judged = benchmark.by_the_others([odd, *usual, own], lambda _: None)
+    assert [one.sample.scene for one in judged] == ["odd", "usual 1", "usual 2"]
+    want = odd.judged(benchmark.fit([*usual, own]))
+    np.testing.assert_array_equal(judged[0].confidence, want.confidence)
+    np.testing.assert_array_equal(judged[0].deviation, want.deviation)
+    assert np.abs(judged[0].confidence - odd.judged(benchmark.fit([odd, *usual, own])).confidence).max() > 0.05
+
+
+def test_errors_are_counted_in_stated_deviations() -> None:
+    sample = made_up(WEIGHTS, 1000)
+    deviation = sample.judged(WEIGHTS).deviation
+    error = deviation * np.repeat([0.5, -1.5, 2.5, 3.0], 250)
+    row = benchmark.rows([replace(sample, error=error).judged(WEIGHTS)])[1]
+    assert (row.within_1, row.within_2) == (0.25, 0.5)
+    assert row.said_rms == pytest.approx(np.sqrt(np.mean(deviation**2)))
+    assert row.error_rms == pytest.approx(np.sqrt(np.mean(error**2)))
 
 
 def test_the_command_line(tmp_path: Path) -> None:
     write_hci(scenes.make("planes", grid=(5, 5), size=(64, 72)), tmp_path / "one")
-    arguments = ["confidence", str(tmp_path), "--presets", "fast", "-o", str(tmp_path / "diagram.png")]
+    diagram, out = tmp_path / "diagram.png", tmp_path / "confidence.json"
+    arguments = ["confidence", str(tmp_path), "--presets", "fast", "--diagram", str(diagram), "-o", str(out)]
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output
     assert "one, fast" in done.output
-    assert (tmp_path / "diagram.png").stat().st_size > 0
-    assert "there is no light field 'two'" in CliRunner().invoke(app, [*arguments, "--develop", "two"]).output
+    assert diagram.stat().st_size > 0
+    found = json.loads(out.read_text())
+    assert not found["fitted"]
+    assert found["versions"]["lfgpu"] == lfgpu.__version__
+    assert [(row["scene"], row["preset"]) for row in found["rows"]] == [("all", "all"), ("one", "fast")]
+    assert all(0 <= one["right"] <= 1 for row in found["rows"] for one in row["bins"])

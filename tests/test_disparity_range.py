@@ -60,7 +60,7 @@ def test_a_wall_that_is_dark_and_nearly_plain_does_not_open_it() -> None:
     dim = lf.views.astype(np.float32) / 255
     dim[:, :80] *= 0.02  # of whose texture noise leaves nothing
     noisy = dim + np.random.default_rng(0).normal(0, 0.01, dim.shape)
-    spans(replace(lf, views=np.clip(noisy, 0, 1).astype(np.float32)), missing=1.0)
+    spans(replace(lf, views=np.clip(noisy, 0, 1).astype(np.float32)), missing=0.002)
 
 
 def test_views_of_different_brightness_have_the_same_range() -> None:

@@ -6,7 +6,7 @@ import importlib.metadata
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, get_args
 
@@ -18,6 +18,7 @@ from lfgpu import scenes
 from lfgpu._backends import BackendName, backend_named, list_backends
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
+from lfgpu.machine import version_of
 from lfgpu.methods import PRESETS, PresetName
 from lfgpu.metrics import Sparsification, evaluate, sparsification
 
@@ -105,6 +106,15 @@ def test_the_version_is_there_and_costs_nothing() -> None:
     assert done.stdout.strip() == "False"
 
 
+@pytest.fixture
+def versions_anew() -> Iterator[None]:
+    """No version that was looked up before is known in the test, and none of the test after it."""
+    version_of.cache_clear()
+    yield
+    version_of.cache_clear()
+
+
+@pytest.mark.usefixtures("versions_anew")
 def test_a_checkout_that_is_not_installed_saves_maps(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     def none(package: str) -> str:
         raise importlib.metadata.PackageNotFoundError(package)

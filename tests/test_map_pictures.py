@@ -94,7 +94,7 @@ def test_what_cannot_be_drawn_or_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LightFieldError, match=r"a map must be \[y, x\]"):
         write_picture(np.zeros((2, 3, 4)), tmp_path / "a.png", title="", label="")
     (tmp_path / "file").write_text("")
-    with pytest.raises(LightFieldError):
+    with pytest.raises(LightFieldError, match="cannot be written"):
         write_picture(np.zeros((2, 3)), tmp_path / "file" / "a.png", title="", label="")
     assert {path.name for path in tmp_path.iterdir()} == {"file"}
 

@@ -18,7 +18,7 @@ from lfgpu.methods import PRESETS, method_of
 from lfgpu.methods.matching import plan
 from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.noise import in_units_of, measured_grain, measured_noise
-from lfgpu.methods.matching.sweep import labels, swept_views, used_views, view_sets
+from lfgpu.methods.matching.sweep import further_sweeps, labels, swept_views, used_views, view_sets
 from lfgpu.metrics import Metrics, evaluate, sparsification
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.pipeline import DepthPipeline
@@ -63,6 +63,35 @@ def test_every_other_view_of_a_large_grid_is_swept_at_first() -> None:
     assert len(swept_views(offsets + np.linspace(0, 0.2, 81)[:, None], "alternate")) == 81  # not on a grid
 
 
+@pytest.mark.parametrize(
+    ("places", "count"),
+    [
+        (grid(3, 3), 3),
+        (grid(9, 9), 3),
+        (np.array([[0, 0], [1, 0], [-1, 1], [-1, -1]]), 3),
+        (grid(1, 9), 1),  # a row
+        (grid(5, 5)[10:], 1),  # below the reference and beside it
+        (grid(3, 3)[4:], 1),
+        (np.array([[0, 0], [1, 1], [-1, -1], [2, 2]]), 1),  # a diagonal
+        (np.array([[0, 0], [1, 0]]), 1),
+    ],
+)
+def test_surfaces_are_widened_only_where_views_are_on_all_sides(places: np.ndarray, count: int) -> None:
+    """Elsewhere there is one further sweep, whose surfaces are as they were found; without any there is none."""
+    assert further_sweeps(np.asarray(places, np.float64), SweepConfig(resweeps=3)) == count
+    assert further_sweeps(np.asarray(places, np.float64), SweepConfig(resweeps=0)) == 0
+
+
+def test_what_is_above_something_near_stays_visible_in_a_row_of_views() -> None:
+    """With widened surfaces it would be hidden from all views, and surfaces would grow sweep by sweep."""
+    lf = scenes.make("planes", seed=11, grid=(1, 9), size=(96, 96), noise=0.01)
+    maps = [
+        estimate_depth(lf, disparity_range=RANGE, config=PRESETS["accurate"].with_values({"sweep.resweeps": count}))
+        for count in (1, 3)
+    ]
+    np.testing.assert_array_equal(maps[0].disparity, maps[1].disparity)
+
+
 @pytest.mark.parametrize("backend", ["warp", "taichi"])
 def test_views_that_are_not_swept_change_the_last_step_only(backend: BackendName) -> None:
     """One view of the other colour is out of line: the sweeps stay as they are. Masks go with their views."""
@@ -81,8 +110,13 @@ def test_views_that_are_not_swept_change_the_last_step_only(backend: BackendName
     assert np.abs(blind.stages["align"] - before.stages["align"]).max() > 1e-4
     missing = np.ones_like(valid)
     missing[50] = False  # one to the right and one below: of the same colour
-    found = estimate_depth(replace(lf, valid=missing), **options).stages["sweep"]
-    assert np.abs(found - before.stages["sweep"]).max() > 1e-4
+    found = estimate_depth(replace(lf, valid=missing), **options).stages
+    np.testing.assert_array_equal(found["sweep"], before.stages["sweep"])  # not in the reference's row or column
+    assert np.abs(found["resweep"] - before.stages["resweep"]).max() > 1e-4
+    missing = np.ones_like(valid)
+    missing[42] = False  # two to the right
+    found = estimate_depth(replace(lf, valid=missing), **options).stages
+    assert np.abs(found["sweep"] - before.stages["sweep"]).max() > 1e-4
 
 
 def test_apertures_are_all_views_and_the_quarters_around_the_reference() -> None:
@@ -164,7 +198,7 @@ def test_occlusions_are_where_it_is_better_than_the_synthesis() -> None:
     [
         "boxes",
         "planes",
-        pytest.param("textureless", marks=pytest.mark.xfail(strict=True, reason="they leave 1.07 of BadPix(0.07)")),
+        pytest.param("textureless", marks=pytest.mark.xfail(strict=True, reason="they leave 1.02 of the MSE")),
         "bars",
     ],
 )
@@ -222,16 +256,7 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> 
     assert np.diff(curve.bad).max() < 0.6  # per cent: a handful of pixels among the few that are left last
 
 
-@pytest.mark.parametrize(
-    "preset",
-    [
-        "accurate",
-        pytest.param(
-            "fast",
-            marks=pytest.mark.xfail(strict=True, reason="fewer than 250 pixels are said to be wrong rather than right"),
-        ),
-    ],
-)
+@pytest.mark.parametrize("preset", ["accurate", "fast"])
 def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     """Over scenes with texture together, in bins of the confidence that hold enough pixels.
 
@@ -240,12 +265,14 @@ def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     """
     right, expected = {}, {}
     for name in ("boxes", "planes", "bars", "textureless"):
-        lf = scene(name, size=128)
-        result = estimate_depth(lf, disparity_range=RANGE, config=preset)
-        assert lf.truth is not None
-        inner = np.s_[15:-15, 15:-15]
-        right[name] = (np.abs(result.disparity - lf.truth.disparity) <= 0.07)[inner].ravel()
-        expected[name] = result.confidence[inner].ravel()
+        inner, found, said = np.s_[15:-15, 15:-15], [], []
+        for seed in (0, 1):
+            lf = scenes.make(name, seed=seed, grid=(5, 5), size=(192, 192))
+            result = estimate_depth(lf, disparity_range=RANGE, config=preset, check_cameras=False)
+            assert lf.truth is not None
+            found.append((np.abs(result.disparity - lf.truth.disparity) <= 0.07)[inner].ravel())
+            said.append(result.confidence[inner].ravel())
+        right[name], expected[name] = np.concatenate(found), np.concatenate(said)
     assert np.concatenate([*expected.values()]).mean() - np.concatenate([*right.values()]).mean() < 0.05
     good, confidence = (np.concatenate([of[name] for name in ("boxes", "planes", "bars")]) for of in (right, expected))
     assert abs(good.mean() - confidence.mean()) < 0.05

@@ -42,7 +42,7 @@ def test_a_scene_that_is_there_is_measured_and_the_others_are_skipped_with_a_wor
     assert "mean of" not in outcome.stdout
 
 
-def test_the_mean_of_the_old_hci_set_is_that_of_last_stages(data: Path) -> None:
+def test_the_mean_of_the_old_hci_set_is_that_of_last_stages() -> None:
     records = [
         Record(paper.KIND, "warp", "cpu", e.name, "paper", spread([1.0]), errors={"rmse local": 9, "rmse refine": n})
         for n, e in enumerate(e for e in paper.EXPERIMENTS if e.name.endswith("-9x9x768x768"))

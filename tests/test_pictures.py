@@ -12,7 +12,6 @@ from PIL import Image
 from lfgpu.errors import LightFieldError
 from lfgpu.metrics import sparsification
 from lfgpu.viz.figures import (
-    confidence_figure,
     disparity_figure,
     figure_with_scale,
     overview_figure,
@@ -73,14 +72,10 @@ def test_a_map_of_one_value_can_be_drawn(value: float, tmp_path: Path) -> None:
     assert pixels(disparity_figure(np.full(SHAPE, value)), tmp_path).size
 
 
-def test_confidence_is_always_on_the_scale_0_to_1() -> None:
-    assert confidence_figure(np.full(SHAPE, 0.4)).axes[0].images[0].get_clim() == (0, 1)
-
-
 @pytest.mark.parametrize("shape", [(30, 40), (200, 10), (10, 200), (1, 1), (1000, 950)])
 def test_each_pixel_of_a_map_is_a_whole_square(shape: tuple[int, int], tmp_path: Path) -> None:
     values = np.random.default_rng(0).random(shape)
-    figure = confidence_figure(values)
+    figure = disparity_figure(values)
     drawn = pixels(figure, tmp_path)
     box = figure.axes[0].get_window_extent()
     magnification = box.width / shape[1]
@@ -146,7 +141,7 @@ def test_what_is_no_map_is_refused() -> None:
 def test_a_picture_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(LightFieldError, match="cannot be written"):
-        save_png(confidence_figure(np.zeros(SHAPE)), tmp_path / "file" / "x.png")
+        save_png(disparity_figure(np.zeros(SHAPE)), tmp_path / "file" / "x.png")
 
 
 @pytest.mark.parametrize("size", [(29, 31), (480, 640)])

@@ -51,23 +51,33 @@ def test_the_map_of_a_pipeline_says_so_itself(lf: LightField) -> None:
     """A pipeline does not search for another range: what it says comes from its maps."""
     pipeline = DepthPipeline(lf, config="fast", disparity_range=(0.5, 3.0))
     assert any("of the map lies at its far end" in note for note in pipeline.estimate().notes)
-    pipeline.upload(noise_in_a_row(lf.views.shape))
+    pipeline.upload(noise_in_a_row(lf.views.shape, 4, 0))
     assert any("The confidence is at most 0.1 at 95 %" in note for note in pipeline.estimate().notes)
     assert DepthPipeline(lf, config="fast", disparity_range=(-3.0, 3.0)).estimate().notes == ()
 
 
-def noise_in_a_row(shape: tuple[int, ...]) -> np.ndarray:
+def noise_in_a_row(shape: tuple[int, ...], blur: float, seed: int) -> np.ndarray:
     """Blurred, so that single pixels find something alike."""
-    values = gaussian_filter(np.random.default_rng(0).normal(size=shape), (0, 4, 4, 0))
+    values = gaussian_filter(np.random.default_rng(seed).normal(size=shape), (0, blur, blur, 0))
     return np.clip(128 + 40 * values / values.std(), 0, 255).astype(np.uint8)
 
 
-def test_blurred_noise_is_not_believed() -> None:
-    """The range finder takes a few pixels of it for evidence."""
-    row = noise_in_a_row((5, 64, 64, 3))
+def test_blurred_noise_is_refused_or_not_believed() -> None:
+    """Where it is very smooth, the range finder takes a few pixels of it for evidence."""
     positions = np.stack([np.arange(5.0), np.zeros(5)], axis=1)
-    result = lfgpu.estimate_depth(LightField(row, positions), config="fast")
-    assert any("The confidence is at most 0.1 at 95 %" in note for note in result.notes)
+    refused, results = [], []
+    for blur in (2, 4, 6):
+        for seed in range(4):
+            row = noise_in_a_row((5, 64, 64, 3), blur, seed)
+            try:
+                results.append(lfgpu.estimate_depth(LightField(row, positions), config="fast"))
+            except LightFieldError as error:
+                refused.append(str(error))
+    assert refused
+    assert all("the disparity range cannot be found" in message for message in refused)
+    assert results
+    for result in results:
+        assert any("The confidence is at most 0.1 at 95 %" in note for note in result.notes)
 
 
 def test_the_command_says_so(lf: LightField, tmp_path: Path) -> None:

@@ -162,6 +162,14 @@ def test_names_cannot_break_out_of_the_page(lf: LightField) -> None:
     assert "Ground truth" not in page
 
 
+def test_places_that_are_meant_to_be_empty_are_not_missing(lf: LightField) -> None:
+    cross = lf.subset([lf.index_of(v, u) for v in range(3) for u in range(3) if 1 in (v, u)])
+    assert cross.missing
+    assert "missing" not in html(cross, result_of(cross))
+    lost = lf.subset([lf.index_of(v, u) for v in range(3) for u in range(3) if (v, u) != (0, 1)])
+    assert "1: row 0, column 1 (counted from 0)" in html(lost, result_of(lost))
+
+
 @pytest.mark.parametrize(
     ("preset", "values", "title", "unit", "first", "scale"),
     [
@@ -440,6 +448,7 @@ def test_maps_in_a_comparison_are_not_stretched(shape: tuple[int, int]) -> None:
         Scene("b", np.zeros((60, 80, 3), np.float32), other, {"x": other}),
     ]
     figure = comparison_figure(scenes_)
+    assert len(figure.axes) == 2 * 4 + 1  # view, truth and two methods of each scene, and the scale
     for axes in figure.axes[:-1]:
         box, (height, width) = axes.get_window_extent(), axes.images[0].get_array().shape[:2]
         assert box.width / box.height == pytest.approx(width / height, rel=1e-3)

@@ -1,45 +1,18 @@
-"""Solvers against problems whose answers are known, and against each other on the energies of the method."""
+"""Conjugate gradients and both solvers within bounds, against problems whose answers are known."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
-from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
+from solver_runs import Found, Solver, assert_sentence, both
 
-from lfgpu import scenes
-from lfgpu._backends import load
-from lfgpu.data.lightfield import LightField
-from lfgpu.methods.prior import NonLocalMeans
-from lfgpu.methods.sections import PriorConfig
-from lfgpu.methods.structure_tensor import LocalEstimator
-from lfgpu.methods.synthesis.config import PropagationConfig, SynthesisConfig
-from lfgpu.methods.synthesis.energy import Energy
-from lfgpu.methods.synthesis.model import ForwardModel
-from lfgpu.methods.synthesis.propagation import Propagation
-from lfgpu.metrics import evaluate
 from lfgpu.solvers.cg import ConjugateGradients
 from lfgpu.solvers.lbfgs import BoundedLbfgs
-from lfgpu.solvers.lbfgsb import ScipyLbfgsb
-from lfgpu.solvers.solution import Solution
 
-REFERENCE = load("reference")
 SHAPE = (4, 6)
-
-
-class Found(NamedTuple):
-    """What a solver left on the device, and what it says about it."""
-
-    values: np.ndarray
-    solution: Solution
-
-
-def assert_sentence(status: str) -> None:
-    assert status.endswith(".")
-    assert len(status.split()) >= 6
 
 
 # --- conjugate gradients ---
@@ -138,10 +111,8 @@ def test_cg_remembers_nothing_of_the_system_before(target: Any, rng: np.random.G
 
 # --- minimisation within bounds: known functions, by both solvers ---
 
-Function = Callable[[np.ndarray], tuple[float, np.ndarray]]
-Solver = type[BoundedLbfgs] | type[ScipyLbfgsb]
 
-both = pytest.mark.parametrize("solver", [BoundedLbfgs, ScipyLbfgsb])
+Function = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
 
 def quadratic(matrix: np.ndarray, minimum: np.ndarray) -> Function:
@@ -326,250 +297,3 @@ def test_lbfgs_remembers_nothing_of_the_function_before(target: Any, rng: np.ran
     again, want = (functions.minimize(second, np.zeros(SHAPE)) for functions in (used, fresh))
     np.testing.assert_allclose(again.values, want.values, rtol=0, atol=1e-5)
     assert again.solution.trace == pytest.approx(want.solution.trace, rel=1e-3, abs=1e-6)
-
-
-# --- the refinement: its energy, on scenes with a known map ---
-
-RANGE, TIGHT = (-1.5, 1.5), (-0.5, 0.75)
-PARAMETERS = SynthesisConfig().with_values({"prior.window": 7, "refinement.smoothness": 0.2})
-SCENES = ("relief", "boxes")
-
-
-class Problem(NamedTuple):
-    """What the refinement of a light field minimises on a device, and where it begins."""
-
-    lf: LightField
-    target: Any
-    energy: Energy
-    start: np.ndarray
-
-    def solved(
-        self, solver: Solver, bounds: tuple[float, float] = RANGE, callback: Any = None, **options: Any
-    ) -> Found:
-        kernels, device = self.target.kernels, self.target.device
-        config = PARAMETERS.refinement
-        limits = {"tolerance": config.tolerance, "max_iterations": config.max_iterations} | options
-        minimizer = solver(self.lf.size, bounds, kernels, device, **limits)
-        x = kernels.field(self.start, device)
-        minimizer.minimize(self.energy, x, callback, curvature=self.energy.curvature)
-        return Found(kernels.numpy(x), minimizer.report())
-
-    def value(self, x: np.ndarray) -> float:
-        kernels, device = self.target.kernels, self.target.device
-        gradient, value = kernels.zeros(self.lf.size, device), kernels.scalar(0.0, device)
-        self.energy(kernels.field(x, device), gradient, value)
-        return float(kernels.number(value))
-
-
-@cache
-def problem(scene: str, target: Any) -> Problem:
-    lf = scenes.make(scene, grid=(5, 5), size=(52, 56))
-    kernels, where = target.kernels, (target.kernels, target.device)
-    views = kernels.image(lf.views, target.device)
-    local = LocalEstimator(lf, RANGE, PARAMETERS.local, *where)
-    local.run(views)
-    prior = NonLocalMeans((*lf.size, lf.channels), PARAMETERS.prior, *where)
-    prior.load(kernels.image(lf.image(lf.reference_index), target.device))
-    propagation = Propagation(lf.size, RANGE, prior, PARAMETERS.propagation)
-    propagation.run(local.disparity, local.coherence)
-    model = ForwardModel(lf, PARAMETERS.refinement, *where)
-    model.load(views, propagation.filled)
-    energy = Energy(model, prior, PARAMETERS.refinement.smoothness)
-    energy.load()
-    return Problem(lf, target, energy, kernels.numpy(propagation.filled))
-
-
-@pytest.mark.parametrize("scene", SCENES)
-def test_lbfgs_ends_as_low_as_scipy(target: Any, scene: str) -> None:
-    """With the default tolerance, at which both stop before the minimum.
-
-    On the way down more pixels of `boxes` get wrong, so ours lie between scipy's and those of scipy further down.
-    """
-    case = problem(scene, target)
-    own, scipy = (case.solved(solver) for solver in (BoundedLbfgs, ScipyLbfgsb))
-    further = case.solved(ScipyLbfgsb, tolerance=1e-5)
-    first, lowest = scipy.solution.trace[0], scipy.solution.trace[-1]
-    assert own.solution.trace[0] == pytest.approx(first, rel=1e-6)
-    assert lowest < 0.95 * first
-    assert own.solution.trace[-1] <= 1.005 * lowest
-    truth = case.lf.reference_truth()
-    assert truth is not None
-    found, want, later = (evaluate(solved.values, truth.disparity) for solved in (own, scipy, further))
-    assert found.mse_100 == pytest.approx(want.mse_100, rel=0.05, abs=0.01)
-    least, most = sorted((want.badpix_07, later.badpix_07))
-    assert least - 1.0 <= found.badpix_07 <= most + 1.0
-    assert found.badpix_03 == pytest.approx(want.badpix_03, abs=3.0)
-    assert own.solution.converged
-    assert scipy.solution.converged
-
-
-def test_lbfgs_ends_where_scipy_ends(target: Any) -> None:
-    """With a tolerance at which both come to the minimum; without occlusions, so that there is one."""
-    case = problem("relief", target)
-    limits = {"tolerance": 1e-5, "max_iterations": 300}
-    own, scipy = (case.solved(solver, **limits) for solver in (BoundedLbfgs, ScipyLbfgsb))
-    assert own.solution.trace[-1] == pytest.approx(scipy.solution.trace[-1], rel=5e-3)
-    apart = np.abs(own.values - scipy.values)
-    assert (apart > 1e-3).mean() < 0.15
-    assert (apart > 1e-2).mean() < 0.02
-
-
-@pytest.mark.parametrize("scene", SCENES)
-def test_refinement_falls_within_bounds_that_hold_it_and_says_so(target: Any, scene: str) -> None:
-    case = problem(scene, target)
-    calls: list[tuple[int, float]] = []
-    values, solution = case.solved(BoundedLbfgs, TIGHT, lambda *call: calls.append(call))
-    assert np.float32(TIGHT[0]) == values.min()
-    assert values.max() == np.float32(TIGHT[1])
-    assert (np.diff(solution.trace) < 0).all()
-    assert calls == list(enumerate(solution.trace))[1:]
-    assert solution.evaluations > solution.iterations > 5
-    assert solution.trace[0] == pytest.approx(case.value(case.start.clip(*TIGHT)), rel=1e-6)
-    assert solution.trace[-1] == pytest.approx(case.value(values), rel=1e-6)
-    assert_sentence(solution.status)
-    assert f"after {solution.iterations} iterations: the energy no longer falls" in solution.status
-    scipy = case.solved(ScipyLbfgsb, TIGHT)
-    assert solution.trace[-1] <= 1.005 * scipy.solution.trace[-1]
-
-
-def test_refinement_stops_at_its_limit(target: Any) -> None:
-    case = problem("relief", target)
-    for most in (0, 1, 4):
-        values, solution = case.solved(BoundedLbfgs, max_iterations=most)
-        assert (solution.converged, solution.iterations) == (False, most)
-        assert ("limit of iterations" if most else "no iteration was allowed") in solution.status
-        if most == 0:
-            np.testing.assert_array_equal(values, case.start.clip(*np.float32(RANGE)))
-
-
-def test_refinement_from_its_own_minimum_gains_nothing(target: Any) -> None:
-    case = problem("relief", target)
-    minimum, first = case.solved(BoundedLbfgs, tolerance=1e-7, max_iterations=1000)
-    values, again = case._replace(start=minimum).solved(BoundedLbfgs)
-    assert again.iterations <= 10
-    assert first.trace[-1] * (1 - 1e-3) <= again.trace[-1] <= again.trace[0] <= first.trace[-1] * (1 + 1e-6)
-    assert np.abs(values - minimum).max() < 0.01
-
-
-# --- the propagation: both solvers, and the energy's normal equations written out ---
-
-PROPAGATION_PRIOR = PriorConfig(window=5, sigma_color=0.3, sigma_gradient=0.3)
-
-
-class Local(NamedTuple):
-    """A first estimate, maps [y, x]."""
-
-    disparity: np.ndarray
-    coherence: np.ndarray
-
-
-def gappy(rng: np.random.Generator, size: tuple[int, int]) -> Local:
-    coherence = np.where(rng.random(size) < 0.6, rng.uniform(0.8, 1.0, size), 0.0)
-    return Local(rng.uniform(-1, 1, size).astype(np.float32), coherence.astype(np.float32))
-
-
-def propagation_of(image: np.ndarray, kernels: Any, device: str, **options: Any) -> Propagation:
-    prior = NonLocalMeans(image.shape, PROPAGATION_PRIOR, kernels, device)
-    prior.load(kernels.image(image, device))
-    return Propagation(image.shape[:2], (-1.0, 1.0), prior, PropagationConfig(**options))
-
-
-def propagated(local: Local, image: np.ndarray, target: Any, **options: Any) -> Found:
-    kernels, device = target.kernels, target.device
-    propagation = propagation_of(image, kernels, device, **options)
-    propagation.run(kernels.field(local.disparity, device), kernels.field(local.coherence, device))
-    return Found(kernels.numpy(propagation.filled), propagation.report())
-
-
-def energy_minimum(local: Local, weights: np.ndarray) -> np.ndarray:
-    """argmin_m Σ_p Σ_q w_pq [(m_p - m_q)² + C_p (m0_p - m_q)²], term by term, q = p included."""
-    n = local.disparity.size
-    c, m0 = local.coherence.ravel().astype(float), local.disparity.ravel().astype(float)
-    matrix, right = np.zeros((n, n)), np.zeros(n)
-    for p, q in itertools.product(range(n), repeat=2):
-        w = weights[p, q]
-        for a, b, sign in ((p, p, 1), (q, q, 1), (p, q, -1), (q, p, -1)):
-            matrix[a, b] += sign * w
-        matrix[q, q] += w * c[p]
-        right[q] += w * c[p] * m0[p]
-    return np.linalg.solve(matrix, right).reshape(local.disparity.shape)
-
-
-def test_propagation_is_the_minimum_of_its_energy(target: Any, rng: np.random.Generator) -> None:
-    size = (6, 7)
-    image, local = rng.random((*size, 3), np.float32), gappy(rng, size)
-    prior = NonLocalMeans(image.shape, PROPAGATION_PRIOR, REFERENCE, "cpu")
-    prior.load(REFERENCE.image(image, "cpu"))
-    columns = []
-    for unit in np.eye(size[0] * size[1]):
-        sums = np.empty(size)
-        prior.neighbors(unit.reshape(size), sums)
-        columns.append(sums.ravel())
-    want = energy_minimum(local, np.stack(columns, axis=1))
-    values, solution = propagated(local, image, target, tolerance=1e-6)
-    np.testing.assert_allclose(values, want, rtol=0, atol=2e-5)
-    assert solution.converged
-
-
-def test_propagation_by_cg_and_by_lbfgsb_is_the_same(target: Any, rng: np.random.Generator) -> None:
-    size = (14, 17)
-    image, local = rng.random((*size, 3), np.float32), gappy(rng, size)
-    by_cg = propagated(local, image, target, solver="cg", tolerance=1e-6)
-    by_lbfgsb = propagated(local, image, target, solver="lbfgsb", tolerance=1e-8, max_iterations=2000)
-    assert np.abs(by_cg.values - by_lbfgsb.values).max() < 1e-3
-    assert by_cg.solution.converged  # L-BFGS-B may end at the last bit of float32 instead
-
-
-def test_propagation_stays_within_what_was_defined(target: Any, rng: np.random.Generator) -> None:
-    size = (14, 17)
-    local = gappy(rng, size)
-    values, _ = propagated(local, rng.random((*size, 1), np.float32), target, tolerance=1e-6)
-    defined = local.disparity[local.coherence > 0]
-    assert values.min() >= defined.min() - 1e-5
-    assert values.max() <= defined.max() + 1e-5
-
-
-def test_propagation_of_one_defined_value_is_that_value_everywhere(target: Any, rng: np.random.Generator) -> None:
-    size = (9, 8)
-    disparity, coherence = np.full(size, -7.0, np.float32), np.zeros(size, np.float32)
-    disparity[4, 3], coherence[4, 3] = 0.625, 0.9
-    values, _ = propagated(Local(disparity, coherence), rng.random((*size, 1), np.float32), target, tolerance=1e-6)
-    np.testing.assert_allclose(values, 0.625, rtol=0, atol=1e-4)
-
-
-def test_undefined_disparities_do_not_matter(target: Any, rng: np.random.Generator) -> None:
-    size = (9, 8)
-    image, local = rng.random((*size, 1), np.float32), gappy(rng, size)
-    other = Local(np.where(local.coherence > 0, local.disparity, np.float32(99)), local.coherence)
-    a, b = (propagated(one, image, target, tolerance=1e-6).values for one in (local, other))
-    np.testing.assert_array_equal(a, b)
-
-
-@pytest.mark.parametrize("solver", ["cg", "lbfgsb"])
-def test_propagation_calls_back(solver: str, rng: np.random.Generator) -> None:
-    propagation = propagation_of(rng.random((9, 8, 1), np.float32), REFERENCE, "cpu", solver=solver)
-    calls: list[int] = []
-    propagation.run(*gappy(rng, (9, 8)), lambda iteration, _: calls.append(iteration))
-    assert calls == list(range(1, propagation.report().iterations + 1))
-    assert calls
-
-
-def test_propagation_remembers_nothing_of_the_estimate_before(target: Any, rng: np.random.Generator) -> None:
-    kernels, device, size = target.kernels, target.device, (9, 8)
-    image, first, second = rng.random((*size, 1), np.float32), gappy(rng, size), gappy(rng, size)
-    propagation = propagation_of(image, kernels, device, tolerance=1e-6)
-    for local in (first, second):
-        propagation.run(kernels.field(local.disparity, device), kernels.field(local.coherence, device))
-    fresh = propagated(second, image, target, tolerance=1e-6)
-    np.testing.assert_allclose(kernels.numpy(propagation.filled), fresh.values, rtol=0, atol=1e-5)
-
-
-def test_propagation_says_how_much_it_was_told(target: Any, rng: np.random.Generator) -> None:
-    """`trusted` is what tells that there was nothing to go by."""
-    kernels, device, size = target.kernels, target.device, (9, 8)
-    propagation = propagation_of(rng.random((*size, 1), np.float32), kernels, device)
-    some = gappy(rng, size)
-    for coherence in (np.zeros(size), some.coherence, np.zeros(size)):
-        propagation.run(kernels.field(some.disparity, device), kernels.field(coherence, device))
-        assert kernels.number(propagation.trusted) == pytest.approx(coherence.sum(dtype=float), rel=1e-6)
-        assert np.isfinite(kernels.numpy(propagation.filled)).all()

@@ -71,7 +71,7 @@ def test_the_shortest_video_ends(videos: Path) -> None:
     assert len(list(open_source(str(videos)).frames)) == 2
 
 
-def test_cameras_from_a_light_field(videos: Path, tmp_path: Path) -> None:
+def test_cameras_from_a_light_field(videos: Path) -> None:
     like = lfgpu.LightField(film()[0].views, film()[0].positions * [1.5, 1], reference=4)
     first = open_source(str(videos), Options(like=like)).first
     np.testing.assert_array_equal(first.positions, like.positions)
@@ -248,7 +248,7 @@ def test_opencv_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
         open_source("opencv:0,1")
 
 
-def test_opencv_itself(videos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_opencv_itself(videos: Path) -> None:
     """It opens files as it opens cameras; its decoder may round colours otherwise."""
     pytest.importorskip("cv2")
     names = ",".join(str(videos / f"camera_{n}.mkv") for n in range(7, 13))

@@ -285,7 +285,7 @@ def test_exceptions_of_a_callback_can_end_the_stream() -> None:
 
 @pytest.mark.parametrize("ending", [SystemExit, KeyboardInterrupt, GeneratorExit])
 def test_a_callback_that_ends_its_thread_does_not_end_the_stream(ending: type[BaseException]) -> None:
-    def leave(result: lfgpu.StreamResult) -> None:
+    def leave(_: lfgpu.StreamResult) -> None:
         raise ending
 
     with made(on_result=leave, policy="block") as stream:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,9 @@ from stream_runs import FRAMES, LONG, alone, frames, held, made
 
 import lfgpu
 from lfgpu import scenes
+from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.range_watch import RangeWatch
+from lfgpu.threads import get_threads, limited_threads
 
 
 class Foreign:
@@ -232,3 +236,41 @@ def test_wrong_stamps_fail_their_frame_only(stamps: Any, words: str) -> None:
 def test_a_tolerance_is_a_number_of_seconds(tolerance: Any) -> None:
     with pytest.raises(lfgpu.LightFieldError, match="tolerance must be a number of seconds > 0"):
         made(tolerance=tolerance)
+
+
+def test_a_search_for_the_range_keeps_to_its_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other threads, which copy frames, are as many as before."""
+    seen: list[int] = []
+
+    def found(*_: Any) -> tuple[float, float]:
+        seen.append(get_threads())
+        with ThreadPoolExecutor(1) as other:
+            seen.append(other.submit(get_threads).result())
+        return -2.0, 2.0
+
+    monkeypatch.setattr("lfgpu.pipelines.range_watch.find_disparity_range", found)
+    with limited_threads(3):
+        RangeWatch((-2.0, 2.0)).search(frames()[0], "the first views")
+        assert seen == [1, 3]
+        assert get_threads() == 3
+
+
+@pytest.mark.parametrize("valid", [True, False], ids=["all", "but-one"])
+def test_views_are_sent_while_others_are_copied(valid: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each view once, when it is there; a part that is not whole is not sent."""
+    monkeypatch.setattr("lfgpu.pipelines.intake._AT_ONCE", 1)
+    lf, sent, there = frames()[0], [], np.ones(15, bool)
+    there[3] = valid
+    slot = SimpleNamespace(host=np.full_like(lf.views, 7), present=np.zeros(15, np.float32))
+    want = lf.views.copy()
+    want[~there] = 0
+
+    def send(_: Any, first: int, last: int) -> None:
+        assert np.array_equal(slot.host[first:last], want[first:last])
+        sent.extend(range(first, last))
+
+    with limited_threads(4):
+        intake = Intake(lf, range(15), "cpu")
+    intake.fill(slot, lf.views, there, SimpleNamespace(enter=lambda: None, send=send), on_gpu=False)  # type: ignore[arg-type]
+    intake.close()
+    assert sent == list(range(15))

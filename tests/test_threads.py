@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ import pytest
 import lfgpu
 from lfgpu import threads
 from lfgpu.errors import LfgpuError
+from lfgpu.threads import in_threads, meanwhile
 
 VARIABLE = "LFGPU_THREADS"
 
@@ -86,3 +88,50 @@ def test_maps_have_the_same_bits_for_any_number_of_threads(other: Any) -> None:
         assert process.returncode == 0, process.stderr
     assert done[0].stdout == done[1].stdout
     assert done[0].stdout.strip()
+
+
+def test_what_waits_is_done_on_this_thread_while_others_work() -> None:
+    begun, done = threading.Event(), threading.Event()
+    where: list[threading.Thread] = []
+
+    def other() -> None:
+        where.append(threading.current_thread())
+        assert begun.wait(10)
+        done.set()
+
+    def work(item: int) -> int:
+        begun.set()
+        assert done.wait(10)
+        return 2 * item
+
+    with meanwhile(other):
+        assert in_threads(work, [1, 2]) == [2, 4]
+        in_threads(work, [3])
+    assert where == [threading.current_thread()]
+
+
+def test_what_waits_is_done_even_if_nobody_works_in_threads_but_not_after_an_error() -> None:
+    calls: list[str] = []
+    with meanwhile(lambda: calls.append("at the end")):
+        assert not calls
+    with pytest.raises(ValueError, match="wrong"), meanwhile(lambda: calls.append("never")):
+        raise ValueError("wrong")
+    in_threads(str, [1])
+    assert calls == ["at the end"]
+
+
+def test_an_error_of_what_waits_keeps_others_from_beginning() -> None:
+    begun: list[int] = []
+    gate = threading.Event()
+
+    def other() -> None:
+        gate.set()
+        raise ValueError("wrong")
+
+    def work(item: int) -> None:
+        begun.append(item)
+        assert gate.wait(10)
+
+    with pytest.raises(ValueError, match="wrong"), meanwhile(other):
+        in_threads(work, range(100_000))
+    assert len(begun) < 100_000

@@ -31,7 +31,7 @@ from lfgpu.pipelines import tiles
 ROOT = Path(__file__).parents[1]
 RANGE = (-0.8, 0.8)
 TOLERANCE = 1e-3  # pixels per view step
-SIDE = 312  # pixels
+SIDE = 344  # pixels
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +119,7 @@ def test_without_a_halo_the_map_would_differ(
 ) -> None:
     """That the comparison can fail."""
     monkeypatch.setattr(type(method_of(parameters)), "halo", lambda *_: (1, 1))
-    found = in_tiles(scene, parameters, memory_for(scene, parameters, 80, 80))
+    found = in_tiles(scene, parameters, memory_for(scene, parameters, 48, 48))
     assert np.abs(found.disparity - whole.disparity).max() > 10 * TOLERANCE
 
 
@@ -152,7 +152,7 @@ def test_noise_and_range_are_those_of_the_whole(scene: LightField) -> None:
 
 def test_several_devices_give_the_same(scene: LightField, parameters: Config) -> None:
     """Each in a thread with a pipeline of its own, here twice the CPU."""
-    config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
+    config = parameters.with_values({"sweep.views": "cross", "sweep.resweeps": 0, "alignment.iterations": 1})
     edge = halo(scene, config)
     plan = tiles.plan_tiles(scene.size, edge, Footprint(1.0, 0), SIDE * SIDE)
     assert len(plan.starts) > 1
@@ -168,7 +168,7 @@ def test_several_devices_give_the_same(scene: LightField, parameters: Config) ->
 def test_a_tile_that_shows_nothing_does_not_end_the_others(scene: LightField, parameters: Config) -> None:
     views = scene.views.copy()
     views[:, :, : SIDE - 40] = 0
-    config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
+    config = parameters.with_values({"sweep.views": "cross", "sweep.resweeps": 0, "alignment.iterations": 1})
     dark = replace(scene, views=views, truth=None)
     width = tiles._cuts(SIDE, halo(dark, config)[1])[-1][1]
     assert width < SIDE - 40
@@ -183,7 +183,7 @@ def test_masks_are_those_of_each_tile(scene: LightField, parameters: Config) -> 
     valid = np.ones(scene.views.shape[:3], bool)
     valid[:, 20:40, 30:50] = False
     masked = replace(scene, valid=valid)
-    config = parameters.with_values({"sweep.views": "cross", "sweep.occlusions": "once", "alignment.iterations": 1})
+    config = parameters.with_values({"sweep.views": "cross", "sweep.resweeps": 0, "alignment.iterations": 1})
     whole = estimate_depth(masked, config=config, disparity_range=RANGE, device="cpu")
     width = tiles._cuts(SIDE, halo(masked, config)[1])[1][1]
     found = in_tiles(masked, config, memory_for(masked, config, SIDE, width))
@@ -300,6 +300,11 @@ else:
     foreseen = run(336, 448).bytes(336, 448) - small
     print(before, foreseen, host_peak() - before, small)
 """
+
+
+def test_what_is_taken_where_there_is_room_has_an_end() -> None:
+    needed = Footprint(1 / 1.1, 7, 2 / 1.1, round(300 / 1.1))
+    assert [needed.bytes(10, width) for width in (1, 10, 20, 30)] == [37, 307, 507, 607]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="peak memory is measured as Linux counts it")

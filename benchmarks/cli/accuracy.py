@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -91,28 +92,31 @@ def accuracy_(
 
 def confidence_(
     folders: Annotated[list[Path], typer.Argument(metavar="FOLDER...", help="Light fields with truth, or folders.")],
-    develop: Annotated[
-        str, typer.Option("--develop", metavar="NAME,...", help="Scenes to fit on, besides the package's own.")
-    ] = "",
     fit: Annotated[
-        bool, typer.Option("--fit", help="Fit the weights and write them where the method has them.")
+        bool,
+        typer.Option("--fit", help="Fit the weights, also on the package's own scenes, and write them to the method."),
     ] = False,
     presets: Presets = "fast,accurate",
-    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.png", help="Where the diagram goes.")] = None,
+    diagram: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Where the reliability diagram goes.")
+    ] = None,
+    out: Out = None,
 ) -> None:
-    """What the confidence says against what is true, on the scenes that it was not fitted on; `--fit` fits it anew."""
-    check_out(out)
-    held = [name for name in population.light_fields(folders) if name not in listed(develop)]
-
-    fitted = confidence.samples(folders, listed(develop), listed(presets), say)
-    if fit:
-        fitted += confidence.own_samples(listed(presets), say)
+    """What the confidence says against what is true; with `--fit`, weights for each scene are those of the others."""
+    check_out(diagram, out)
+    about = {**machine.about(), "presets": listed(presets), "fitted": fit}
+    found = confidence.samples(folders, listed(presets), say)
+    fitted = [*found, *confidence.own_samples(listed(presets), say)] if fit else []
     weights = confidence.fit(fitted) if fit else confidence.NOW
-    checked = confidence.samples(folders, held, listed(presets), say)
-    for table in confidence.tables(checked or fitted, weights):
+    with_all = [sample.judged(weights) for sample in found]
+    judged = confidence.by_the_others(fitted, say) if fit else with_all
+    rows = confidence.rows(judged)
+    live.save(out, {**about, "rows": [asdict(row) for row in rows]})
+    for table in confidence.tables(rows):
         show.table(table)
-    if out is not None:
-        confidence.draw({"fitted on": fitted, "held out": checked}, weights, out)
+    if diagram is not None:
+        groups = {"fitted on other scenes": judged, "fitted on all": with_all} if fit else {"present weights": judged}
+        confidence.draw(groups, diagram)
     if fit:
         typer.echo(f"written: {confidence.write(weights, fitted)}: {weights.share}, {weights.spread}")
 

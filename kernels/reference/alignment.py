@@ -10,6 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.contract import GRADIENT_REACH
+
 Array = NDArray[np.float64]
 
 NOWHERE = -1e6  # the disparity of what nothing comes near
@@ -57,52 +59,85 @@ def differences(values: Array) -> tuple[Array, Array]:
     return np.asarray(np.gradient(values, axis=1)), np.asarray(np.gradient(values, axis=0))
 
 
+def features(intensities: Array) -> Array:
+    """Those of an image [y, x, c] and of what continues it beyond its border, unweighted: [y + 6, x + 6, 3 c]."""
+    continued = np.pad(intensities, ((BORDER, BORDER), (BORDER, BORDER), (0, 0)), mode="edge")
+    return np.concatenate([continued, *differences(continued)], 2)
+
+
+def largest_step(image: Array) -> Array:
+    """The largest difference [y, x] of two adjacent pixels of [y, x, c] that are near a pixel, a mean of channels."""
+    r = GRADIENT_REACH
+    steps = []
+    for axis, window in ((1, (2 * r + 1, 2 * r)), (0, (2 * r, 2 * r + 1))):
+        padded = np.pad(np.abs(np.diff(image, axis=axis)).mean(2), r)
+        steps.append(np.lib.stride_tricks.sliding_window_view(padded, window).max(axis=(2, 3)))
+    return np.asarray(np.maximum(*steps))
+
+
+def mean_of(own: Array, of_views: Sequence[Array], weights: Sequence[Array]) -> Array:
+    """The mean of what the reference has [y, x, c], with weight 1, and what views have, with weights [y, x]."""
+    total = own + sum(k[..., None] * found for k, found in zip(weights, of_views, strict=True))
+    return np.asarray(total / sum(weights, np.ones(own.shape[:2]))[..., None])
+
+
 class Alignment:
-    def __init__(self, offsets: Array, scale: float, gradient_weight: float, robust: float, tolerance: float) -> None:
-        self._offsets, self._scale, self._gradient_weight = offsets, scale, gradient_weight
+    def __init__(
+        self, offsets: Array, scale: float, gradient_weight: float, contrast: float, robust: float, tolerance: float
+    ) -> None:
+        self._offsets, self._scale, self._gradient_weight, self._contrast = offsets, scale, gradient_weight, contrast
         self._robust, self._tolerance = robust, tolerance
         self._others = [n for n, offset in enumerate(offsets) if np.hypot(*offset) > AT_REFERENCE]
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
-        self._image = self._features(image)[BORDER:-BORDER, BORDER:-BORDER]
+        inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
+        described = features(image)
+        self._weight_of_gradients = self._gradient_weight / (1 + (largest_step(image) / self._contrast) ** 2)
+        self._image = self._weighted(described[inner])
+        self._own_changes = [self._weighted(change[inner]) for change in differences(described)]
         self._recorded = recorded
         self._valid = np.ones(recorded.shape[:3]) if valid is None else valid
 
     def __call__(self, disparity: Array, nearest: Array, curvature_out: Array, slope_out: Array) -> None:
         seen = [self._seen(n, disparity, nearest[n]) for n in self._others]
-        weights = [there * self._weight(features - self._image) for there, features, _ in seen]
-        total = self._image + sum(k[..., None] * features for k, (_, features, _) in zip(weights, seen, strict=True))
-        mean = total / sum(weights, np.ones(disparity.shape))[..., None]
+        weights = [there * self._weight(found - self._image) for there, found, *_ in seen]
+        mean = mean_of(self._image, [found for _, found, _, _ in seen], weights)
+        weights = [there * self._weight(found - mean) for there, found, *_ in seen]
+        across = mean_of(self._own_changes[0], [change for _, _, change, _ in seen], weights)
+        down = mean_of(self._own_changes[1], [change for _, _, _, change in seen], weights)
         curvature_out[:], slope_out[:] = 0, 0
-        for there, features, change in seen:
-            k = there * self._weight(features - mean) / len(seen)
-            curvature_out += k * (change**2).mean(2)
-            slope_out -= k * (change * (features - mean)).mean(2)
+        for n, k, (_, found, _, _) in zip(self._others, weights, seen, strict=True):
+            change = -(self._offsets[n][0] * across + self._offsets[n][1] * down)
+            curvature_out += k / len(seen) * (change**2).mean(2)
+            slope_out -= k / len(seen) * (change * (found - mean)).mean(2)
 
-    def _features(self, intensities: Array) -> Array:
-        """Of an image [y, x, c] and what continues it beyond its border: [y + 6, x + 6, 3 c]."""
-        continued = np.pad(intensities, ((BORDER, BORDER), (BORDER, BORDER), (0, 0)), mode="edge")
-        across, down = differences(continued)
-        return np.concatenate([continued, self._gradient_weight * across, self._gradient_weight * down], 2)
+    def _weighted(self, values: Array) -> Array:
+        """Features [y, x, 3 c] or their changes, with the weight of gradients on theirs."""
+        channels = values.shape[2] // 3
+        return np.concatenate(
+            [values[..., :channels], self._weight_of_gradients[..., None] * values[..., channels:]], 2
+        )
 
     def _weight(self, residual: Array) -> Array:
         return np.asarray(1 / (1 + (residual**2).mean(2) / self._robust**2) ** 2)
 
-    def _seen(self, n: int, disparity: Array, nearest: Array) -> tuple[NDArray[np.bool_], Array, Array]:
-        """Where view n takes part [y, x], its features and their derivatives [y, x, 3 c]; 0 beyond the frame."""
-        (height, width), (du, dv) = disparity.shape, self._offsets[n]
+    def _seen(self, n: int, disparity: Array, nearest: Array) -> tuple[NDArray[np.bool_], Array, Array, Array]:
+        """Where view n takes part [y, x], its features and their changes across and down [y, x, 3 c].
+
+        Beyond the frame they are 0.
+        """
+        height, width = disparity.shape
         x, y = landing(disparity, self._offsets[n])
         there = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
         pixel = rounded(y[there]), rounded(x[there])
         visible = there.copy()
         visible[there] = (self._valid[n][pixel] != 0) & (disparity[there] >= nearest[pixel] - self._tolerance)
 
-        described = self._features(self._scale * self._recorded[n])
-        across, down = differences(described)
-        features, change = (np.zeros((height, width, described.shape[2])) for _ in range(2))
-        features[there] = bilinear(described, x[there], y[there])
-        change[there] = -bilinear(du * across + dv * down, x[there], y[there])
-        return visible, features, change
+        described = features(self._scale * self._recorded[n])
+        found, across, down = (np.zeros((height, width, described.shape[2])) for _ in range(3))
+        for values, out in zip((described, *differences(described)), (found, across, down), strict=True):
+            out[there] = bilinear(values, x[there], y[there])
+        return visible, self._weighted(found), self._weighted(across), self._weighted(down)
 
 
 def bilinear(values: Array, x: Array, y: Array) -> Array:
@@ -121,7 +156,8 @@ def alignment(
     *,
     scale: float,
     gradient_weight: float,
+    contrast: float,
     robust: float,
     tolerance: float,
 ) -> Alignment:
-    return Alignment(offsets, scale, gradient_weight, robust, tolerance)
+    return Alignment(offsets, scale, gradient_weight, contrast, robust, tolerance)

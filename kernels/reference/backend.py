@@ -5,8 +5,9 @@ import numpy as np
 from .alignment import alignment, z_buffer
 from .boundaries import refine_boundaries
 from .confidence import evidence, judge, line_mean, unevenness
+from .conjugate import conjugate_step
 from .control import asking, capture, is_deterministic, kernel_cache, repeat
-from .cost_volume import add_reduced, farthest_as_good, least_costs, nlm_average, winner_takes_all
+from .cost_volume import add_reduced, least_costs, nlm_average, winner_takes_all
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
@@ -37,6 +38,7 @@ __all__ = [
     "capture",
     "clamp",
     "compiles",
+    "conjugate_step",
     "copy",
     "data_term",
     "details",
@@ -46,7 +48,6 @@ __all__ = [
     "dot",
     "dtype",
     "evidence",
-    "farthest_as_good",
     "field",
     "fill",
     "image",

@@ -50,17 +50,3 @@ def winner_takes_all(volume: Array, *, first: float, step: float, disparity_out:
     bends = bend > LEAST_BEND
     t = np.where(bends, (before - after) / (2 * np.where(bends, bend, 1.0)), 0.0).clip(-1, 1)
     disparity_out[:] = first + step * (k + t)
-
-
-def farthest_as_good(
-    volume: Array, disparity: Array, *, first: float, step: float, margin: float, disparity_out: Array
-) -> None:
-    count = len(volume)
-    k = np.floor((disparity - first) / step + 0.5).clip(0, count - 1).astype(np.int64)
-    most = np.take_along_axis(volume, k[None], 0)[0] + margin
-    least, goes_on = k.copy(), np.ones(k.shape, np.bool_)
-    for label in range(count - 1, -1, -1):
-        before = label < k
-        goes_on &= ~before | (volume[label] <= most)
-        least[before & goes_on] = label
-    disparity_out[:] = np.where(least < k, first + step * least, disparity)

@@ -92,9 +92,11 @@ def nlm_neighbors(weights: Array, values: Array, *, window: int, sums_out: Array
         sums_out[there] += w[here] * values[here]
 
 
-def nlm_laplacian(weights: Array, values: Array, *, window: int, laplacian_out: Array) -> None:
+def nlm_laplacian(
+    weights: Array, values: Array, *, window: int, laplacian_out: Array, diagonal: Array | None = None
+) -> None:
     height, width = values.shape
-    laplacian_out[:] = 0
+    laplacian_out[:] = 0 if diagonal is None else diagonal * values
     for w, (dy, dx) in zip(weights, half_window(window), strict=True):
         here, there = overlap((height, width), dy, dx)
         flow = w[here] * (values[here] - values[there])

@@ -75,7 +75,6 @@ class PlaneSweep:
         preference: float,
         tolerance: float,
         least: int,
-        penalty: float,
     ) -> None:
         self._view_sets = view_sets != 0
         self._disparities = first + step * np.arange(count)
@@ -83,8 +82,7 @@ class PlaneSweep:
         self._others = np.flatnonzero(np.hypot(*offsets.T) > LEAST_OFFSET)
         self._scale, self._truncation = scale, truncation
         self._weight, self._gradient_truncation = gradient_weight, gradient_truncation
-        self._preference, self._tolerance, self._least, self._penalty = preference, tolerance, least, penalty
-        self._most = (truncation + gradient_weight * gradient_truncation) / (1 + gradient_weight)
+        self._preference, self._tolerance, self._least = preference, tolerance, least
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
         self._image, self._recorded, self._valid = image, recorded, valid
@@ -93,40 +91,42 @@ class PlaneSweep:
         size = (len(self._view_sets), *self._image.shape[:2])
         for label, slice_out in enumerate(volume_out):
             sums, counts = np.zeros(size), np.zeros(size)
-            for compared in self._compared(label):
+            for compared in self._compared(label, self._weight, self._truncation):
                 members = self._view_sets[:, compared.view]
                 sums[members] += np.where(compared.inside, compared.cost, 0)
                 counts[members] += compared.inside
-            means = np.where(counts > 0, sums / np.maximum(counts, 1), self._most)
+            means = np.where(counts > 0, sums / np.maximum(counts, 1), self._most(self._weight, self._truncation))
             means[1:] = means[1:] * (1 + self._preference) + PENALTY
             slice_out[:] = means.min(0)
 
-    def by_visibility(self, nearest: Array, certain: Array, volume_out: Array) -> None:
+    def by_visibility(self, nearest: Array, volume_out: Array, *, truncation: float | None = None) -> None:
+        weight, truncation = (self._weight, self._truncation) if truncation is None else (0.0, truncation)
         for label, slice_out in enumerate(volume_out):
-            total, count = np.zeros((2, *slice_out.shape)), np.zeros((2, *slice_out.shape))
-            for compared in self._compared(label):
-                for i, front in enumerate((nearest, certain)):
-                    surface = front[compared.view][compared.nearest]
-                    sees = compared.inside & (self._disparities[label] >= surface - self._tolerance)
-                    total[i] += np.where(sees, compared.cost, 0)
-                    count[i] += sees
-            seen = total / np.maximum(count, 1) + np.array([0, self._penalty])[:, None, None]
-            slice_out[:] = np.where(count >= self._least, seen, self._most).min(0)
+            total, count = np.zeros(slice_out.shape), np.zeros(slice_out.shape)
+            for compared in self._compared(label, weight, truncation):
+                surface = nearest[compared.view][compared.nearest]
+                sees = compared.inside & (self._disparities[label] >= surface - self._tolerance)
+                total += np.where(sees, compared.cost, 0)
+                count += sees
+            slice_out[:] = np.where(count >= self._least, total / np.maximum(count, 1), self._most(weight, truncation))
 
-    def _compared(self, label: int) -> Iterator[Compared]:
-        """Each view but the reference."""
+    def _most(self, weight: float, truncation: float) -> float:
+        return (truncation + weight * self._gradient_truncation) / (1 + weight)
+
+    def _compared(self, label: int, weight: float, truncation: float) -> Iterator[Compared]:
+        """Each view but the reference; `weight` is that of gradients, `truncation` that of intensities."""
         height, width, _ = self._image.shape
         for n in self._others:
             x, y = shifted(width, self._shifts[label, n, 0]), shifted(height, self._shifts[label, n, 1])
             difference = self._scale * bilinear(self._recorded[n], x, y) - self._image
             color = np.abs(difference).mean(2)
             gradient = np.abs(np.concatenate(central_differences(difference), axis=2)).mean(2)
-            robust = np.minimum(color, self._truncation)
-            robust += self._weight * np.minimum(gradient, self._gradient_truncation)
+            robust = np.minimum(color, truncation)
+            robust += weight * np.minimum(gradient, self._gradient_truncation)
             inside, nearest = np.outer(y.inside, x.inside), tuple(np.meshgrid(y.nearest, x.nearest, indexing="ij"))
             if self._valid is not None:
                 inside &= self._valid[n][nearest] != 0
-            yield Compared(int(n), robust / (1 + self._weight), inside, (nearest[0], nearest[1]))
+            yield Compared(int(n), robust / (1 + weight), inside, (nearest[0], nearest[1]))
 
 
 def plane_sweep(
@@ -144,7 +144,6 @@ def plane_sweep(
     preference: float,
     tolerance: float,
     least: int,
-    penalty: float,
 ) -> PlaneSweep:
     return PlaneSweep(
         offsets,
@@ -159,5 +158,4 @@ def plane_sweep(
         preference,
         tolerance,
         least,
-        penalty,
     )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.contract import Alignment, ZBuffer
+from lfgpu.contract import GRADIENT_REACH, Alignment, ZBuffer
 
 from .memory import DeviceArray, empty, flat, numpy, optional
 from .runtime import TASK, on_cpu, once, run
@@ -217,13 +217,41 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         excess = 1.0 + square / (3 * channels * robust * robust)
         return 1.0 / (excess * excess)
 
+    @ti.func
+    def step_between(image: ti.template(), p: int, q: int):
+        size = 0.0
+        for c in ti.static(range(channels)):
+            size += ti.abs(image[p][c] - image[q][c])
+        return size / channels
+
+    @ti.kernel
+    def weigh_kernel(
+        image: flat(channels=channels), weight: float, contrast: float, height: int, width: int, weights_out: field
+    ):
+        """The weight of gradients: what is near a step in brightness sees it in them."""
+        for p in range(height * width):
+            left = ti.max(p % width - GRADIENT_REACH, 0)
+            right = ti.min(p % width + GRADIENT_REACH, width - 1)
+            top = ti.max(p // width - GRADIENT_REACH, 0)
+            bottom = ti.min(p // width + GRADIENT_REACH, height - 1)
+            largest = 0.0
+            for y in range(top, bottom + 1):
+                for x in range(left, right + 1):
+                    q = y * width + x
+                    if x < right:
+                        largest = ti.max(largest, step_between(image, q, q + 1))
+                    if y < bottom:
+                        largest = ti.max(largest, step_between(image, q, q + width))
+            share = largest / contrast
+            weights_out[p] = weight / (1.0 + share * share)
+
     @ti.kernel
     def align_kernel(
         image: flat(channels=channels),
+        weights: field,
         views: flat(stored, pad),
         offsets: field,
         scale: float,
-        weight: float,
         robust: float,
         tolerance: float,
         share_of_all: float,
@@ -239,13 +267,14 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
             x = p % width
             y = p // width
             d = disparity[p]
+            weight = weights[p]
             own = image[p]
-            own_x = 0.5 * weight * (color(image, x + 1, y, height, width) - color(image, x - 1, y, height, width))
-            own_y = 0.5 * weight * (color(image, x, y + 1, height, width) - color(image, x, y - 1, height, width))
-            total = own
-            total_x = own_x
-            total_y = own_y
-            total_k = 1.0
+            own_x = 0.5 * (color(image, x + 1, y, height, width) - color(image, x - 1, y, height, width))
+            own_y = 0.5 * (color(image, x, y + 1, height, width) - color(image, x, y - 1, height, width))
+            mean = own
+            mean_x = own_x
+            mean_y = own_y
+            total = 1.0
             for n in range(offsets.shape[0] // 2):
                 to = landing(n, p, d, offsets, nearest, tolerance, height, width, views)
                 if to.corner >= 0:
@@ -258,26 +287,42 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
                     s1 = slope_along(views, i, to.ax)
                     s2 = slope_along(views, i + wide, to.ax)
                     f = scale * (m1 * by + m2 * to.ay)
-                    fx = 0.5 * scale * weight * (s1 * by + s2 * to.ay)
-                    fy = 0.5 * scale * weight * ((m2 - m0) * by + (m3 - m1) * to.ay)
-                    square = (f - own).norm_sqr() + (fx - own_x).norm_sqr() + (fy - own_y).norm_sqr()
-                    k = weight_of(square, robust)
-                    total += k * f
-                    total_x += k * fx
-                    total_y += k * fy
-                    total_k += k
-            mean = total / total_k
-            mean_x = total_x / total_k
-            mean_y = total_y / total_k
-            curvature = 0.0
-            slope = 0.0
+                    fx = 0.5 * scale * (s1 * by + s2 * to.ay)
+                    fy = 0.5 * scale * ((m2 - m0) * by + (m3 - m1) * to.ay)
+                    of_gradients = (fx - own_x).norm_sqr() + (fy - own_y).norm_sqr()
+                    k = weight_of((f - own).norm_sqr() + weight * weight * of_gradients, robust)
+                    mean += k * f
+                    mean_x += k * fx
+                    mean_y += k * fy
+                    total += k
+            mean /= total
+            mean_x /= total
+            mean_y /= total
+            # Their changes, across and down, from which the derivatives by d are; offsets times residuals, and squared.
+            change_x = own_x
+            change_y = own_y
+            change_xx = color(image, x + 2, y, height, width) + color(image, x - 2, y, height, width) - 2.0 * own
+            change_yy = color(image, x, y + 2, height, width) + color(image, x, y - 2, height, width) - 2.0 * own
+            above = color(image, x + 1, y - 1, height, width) - color(image, x - 1, y - 1, height, width)
+            change_xy = color(image, x + 1, y + 1, height, width) - color(image, x - 1, y + 1, height, width) - above
+            change_xx *= 0.25
+            change_xy *= 0.25
+            change_yy *= 0.25
+            right = pixel(0.0)
+            right_x = pixel(0.0)
+            right_y = pixel(0.0)
+            below = pixel(0.0)
+            below_x = pixel(0.0)
+            below_y = pixel(0.0)
+            uu = 0.0
+            uv = 0.0
+            vv = 0.0
+            total = 1.0
             for n in range(offsets.shape[0] // 2):
                 to = landing(n, p, d, offsets, nearest, tolerance, height, width, views)
                 if to.corner >= 0:
                     i = to.corner
                     by = 1.0 - to.ay
-                    du = offsets[2 * n]
-                    dv = offsets[2 * n + 1]
                     m0 = mean_along(views, i - 2 * wide, to.ax)
                     m1 = mean_along(views, i - wide, to.ax)
                     m2 = mean_along(views, i, to.ax)
@@ -290,26 +335,45 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
                     s4 = slope_along(views, i + 2 * wide, to.ax)
                     t2 = bend_along(views, i, to.ax)
                     t3 = bend_along(views, i + wide, to.ax)
-                    f = scale * (m2 * by + m3 * to.ay)
                     fx = 0.5 * scale * (s2 * by + s3 * to.ay)
                     fy = 0.5 * scale * ((m3 - m1) * by + (m4 - m2) * to.ay)
-                    fxx = 0.25 * scale * (t2 * by + t3 * to.ay)
-                    fxy = 0.25 * scale * ((s3 - s1) * by + (s4 - s2) * to.ay)
-                    fyy = 0.25 * scale * ((m0 + m4 - 2.0 * m2) * by + (m1 + m5 - 2.0 * m3) * to.ay)
-                    r = f - mean
-                    rx = weight * fx - mean_x
-                    ry = weight * fy - mean_y
+                    r = scale * (m2 * by + m3 * to.ay) - mean
+                    rx = weight * (fx - mean_x)
+                    ry = weight * (fy - mean_y)
                     k = weight_of(r.norm_sqr() + rx.norm_sqr() + ry.norm_sqr(), robust)
-                    # Against the derivatives by d, so that their product with the residuals is what the slope adds up.
-                    g = du * fx + dv * fy
-                    gx = weight * (du * fxx + dv * fxy)
-                    gy = weight * (du * fxy + dv * fyy)
-                    curvature += k * (g.norm_sqr() + gx.norm_sqr() + gy.norm_sqr())
-                    slope += k * (g.dot(r) + gx.dot(rx) + gy.dot(ry))
+                    change_x += k * fx
+                    change_y += k * fy
+                    change_xx += k * 0.25 * scale * (t2 * by + t3 * to.ay)
+                    change_xy += k * 0.25 * scale * ((s3 - s1) * by + (s4 - s2) * to.ay)
+                    change_yy += k * 0.25 * scale * ((m0 + m4 - 2.0 * m2) * by + (m1 + m5 - 2.0 * m3) * to.ay)
+                    ku = k * offsets[2 * n]
+                    kv = k * offsets[2 * n + 1]
+                    right += ku * r
+                    right_x += ku * rx
+                    right_y += ku * ry
+                    below += kv * r
+                    below_x += kv * rx
+                    below_y += kv * ry
+                    uu += ku * offsets[2 * n]
+                    uv += ku * offsets[2 * n + 1]
+                    vv += kv * offsets[2 * n + 1]
+                    total += k
+            change_x /= total
+            change_y /= total
+            change_xx *= weight / total
+            change_xy *= weight / total
+            change_yy *= weight / total
+            # Against the derivatives by d, so that their product with the residuals is what the slope adds up.
+            across = change_x.norm_sqr() + change_xx.norm_sqr() + change_xy.norm_sqr()
+            both = change_x.dot(change_y) + change_xx.dot(change_xy) + change_xy.dot(change_yy)
+            down = change_y.norm_sqr() + change_xy.norm_sqr() + change_yy.norm_sqr()
+            curvature = across * uu + 2.0 * both * uv + down * vv
+            slope = change_x.dot(right) + change_xx.dot(right_x) + change_xy.dot(right_y)
+            slope += change_y.dot(below) + change_xy.dot(below_x) + change_yy.dot(below_y)
             curvature_out[p] = share_of_all * curvature
             slope_out[p] = share_of_all * slope
 
-    return SimpleNamespace(pack=pack_kernel, align=align_kernel)
+    return SimpleNamespace(pack=pack_kernel, weigh=weigh_kernel, align=align_kernel)
 
 
 class _Alignment:
@@ -319,13 +383,15 @@ class _Alignment:
         offsets: DeviceArray,
         scale: float,
         gradient_weight: float,
+        contrast: float,
         robust: float,
         tolerance: float,
     ) -> None:
         self._shape, self._offsets = tuple(shape), offsets
         others = int((np.hypot(*numpy(offsets).T) > _AT_REFERENCE).sum())
         share_of_all = 1 / (3 * shape[3] * max(others, 1))
-        self._compared = scale, gradient_weight, robust, tolerance, share_of_all
+        self._weighing, self._weights = (gradient_weight, contrast), empty(shape[1:3])
+        self._compared = scale, robust, tolerance, share_of_all
         self._packed: Any = None
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
@@ -335,12 +401,13 @@ class _Alignment:
             size = n, height + _BORDER, width + _BORDER
             self._packed = empty(size, channels=channels + 1, scalar=recorded.scalar)
         self._image = image
+        run(self._kernels.weigh, image.values, *self._weighing, height, width, self._weights.values)
         run(self._kernels.pack, recorded.values, *optional(valid), height, width, self._packed.values)
 
     def __call__(
         self, disparity: DeviceArray, nearest: DeviceArray, curvature_out: DeviceArray, slope_out: DeviceArray
     ) -> None:
-        views = self._image.values, self._packed.values, self._offsets.values
+        views = self._image.values, self._weights.values, self._packed.values, self._offsets.values
         maps = disparity.values, nearest.values, *disparity.shape
         run(self._kernels.align, *views, *self._compared, *maps, curvature_out.values, slope_out.values)
 
@@ -351,7 +418,8 @@ def alignment(
     *,
     scale: float,
     gradient_weight: float,
+    contrast: float,
     robust: float,
     tolerance: float,
 ) -> Alignment:
-    return _Alignment(shape, offsets, scale, gradient_weight, robust, tolerance)
+    return _Alignment(shape, offsets, scale, gradient_weight, contrast, robust, tolerance)

@@ -148,22 +148,6 @@ def _lowest_kernel(volume: flat(), first: float, step: float, disparity_out: fla
         disparity_out[p] = first + step * (ti.cast(k, ti.f32) + t)
 
 
-@ti.kernel
-def _farthest_kernel(
-    volume: flat(), disparity: flat(), first: float, step: float, margin: float, disparity_out: flat()
-):
-    size = disparity_out.shape[0]
-    for p in range(size):
-        here = disparity[p]
-        place = ti.cast(ti.floor((here - first) / step + 0.5), ti.i32)
-        k = ti.min(ti.max(place, 0), volume.shape[0] // size - 1)
-        most = volume[k * size + p] + margin
-        j = k
-        while j > 0 and volume[ti.max(j - 1, 0) * size + p] <= most:
-            j -= 1
-        disparity_out[p] = ti.select(j < k, first + step * ti.cast(j, ti.f32), here)
-
-
 def nlm_average(weights: DeviceArray, volume: DeviceArray, *, window: int, average_out: DeviceArray) -> None:
     _, height, width = volume.shape
     totals = empty((height, width))
@@ -187,15 +171,3 @@ def least_costs(volume: DeviceArray, *, least_out: DeviceArray) -> None:
 
 def winner_takes_all(volume: DeviceArray, *, first: float, step: float, disparity_out: DeviceArray) -> None:
     run(_lowest_kernel, volume.values, first, step, disparity_out.values)
-
-
-def farthest_as_good(
-    volume: DeviceArray,
-    disparity: DeviceArray,
-    *,
-    first: float,
-    step: float,
-    margin: float,
-    disparity_out: DeviceArray,
-) -> None:
-    run(_farthest_kernel, volume.values, disparity.values, first, step, margin, disparity_out.values)

@@ -195,6 +195,12 @@ def _operator(flow: Any, keep: float) -> SimpleNamespace:
     return SimpleNamespace(rows=row_kernel, pixels=pixel_kernel)
 
 
+@ti.kernel
+def _add_product_kernel(x: flat(), y: flat(), sum_inout: flat()):
+    for i in range(sum_inout.shape[0]):
+        sum_inout[i] += x[i] * y[i]
+
+
 @ti.func
 def _neighbor(weight: float, here: float, other: float):
     return weight * other
@@ -244,8 +250,17 @@ def nlm_neighbors(weights: DeviceArray, values: DeviceArray, *, window: int, sum
     _apply(_operator(_neighbor, 1.0), weights, values, window, sums_out)
 
 
-def nlm_laplacian(weights: DeviceArray, values: DeviceArray, *, window: int, laplacian_out: DeviceArray) -> None:
+def nlm_laplacian(
+    weights: DeviceArray,
+    values: DeviceArray,
+    *,
+    window: int,
+    laplacian_out: DeviceArray,
+    diagonal: DeviceArray | None = None,
+) -> None:
     _apply(_operator(_difference, 0.0), weights, values, window, laplacian_out)
+    if diagonal is not None:
+        run(_add_product_kernel, diagonal.values, values.values, laplacian_out.values)
 
 
 def _apply(

@@ -5,7 +5,7 @@ differences from the reference view, then the costs of these. Views that belong 
 first, and then once to each of these.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,6 @@ _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the 
 _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 _TOGETHER = 32  # views at a time on a GPU, so that there are few launches
 _TOGETHER_CPU = 4  # so that what lies between two kernels stays in a cache
-_SURFACES = 2  # past which views see a pixel: the nearest one, and what is certain of it
 _BLOCK = 64  # pixels of a row at a time on a CPU, so that what they share is worked out once
 
 
@@ -109,7 +108,7 @@ def _difference_kernel(stored: Any, block: int) -> Any:
 
 
 @once
-def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
+def _cost_kernel(channels: int, masked: bool, seen: bool, sloped: bool, block: int) -> Any:
     """A thread computes `block` pixels that lie one after the other."""
 
     @ti.func
@@ -127,7 +126,6 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
         differences: flat(),
         valid: flat(),
         nearest: flat(),
-        certain: flat(),
         shifts: flat(ti.f64),
         members: flat(ti.f64),
         view_sets: int,
@@ -147,7 +145,7 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
 
         `members` are for each view its view_sets and, last, whether it is the last one of these. What they add up to is
         a cost and a count for each pixel: `group_out` [2, y, x] and `sums_out` [view_sets, 2, y, x]. Of a sweep of what
-        is seen, the sums [2, 2, y, x] are those past `nearest` and past `certain`.
+        is seen, the sums [1, 2, y, x] are those of the views that see the pixel past `nearest`.
         """
         size = height * width
         blocks = (width + block - 1) // block
@@ -184,17 +182,16 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
                     for c in ti.static(range(channels)):
                         p = c * size + x
                         color += abs(differences[plane + p])
-                        slope += abs(differences[plane + p + after] - differences[plane + p + before])
-                        slope += abs(differences[under + p] - differences[over + p])
+                        if ti.static(sloped):
+                            slope += abs(differences[plane + p + after] - differences[plane + p + before])
+                            slope += abs(differences[under + p] - differences[over + p])
                     cost = ti.min(color / channels, truncation)
-                    cost += gradient_weight * ti.min(slope / (4 * channels), gradient_truncation)
+                    if ti.static(sloped):
+                        cost += gradient_weight * ti.min(slope / (4 * channels), gradient_truncation)
                     part = part_of(valid, nearest, deepest, to + x)
                     if ti.static(seen):
                         sums_out[here + x] += part * cost
                         sums_out[size + here + x] += part
-                        past = part_of(valid, certain, deepest, to + x)
-                        sums_out[2 * size + here + x] += past * cost
-                        sums_out[3 * size + here + x] += past
                     else:
                         group_out[here + x] += part * cost
                         group_out[size + here + x] += part
@@ -213,32 +210,6 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, block: int) -> Any:
 
 
 @ti.kernel
-def _seen_kernel(
-    sums: flat(),
-    truncation: float,
-    gradient_weight: float,
-    gradient_truncation: float,
-    least: float,
-    penalty: float,
-    first: int,
-    size: int,
-    volume_out: flat(),
-):
-    """The smaller mean past either surface, to the slice of the volume that begins at `first`.
-
-    That past the second one costs `penalty` more.
-    """
-    fade = 1.0 / (1.0 + gradient_weight)
-    for p in range(size):
-        lowest = fade * (truncation + gradient_weight * gradient_truncation)
-        for m in ti.static(range(_SURFACES)):
-            count = sums[(2 * m + 1) * size + p]
-            if count >= least:
-                lowest = ti.min(lowest, fade * sums[2 * m * size + p] / count + m * penalty)
-        volume_out[first + p] = lowest
-
-
-@ti.kernel
 def _least_kernel(
     sums: flat(),
     view_sets: int,
@@ -246,15 +217,16 @@ def _least_kernel(
     gradient_weight: float,
     gradient_truncation: float,
     preference: float,
+    least: float,
     first: int,
     size: int,
     volume_out: flat(),
 ):
-    """The least mean of the view_sets, to the slice of the volume that begins at `first`."""
+    """The least mean of the view_sets, to the slice of the volume that begins at `first`; the first needs `least`."""
     fade = 1.0 / (1.0 + gradient_weight)
     for p in range(size):
         lowest = fade * (truncation + gradient_weight * gradient_truncation)
-        if sums[size + p] > 0.0:
+        if sums[size + p] >= least:
             lowest = fade * sums[p] / sums[size + p]
         for m in range(1, view_sets):
             count = sums[(2 * m + 1) * size + p]
@@ -285,10 +257,9 @@ class _PlaneSweep:
         preference: float,
         tolerance: float,
         least: int,
-        penalty: float,
     ) -> None:
         self._shape, self._scale, self._limits = tuple(shape), scale, limits
-        self._preference, self._least, self._penalty = preference, float(least), penalty
+        self._preference, self._least = preference, float(least)
         places, belongs = numpy(offsets), numpy(view_sets).T != 0
         others = np.flatnonzero(np.hypot(*places.T) > _LEAST_OFFSET)
         others = others[np.lexsort(belongs[others].T)]
@@ -306,7 +277,7 @@ class _PlaneSweep:
         self._image = empty((channels, height, width))
         self._differences = empty((self._batch, channels, height, width))
         self._group = empty((2, height, width))
-        self._sums = empty((max(self._view_sets, _SURFACES), 2, height, width))
+        self._sums = empty((self._view_sets, 2, height, width))
         self._recorded: Any = None
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
@@ -318,42 +289,55 @@ class _PlaneSweep:
         self._valid = valid
 
     def by_view_sets(self, volume_out: DeviceArray) -> None:
-        size = volume_out.shape[1] * volume_out.shape[2]
-        for label in self._swept(None, None, self._view_sets):
-            numbers = *self._limits, self._preference, label * size, size
-            run(_least_kernel, self._sums.values, self._view_sets, *numbers, volume_out.values)
+        self._sweep(None, self._view_sets, 1.0, None, volume_out)
 
-    def by_visibility(self, nearest: DeviceArray, certain: DeviceArray, volume_out: DeviceArray) -> None:
-        size = volume_out.shape[1] * volume_out.shape[2]
-        for label in self._swept(nearest, certain, _SURFACES):
-            numbers = *self._limits, self._least, self._penalty, label * size, size
-            run(_seen_kernel, self._sums.values, *numbers, volume_out.values)
+    def by_visibility(self, nearest: DeviceArray, volume_out: DeviceArray, *, truncation: float | None = None) -> None:
+        self._sweep(nearest, 1, self._least, truncation, volume_out)
 
-    def _swept(self, nearest: DeviceArray | None, certain: DeviceArray | None, sums_of: int) -> Iterator[int]:
-        """The number of each disparity, whose sums are then in `_sums`."""
+    def _sweep(
+        self,
+        nearest: DeviceArray | None,
+        sets: int,
+        least: float,
+        truncation: float | None,
+        volume_out: DeviceArray,
+    ) -> None:
+        gradients = truncation is None
+        limits = self._limits if truncation is None else (truncation, 0.0, 0.0)
         _, height, width, channels = self._shape
-        (mask, masked), (surface, seen), (sure, _) = optional(self._valid), optional(nearest), optional(certain)
+        (mask, masked), (surface, seen) = optional(self._valid), optional(nearest)
         differ = _difference_kernel(self._recorded.scalar, self._block)
-        add = _cost_kernel(channels, masked, seen, self._block)
+        add = _cost_kernel(channels, masked, seen, gradients, self._block)
         shifts, differences, sums = self._shifts.values, self._differences.values, self._sums.values
+        size = height * width
         for label, deepest in enumerate(self._deepest):
             first = label * self._views
             for begin in range(0, max(1, self._views), self._batch):
                 end = min(begin + self._batch, self._views)
                 images, these = (self._recorded.values, self._image.values), (first + begin, end - begin)
                 run(differ, *images, shifts, *these, channels, height, width, self._scale, differences)
-                inputs = differences, mask, surface, sure, shifts, self._members.values
+                inputs = differences, mask, surface, shifts, self._members.values
                 run(
                     add,
                     *inputs,
-                    sums_of,
+                    sets,
                     *(first, begin, end, height, width),
-                    *self._limits,
+                    *limits,
                     deepest,
                     self._group.values,
                     sums,
                 )
-            yield label
+            run(
+                _least_kernel,
+                sums,
+                sets,
+                *limits,
+                self._preference,
+                least,
+                label * size,
+                size,
+                volume_out.values,
+            )
 
 
 def plane_sweep(
@@ -371,9 +355,6 @@ def plane_sweep(
     preference: float,
     tolerance: float,
     least: int,
-    penalty: float,
 ) -> PlaneSweep:
     limits = truncation, gradient_weight, gradient_truncation
-    return _PlaneSweep(
-        shape, offsets, view_sets, first, step, count, scale, limits, preference, tolerance, least, penalty
-    )
+    return _PlaneSweep(shape, offsets, view_sets, first, step, count, scale, limits, preference, tolerance, least)

@@ -3,11 +3,12 @@
 import numpy as np
 
 from . import recording, streaming
-from .alignment import alignment, z_buffer
+from .alignment import alignment
 from .boundaries import refine_boundaries
 from .confidence import evidence, judge, line_mean, unevenness
+from .conjugate import conjugate_step
 from .control import asking, capture, is_deterministic, kernel_cache, repeat
-from .cost_volume import add_reduced, farthest_as_good, least_costs, nlm_average, winner_takes_all
+from .cost_volume import add_reduced, least_costs, nlm_average, winner_takes_all
 from .lbfgs import lbfgs
 from .memory import devices, field, image, number, numpy, scalar, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
@@ -24,6 +25,7 @@ from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpo
 from .structure_tensor import keep_more_coherent, structure_tensor
 from .vector import axpby, clamp, copy, divide, dot, fill, multiply, ratio, select, threshold
 from .views import intensities, line_of_views, normalization
+from .z_buffer import z_buffer
 
 name = "warp"
 compiles = True
@@ -37,6 +39,7 @@ __all__ = [
     "capture",
     "clamp",
     "compiles",
+    "conjugate_step",
     "copy",
     "data_term",
     "details",
@@ -46,7 +49,6 @@ __all__ = [
     "dot",
     "dtype",
     "evidence",
-    "farthest_as_good",
     "field",
     "fill",
     "image",

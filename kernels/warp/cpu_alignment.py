@@ -1,4 +1,4 @@
-"""A row of the alignment on a CPU; `kernels/reference/alignment.py` says what it is.
+"""A row of the alignment on a CPU, of its weights and of its views; `kernels/reference/alignment.py` says what it is.
 
 A thread goes along the row in chunks, view by view, with their sums on its stack. Vector units have a pixel in each
 lane: pixels of a chunk land anywhere, and what they land on is gathered, a pixel with all its channels at once.
@@ -57,18 +57,27 @@ ALIGN_ROW = """
 
     for (int begin = 0; begin < width; begin += CHUNK) {
         const int many = wp::min(CHUNK, width - begin);
-        float mean[CHANNELS][CHUNK], mean_x[CHANNELS][CHUNK], mean_y[CHANNELS][CHUNK];
-        float sum[CHANNELS][CHUNK], sum_x[CHANNELS][CHUNK], sum_y[CHANNELS][CHUNK];
-        float sum_k[CHUNK], curvatures[CHUNK], slopes[CHUNK];
+        const float* const weight = weights.data + (size_t)y * width + begin;
+        // Intensities and their differences: the first mean of those who see a pixel, then what they are apart from it.
+        float own[3][CHANNELS][CHUNK], mean[3][CHANNELS][CHUNK], sum_k[CHUNK];
+        // Their changes, across and down, from which the derivatives by d are; offsets times residuals, and squared.
+        float change[5][CHANNELS][CHUNK], right[3][CHANNELS][CHUNK], below[3][CHANNELS][CHUNK];
+        float uu[CHUNK], uv[CHUNK], vv[CHUNK], sum_change[CHUNK];
         for (int i = 0; i < many; ++i) {
             const int x = begin + i;
             for (int c = 0; c < CHANNELS; ++c) {
-                sum[c][i] = mean[c][i] = color_at(y, x, c);
-                sum_x[c][i] = mean_x[c][i] = (color_at(y, x + 1, c) - color_at(y, x - 1, c)) * (0.5f * weight);
-                sum_y[c][i] = mean_y[c][i] = (color_at(y + 1, x, c) - color_at(y - 1, x, c)) * (0.5f * weight);
+                auto at = [&](int down, int across) { return color_at(y + down, x + across, c); };
+                const float middle = 2.f * at(0, 0);
+                own[0][c][i] = mean[0][c][i] = at(0, 0);
+                own[1][c][i] = mean[1][c][i] = change[0][c][i] = (at(0, 1) - at(0, -1)) * 0.5f;
+                own[2][c][i] = mean[2][c][i] = change[1][c][i] = (at(1, 0) - at(-1, 0)) * 0.5f;
+                change[2][c][i] = (at(0, 2) + at(0, -2) - middle) * 0.25f;
+                change[3][c][i] = (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) * 0.25f;
+                change[4][c][i] = (at(2, 0) + at(-2, 0) - middle) * 0.25f;
+                for (int j = 0; j < 3; ++j) right[j][c][i] = below[j][c][i] = 0.f;
             }
-            sum_k[i] = 1.f;
-            curvatures[i] = slopes[i] = 0.f;
+            sum_k[i] = sum_change[i] = 1.f;
+            uu[i] = uv[i] = vv[i] = 0.f;
         }
         for (int n = 0; n < count; ++n) {
             if (is_reference(n)) continue;
@@ -80,8 +89,8 @@ ALIGN_ROW = """
             #pragma clang loop vectorize(assume_safety)
             for (int i = 0; i < many; ++i) {
                 const int p = corners[i];
-                const float ax = axs[i], ay = ays[i], bx = 1.f - ax, by = 1.f - ay;
-                float f[CHANNELS], fx[CHANNELS], fy[CHANNELS], apart = 0.f;
+                const float ax = axs[i], ay = ays[i], bx = 1.f - ax, by = 1.f - ay, w = weight[i];
+                float found[3][CHANNELS], apart = 0.f;
                 #pragma unroll
                 for (int c = 0; c < CHANNELS; ++c) {
                     auto at = [&](const Word* row, int x) { return channel(row + x, p, c); };
@@ -91,30 +100,24 @@ ALIGN_ROW = """
                     };
                     const float m0 = mean_of(row0), m1 = mean_of(row1), m2 = mean_of(row2), m3 = mean_of(row3);
                     const float s1 = slope_of(row1), s2 = slope_of(row2);
-                    f[c] = (m1 * by + m2 * ay) * scale;
-                    fx[c] = (s1 * by + s2 * ay) * (0.5f * scale * weight);
-                    fy[c] = ((m2 - m0) * by + (m3 - m1) * ay) * (0.5f * scale * weight);
-                    const float r = f[c] - mean[c][i], rx = fx[c] - mean_x[c][i], ry = fy[c] - mean_y[c][i];
+                    found[0][c] = (m1 * by + m2 * ay) * scale;
+                    found[1][c] = (s1 * by + s2 * ay) * (0.5f * scale);
+                    found[2][c] = ((m2 - m0) * by + (m3 - m1) * ay) * (0.5f * scale);
+                    const float r = found[0][c] - own[0][c][i];
+                    const float rx = (found[1][c] - own[1][c][i]) * w, ry = (found[2][c] - own[2][c][i]) * w;
                     apart += r * r + rx * rx + ry * ry;
                 }
                 const float excess = 1.f + apart * weaken, k = parts[i] / (excess * excess);
                 #pragma unroll
-                for (int c = 0; c < CHANNELS; ++c) {
-                    sum[c][i] += f[c] * k;
-                    sum_x[c][i] += fx[c] * k;
-                    sum_y[c][i] += fy[c] * k;
-                }
+                for (int c = 0; c < CHANNELS; ++c)
+                    #pragma unroll
+                    for (int j = 0; j < 3; ++j) mean[j][c][i] += found[j][c] * k;
                 sum_k[i] += k;
             }
         }
-        for (int i = 0; i < many; ++i) {
-            const float share = 1.f / sum_k[i];
-            for (int c = 0; c < CHANNELS; ++c) {
-                mean[c][i] = sum[c][i] * share;
-                mean_x[c][i] = sum_x[c][i] * share;
-                mean_y[c][i] = sum_y[c][i] * share;
-            }
-        }
+        for (int i = 0; i < many; ++i)
+            for (int j = 0; j < 3; ++j)
+                for (int c = 0; c < CHANNELS; ++c) mean[j][c][i] /= sum_k[i];
         for (int n = 0; n < count; ++n) {
             if (is_reference(n)) continue;
             const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
@@ -128,8 +131,8 @@ ALIGN_ROW = """
             #pragma clang loop vectorize(assume_safety)
             for (int i = 0; i < many; ++i) {
                 const int p = corners[i];
-                const float ax = axs[i], ay = ays[i], bx = 1.f - ax, by = 1.f - ay;
-                float apart = 0.f, bend = 0.f, climb = 0.f;
+                const float ax = axs[i], ay = ays[i], bx = 1.f - ax, by = 1.f - ay, w = weight[i];
+                float residual[3][CHANNELS], found[5][CHANNELS], apart = 0.f;
                 #pragma unroll
                 for (int c = 0; c < CHANNELS; ++c) {
                     // Along a row the mean m, twice its difference s, and four times the second one t; rows 0 to 5.
@@ -145,28 +148,105 @@ ALIGN_ROW = """
                     const float m3 = m_of(row3), m4 = m_of(row4), m5 = m_of(row5);
                     const float s1 = s_of(row1), s2 = s_of(row2), s3 = s_of(row3), s4 = s_of(row4);
                     const float t2 = t_of(row2, m2), t3 = t_of(row3, m3);
-                    const float f = (m2 * by + m3 * ay) * scale;
-                    const float fx = (s2 * by + s3 * ay) * (0.5f * scale);
-                    const float fy = ((m3 - m1) * by + (m4 - m2) * ay) * (0.5f * scale);
-                    const float fxx = (t2 * by + t3 * ay) * (0.25f * scale);
-                    const float fxy = ((s3 - s1) * by + (s4 - s2) * ay) * (0.25f * scale);
-                    const float fyy = ((m0 + m4 - m2 * 2.f) * by + (m1 + m5 - m3 * 2.f) * ay) * (0.25f * scale);
-                    const float r = f - mean[c][i], rx = fx * weight - mean_x[c][i], ry = fy * weight - mean_y[c][i];
+                    found[0][c] = (s2 * by + s3 * ay) * (0.5f * scale);
+                    found[1][c] = ((m3 - m1) * by + (m4 - m2) * ay) * (0.5f * scale);
+                    found[2][c] = (t2 * by + t3 * ay) * (0.25f * scale);
+                    found[3][c] = ((s3 - s1) * by + (s4 - s2) * ay) * (0.25f * scale);
+                    found[4][c] = ((m0 + m4 - m2 * 2.f) * by + (m1 + m5 - m3 * 2.f) * ay) * (0.25f * scale);
+                    const float r = (m2 * by + m3 * ay) * scale - mean[0][c][i];
+                    const float rx = (found[0][c] - mean[1][c][i]) * w, ry = (found[1][c] - mean[2][c][i]) * w;
                     apart += r * r + rx * rx + ry * ry;
-                    // Against the derivatives by d, so that their product with the residuals is what the slope adds up.
-                    const float g = fx * du + fy * dv;
-                    const float gx = (fxx * du + fxy * dv) * weight, gy = (fxy * du + fyy * dv) * weight;
-                    bend += g * g + gx * gx + gy * gy;
-                    climb += g * r + gx * rx + gy * ry;
+                    residual[0][c] = r;
+                    residual[1][c] = rx;
+                    residual[2][c] = ry;
                 }
-                const float excess = 1.f + apart * weaken, k = parts[i] / (excess * excess);
-                curvatures[i] += k * bend;
-                slopes[i] += k * climb;
+                const float excess = 1.f + apart * weaken, k = parts[i] / (excess * excess), ku = k * du, kv = k * dv;
+                #pragma unroll
+                for (int c = 0; c < CHANNELS; ++c) {
+                    #pragma unroll
+                    for (int j = 0; j < 5; ++j) change[j][c][i] += found[j][c] * k;
+                    #pragma unroll
+                    for (int j = 0; j < 3; ++j) {
+                        right[j][c][i] += residual[j][c] * ku;
+                        below[j][c][i] += residual[j][c] * kv;
+                    }
+                }
+                uu[i] += ku * du;
+                uv[i] += ku * dv;
+                vv[i] += kv * dv;
+                sum_change[i] += k;
             }
         }
         for (int i = 0; i < many; ++i) {
-            curvature.data[(size_t)y * width + begin + i] = curvatures[i] * share_of_all;
-            slope.data[(size_t)y * width + begin + i] = slopes[i] * share_of_all;
+            const float share = 1.f / sum_change[i], of_gradients = share * weight[i];
+            float bend = 0.f, climb = 0.f;
+            // Against the derivatives by d, so that their product with the residuals is what the slope adds up.
+            auto add = [&](int j, int c, float across, float down) {
+                bend += across * across * uu[i] + 2.f * across * down * uv[i] + down * down * vv[i];
+                climb += across * right[j][c][i] + down * below[j][c][i];
+            };
+            for (int c = 0; c < CHANNELS; ++c) {
+                add(0, c, change[0][c][i] * share, change[1][c][i] * share);
+                add(1, c, change[2][c][i] * of_gradients, change[3][c][i] * of_gradients);
+                add(2, c, change[3][c][i] * of_gradients, change[4][c][i] * of_gradients);
+            }
+            curvature.data[(size_t)y * width + begin + i] = bend * share_of_all;
+            slope.data[(size_t)y * width + begin + i] = climb * share_of_all;
         }
+    }
+"""
+
+WEIGH_ROW = """
+    constexpr int ROOM = 256, MOST = ROOM - 2 * REACH;
+    const int height = image.shape[0], width = image.shape[1];
+    const int top = wp::max(y - REACH, 0), bottom = wp::min(y + REACH, height - 1);
+    auto step_between = [](const auto& one, const auto& other) {
+        float size = 0.f;
+        for (int c = 0; c < CHANNELS; ++c) size += wp::abs(one.c[c] - other.c[c]);
+        return size / CHANNELS;
+    };
+    // Down the columns first, and then along the row.
+    float beside[ROOM], below[ROOM];
+    for (int begin = 0; begin < width; begin += MOST) {
+        const int from = wp::max(begin - REACH, 0), many = wp::min(begin + MOST + REACH, width) - from;
+        for (int k = 0; k < many; ++k) beside[k] = below[k] = 0.f;
+        for (int v = top; v <= bottom; ++v) {
+            const auto* const row = image.data + (size_t)v * width + from;
+            for (int k = 0; k < many - 1; ++k) beside[k] = wp::max(beside[k], step_between(row[k], row[k + 1]));
+            if (v < bottom)
+                for (int k = 0; k < many; ++k) below[k] = wp::max(below[k], step_between(row[k], row[k + width]));
+        }
+        for (int x = begin; x < wp::min(begin + MOST, width); ++x) {
+            const int left = wp::max(x - REACH, 0) - from, right = wp::min(x + REACH, width - 1) - from;
+            float largest = below[right];
+            for (int k = left; k < right; ++k) largest = wp::max(largest, wp::max(beside[k], below[k]));
+            const float share = largest / contrast;
+            weights.data[(size_t)y * width + x] = weight / (1.f + share * share);
+        }
+    }
+"""
+
+PACK_ROW = """
+    // A pixel with whether it is valid; the views go on as at their border.
+    const int height = recorded.shape[1], width = recorded.shape[2], wide = width + BORDER;
+    const int from_y = wp::min(wp::max(y - BEFORE, 0), height - 1);
+    for (int n = 0; n < recorded.shape[0]; ++n) {
+        const auto* const row = recorded.data + ((size_t)n * height + from_y) * width;
+        const float* const mask = valid.data + ((size_t)n * height + from_y) * width;
+        auto* const out = packed.data + ((size_t)n * (height + BORDER) + y) * wide;
+        auto pack = [&](int x, int from_x, KEPT is_valid) {
+            for (int c = 0; c < CHANNELS; ++c) out[x].c[c] = (KEPT)row[from_x].c[c];
+            for (int c = CHANNELS; c < PAD - 1; ++c) out[x].c[c] = 0;
+            out[x].c[PAD - 1] = is_valid;
+        };
+        if (valid.data) {
+            #pragma clang loop vectorize(assume_safety)
+            for (int x = 0; x < width; ++x) pack(x + BEFORE, x, mask[x] != 0.f);
+        } else {
+            #pragma clang loop vectorize(assume_safety)
+            for (int x = 0; x < width; ++x) pack(x + BEFORE, x, 1);
+        }
+        for (int x = 0; x < BEFORE; ++x) out[x] = out[BEFORE];
+        for (int x = width + BEFORE; x < wide; ++x) out[x] = out[width + BEFORE - 1];
     }
 """

@@ -1,4 +1,4 @@
-"""exp on a CPU, as a line of native code that the compiler makes vectors of; it cannot do that with the library's."""
+"""exp and log on a CPU, as native code that the compiler makes vectors of; it cannot do that with the library's."""
 
 EXP = """
     // exp of what is at most 0, right to two units in the last place; below -87 as at -87: 1.6e-38.
@@ -11,5 +11,20 @@ EXP = """
         float sum = 1.f / 5040;
         for (int i = 0; i < 7; ++i) sum = sum * rest + factors[i];
         return sum * __builtin_bit_cast(float, (doublings + 127) << 23);
+    };
+"""
+
+LOG = """
+    // log of what is above 0 and has all its digits, right to two units in the last place.
+    auto log_of = [](float value) {
+        const int bits = __builtin_bit_cast(int, value), doublings = (bits - 0x3f3504f3) >> 23;  // from the root of 1/2
+        const float rest = __builtin_bit_cast(float, bits - (doublings << 23)) - 1.f;
+        // The series of log(1 + rest), its last factors fitted.
+        constexpr float factors[] = {-0.115146103f, 0.11676998f, -0.12420141f, 0.14249323f,
+                                     -0.16668058f,  0.20000715f, -0.24999999f, 0.33333331f};
+        float sum = 0.070376836f;
+        for (int i = 0; i < 8; ++i) sum = sum * rest + factors[i];
+        const float square = rest * rest;
+        return doublings * 0.693359375f + (rest + (sum * rest * square - 0.5f * square - doublings * 2.12194440e-4f));
     };
 """

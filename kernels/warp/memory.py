@@ -1,5 +1,6 @@
 """Arrays of the Warp backend: fields are scalars, images are vectors of their channels, so that a pixel is one load."""
 
+import math
 import os
 import sys
 import tempfile
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 from .asking import asking, started
 from .sharing import take
 from .staging import WORTHWHILE, staging
-from .threads import cache_is_closed, once
+from .threads import cache_is_closed, in_slices, once
+
+_LARGE = 2**22  # bytes
 
 _SCALARS: dict[type, Any] = {
     np.uint8: wp.uint8,
@@ -74,12 +77,23 @@ def image(values: NDArray[Any], device: str) -> Any:
 
 def zeros(shape: Sequence[int], device: str) -> Any:
     start()
-    return wp.zeros(tuple(shape), dtype=wp.float32, device=device)
+    return _zeros(shape, wp.float32, device)
 
 
 def zeros_image(shape: Sequence[int], device: str, stored: Any = np.float32) -> Any:
     start()
-    return wp.zeros(tuple(shape[:-1]), dtype=pixel_type(shape[-1], _SCALARS[np.dtype(stored).type]), device=device)
+    return _zeros(shape[:-1], pixel_type(shape[-1], _SCALARS[np.dtype(stored).type]), device)
+
+
+def _zeros(shape: Sequence[int], dtype: Any, device: str) -> Any:
+    """Zeros; all threads of a CPU write many: pages of memory come when they are first written to."""
+    place = wp.get_device(device)
+    if place.is_cuda or math.prod(shape) * wp.types.type_size_in_bytes(dtype) < _LARGE:
+        return wp.zeros(tuple(shape), dtype=dtype, device=place)
+    array = wp.empty(tuple(shape), dtype=dtype, device=place)
+    flat = array.flatten()
+    in_slices(place, flat.size, lambda _, first, last: flat[first:last].zero_())
+    return array
 
 
 def scalar(value: float, device: str) -> Any:

@@ -12,6 +12,7 @@ import warp as wp
 
 from lfgpu.contract import NlmWeights, OverPatch, PatchGradients, half_window
 
+from .cost_volume import code
 from .cpu_nlm import CpuWeights
 from .memory import pixel_type
 from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once
@@ -19,6 +20,7 @@ from .threads import check_size, in_slices, lanes, launch, launch_rows, load, on
 wp.set_module_options({"enable_backward": False})
 
 WARP = 32  # pixels of a block on a GPU
+_TILE = (8, 32)  # rows and columns of pixels of a block that finds weights
 
 
 @once
@@ -51,24 +53,6 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
                 f[c + wp.static(channels)] = 0.5 * gradient * across[c]
                 f[c + wp.static(2 * channels)] = 0.5 * gradient * down[c]
             features_out[y, x] = f
-
-    @wp.kernel(module=module, enable_backward=False)
-    def distance_kernel(
-        features: wp.array2d(dtype=feature),
-        half_window: wp.array(dtype=wp.vec2i),
-        lanes: int,
-        distances_out: wp.array3d(dtype=float),
-    ):
-        """Squared feature distance of each pixel from its neighbour k; 0 where that lies outside."""
-        k, y, lane = wp.tid()
-        step = half_window[k]
-        for x in range(lane, features.shape[1], lanes):
-            qy = y + step[0]
-            qx = x + step[1]
-            distance = float(0.0)
-            if qy < features.shape[0] and qx >= 0 and qx < features.shape[1]:
-                distance = wp.length_sq(features[y, x] - features[qy, qx])
-            distances_out[k, y, x] = distance
 
     @wp.kernel(module=module, enable_backward=False)
     def patch_weight_kernel(
@@ -106,40 +90,84 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
                 weight = wp.max(wp.exp(-total), floor)
             weights_out[k, y, x] = weight
 
-    return SimpleNamespace(features=features_kernel, distance=distance_kernel, patch_weight=patch_weight_kernel)
+    return SimpleNamespace(features=features_kernel, patch_weight=patch_weight_kernel)
 
 
-@wp.kernel
-def _weight_kernel(
-    distances: wp.array3d(dtype=float),
-    half_window: wp.array(dtype=wp.vec2i),
-    radius: int,
-    floor: float,
-    is_mean: int,
-    lanes: int,
-    weights_out: wp.array3d(dtype=float),
-):
-    """exp(-distance), the mean or the sum over those patch pixels that both have; at least `floor`."""
-    k, y, lane = wp.tid()
-    height = distances.shape[1]
-    width = distances.shape[2]
-    step = half_window[k]
-    top = wp.max(y - radius, 0)
-    bottom = wp.min(y + radius, height - 1 - step[0])
-    for x in range(lane, width, lanes):
-        weight = float(0.0)
-        qx = x + step[1]
-        if y + step[0] < height and qx >= 0 and qx < width:
-            left = wp.max(x - radius, wp.max(0, -step[1]))
-            right = wp.min(x + radius, width - 1 - wp.max(0, step[1]))
-            total = float(0.0)
-            for py in range(top, bottom + 1):
-                for px in range(left, right + 1):
-                    total = total + distances[k, py, px]
-            if is_mean == 1:
-                total = total / float((bottom - top + 1) * (right - left + 1))
-            weight = wp.max(wp.exp(-total), floor)
-        weights_out[k, y, x] = weight
+# A block of a GPU has a tile of pixels and one neighbour of each. The distances stay in memory that the block shares.
+
+_WEIGH_TILE = """
+    __shared__ float distances[ROWS + 2 * RADIUS][COLUMNS + 2 * RADIUS];
+    const int height = features.shape[0], width = features.shape[1];
+    const int dy = half_window.data[k].c[0], dx = half_window.data[k].c[1];
+    const int wide = COLUMNS + 2 * RADIUS;
+    for (int i = thread; i < (ROWS + 2 * RADIUS) * wide; i += ROWS * COLUMNS) {
+        const int y = top + i / wide - RADIUS, x = left + i % wide - RADIUS;
+        float distance = 0.f;
+        if (y >= 0 && y + dy < height && x >= 0 && x < width && x + dx >= 0 && x + dx < width) {
+            const auto& here = features.data[y * width + x];
+            const auto& there = features.data[(y + dy) * width + x + dx];
+            for (int c = 0; c < FEATURES; ++c) {
+                const float apart = here.c[c] - there.c[c];
+                distance += apart * apart;
+            }
+        }
+        distances[i / wide][i % wide] = distance;
+    }
+    __syncthreads();
+    const int row = thread / COLUMNS, column = thread % COLUMNS, y = top + row, x = left + column;
+    if (y >= height || x >= width) return;
+    float weight = 0.f;
+    if (y + dy < height && x + dx >= 0 && x + dx < width) {
+        float total = 0.f;
+        for (int j = 0; j <= 2 * RADIUS; ++j)
+            for (int i = 0; i <= 2 * RADIUS; ++i) total += distances[row + j][column + i];
+        const int rows = min(y + RADIUS, height - 1 - dy) - max(y - RADIUS, 0) + 1;
+        const int columns = min(x + RADIUS, width - 1 - max(0, dx)) - max(x - RADIUS, max(0, -dx)) + 1;
+        if (is_mean) total /= (float)(rows * columns);
+        weight = fmaxf(expf(-total), floor);
+    }
+    weights.data[((size_t)k * height + y) * width + x] = weight;
+"""
+
+
+@once
+def _tile_kernel(channels: int, radius: int) -> Any:
+    feature = pixel_type(3 * channels)
+    numbers = {"ROWS": _TILE[0], "COLUMNS": _TILE[1], "RADIUS": radius, "FEATURES": 3 * channels}
+
+    @wp.func_native(code(_WEIGH_TILE, **numbers))
+    def weigh_tile(
+        features: wp.array2d(dtype=feature),
+        half_window: wp.array(dtype=wp.vec2i),
+        k: int,
+        top: int,
+        left: int,
+        thread: int,
+        floor: float,
+        is_mean: int,
+        weights: wp.array3d(dtype=float),
+    ): ...
+
+    @wp.kernel(module=f"lfgpu_nlm_gpu_weights_{channels}_{radius}", enable_backward=False)
+    def tile_kernel(
+        features: wp.array2d(dtype=feature),
+        half_window: wp.array(dtype=wp.vec2i),
+        floor: float,
+        is_mean: int,
+        weights_out: wp.array3d(dtype=float),
+    ):
+        i = wp.tid()
+        block = i / wp.static(_TILE[0] * _TILE[1])
+        thread = i - block * wp.static(_TILE[0] * _TILE[1])
+        rows = (features.shape[0] + wp.static(_TILE[0] - 1)) / wp.static(_TILE[0])
+        columns = (features.shape[1] + wp.static(_TILE[1] - 1)) / wp.static(_TILE[1])
+        k = block / (rows * columns)
+        tile = block - k * rows * columns
+        top = tile / columns * wp.static(_TILE[0])
+        left = tile % columns * wp.static(_TILE[1])
+        weigh_tile(features, half_window, k, top, left, thread, floor, is_mean, weights_out)
+
+    return tile_kernel
 
 
 # In the two operators the loop over the window is the outer one: what a row adds up stays in cache, and the weights are
@@ -159,7 +187,7 @@ _ROW_LOOP = """
 
 @once
 def _operator(name: str, term: str, keep: float) -> Any:
-    """The CPU's kernel that starts from `keep` times the values and adds `term` for each pixel of the window."""
+    """The CPU's kernel that starts from `keep` and the diagonal times the values and adds `term` for each neighbour."""
 
     @wp.func_native(_ROW_LOOP.replace("TERM", term))
     def add_row(
@@ -175,6 +203,7 @@ def _operator(name: str, term: str, keep: float) -> Any:
     def operator_kernel(
         weights: wp.array3d(dtype=float),
         values: wp.array2d(dtype=float),
+        diagonal: wp.array2d(dtype=float),
         half_window: wp.array(dtype=wp.vec2i),
         row: int,
         lanes: int,
@@ -184,7 +213,10 @@ def _operator(name: str, term: str, keep: float) -> Any:
         y = row + i / lanes
         lane = i % lanes
         for x in range(lane, values.shape[1], lanes):
-            sums_out[y, x] = wp.static(keep) * values[y, x]
+            kept = wp.static(keep)
+            if diagonal:
+                kept = kept + diagonal[y, x]
+            sums_out[y, x] = kept * values[y, x]
         for k in range(half_window.shape[0]):
             dy = half_window[k][0]
             dx = half_window[k][1]
@@ -242,7 +274,7 @@ _PIXEL_SUM = """
     parts[dy][lane] = total;
     __syncthreads();
     if (dy == 0 && x < width) {
-        total = KEEP * values.data[p];
+        total = (diagonal.data ? KEEP + diagonal.data[p] : KEEP) * values.data[p];
         for (int row = 0; row <= RADIUS; ++row) total += parts[row][lane];
         sums.data[p] = total;
     }
@@ -252,12 +284,12 @@ _PIXEL_SUM = """
 @once
 def _gpu_operator(name: str, term: str, keep: float, radius: int) -> Any:
     """The same for a GPU: several threads for each pixel."""
-    code = _PIXEL_SUM.replace("TERM", term).replace("KEEP", f"{keep}f").replace("RADIUS", str(radius))
 
-    @wp.func_native(code)
+    @wp.func_native(code(_PIXEL_SUM, TERM=term, KEEP=f"{keep}f", RADIUS=radius))
     def add_pixel(
         weights: wp.array3d(dtype=float),
         values: wp.array2d(dtype=float),
+        diagonal: wp.array2d(dtype=float),
         y: int,
         x: int,
         dy: int,
@@ -267,10 +299,13 @@ def _gpu_operator(name: str, term: str, keep: float, radius: int) -> Any:
 
     @wp.kernel(module=f"lfgpu_nlm_gpu_{name}_{radius}", enable_backward=False)
     def operator_kernel(
-        weights: wp.array3d(dtype=float), values: wp.array2d(dtype=float), sums_out: wp.array2d(dtype=float)
+        weights: wp.array3d(dtype=float),
+        values: wp.array2d(dtype=float),
+        diagonal: wp.array2d(dtype=float),
+        sums_out: wp.array2d(dtype=float),
     ):
         y, x, dy, lane = place_in_block(wp.tid(), wp.static(radius + 1), values.shape[1])
-        add_pixel(weights, values, y, x, dy, lane, sums_out)
+        add_pixel(weights, values, diagonal, y, x, dy, lane, sums_out)
 
     return operator_kernel
 
@@ -321,43 +356,39 @@ def nlm_weights(
             is_mean=is_mean == 1,
         )
     features = wp.empty((height, width), dtype=pixel_type(3 * channels), device=place)
-    distances = wp.empty((len(steps), height, width), dtype=float, device=place)
+    block = _TILE[0] * _TILE[1]
+    threads = len(steps) * -(-height // _TILE[0]) * -(-width // _TILE[1]) * block
+    check_size(threads)
 
     def weigh(image: Any, weights_out: Any) -> None:
-        threads = lanes(image)
         launch_rows(kernels.features, [image, color, gradient], features)
-        load(place, kernels.distance, _weight_kernel)
-
-        def some_neighbors(_: int, first: int, last: int) -> None:
-            some, room, dim = steps[first:last], distances[first:last], (last - first, height, threads)
-            launch(kernels.distance, dim, [features, some, threads], [room], device=place)
-            inputs = [room, some, patch // 2, floor, is_mean, threads]
-            launch(_weight_kernel, dim, inputs, [weights_out[first:last]], device=place)
-
-        in_slices(place, len(steps), some_neighbors)
+        inputs = [features, steps, floor, is_mean]
+        launch(_tile_kernel(channels, patch // 2), threads, inputs, [weights_out], device=place, block_dim=block)
 
     return weigh
 
 
 def nlm_neighbors(weights: Any, values: Any, *, window: int, sums_out: Any) -> None:
     if values.device.is_cpu:
-        _by_rows(_operator("neighbors", "s[x] += w[x + back] * o[x + dx]", 1.0), weights, values, window, sums_out)
+        _by_rows(
+            _operator("neighbors", "s[x] += w[x + back] * o[x + dx]", 1.0), weights, values, None, window, sums_out
+        )
     else:
         kernel = _gpu_operator("neighbors", "other", 1.0, window // 2)
-        launch_pixels(kernel, [weights, values], window, sums_out)
+        launch_pixels(kernel, [weights, values, None], window, sums_out)
 
 
-def nlm_laplacian(weights: Any, values: Any, *, window: int, laplacian_out: Any) -> None:
+def nlm_laplacian(weights: Any, values: Any, *, window: int, laplacian_out: Any, diagonal: Any | None = None) -> None:
     if values.device.is_cpu:
         flow = "s[x] += w[x + back] * (h[x] - o[x + dx])"
-        _by_rows(_operator("laplacian", flow, 0.0), weights, values, window, laplacian_out)
+        _by_rows(_operator("laplacian", flow, 0.0), weights, values, diagonal, window, laplacian_out)
     else:
         kernel = _gpu_operator("laplacian", "(here - other)", 0.0, window // 2)
-        launch_pixels(kernel, [weights, values], window, laplacian_out)
+        launch_pixels(kernel, [weights, values, diagonal], window, laplacian_out)
 
 
-def _by_rows(kernel: Any, weights: Any, values: Any, window: int, result_out: Any) -> None:
-    launch_rows(kernel, [weights, values, window_on(window, values.device.alias)], result_out)
+def _by_rows(kernel: Any, weights: Any, values: Any, diagonal: Any, window: int, result_out: Any) -> None:
+    launch_rows(kernel, [weights, values, diagonal, window_on(window, values.device.alias)], result_out)
 
 
 def launch_pixels(kernel: Any, inputs: list[Any], window: int, result_out: Any) -> None:

@@ -2,6 +2,10 @@
 
 Paths that lie side by side are followed together, pixel by pixel. A path has cost nothing before it begins: then
 the formula of its further pixels gives the first one's costs as they are.
+
+A step along a path waits for the one before, whatever else a GPU could do meanwhile. So there paths of several
+directions are followed at the same time, each direction with a volume of its own, which are added up in order. In these
+volumes [y, x, l] the costs of a pixel lie side by side: a warp, which has a path, reads and writes them as a whole.
 """
 
 from typing import Any
@@ -10,7 +14,7 @@ import warp as wp
 
 from .cost_volume import code
 from .memory import pixel_type
-from .threads import in_slices, launch, load, once, slices
+from .threads import check_size, in_slices, launch, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -18,7 +22,11 @@ _DIRECTIONS = ((1, -1), (1, 0), (1, 1), (0, 1), (-1, -1), (-1, 0), (-1, 1), (0, 
 _BLOCK = 32  # paths that a CPU follows together
 _CHUNK = 16  # columns of a row that it turns at a time, so that paths along rows lie side by side
 _WARP = 32
-_GROUPS = 32  # threads that share a path on a GPU, at most
+_AHEAD = 4  # steps along a path, whose costs are on their way to a GPU's threads
+_WARPS = 4  # of a block of a GPU, each with a path
+_TILE = 32  # pixels of a row and disparities of them, that a GPU turns at a time
+_TURNING = 256  # threads that do so
+_ROOM = 2**29  # bytes: volumes that a GPU needs besides, at most, unless two are larger
 
 _FOLLOW_BLOCKS = """
     // What a change by one, and by more, costs between two pixels.
@@ -121,67 +129,65 @@ _FOLLOW_BLOCKS = """
     }
 """
 
-# On a GPU, the threads of a block have PATHS paths, each of them EACH neighbouring disparities of one path. They tell
-# each other the least cost and those at the ends of what they have. A diagonal that leaves the frame at one side goes
-# on, as another path, at the other side of the next row: so all blocks have the same work. What is needed AHEAD steps
-# later is on its way from memory meanwhile.
+# On a GPU a warp has a path, each of its threads EACH neighbouring disparities. They tell each other the least cost and
+# those at the ends of what they have. A diagonal that leaves the frame at one side goes on, as another path, at the
+# other side of the next row: so all warps have the same work. What is needed AHEAD steps later is on its way from
+# memory meanwhile. The directions from `first` to before `last` are followed now.
 
-_FOLLOW_PATHS = """
-    __shared__ float leasts[2][GROUPS * PATHS / 32][PATHS], firsts[2][GROUPS][PATHS], lasts[2][GROUPS][PATHS];
-    const int count = volume.shape[0], height = volume.shape[1], width = volume.shape[2];
-    const int paths = dy ? width : height, steps = dy ? height : width;
-    const long long size = (long long)height * width;
-    const int lane = thread % PATHS, group = thread / PATHS, groups = threads / PATHS, warps = threads / 32;
-    const int path = min(block * PATHS + lane, paths - 1), label = group * EACH;
-    const bool counts = block * PATHS + lane < paths;  // else it follows the last one too, and writes nothing
-    const float* const costs = volume.data + label * size;
-    float* const to = sums.data + label * size;
+_FOLLOW_PATH = """
+    constexpr int downwards[] = {DOWNWARDS}, sideways[] = {SIDEWAYS};
+    const int height = volume.shape[0], width = volume.shape[1], count = volume.shape[2];
+    int direction = first;
+    for (; direction + 1 < last; ++direction) {  // whose paths come one after the other
+        const int paths = downwards[direction] ? width : height;
+        if (path < paths) break;
+        path -= paths;
+    }
+    const int dy = downwards[direction], dx = sideways[direction], steps = dy ? height : width, label = lane * EACH;
+    if (path >= (dy ? width : height)) return;  // a whole warp, the last one
+    const size_t size = (size_t)height * width * count;
+    const float* const costs = volume.data + label;
+    const float2* const penalties = (const float2*)steps_to.data + (size_t)direction * height * width;
+    float* const to = room.data + (direction - first) * size + label;
 
-    int x = dy ? path : (dx > 0 ? 0 : width - 1), y = dy ? (dy > 0 ? 0 : height - 1) : path;
-    int next_x = x, next_y = y;
-    auto go = [&](int& x, int& y) {
-        x += dx;
-        y += dy;
-        if (dy) x = x == width ? 0 : x < 0 ? width - 1 : x;
-    };
-    float cost[AHEAD][EACH], sum[AHEAD][EACH], color[AHEAD][CHANNELS], scales[AHEAD];
+    int x = dy ? path : (dx > 0 ? 0 : width - 1), p = (dy ? (dy > 0 ? 0 : height - 1) : path) * width + x;
+    bool begins = true;
+    float cost[AHEAD][EACH];
+    float2 penalty[AHEAD];
+    unsigned places[AHEAD];
+    bool begin[AHEAD];
     auto fetch = [&](int slot) {
-        const int p = next_y * width + next_x;
+        const float* const from = costs + (size_t)(unsigned)p * count;
     #pragma unroll
-        for (int k = 0; k < EACH; ++k) {
-            cost[slot][k] = label + k < count ? costs[k * size + p] : INFINITY;
-            if (adds && label + k < count) sum[slot][k] = to[k * size + p];
+        for (int k = 0; k < EACH; ++k) cost[slot][k] = label + k < count ? from[k] : INFINITY;
+        penalty[slot] = penalties[(unsigned)p];
+        places[slot] = p;
+        begin[slot] = begins;
+        x += dx;
+        p += dy * width + dx;
+        begins = dy && (x == width || x < 0);
+        if (begins) {
+            p -= dx * width;
+            x = dx > 0 ? 0 : width - 1;
         }
-        for (int c = 0; c < CHANNELS; ++c) color[slot][c] = image.data[p].c[c];
-        scales[slot] = scale.data[p];
-        go(next_x, next_y);
     };
     #pragma unroll
     for (int slot = 0; slot < AHEAD; ++slot)
         if (slot < steps) fetch(slot);
 
-    float before[EACH], before_color[CHANNELS], least = 0.f, below = 0.f, above = 0.f;
+    float before[EACH], least = 0.f, below = 0.f, above = 0.f;
     for (int base = 0; base < steps; base += AHEAD) {
     #pragma unroll
         for (int slot = 0; slot < AHEAD; ++slot) {
-            const int i = base + slot;
-            if (i >= steps) break;
-            if (i == 0 || (dy && x == (dx > 0 ? 0 : dx < 0 ? width - 1 : -1))) {
+            if (base + slot >= steps) break;
+            if (begin[slot]) {
     #pragma unroll
                 for (int k = 0; k < EACH; ++k) before[k] = 0.f;
-                for (int c = 0; c < CHANNELS; ++c) before_color[c] = 0.f;
                 least = below = above = 0.f;
             }
-            float difference = 0.f;
-            for (int c = 0; c < CHANNELS; ++c) {
-                difference += fabsf(color[slot][c] - before_color[c]);
-                before_color[c] = color[slot][c];
-            }
-            const float likeness = expf(-difference / (CHANNELS * contrast));
-            const float one = scales[slot] * small * fmaxf(likeness, 0.2f);
-            const float most = least + scales[slot] * fmaxf(large * likeness, 1.2f * small);
+            const float one = penalty[slot].x, most = least + penalty[slot].y;
             float least_here = INFINITY, low = below;
-            const int p = y * width + x;
+            float* const out = to + (size_t)places[slot] * count;
     #pragma unroll
             for (int k = 0; k < EACH; ++k) {
                 const float here = before[k], high = k + 1 < EACH ? before[k + 1] : above;
@@ -189,23 +195,79 @@ _FOLLOW_PATHS = """
                 before[k] = cost[slot][k] + (fminf(here, change) - least);
                 low = here;
                 least_here = fminf(least_here, before[k]);
-                if (counts && label + k < count) to[k * size + p] = adds ? sum[slot][k] + before[k] : before[k];
+                if (label + k < count) out[k] = before[k];
             }
-            go(x, y);
-            if (i + AHEAD < steps) fetch(slot);
+            if (base + slot + AHEAD < steps) fetch(slot);
 
-            for (int far = PATHS; far < 32; far *= 2)
-                least_here = fminf(least_here, __shfl_xor_sync(~0u, least_here, far));
-            const int side = i & 1;  // what was told a step ago may still be read
-            if (thread % 32 < PATHS) leasts[side][thread / 32][lane] = least_here;
-            firsts[side][group][lane] = before[0];
-            lasts[side][group][lane] = before[EACH - 1];
-            __syncthreads();
-            least = INFINITY;
-            for (int warp = 0; warp < warps; ++warp) least = fminf(least, leasts[side][warp][lane]);
-            below = group > 0 ? lasts[side][group - 1][lane] : INFINITY;
-            above = group + 1 < groups ? firsts[side][group + 1][lane] : INFINITY;
+            for (int far = 1; far < 32; far *= 2) least_here = fminf(least_here, __shfl_xor_sync(~0u, least_here, far));
+            least = least_here;
+            const float last_below = __shfl_up_sync(~0u, before[EACH - 1], 1);
+            const float first_above = __shfl_down_sync(~0u, before[0], 1);
+            below = lane > 0 ? last_below : INFINITY;
+            above = lane < 31 ? first_above : INFINITY;
         }
+    }
+"""
+
+# What a change by one, and by more, costs at each pixel of a path, in all directions; nothing that begins a path
+# changes.
+
+_STEP_COSTS = """
+    constexpr int downwards[] = {DOWNWARDS}, sideways[] = {SIDEWAYS};
+    const int height = image.shape[0], width = image.shape[1], p = y * width + x;
+    const auto color = image.data[p];
+    #pragma unroll
+    for (int k = 0; k < 8; ++k) {
+        const int row = y - downwards[k], column = x - sideways[k];
+        float difference = 0.f;
+        if ((unsigned)row < (unsigned)height && (unsigned)column < (unsigned)width) {
+            const auto other = image.data[row * width + column];
+            for (int c = 0; c < CHANNELS; ++c) difference += fabsf(color.c[c] - other.c[c]);
+        }
+        const float likeness = expf(-difference / (CHANNELS * contrast));
+        float* const out = steps_to.data + 2 * ((size_t)k * height * width + p);
+        out[0] = scale.data[p] * small * fmaxf(likeness, 0.2f);
+        out[1] = scale.data[p] * fmaxf(large * likeness, 1.2f * small);
+    }
+"""
+
+# Between volumes [l, y, x] and [y, x, l], tile by tile. Sums are put together in the order in which one direction after
+# the other would add to them.
+
+_TURN = """
+    __shared__ float tile[TILE][TILE + 1];
+    const int count = volume.shape[0], height = volume.shape[1], width = volume.shape[2];
+    const int columns = (width + TILE - 1) / TILE, parts = (count + TILE - 1) / TILE;
+    const int y = block / (columns * parts), place = block - y * columns * parts;
+    const int left = place / parts * TILE, first = place % parts * TILE;
+    const size_t size = (size_t)height * width;
+    float* const slices = volume.data + (size_t)y * width;
+    const size_t row = ((size_t)y * width + left) * count + first;
+    if (volumes == 0) {  // from slices
+        for (int i = thread; i < TILE * TILE; i += TURNING) {
+            const int l = i / TILE, x = i % TILE;
+            if (first + l < count && left + x < width) tile[l][x] = slices[(first + l) * size + left + x];
+        }
+        __syncthreads();
+        for (int i = thread; i < TILE * TILE; i += TURNING) {
+            const int x = i / TILE, l = i % TILE;
+            if (first + l < count && left + x < width) turned.data[row + (size_t)x * count + l] = tile[l][x];
+        }
+        return;
+    }
+    for (int i = thread; i < TILE * TILE; i += TURNING) {
+        const int x = i / TILE, l = i % TILE;
+        if (first + l >= count || left + x >= width) continue;
+        const float* const costs = turned.data + row + (size_t)x * count + l;
+        float sum = adds ? slices[(first + l) * size + left + x] : 0.f;
+    #pragma unroll 8
+        for (int k = 0; k < volumes; ++k) sum += costs[k * size * count];
+        tile[l][x] = sum;
+    }
+    __syncthreads();
+    for (int i = thread; i < TILE * TILE; i += TURNING) {
+        const int l = i / TILE, x = i % TILE;
+        if (first + l < count && left + x < width) slices[(first + l) * size + left + x] = tile[l][x];
     }
 """
 
@@ -253,56 +315,103 @@ def _blocks_kernel(channels: int) -> Any:
     return blocks_kernel
 
 
-@once
-def _paths_kernel(channels: int, each: int, paths: int) -> Any:
-    """For a GPU: `paths` paths on each block, `each` disparities on each thread."""
-    pixel, ahead = pixel_type(channels), max(1, 16 // each)
+_STEPS = {
+    name: ", ".join(map(str, steps))
+    for name, steps in zip(("DOWNWARDS", "SIDEWAYS"), zip(*_DIRECTIONS, strict=True), strict=True)
+}
 
-    @wp.func_native(code(_FOLLOW_PATHS, CHANNELS=channels, EACH=each, PATHS=paths, GROUPS=_GROUPS, AHEAD=ahead))
-    def follow(
-        volume: wp.array3d(dtype=float),
+
+@once
+def _step_costs_kernel(channels: int) -> Any:
+    pixel = pixel_type(channels)
+
+    @wp.func_native(code(_STEP_COSTS, CHANNELS=channels, **_STEPS))
+    def step_costs(
         image: wp.array2d(dtype=pixel),
         scale: wp.array2d(dtype=float),
         small: float,
         large: float,
         contrast: float,
-        dy: int,
-        dx: int,
-        adds: bool,
-        block: int,
-        thread: int,
-        threads: int,
-        sums: wp.array3d(dtype=float),
+        y: int,
+        x: int,
+        steps_to: wp.array(dtype=float),
     ): ...
 
-    @wp.kernel(module=f"lfgpu_gpu_semi_global_{channels}_{each}_{paths}", enable_backward=False)
-    def paths_kernel(
-        volume: wp.array3d(dtype=float),
+    @wp.kernel(module=f"lfgpu_gpu_semi_global_steps_{channels}", enable_backward=False)
+    def step_costs_kernel(
         image: wp.array2d(dtype=pixel),
         scale: wp.array2d(dtype=float),
         small: float,
         large: float,
         contrast: float,
-        dy: int,
-        dx: int,
-        adds: bool,
-        threads: int,
-        sum_out: wp.array3d(dtype=float),
+        width: int,
+        steps_to_out: wp.array(dtype=float),
     ):
         i = wp.tid()
-        block = i / threads
-        follow(volume, image, scale, small, large, contrast, dy, dx, adds, block, i - block * threads, threads, sum_out)
+        y = i / width
+        step_costs(image, scale, small, large, contrast, y, i - y * width, steps_to_out)
 
-    return paths_kernel
+    return step_costs_kernel
+
+
+@once
+def _path_kernel(each: int) -> Any:
+    """For a GPU: `each` disparities on each thread."""
+
+    @wp.func_native(code(_FOLLOW_PATH, EACH=each, AHEAD=max(1, _AHEAD // each), **_STEPS))
+    def follow(
+        volume: wp.array3d(dtype=float),
+        steps_to: wp.array(dtype=float),
+        first: int,
+        last: int,
+        path: int,
+        lane: int,
+        room: wp.array(dtype=float),
+    ): ...
+
+    @wp.kernel(module=f"lfgpu_gpu_semi_global_{each}", enable_backward=False)
+    def path_kernel(
+        volume: wp.array3d(dtype=float),
+        steps_to: wp.array(dtype=float),
+        first: int,
+        last: int,
+        room_out: wp.array(dtype=float),
+    ):
+        i = wp.tid()
+        path = i / wp.static(_WARP)
+        follow(volume, steps_to, first, last, path, i % wp.static(_WARP), room_out)
+
+    return path_kernel
+
+
+@wp.func_native(code(_TURN, TILE=_TILE, TURNING=_TURNING))
+def _turn(
+    volume: wp.array3d(dtype=float),
+    turned: wp.array(dtype=float),
+    volumes: int,
+    adds: bool,
+    block: int,
+    thread: int,
+): ...
+
+
+@wp.kernel(module="lfgpu_gpu_semi_global_turn", enable_backward=False)
+def _turn_kernel(volume: wp.array3d(dtype=float), turned: wp.array(dtype=float), volumes: int, adds: bool):
+    """A volume turned, or the sum of so many that are turned back."""
+    i = wp.tid()
+    block = i / wp.static(_TURNING)
+    _turn(volume, turned, volumes, adds, block, i - block * wp.static(_TURNING))
 
 
 def semi_global(
     volume: Any, image: Any, penalty_scale: Any, *, small: float, large: float, contrast: float, sum_out: Any
 ) -> None:
-    follow = _on_cpu if volume.device.is_cpu else _on_gpu
+    if not volume.device.is_cpu:
+        _on_gpu(volume, [image, penalty_scale, small, large, contrast], sum_out)
+        return
     for k, (dy, dx) in enumerate(_DIRECTIONS):
         inputs = [volume, image, penalty_scale, small, large, contrast, dy, dx, k > 0]
-        follow(inputs, image.dtype._length_, dy, dx, sum_out)
+        _on_cpu(inputs, image.dtype._length_, dy, dx, sum_out)
 
 
 def _on_cpu(inputs: list[Any], channels: int, dy: int, dx: int, sum_out: Any) -> None:
@@ -319,14 +428,36 @@ def _on_cpu(inputs: list[Any], channels: int, dy: int, dx: int, sum_out: Any) ->
     in_slices(device, blocks, some_blocks)
 
 
-def _on_gpu(inputs: list[Any], channels: int, dy: int, dx: int, sum_out: Any) -> None:
-    count, height, width = sum_out.shape
-    # Fewer paths on a block along rows: what these read lies far apart, and all processors have to help with it.
-    paths, each = 8 if dy else 4, 4
-    while each * _GROUPS < count:
-        each *= 2
-    groups = -(-count // each)
-    threads = -(-groups * paths // _WARP) * _WARP
-    blocks = -(-(width if dy else height) // paths)
-    kernel = _paths_kernel(channels, each, paths)
-    launch(kernel, blocks * threads, [*inputs, threads], [sum_out], device=sum_out.device, block_dim=threads)
+def _on_gpu(volume: Any, inputs: list[Any], sum_out: Any) -> None:
+    (count, height, width), device, image = sum_out.shape, sum_out.device, inputs[0]
+    size, pixels = sum_out.size, height * width
+    room = _room_of(sum_out)
+    steps_to, costs, turned = room[: 16 * pixels], room[16 * pixels :][:size], room[16 * pixels + size :]
+    as_turned = wp.array(ptr=costs.ptr, dtype=float, shape=(height, width, count), device=device, copy=False)
+    launch(_step_costs_kernel(image.dtype._length_), pixels, [*inputs, width], [steps_to], device=device)
+    turning = height * -(-width // _TILE) * -(-count // _TILE) * _TURNING
+    check_size(turning)
+    options = {"device": device, "block_dim": _TURNING}
+    launch(_turn_kernel, turning, [volume, costs, 0, False], **options)
+    kernel, at_once = _path_kernel(-(-count // _WARP)), len(turned) // size
+    for first in range(0, len(_DIRECTIONS), at_once):
+        some = _DIRECTIONS[first : first + at_once]
+        paths = sum(width if dy else height for dy, _ in some)
+        threads = -(-paths // _WARPS) * _WARPS * _WARP
+        inputs = [as_turned, steps_to, first, first + len(some)]
+        launch(kernel, threads, inputs, [turned], device=device, block_dim=_WARPS * _WARP)
+        launch(_turn_kernel, turning, [sum_out, turned, len(some), first > 0], **options)
+
+
+def _room_of(sum_out: Any) -> Any:
+    """What changes cost; turned volumes, of the costs and of all directions or of as many as there is room for, but one
+    at least.
+
+    It lives as long as the sums. It is made when it is first needed, as captured work must not allocate.
+    """
+    if not hasattr(sum_out, "lfgpu_room"):
+        count, size = len(_DIRECTIONS), sum_out.size
+        volumes = 1 + min(count, max(1, _ROOM // (4 * size) - 1))
+        room = 2 * count * (size // sum_out.shape[0]) + volumes * size
+        sum_out.lfgpu_room = wp.empty(room, dtype=float, device=sum_out.device)
+    return sum_out.lfgpu_room

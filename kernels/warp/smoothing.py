@@ -13,13 +13,16 @@ from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE
 
 from .cost_volume import code
 from .memory import pixel_type
-from .threads import check_size, in_slices, launch, launch_rows, load, once, slices
+from .threads import check_size, in_slices, lanes, launch, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
 _SPREAD = 8.0  # pixels²: twice the variance of the Gaussian over places
-_TILE = (8, 32)  # rows and columns of a block on a GPU
+_TILE = (16, 32)  # rows and columns of a block on a GPU
+_PIXELS = 2  # of a column, that a thread has
+_THREADS = _TILE[0] // _PIXELS * _TILE[1]  # of such a block
 _RING = 16  # rows that a thread of a CPU keeps
+_LANES = 16  # columns that it works on at a time
 
 _NEAR = ", ".join(f"{math.exp(-(k**2) / _SPREAD):.9e}f" for k in range(-SMOOTHING_REACH, SMOOTHING_REACH + 1))
 
@@ -33,15 +36,18 @@ _STORE = """
 _ROWS = (
     _STORE
     + """
+    typedef float Some __attribute__((ext_vector_type(LANES)));
+    typedef float Anywhere __attribute__((ext_vector_type(LANES), aligned(4)));
+    auto some = [](const float* from) { return (Some)*(const Anywhere*)from; };
     constexpr float near[] = {NEAR};
-    const int height = views.shape[1], width = views.shape[2], wide = width + 2 * (REACH + 1);
+    const int height = views.shape[1], width = views.shape[2], wide = width + 2 * (REACH + 1) + LANES;
     const float unit = 1.f / (CHANNELS * deviation * deviation);
     const size_t row = (size_t)CHANNELS * wide;
     float* const colors = room.data;                // [RING, CHANNELS, wide]: row y in ring place y % RING
     float* const guides = colors + RING * row;      // the same
     float* const knowns = guides + RING * row;      // [RING, wide]: 1 where colors are valid
     float* const counts = knowns + (size_t)RING * wide;  // [RING, wide]: the same, but 0 outside of the frame
-    float* const sums = counts + (size_t)RING * wide;    // [CHANNELS + 1, wide]
+    float* const shares = counts + (size_t)RING * wide;  // [wide]
     auto within = [](int i, int size) { return i < 0 ? 0 : i < size ? i : size - 1; };
     int colored = 0, guided = 0;                    // rows of this view that are in the rings
     for (int i = first; i < last; ++i) {
@@ -80,7 +86,6 @@ _ROWS = (
                 for (int x = 1; x < wide - 1; ++x)
                     out[x] = a[x - 1] + a[x] + a[x + 1] + b[x - 1] + b[x] + b[x + 1] + d[x - 1] + d[x] + d[x + 1];
             };
-            float* const shares = sums;  // nobody's yet
             add(knowns + (size_t)above * wide, knowns + (size_t)here * wide, knowns + (size_t)below * wide, shares);
             for (int x = 1; x < wide - 1; ++x) shares[x] = 1.f / (shares[x] > 1.f ? shares[x] : 1.f);
             for (int c = 0; c < CHANNELS; ++c) {
@@ -90,37 +95,43 @@ _ROWS = (
                 for (int x = 1; x < wide - 1; ++x) out[x] *= shares[x];
             }
         }
-        for (size_t k = 0; k < (size_t)(CHANNELS + 1) * wide; ++k) sums[k] = 0.f;
+        // As many columns as a few registers hold, with all that is added up for them.
         const float* const guide = guides + (y % RING) * row + REACH + 1;
         const float* const known = knowns + (size_t)(y % RING) * wide + REACH + 1;
-        float* const weights = sums + row + REACH + 1;
-        for (int dy = -REACH; dy <= REACH; ++dy) {
-            if (y + dy < 0 || y + dy >= height) continue;
-            const size_t place = (y + dy) % RING;
-            for (int dx = -REACH; dx <= REACH; ++dx) {
-                const float distant = near[dy + REACH] * near[dx + REACH];
-                const float* const other = guides + place * row + REACH + 1 + dx;
-                const float* const color = colors + place * row + REACH + 1 + dx;
-                const float* const count = counts + place * wide + REACH + 1 + dx;
-                #pragma clang loop vectorize(assume_safety)
-                for (int x = 0; x < width; ++x) {
-                    float unlike = 1.f;
+        auto* const out = smoothed.data + view + (size_t)y * width;
+        const int above = y < REACH ? -y : -REACH, below = height - 1 - y < REACH ? height - 1 - y : REACH;
+        for (int x = 0; x < width; x += LANES) {
+            #pragma clang fp contract(fast)
+            Some middle[CHANNELS], sum[CHANNELS], weights = 0.f;
+            #pragma unroll
+            for (int c = 0; c < CHANNELS; ++c) {
+                middle[c] = some(guide + (size_t)c * wide + x);
+                sum[c] = 0.f;
+            }
+            const Some likeness = unit * some(known + x);
+            for (int dy = above; dy <= below; ++dy) {
+                const size_t place = (y + dy) % RING;
+                const float* const other = guides + place * row + REACH + 1 + x;
+                const float* const color = colors + place * row + REACH + 1 + x;
+                const float* const count = counts + place * wide + REACH + 1 + x;
+                #pragma unroll
+                for (int dx = -REACH; dx <= REACH; ++dx) {
+                    Some unlike = 1.f;
                     #pragma unroll
                     for (int c = 0; c < CHANNELS; ++c) {
-                        const float difference = other[c * wide + x] - guide[c * wide + x];
-                        unlike += unit * known[x] * difference * difference;
+                        const Some difference = some(other + (size_t)c * wide + dx) - middle[c];
+                        unlike += likeness * difference * difference;
                     }
-                    const float weight = distant * count[x] / (unlike * unlike);
+                    const Some weight = near[dy + REACH] * near[dx + REACH] * some(count + dx) / (unlike * unlike);
                     #pragma unroll
-                    for (int c = 0; c < CHANNELS; ++c) sums[REACH + 1 + c * wide + x] += weight * color[c * wide + x];
-                    weights[x] += weight;
+                    for (int c = 0; c < CHANNELS; ++c) sum[c] += weight * some(color + (size_t)c * wide + dx);
+                    weights += weight;
                 }
             }
+            for (int j = 0; j < LANES && x + j < width; ++j)
+                for (int c = 0; c < CHANNELS; ++c)
+                    out[x + j].c[c] = stored(weights[j] > 0.f ? sum[c][j] / weights[j] : 0.f);
         }
-        auto* const out = smoothed.data + view + (size_t)y * width;
-        for (int x = 0; x < width; ++x)
-            for (int c = 0; c < CHANNELS; ++c)
-                out[x].c[c] = stored(weights[x] > 0.f ? sums[REACH + 1 + (size_t)c * wide + x] / weights[x] : 0.f);
     }
 """
 )
@@ -132,7 +143,7 @@ _PIXEL = (
     constexpr int tall = ROWS + 2 * REACH, wide = COLUMNS + 2 * REACH;
     __shared__ float colors[CHANNELS][tall + 2][wide + 2], guides[CHANNELS][tall][wide];
     __shared__ float knowns[tall + 2][wide + 2], counts[tall][wide];  // 1 where valid; counts: 0 outside the frame
-    const int height = views.shape[1], width = views.shape[2], threads = ROWS * COLUMNS;
+    const int height = views.shape[1], width = views.shape[2], threads = ROWS / PIXELS * COLUMNS;
     const long long view = (long long)n * height * width;
     const float unit = 1.f / (CHANNELS * deviation * deviation);
     for (int i = thread; i < (tall + 2) * (wide + 2); i += threads) {
@@ -162,36 +173,51 @@ _PIXEL = (
         counts[y][x] = inside ? knowns[y + 1][x + 1] : 0.f;
     }
     __syncthreads();
-    const int y = thread / COLUMNS, x = thread - y * COLUMNS;
-    if (top + y >= height || left + x >= width) return;
-    float sums[CHANNELS] = {}, weights = 0.f, guide[CHANNELS];
-    for (int c = 0; c < CHANNELS; ++c) guide[c] = guides[c][y + REACH][x + REACH];
-    const float likeness = unit * counts[y + REACH][x + REACH];
+    // PIXELS of a column at once: what is around them is read once for all.
+    const int y = thread / COLUMNS * PIXELS, x = thread % COLUMNS;
+    float sums[PIXELS][CHANNELS] = {}, weights[PIXELS] = {}, guide[PIXELS][CHANNELS], likeness[PIXELS];
+    for (int j = 0; j < PIXELS; ++j) {
+        for (int c = 0; c < CHANNELS; ++c) guide[j][c] = guides[c][y + j + REACH][x + REACH];
+        likeness[j] = unit * counts[y + j + REACH][x + REACH];
+    }
     #pragma unroll
-    for (int dy = 0; dy <= 2 * REACH; ++dy)
+    for (int row = 0; row < 2 * REACH + PIXELS; ++row)
         #pragma unroll
         for (int dx = 0; dx <= 2 * REACH; ++dx) {
-            float unlike = 1.f;
+            float other[CHANNELS], color[CHANNELS];
             for (int c = 0; c < CHANNELS; ++c) {
-                const float difference = guides[c][y + dy][x + dx] - guide[c];
-                unlike += likeness * difference * difference;
+                other[c] = guides[c][y + row][x + dx];
+                color[c] = colors[c][y + row + 1][x + dx + 1];
             }
-            const float distant = near[dy] * near[dx] * counts[y + dy][x + dx];
-            const float weight = __fdividef(distant, unlike * unlike);
-            for (int c = 0; c < CHANNELS; ++c) sums[c] += weight * colors[c][y + dy + 1][x + dx + 1];
-            weights += weight;
+            const float count = counts[y + row][x + dx];
+            #pragma unroll
+            for (int j = 0; j < PIXELS; ++j) {
+                const int dy = row - j;
+                if (dy < 0 || dy > 2 * REACH) continue;
+                float difference = 0.f;
+                for (int c = 0; c < CHANNELS; ++c) {
+                    const float apart = other[c] - guide[j][c];
+                    difference += apart * apart;
+                }
+                const float unlike = 1.f + likeness[j] * difference;
+                const float weight = __fdividef(near[dy] * near[dx] * count, unlike * unlike);
+                for (int c = 0; c < CHANNELS; ++c) sums[j][c] += weight * color[c];
+                weights[j] += weight;
+            }
         }
-    auto& out = smoothed.data[view + (long long)(top + y) * width + left + x];
-    for (int c = 0; c < CHANNELS; ++c) out.c[c] = stored(weights > 0.f ? sums[c] / weights : 0.f);
+    for (int j = 0; j < PIXELS; ++j) {
+        if (top + y + j >= height || left + x >= width) continue;
+        auto& out = smoothed.data[view + (long long)(top + y + j) * width + left + x];
+        for (int c = 0; c < CHANNELS; ++c) out.c[c] = stored(weights[j] > 0.f ? sums[j][c] / weights[j] : 0.f);
+    }
 """
 )
 
 
 def _code(text: str, channels: int) -> str:
     text = text.replace("NEAR", _NEAR)
-    return code(
-        text, CHANNELS=channels, REACH=SMOOTHING_REACH, RING=_RING, ROWS=_TILE[0], COLUMNS=_TILE[1], WHITE=WHITE
-    )
+    numbers = {"REACH": SMOOTHING_REACH, "RING": _RING, "ROWS": _TILE[0], "COLUMNS": _TILE[1], "PIXELS": _PIXELS}
+    return code(text, CHANNELS=channels, WHITE=WHITE, LANES=_LANES, **numbers)
 
 
 @once
@@ -254,8 +280,8 @@ def _tiles_kernel(channels: int, stored: Any) -> Any:
         views_out: wp.array3d(dtype=smoothed_pixel),
     ):
         i = wp.tid()
-        tile = i / wp.static(_TILE[0] * _TILE[1])
-        thread = i - tile * wp.static(_TILE[0] * _TILE[1])
+        tile = i / wp.static(_THREADS)
+        thread = i - tile * wp.static(_THREADS)
         columns = (views.shape[2] + wp.static(_TILE[1] - 1)) / wp.static(_TILE[1])
         rows = (views.shape[1] + wp.static(_TILE[0] - 1)) / wp.static(_TILE[0])
         n = tile / (rows * columns)
@@ -264,6 +290,7 @@ def _tiles_kernel(channels: int, stored: Any) -> Any:
         left = place % columns * wp.static(_TILE[1])
         smooth_pixel(views, valid, scale, deviation, n, top, left, thread, views_out)
 
+    tiles_kernel.module.options["fast_math"] = True  # divisions that need not look at numbers near those that underflow
     return tiles_kernel
 
 
@@ -271,17 +298,16 @@ def smooth_views(views: Any, valid: Any, *, scale: float, deviation: float, view
     (n, height, width), device = views.shape, views.device
     channels, stored = views.dtype._length_, views.dtype._wp_scalar_type_
     if device.is_cuda:
-        block = _TILE[0] * _TILE[1]
-        dim = n * -(-height // _TILE[0]) * -(-width // _TILE[1]) * block
+        dim = n * -(-height // _TILE[0]) * -(-width // _TILE[1]) * _THREADS
         check_size(dim)
         inputs = [views, valid, scale, deviation]
-        launch(_tiles_kernel(channels, stored), dim, inputs, [views_out], device=device, block_dim=block)
+        launch(_tiles_kernel(channels, stored), dim, inputs, [views_out], device=device, block_dim=_THREADS)
         return
     kernel = _rows_kernel(channels, stored)
     load(device, kernel)
-    wide = width + 2 * (SMOOTHING_REACH + 1)
-    per_slice = (_RING * (2 * channels + 2) + channels + 1) * wide
-    room = wp.empty((len(slices(device, n * height)), per_slice), dtype=float, device=device)
+    wide = width + 2 * (SMOOTHING_REACH + 1) + _LANES
+    per_slice = (_RING * (2 * channels + 2) + 1) * wide
+    room = wp.zeros((len(slices(device, n * height)), per_slice), dtype=float, device=device)
 
     def some_rows(part: int, first: int, last: int) -> None:
         inputs = [views, valid, scale, deviation, first, last, room[part]]
@@ -340,14 +366,23 @@ def _reduce_kernel(channels: int, stored: Any) -> Any:
         views_out: wp.array3d(dtype=reduced_pixel),
         valid_out: wp.array3d(dtype=float),
     ):
+        """`row` and what follows it are those of all views, one after the other."""
         i = wp.tid()
-        y = row + i / lanes
-        for n in range(views_out.shape[0]):
-            reduce_row(views, valid, scale, n, y, i % lanes, lanes, views_out, valid_out)
+        line = row + i / lanes
+        n = line / views_out.shape[1]
+        reduce_row(views, valid, scale, n, line - n * views_out.shape[1], i % lanes, lanes, views_out, valid_out)
 
     return reduce_kernel
 
 
 def reduce_views(views: Any, valid: Any, *, scale: float, views_out: Any, valid_out: Any) -> None:
-    kernel = _reduce_kernel(views.dtype._length_, views.dtype._wp_scalar_type_)
-    launch_rows(kernel, [views, valid, scale], views_out, valid_out)
+    kernel, device = _reduce_kernel(views.dtype._length_, views.dtype._wp_scalar_type_), views.device
+    load(device, kernel)
+    rows, threads = views_out.shape[0] * views_out.shape[1], lanes(views_out)
+    check_size(rows * threads)
+
+    def some_rows(_: int, first: int, last: int) -> None:
+        inputs = [views, valid, scale, first, threads]
+        launch(kernel, (last - first) * threads, inputs, [views_out, valid_out], device=device)
+
+    in_slices(device, rows, some_rows)

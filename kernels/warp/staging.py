@@ -16,7 +16,8 @@ from .threads import once
 
 WORTHWHILE = 2**18  # bytes; fewer are there before threads have begun
 _LEAST_PART, _PART = 2**19, 2**22  # bytes
-_PARTS = 8  # at a time, each copied by a thread
+_PARTS = 16  # that may be on their way
+_THREADS = 8  # that copy
 
 
 class _Staging:
@@ -27,7 +28,7 @@ class _Staging:
         self._room = [part.numpy() for part in self._parts]
         self._free = [wp.Event(device) for _ in self._parts]
         self._used = [False] * _PARTS  # its event says when the bus is done with it
-        self._pool = ThreadPoolExecutor(_PARTS, thread_name_prefix="lfgpu-staging")
+        self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="lfgpu-staging")
         self._lock = threading.Lock()
 
     def send(self, pieces: Sequence[NDArray[np.uint8]], target: Any) -> None:
@@ -36,7 +37,7 @@ class _Staging:
         The pieces may be changed once this returns.
         """
         with self._lock:
-            size = min(max(-(-sum(map(len, pieces)) // _PARTS), _LEAST_PART), _PART)
+            size = min(max(-(-sum(map(len, pieces)) // _THREADS), _LEAST_PART), _PART)
             parts = parts_of(pieces, size)
             filling: list[Future[int]] = []
             for k, (_, part) in enumerate(parts):

@@ -173,6 +173,16 @@ def load(device: Any, *kernels: Any) -> None:
             _load(module, device)
 
 
+def with_wide_vectors(kernel: Any) -> Any:
+    """The kernel, whose module is compiled for the widest vectors that the CPU has.
+
+    Compilers use 256 of 512 bits where nobody says so: the first CPUs with more were slower with them.
+    """
+    flags = wp.config.cpu_compiler_flags or "-march=native"  # Warp's default
+    wp.set_module_options({"cpu_compiler_flags": f"{flags} -mprefer-vector-width=512"}, kernel.module)
+    return kernel
+
+
 def _load(module: Any, device: Any) -> None:
     """Load a module; what a crash left of it in the cache of kernels is compiled again."""
     try:

@@ -1,7 +1,8 @@
 """Frames on their way to a device, and maps on their way back, while the device works on what lies between.
 
-On a GPU there are four streams: one for frames of other libraries there, one for all that come, Warp's own for the
-work, one for maps that go. Host memory is pinned. On a CPU nothing overlaps: it is busy with the work.
+On a GPU there are four streams: one for frames that come to where they wait, part by part or from other libraries
+there, one for those whose turn it is, Warp's own for the work, one for maps that go. Host memory is pinned. On a CPU
+nothing overlaps: it is busy with the work.
 """
 
 import time
@@ -74,25 +75,17 @@ def _mask_kernel(base: wp.array3d(dtype=float), present: wp.array(dtype=float), 
 
 
 class Slot:
-    """Where a frame waits: host memory, and on the device what comes from other libraries there."""
+    """Where a frame waits: on the way to a GPU there is memory on both sides."""
 
     def __init__(self, views: Any) -> None:
-        self._like, on_gpu = views, views.device.is_cuda
+        on_gpu = views.device.is_cuda
         self.staged = wp.empty(views.shape, dtype=views.dtype, device="cpu", pinned=on_gpu)
         self.host: NDArray[Any] = self.staged.numpy().reshape(*views.shape, views.dtype._length_)
         self.presence = wp.ones(len(views), dtype=float, device="cpu", pinned=on_gpu)
         self.present: NDArray[np.float32] = self.presence.numpy()
         """Which views are there, 1 or 0, [n]."""
-        self._resident: Any = None
-        self.is_resident = False
+        self.resident = wp.empty_like(views) if on_gpu else self.staged
         self.copied = wp.Event(views.device) if on_gpu else None
-
-    @property
-    def resident(self) -> Any:
-        """The same on the device; allocated with the first frame that comes from there."""
-        if self._resident is None:
-            self._resident = wp.empty_like(self._like)
-        return self._resident
 
 
 class Maps(NamedTuple):
@@ -217,16 +210,25 @@ class Transport:
                     take(values[n], slot.resident[k], self._in)
             self._in.record_event(slot.copied)
 
+    def send(self, slot: Slot, first: int, last: int) -> None:
+        """Let views that are on the host go to the device, in their order."""
+        if not self._device.is_cuda:
+            return
+        size = slot.staged.size // len(slot.staged)
+        part = {"dest_offset": first * size, "src_offset": first * size, "count": (last - first) * size}
+        with self._asking:
+            wp.copy(slot.resident, slot.staged, stream=self._in, **part)
+            self._in.record_event(slot.copied)
+
     def bring(self, slot: Slot) -> tuple[float, float]:
         """Take a frame to the device, while it may still work on the one before.
 
         It returns when the slot may be used again: which share of the samples of the reference view changed, and which
         share is far outside [0, 1].
         """
-        source = slot.resident if slot.is_resident else slot.staged
         if not self._device.is_cuda:
             with self._asking:
-                wp.copy(self._incoming, source)
+                wp.copy(self._incoming, slot.resident)
                 wp.copy(self._there, slot.presence)
                 self._counts.zero_()
                 launch(
@@ -236,9 +238,8 @@ class Transport:
         with self._asking:
             up = self._up
             up.wait_event(self._taken)
-            if slot.is_resident:
-                up.wait_event(slot.copied)
-            wp.copy(self._incoming, source, stream=up)
+            up.wait_event(slot.copied)
+            wp.copy(self._incoming, slot.resident, stream=up)
             wp.copy(self._there, slot.presence, stream=up)
             wp.copy(self._counts, self._zero, stream=up)
             arguments = [self._incoming, *self._looking, self._last, self._counts]

@@ -103,7 +103,7 @@ def _ratio_kernel(
 
 
 @wp.kernel
-def _partial_dot_kernel(
+def partial_dot_kernel(
     x: wp.array(dtype=float), y: wp.array(dtype=float), threads: int, partial_out: wp.array(dtype=wp.float64)
 ):
     block, thread = wp.tid()
@@ -139,6 +139,49 @@ _DOT = """
 """
 
 
+# On a CPU one thread goes through all numbers: what it does to one is what vector units do to many.
+
+_EACH = """
+    #pragma clang fp contract(off)
+    const size_t size = result.shape[0];
+    const float a = alphas.data ? (float)alphas.data[0] : alpha, b = betas.data ? (float)betas.data[0] : beta;
+    const float* const xs = x.data;
+    const float* const ys = y.data;
+    #pragma clang loop vectorize(assume_safety)
+    for (size_t i = 0; i < size; ++i) result.data[i] = EACH;
+"""
+
+
+@once
+def _cpu_kernel(name: str, each: str) -> Any:
+    """result[i] = `each`, made of numbers a and b and of fields xs[i] and ys[i]."""
+
+    @wp.func_native(_EACH.replace("EACH", each))
+    def for_each(
+        alpha: float,
+        alphas: wp.array(dtype=wp.float64),
+        x: wp.array(dtype=float),
+        beta: float,
+        betas: wp.array(dtype=wp.float64),
+        y: wp.array(dtype=float),
+        result: wp.array(dtype=float),
+    ): ...
+
+    @wp.kernel(module=f"lfgpu_vector_cpu_{name}", enable_backward=False)
+    def each_kernel(
+        alpha: float,
+        alphas: wp.array(dtype=wp.float64),
+        x: wp.array(dtype=float),
+        beta: float,
+        betas: wp.array(dtype=wp.float64),
+        y: wp.array(dtype=float),
+        result_out: wp.array(dtype=float),
+    ):
+        for_each(alpha, alphas, x, beta, betas, y, result_out)
+
+    return each_kernel
+
+
 @wp.func_native(_DOT)
 def _whole_dot(x: wp.array(dtype=float), y: wp.array(dtype=float), product: wp.array(dtype=wp.float64)): ...
 
@@ -160,7 +203,7 @@ def dot(a: Any, b: Any, product_out: Any) -> None:
         return
     parts = _parts(device.alias)
     inputs = [a.flatten(), b.flatten(), _BLOCKS * BLOCK]
-    launch_tiles(_partial_dot_kernel, dim=[_BLOCKS], inputs=inputs, outputs=[parts], block_dim=BLOCK, device=device)
+    launch_tiles(partial_dot_kernel, dim=[_BLOCKS], inputs=inputs, outputs=[parts], block_dim=BLOCK, device=device)
     launch_tiles(sum_kernel, dim=[1], inputs=[parts], outputs=[product_out], block_dim=BLOCK, device=device)
 
 
@@ -176,15 +219,26 @@ def axpby(alpha: Any, x: Any, beta: Any, y: Any, y_out: Any) -> None:
     if y_out.dtype is wp.float64:
         _launch(_axpby_scalar_kernel, [alpha, x, beta, y], y_out)
         return
-    _launch(_axpby_kernel, [*_number_or_scalar(alpha), x.flatten(), *_number_or_scalar(beta), y.flatten()], y_out)
+    inputs = [*_number_or_scalar(alpha), x.flatten(), *_number_or_scalar(beta), y.flatten()]
+    if y_out.device.is_cpu:
+        _launch_for_each("axpby", "a * xs[i] + b * ys[i]", inputs, y_out)
+    else:
+        _launch(_axpby_kernel, inputs, y_out)
 
 
 def multiply(x: Any, y: Any, product_out: Any) -> None:
-    _launch(_multiply_kernel, [x.flatten(), y.flatten()], product_out)
+    if product_out.device.is_cpu:
+        _launch_for_each("multiply", "xs[i] * ys[i]", [0.0, None, x.flatten(), 0.0, None, y.flatten()], product_out)
+    else:
+        _launch(_multiply_kernel, [x.flatten(), y.flatten()], product_out)
 
 
 def divide(x: Any, y: Any, quotient_out: Any) -> None:
-    _launch(_divide_kernel, [x.flatten(), y.flatten()], quotient_out)
+    if quotient_out.device.is_cpu:
+        each, inputs = "ys[i] != 0.f ? xs[i] / ys[i] : 0.f", [0.0, None, x.flatten(), 0.0, None, y.flatten()]
+        _launch_for_each("divide", each, inputs, quotient_out)
+    else:
+        _launch(_divide_kernel, [x.flatten(), y.flatten()], quotient_out)
 
 
 def fill(value: Any, x_out: Any) -> None:
@@ -200,7 +254,11 @@ def threshold(x: Any, threshold: float, x_out: Any) -> None:
 
 
 def clamp(x: Any, low: float, high: float, x_out: Any) -> None:
-    _launch(_clamp_kernel, [x.flatten(), low, high], x_out)
+    if x_out.device.is_cpu:
+        inputs = [low, None, x.flatten(), high, None, x.flatten()]
+        _launch_for_each("clamp", "wp::clamp(xs[i], a, b)", inputs, x_out)
+    else:
+        _launch(_clamp_kernel, [x.flatten(), low, high], x_out)
 
 
 def _number_or_scalar(value: Any) -> tuple[float, Any]:
@@ -209,3 +267,7 @@ def _number_or_scalar(value: Any) -> tuple[float, Any]:
 
 def _launch(kernel: Any, inputs: list[Any], result_out: Any) -> None:
     launch(kernel, result_out.size, inputs, [result_out.flatten()], device=result_out.device)
+
+
+def _launch_for_each(name: str, each: str, inputs: list[Any], result_out: Any) -> None:
+    launch(_cpu_kernel(name, each), 1, inputs, [result_out.flatten()], device=result_out.device)

@@ -21,6 +21,20 @@ _AT_ONCE = 4  # pixels
 _BATCH = 16  # views at a time on a GPU: what lies between two passes stays in its cache
 
 
+# Native code because Warp's own indices have 64 bits, and take a GPU longer than the memory.
+_COPY_ROW = """
+    const int rows = views.shape[1], columns = views.shape[2], height = epis.shape[1], width = epis.shape[2];
+    for (int x = lane; x < width; x += lanes) {
+        const size_t from = vertical ? (size_t)x * columns + y : (size_t)y * columns + x;
+        const auto* const in = views.data + from;
+        auto* const out = epis.data + (size_t)y * width + x;
+    #pragma unroll 4
+        for (int u = 0; u < line.shape[0]; ++u)
+            out[(size_t)u * height * width] = in[(size_t)line.data[u] * rows * columns];
+    }
+"""
+
+
 @once
 def _copy_kernels(channels: int, stored: Any) -> SimpleNamespace:
     pixel, stored_pixel = pixel_type(channels), pixel_type(channels, stored)
@@ -50,6 +64,17 @@ def _copy_kernels(channels: int, stored: Any) -> SimpleNamespace:
                     value[c] = fill
             image_out[y, x] = value
 
+    @wp.func_native(_COPY_ROW)
+    def copy_row(
+        views: wp.array3d(dtype=stored_pixel),
+        line: wp.array(dtype=int),
+        vertical: int,
+        y: int,
+        lane: int,
+        lanes: int,
+        epis: wp.array3d(dtype=stored_pixel),
+    ): ...
+
     @wp.kernel(module=module, enable_backward=False)
     def line_kernel(
         views: wp.array3d(dtype=stored_pixel),
@@ -62,12 +87,7 @@ def _copy_kernels(channels: int, stored: Any) -> SimpleNamespace:
         i = wp.tid()
         y = row + i / lanes
         lane = i % lanes
-        for u in range(line.shape[0]):
-            for x in range(lane, epis_out.shape[2], lanes):
-                if vertical == 1:
-                    epis_out[u, y, x] = views[line[u], x, y]
-                else:
-                    epis_out[u, y, x] = views[line[u], y, x]
+        copy_row(views, line, vertical, y, lane, lanes, epis_out)
 
     return SimpleNamespace(intensities=intensities_kernel, line=line_kernel)
 

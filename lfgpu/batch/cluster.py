@@ -110,6 +110,7 @@ class Cluster:
 
     def __enter__(self) -> Cluster:
         import dask
+        import distributed  # noqa: F401  # its defaults come first: with the settings, those after them would go
 
         # The scheduler reads the number of retries when it starts.
         settings: dict[str, Any] = {

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.contract import Float64Array, KernelSet
+from lfgpu.data.channels import mean_of_channels
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.windows import eroded, gradient_size, smoothed, window_max, window_min
 from lfgpu.threads import in_threads
@@ -88,7 +89,7 @@ class Points:
 
 def grey(lf: LightField, index: int) -> NDArray[np.float32]:
     """The mean over colours of a view, float32 [y, x] in [0, 1]."""
-    return lf.views[index].mean(axis=2, dtype=np.float32) * np.float32(lf.scale)
+    return mean_of_channels(lf.views[index], np.float32) * np.float32(lf.scale)
 
 
 def farthest(lf: LightField) -> float:

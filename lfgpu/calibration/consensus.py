@@ -11,6 +11,7 @@ _ROUNDS = 30
 _SOFT = 1e-4  # keeps weights of the least absolute deviations finite
 _TREND = 6  # parameters of the trend
 _ALIKE = 8  # views that are compared with each other, those about as far from the reference
+_FACTOR = 6.0  # times the usual distance: what lies further stands out
 _MANY = 25  # views from which a smooth trend over the array is taken out before outliers are looked for
 
 
@@ -43,13 +44,11 @@ def without_slope(values: Float64Array, offsets: Float64Array) -> Float64Array:
     return _robust_rest(basis, values)
 
 
-def outliers(
-    values: Float64Array, offsets: Float64Array, errors: Float64Array, *, least: float, factor: float = 6.0
-) -> NDArray[np.bool_]:
+def outliers(values: Float64Array, offsets: Float64Array, errors: Float64Array, *, least: float) -> NDArray[np.bool_]:
     """Which of the values [n, k] of views stand out from a smooth trend over the array.
 
-    One does whose distance from the trend is more than `least`, `factor` times the usual distance (1.48 times the
-    median), also that of views about as far from the reference, and `factor` times its standard error. Views from the
+    One does whose distance from the trend is more than `least`, `_FACTOR` times the usual distance (1.48 times the
+    median), also that of views about as far from the reference, and `_FACTOR` times its standard error. Views from the
     rim of a lens depart from any trend more than others do.
     """
     rest = smooth_rest(values, offsets)
@@ -59,7 +58,7 @@ def outliers(
         alike = np.argsort(np.abs(distance[:, None] - distance), axis=1, kind="stable")[:, :_ALIKE]
         usual = np.maximum(usual, 1.4826 * np.median(np.abs(rest)[alike], axis=(1, 2)))
     size = np.linalg.norm(rest, axis=1)
-    least = np.maximum(least, factor * np.maximum(usual, np.linalg.norm(errors, axis=1)))
+    least = np.maximum(least, _FACTOR * np.maximum(usual, np.linalg.norm(errors, axis=1)))
     return np.asarray(size > least)
 
 

@@ -64,32 +64,34 @@ def order_of_depth(lf: LightField, disparity: NDArray[np.floating], *, views: in
     image, (height, width) = grey(lf, lf.reference_index).ravel(), lf.size
     map_ = disparity.ravel()
     order = np.argsort(map_, kind="stable")
-    order = order[known.ravel()[order]]
-    d, (rows, columns) = map_[order], np.divmod(order, width)
+    order = order[known.ravel()[order]].astype(np.int32)
+    d, (rows, columns) = map_[order], np.divmod(order, np.int32(width))
     side = max(lf.size) / _PARTS
     told, near, far = 0, np.zeros(_PARTS**2), np.zeros(_PARTS**2)
     for n in np.argsort(-distance, kind="stable")[:views]:
         du, dv = lf.offsets[n]
-        x, y = np.rint(columns - d * du).astype(np.intp), np.rint(rows - d * dv).astype(np.intp)
+        x, y = np.rint(columns - d * du).astype(np.int32), np.rint(rows - d * dv).astype(np.int32)
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
         if lf.valid is not None:
             inside[inside] = lf.valid[n][y[inside], x[inside]]
-        landed, place = order[inside], y[inside] * width + x[inside]
-        front, back = np.full(height * width, -1), np.full(height * width, -1)
+        landed, place = order[inside], y[inside] * np.int32(width) + x[inside]
+        front, back = np.full(height * width, -1, np.int32), np.full(height * width, -1, np.int32)
         front[place], back[place[::-1]] = landed, landed[::-1]  # the last one stays
         there = np.flatnonzero(front >= 0)
         if not len(there):
             continue
-        front, back, shown = front[there], back[there], grey(lf, int(n)).ravel()[there]
         # How bright the whole view is does not say what hides what.
-        shown = shown * (float(image[front].mean()) / max(float(shown.mean()), 1e-6))
-        apart = map_[front] - map_[back] > _GAP / distance.max()
-        apart &= np.abs(image[front] - image[back]) > _DIFFERENT
-        row, column = np.divmod(front[apart], width)
+        shown = grey(lf, int(n)).ravel()
+        brighter = float(image[front[there]].mean()) / max(float(shown[there].mean()), 1e-6)
+        both = np.flatnonzero(front != back)
+        front, back = front[both], back[both]
+        apart = (map_[front] - map_[back] > _GAP / distance.max()) & (np.abs(image[front] - image[back]) > _DIFFERENT)
+        front, back, shown = front[apart], back[apart], brighter * shown[both[apart]]
+        row, column = np.divmod(front, width)
         part = (row / side).astype(np.intp) * _PARTS + (column / side).astype(np.intp)
         told += len(part)
         for loss, seen in ((near, front), (far, back)):
-            loss += np.bincount(part, np.minimum(np.abs(shown - image[seen])[apart], _MOST), len(loss))
+            loss += np.bincount(part, np.minimum(np.abs(shown - image[seen]), _MOST), len(loss))
     some = near + far > 0
     return Order(told, near[some], far[some])
 

@@ -165,7 +165,7 @@ def rectify(
     options: dict[str, Any] = {"disparity_range": disparity_range, "backend": backend, "device": device}
     found = refine(lf, model=model, positions=positions, **options) if model else equalise(lf, **options)
     if found.kept and rig is not None and len(lf.views) == len(pictures.views):
-        found = replace(found, light_field=_composed(pictures, lf, rig, found))
+        found = replace(found, light_field=_composed(pictures, rig, found))
     return Rectified(found.light_field, rig, found, disparity_range)
 
 
@@ -227,11 +227,11 @@ def _with_truth(lf: LightField, pictures: LightField, rig: Rig) -> LightField:
     return replace(lf, truth=replace(truth, position=(float(u), float(v))))
 
 
-def _composed(pictures: LightField, lf: LightField, rig: Rig, found: Refinement) -> LightField:
+def _composed(pictures: LightField, rig: Rig, found: Refinement) -> LightField:
     """The refined light field, resampled from the pictures in one go."""
     grid = pixels(*pictures.size)
 
-    def tone(view: Float32Array, n: int, at: Float64Array | None) -> Float32Array:
+    def tone(view: Float32Array, n: int, _: Float64Array | None) -> Float32Array:
         radius2 = squared_radius_at(through(found.homographies[n], grid), pictures.size)
         return found.tones.equalised(view, n, across=radius2)
 

@@ -199,7 +199,7 @@ class _Search:
             bundle.load(0.0)
             bundle.run(_STEPS, tolerance=_STILL)
             before = self.warps
-            self.warps = _with_reference_fixed(bundle.warps, self._model, lf.reference_index, lf.offsets)
+            self.warps = _with_reference_fixed(bundle.warps, lf.reference_index, lf.offsets)
             self.shifted = self.shifted + _without_scale(bundle.shifted, lf)
             distance = float(np.abs(self.warps - before).max()) * self._radius
             bundle.warps[:] = self.warps
@@ -349,7 +349,7 @@ def _by_moments(lf: LightField) -> Tones:
     return Tones(gain, mean - gain * mean[ref], np.zeros_like(gain))
 
 
-def _with_reference_fixed(warps: Float64Array, model: str, reference: int, offsets: Float64Array) -> Float64Array:
+def _with_reference_fixed(warps: Float64Array, reference: int, offsets: Float64Array) -> Float64Array:
     """Warps after those of the reference, and without a part in proportion to the offsets.
 
     To first order, which is all that it takes near the identity.

@@ -200,9 +200,7 @@ def fit_rig(
     near, far = depths or (math.nan, math.nan)
     at = 2 / (1 / near + 1 / far) if depths else focus
     geometry = Geometry(focal, baseline, focus, principal_point=principal, unshifted_at=(0.0, 0.0))
-    return Rig(
-        tuple(cameras), axes, positions, ahead, geometry, reference, at, _notes(ahead, at, depths, cameras[0], focal)
-    )
+    return Rig(tuple(cameras), axes, positions, ahead, geometry, reference, at, _notes(ahead, at, depths, cameras[0]))
 
 
 def _check_focal_lengths(cameras: Sequence[Camera]) -> None:
@@ -353,9 +351,7 @@ def _frames(
     return (float(x), float(y)), focal * baseline / slope if slope > 1e-6 else math.inf
 
 
-def _notes(
-    ahead: Float64Array, at: float, depths: tuple[float, float] | None, camera: Camera, focal: float
-) -> tuple[str, ...]:
+def _notes(ahead: Float64Array, at: float, depths: tuple[float, float] | None, camera: Camera) -> tuple[str, ...]:
     most, radius = float(np.abs(ahead).max()), float(np.hypot(*camera.size)) / 2
     if most == 0:
         return ()

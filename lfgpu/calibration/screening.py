@@ -15,8 +15,8 @@ from lfgpu.calibration import consensus
 from lfgpu.calibration.bundle import inner, on_surface, spline_weights, textured
 from lfgpu.calibration.hiding import hidden, order_of_depth
 from lfgpu.contract import Float64Array
+from lfgpu.data.channels import mean_of_channels
 from lfgpu.data.lightfield import LightField
-from lfgpu.threads import in_threads
 
 MOVED, TURNED, BRIGHTER = 0.05, 0.07, 0.015
 """Pixels, pixels at the half diagonal, and share: half of what `findings` says is worth saying."""
@@ -44,7 +44,7 @@ def worth_a_look(lf: LightField, disparity: NDArray[np.float32]) -> bool:
 def _may_be_off(lf: LightField, map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp]) -> bool:
     """Whether views may be out of line, turned, scaled, of other brightness, or at mirrored places."""
     offsets, radius = lf.offsets, float(np.hypot(*lf.size)) / 2
-    looks = in_threads(lambda n: _shown(lf, map_, n, y, x), range(len(lf.views)))
+    looks = [_shown(lf, map_, n, y, x) for n in range(len(lf.views))]
     value, by_x, by_y, seen = (np.stack(parts) for parts in zip(*looks, strict=True))
     parallax = by_x * offsets[:, :1] + by_y * offsets[:, 1:]
     middle = (np.array(lf.size[::-1]) - 1) / 2
@@ -92,7 +92,7 @@ def _shown(
     y0, wy, sy = spline_weights(at_y.clip(1, height - 2.01))
     four = np.arange(-1, 3)
     rows, columns = y0[:, None, None] + four[:, None], x0[:, None, None] + four
-    taps = lf.views[index, rows, columns].mean(axis=3, dtype=np.float64) * lf.scale
+    taps = mean_of_channels(lf.views[index, rows, columns], np.float64) * lf.scale
     seen = inside & ~hidden(lf, map_, y, x, index)
     if lf.valid is not None:
         seen &= lf.valid[index, rows, columns].all(axis=(1, 2))

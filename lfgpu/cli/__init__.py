@@ -5,6 +5,7 @@ Commands import what they need when they run, so that help texts and wrong usage
 
 from __future__ import annotations
 
+import gc
 import io
 import sys
 from collections.abc import Callable
@@ -34,6 +35,8 @@ from lfgpu.cli import (
 )
 from lfgpu.cli.failures import Group
 from lfgpu.cli.listings import EXAMPLE, Command
+
+_OBJECTS = 50_000  # made since the last look for garbage, before the next: imports make many that stay
 
 app = typer.Typer(
     name="lfgpu",
@@ -88,6 +91,7 @@ def main() -> None:
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # file names may hold characters that the terminal cannot show
+    gc.set_threshold(_OBJECTS)
     app(prog_name="lfgpu")
 
 

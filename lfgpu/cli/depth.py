@@ -29,6 +29,7 @@ from lfgpu.cli.options import (
     Threads,
 )
 from lfgpu.errors import LightFieldError
+from lfgpu.threads import meanwhile
 
 _JUDGED = 40_000_000  # pixels of all views: of larger light fields a report does not say how well they are predicted
 
@@ -58,6 +59,13 @@ class Estimation:
         from lfgpu._backends import load, pick_device
 
         pick_device(load(self.backend), self.device)
+
+    def prepare(self) -> None:
+        """Import what an estimate needs, and check the device."""
+        import lfgpu.calibration.trust
+        import lfgpu.pipelines.estimate  # noqa: F401
+
+        self.check_device()
 
     def run(self, lf: LightField, *, quiet: bool, check_cameras: bool = True) -> DepthResult:
         """Estimate the map of the reference view, with a progress display."""
@@ -161,9 +169,11 @@ def depth(
     values.check_pattern("--views", pattern)
     reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
     values.use_threads("--threads", threads)
-    estimation.check_device()
+    if device is not None or backend != DEFAULT:
+        estimation.check_device()  # what was asked for is checked before anything is read
 
-    lf = read(source, lazy=max_memory is not None, **reading)
+    with meanwhile(estimation.prepare):  # imports go on while threads decode files
+        lf = read(source, lazy=max_memory is not None, **reading)
     lf = _chosen(lf, place, pattern)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = _judged(lf, views.reference, estimation) if views else estimation.run(lf, quiet=quiet)

@@ -13,7 +13,7 @@ One file is one topic. `streaming` and `recording` are optional: a backend witho
 from lfgpu.contract.arrays import Array, Float32Array, Float64Array, Scalar
 from lfgpu.contract.backend import KernelSet
 from lfgpu.contract.images import REDUCTION, SMOOTHING_REACH, WHITE, Normalization
-from lfgpu.contract.matching import REACH, Alignment, PlaneSweep, ZBuffer, sweep_shifts
+from lfgpu.contract.matching import GRADIENT_REACH, REACH, Alignment, PlaneSweep, ZBuffer, sweep_shifts
 from lfgpu.contract.prior import NlmWeights, OverPatch, PatchGradients, half_window
 from lfgpu.contract.range_search import UNSEEN, Details, SideCosts
 from lfgpu.contract.recording import Recording
@@ -23,6 +23,7 @@ from lfgpu.contract.structure_tensor import LocalEstimate, StructureFilters
 from lfgpu.contract.synthesis import DataTerm, Loss, SplatDataTerm
 
 __all__ = [
+    "GRADIENT_REACH",
     "REACH",
     "REDUCTION",
     "SMOOTHING_REACH",

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 from lfgpu.contract.arrays import Array, Float64Array
 
+GRADIENT_REACH = 2
+"""Pixels on each side of one whose steps in brightness lower the weight of gradients there: as far as these see."""
+
 REACH = 2
 """Rows and columns from a pixel to the farthest ones that `Matching.refine_boundaries` looks at."""
 
@@ -41,15 +44,12 @@ class PlaneSweep(Protocol):
         nearer surface hides p from some views, a set without these views still sees it.
         """
 
-    def by_visibility(self, nearest: Array, certain: Array, volume_out: Array) -> None:
-        """volume [l, y, x]: the smaller of two mean costs.
+    def by_visibility(self, nearest: Array, volume_out: Array, *, truncation: float | None = None) -> None:
+        """volume [l, y, x]: the mean cost over the views that see p at d_l past the surface in `nearest` [n, y, x].
 
-        The first is the mean of c_n over the views that take part and see p at d_l past the surface in `nearest`, the
-        second that over the views that see it past the surface in `certain`, plus `penalty`; each only if these are
-        `least` views.
-        View n sees it if d_l >= nearest [n, y, x] - tolerance at the pixel nearest to p - d_l o_n, and likewise for
-        `certain`: see `KernelSet.z_buffer`. Where a surface might lie farther away than `nearest` says, `certain` has
-        it farther away, and hides less. One array for both is one surface; then the first mean is all there is.
+        It is the mean of c_n over the views that take part and for which d_l >= nearest_n - tolerance at the pixel
+        nearest to p - d_l o_n; with fewer than `least` of them, the most there is. See `KernelSet.z_buffer`. With a
+        `truncation`, this one counts, and w = 0: only intensities are compared.
         """
 
 
@@ -69,10 +69,13 @@ class Alignment(Protocol):
     """Gauss-Newton on how well the views agree with each other at a disparity map, planned for light fields of a kind.
 
     With the features f(V) = (V, w V_x, w V_y), V = scale * recorded continued beyond its border by its border pixels,
-    central differences and w = gradient_weight; F_n(p) = f(V_n) at p - d(p) o_n, bilinear, and F_n' its derivative with
-    respect to d, -(o_n . grad f), grad by central differences of f interpolated bilinearly in the same place. View n
-    takes part where `PlaneSweep` says and where d(p) >= nearest_n - tolerance at the pixel nearest to p - d(p) o_n.
-    Its weight is k_n(r) = 1 / (1 + mean r^2 / robust^2)^2, mean over the features, 0 where it takes no part.
+    and central differences; F_n(p) = f(V_n) and G_n(p) = grad f(V_n), by central differences of f, at p - d(p) o_n,
+    bilinear. View n takes part where `PlaneSweep` says and where d(p) >= nearest_n - tolerance at the pixel nearest to
+    p - d(p) o_n. Its weight is k_n(r) = 1 / (1 + mean r^2 / robust^2)^2, mean over the features, 0 where it takes no
+    part.
+
+    w(p) = gradient_weight / (1 + (e / contrast)^2) with the largest difference e between pixels of the reference that
+    lie side by side or one above the other, as a mean over channels; both at most GRADIENT_REACH from p in x and in y.
     """
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
@@ -82,9 +85,11 @@ class Alignment(Protocol):
         """Fields [y, x]: curvature = sum_n k_n mean F_n'^2 / N and slope = -sum_n k_n mean F_n' (F_n - F) / N.
 
         What the views are compared with is their own robust mean F = (f(I) + sum_n k_n F_n) / (1 + sum_n k_n), these
-        k_n at F_n - f(I), those above at F_n - F: so the noise of the reference view is but one of many. N counts all
-        views but the reference, whose |o_n| is at most 1e-3; without any other, both are 0. slope / curvature is the
-        step that Gauss and Newton would take.
+        k_n at F_n - f(I), those above at F_n - F: so the noise of the reference view is but one of many. The derivative
+        of F_n with respect to d is taken as F_n' = -o_n . G with G = (grad f(I) + sum_n k_n G_n) / (1 + sum_n k_n),
+        these k_n again at F_n - F: where the views show nothing but noise, it is next to nothing. N counts all views
+        but the reference, whose |o_n| is at most 1e-3; without any other, both are 0. slope / curvature is the step
+        that Gauss and Newton would take.
         """
 
 
@@ -107,17 +112,15 @@ class Matching(Protocol):
         preference: float,
         tolerance: float,
         least: int,
-        penalty: float,
     ) -> PlaneSweep:
         """Plan a sweep over views of `shape` [n, y, x, c]; `view_sets` [m, n] is a field of 1 and 0, row 0 all 1.
 
-        There are at most 32 view_sets; truncations, weight, preference, tolerance and penalty are >= 0, `count` and
-        `least` > 0.
+        There are at most 32 view_sets; truncations, weight, preference and tolerance are >= 0, `count` and `least` > 0.
         What `offsets` and `view_sets` hold is read once, when the sweep is planned.
         """
 
     def z_buffer(self, shape: Sequence[int], offsets: Array, *, reach: int) -> ZBuffer:
-        """Plan the nearest surfaces of views of `shape` [n, y, x, c]; `reach` is in pixels, >= 0."""
+        """Plan the nearest surfaces of views of `shape` [n, y, x, c]; `reach` is in pixels, 0 to 100."""
 
     def alignment(
         self,
@@ -126,6 +129,7 @@ class Matching(Protocol):
         *,
         scale: float,
         gradient_weight: float,
+        contrast: float,
         robust: float,
         tolerance: float,
     ) -> Alignment:
@@ -164,16 +168,6 @@ class Matching(Protocol):
 
         k is the first of the least costs, but at least 1 and at most count - 2; t the minimum of the parabola through
         the costs at k - 1, k and k + 1, in -1 to 1, 0 where they do not bend upwards by more than 1e-9.
-        """
-
-    def farthest_as_good(
-        self, volume: Array, disparity: Array, *, first: float, step: float, margin: float, disparity_out: Array
-    ) -> None:
-        """How far away a surface [y, x] can be moved before its costs C [l, y, x] rise by more than `margin` >= 0.
-
-        The disparities are first + l * step. With k the l nearest to `disparity` [y, x] (upwards from the middle, from
-        0 to count - 1), it is first + j * step for the least j <= k with C_i <= C_k + margin for all i from j to k;
-        where j = k, it is `disparity` itself. `disparity_out` may be `disparity`.
         """
 
     def evidence(

@@ -51,8 +51,13 @@ class Prior(Protocol):
     def nlm_neighbors(self, weights: Array, values: Array, *, window: int, sums_out: Array) -> None:
         """W v: the weighted sum [y, x] of `values` [y, x] over each pixel's window, itself (weight 1) included."""
 
-    def nlm_laplacian(self, weights: Array, values: Array, *, window: int, laplacian_out: Array) -> None:
-        """L v with (L v)_p = sum_q w_pq (v_p - v_q): then sum_pq w_pq (v_p - v_q)^2 = 2 v^T L v."""
+    def nlm_laplacian(
+        self, weights: Array, values: Array, *, window: int, laplacian_out: Array, diagonal: Array | None = None
+    ) -> None:
+        """L v with (L v)_p = sum_q w_pq (v_p - v_q): then sum_pq w_pq (v_p - v_q)^2 = 2 v^T L v.
+
+        With a `diagonal` c [y, x] it is (L + diag(c)) v.
+        """
 
     def nlm_ratio(
         self,

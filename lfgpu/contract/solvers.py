@@ -73,6 +73,14 @@ class Solvers(Protocol):
     def residuals(self, device: str, *, tolerance: float, most: int) -> Residuals:
         """Plan the bookkeeping of an iterative linear solver that makes at most `most` iterations."""
 
+    def conjugate_step(self, p: Array, q: Array, preconditioner: Array, rz: Scalar, x: Array, r: Array) -> None:
+        """A step of conjugate gradients for A x = b in place; all but `rz` are fields [y, x], none of them another one.
+
+        p is the direction, q = A p, M the diagonal `preconditioner`, r = b - A x and rz = rᵀ M r. With α = rz / pᵀ q,
+        x += α p and r -= α q. Then rz becomes rᵀ M r, and p becomes M r + β p with β the new rz over the old one. Where
+        a denominator is 0, α or β is 0. Inner products are accumulated in float64.
+        """
+
     def lbfgs(
         self,
         shape: Sequence[int],

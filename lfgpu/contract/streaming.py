@@ -23,9 +23,6 @@ class Slot(Protocol):
     present: NDArray[np.float32]
     """Which views are there, 1 or 0, [n]."""
 
-    is_resident: bool
-    """Whether the frame waits in memory of the device (`Transport.take`) instead of `host`."""
-
 
 class Lease(Protocol):
     """The results of one frame in somebody's hands. When nobody holds it any more, its memory is used again."""
@@ -51,6 +48,12 @@ class Transport(Protocol):
 
     def take(self, values: Any, slot: Slot, views: list[int] | None) -> None:
         """Copy an array of another library on the same device into a slot, in the order of that library's stream."""
+
+    def send(self, slot: Slot, first: int, last: int) -> None:
+        """The views from `first` to before `last` are in the slot's `host`: let them go to the device meanwhile.
+
+        Views that are neither sent nor taken are those of an earlier frame.
+        """
 
     def bring(self, slot: Slot) -> tuple[float, float]:
         """Take a frame to the device.

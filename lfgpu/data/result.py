@@ -38,10 +38,10 @@ class DepthResult:
         `refinement.acceptance` "whole", as in "paper-exact", it is the mean coherence of the local estimates near a
         pixel, which says little about the refined map.
     stages
-        The map after each stage, by the name of the stage. Matching: `sweep`, `resweep` (if occlusions are handled in a
-        second sweep), `align` and `boundaries`. Synthesis: `local` (NaN where undefined), `propagate` and `refine`,
-        and before them what the row and the column of views say alone: `local_row` and `local_column`, disparities,
-        with their coherences 0 to 1, `coherence_row` and `coherence_column`.
+        The map after each stage, by the name of the stage. Matching: `sweep`, `resweep` (the last of the
+        further sweeps, if there are any), `align` and `boundaries`. Synthesis: `local` (NaN where undefined),
+        `propagate` and `refine`, and before them what the row and the column of views say alone: `local_row` and
+        `local_column`, disparities, with their coherences 0 to 1, `coherence_row` and `coherence_column`.
     position
         (u, v) of the reference view, as in `LightField.positions`.
     disparity_range

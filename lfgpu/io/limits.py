@@ -21,7 +21,6 @@ def check_claim(
     shape: Sequence[int],
     dtype: Any,
     *,
-    advice: str = "read fewer or smaller views",
     in_memory: bool = True,
 ) -> None:
     """LightFieldError if an array that a file claims to hold can neither be in the file nor in the memory.
@@ -32,8 +31,6 @@ def check_claim(
         The file, of which only the size is looked at.
     shape, dtype
         What its header says of the array.
-    advice
-        What to do if the array is honest, but too large.
     in_memory
         Whether memory will be taken for it.
     """
@@ -46,7 +43,7 @@ def check_claim(
             f"{path} is damaged: it claims {claimed} bytes of pixels, which a file of {stored} bytes cannot hold."
         )
     if in_memory:
-        check_memory(path, claimed, advice=advice)
+        check_memory(path, claimed, advice="read fewer or smaller views")
 
 
 def check_memory(path: Path, needed: int, *, advice: str) -> None:

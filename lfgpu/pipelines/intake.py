@@ -91,12 +91,11 @@ class Intake:
             frame = frame.reshape(expected)
         return frame, True
 
-    def fill(self, slot: Slot, frame: Any, valid: NDArray[np.bool_], transport: Transport | None) -> None:
-        """Copy a checked frame to where it waits; `transport` takes it if it is on the GPU, and is None if not."""
-        slot.is_resident = transport is not None
+    def fill(self, slot: Slot, frame: Any, valid: NDArray[np.bool_], transport: Transport, *, on_gpu: bool) -> None:
+        """Copy a checked frame to where it waits; what is there goes to the device while the rest is copied."""
         slot.present[:] = valid[self._used]
-        if transport is not None:
-            transport.enter()
+        transport.enter()
+        if on_gpu:
             transport.take(frame, slot, None if self._all else self._used)
             return
 
@@ -112,16 +111,23 @@ class Intake:
                     raise LightFieldError(f"view {view} holds NaN or infinity; set valid[{view}] to False.")
                 check_scaled(f"view {view}", low, high)
 
-        def copy_some(places: range) -> None:
-            for place in places:
+        whole = self._all and bool(valid.all()) and frame.dtype.kind != "f"
+
+        def copy_some(first: int, last: int) -> None:
+            if whole:
+                slot.host[first:last] = frame[first:last]
+                return
+            for place in range(first, last):
                 copy(place)
 
         count, parts = len(self._used), 1 if slot.host.nbytes < _AT_ONCE else self._copying
         cuts = [count * part // parts for part in range(parts + 1)]
-        others = [self._copiers.submit(copy_some, range(*cuts[part : part + 2])) for part in range(1, parts)]
+        others = [self._copiers.submit(copy_some, *cuts[part : part + 2]) for part in range(1, parts)]
         try:
-            copy_some(range(*cuts[:2]))
+            copy_some(*cuts[:2])
+            transport.send(slot, *cuts[:2])
+            for part, other in enumerate(others, 1):
+                other.result()
+                transport.send(slot, *cuts[part : part + 2])
         finally:
             wait(others)  # the slot must not be returned before
-        for other in others:
-            other.result()

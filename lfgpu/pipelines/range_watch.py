@@ -16,6 +16,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.methods.range_check import at_ends
+from lfgpu.threads import alone_here
 
 _BEYOND = 0.25  # of the found range, beyond an end: more than the found one has as a margin
 _BEYOND_IF_SUSPECTED = 0.05
@@ -72,7 +73,8 @@ class RangeWatch:
             self._next, self._wanted = monotonic() + _PAUSE, False
             suspected, self._suspected = self._suspected, {}
         try:
-            found = find_disparity_range(lf, load(DEFAULT), "cpu")  # the device has frames to work on
+            with alone_here():  # the device and the other cores have frames to work on
+                found = find_disparity_range(lf, load(DEFAULT), "cpu")
         except LightFieldError:  # nothing in these views says how far away it is
             return ()
         (low, high), width = self._bounds, found[1] - found[0]

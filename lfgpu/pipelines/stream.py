@@ -318,7 +318,7 @@ class DepthStream:
             self._fail(result, _cannot_be_taken(error))
             return result
         try:
-            self._intake.fill(slot, checked, result.valid, self._transport if on_gpu else None)
+            self._intake.fill(slot, checked, result.valid, self._transport, on_gpu=on_gpu)
         except Exception as error:  # the library of the frame may raise anything; only this frame fails
             self._inbox.give_back(slot)
             known = error if isinstance(error, LightFieldError) else _cannot_be_taken(error)

@@ -15,6 +15,20 @@ if TYPE_CHECKING:
 _NAMED = 8  # missing views that are named
 
 
+def rows(lf: LightField) -> list[tuple[str, str]]:
+    """All that is known of a light field: labels and lines of text."""
+    lost = missing(lf)
+    return [
+        ("views", views(lf)),
+        *((("missing", lost),) if lost else ()),
+        ("size", size(lf)),
+        ("reference", reference(lf)),
+        ("offsets", offsets(lf)),
+        ("geometry", geometry(lf.geometry)),
+        ("ground truth", truth(lf)),
+    ]
+
+
 def views(lf: LightField) -> str:
     """The number and arrangement of the views: "81 of 81 in a 9 x 9 grid"."""
     if lf.grid_shape is None:

@@ -322,20 +322,8 @@ def explanation_html(found: Explanation) -> str:
 def _facts(lf: LightField, origin: Origin) -> list[tuple[str, str]]:
     return [
         *((("read from", origin.source),) if origin.source else ()),
-        *((label, _typeset(text)) for label, text in _of_light_field(lf)),
+        *((label, _typeset(text)) for label, text in facts.rows(lf)),
         *(("note", note) for note in lf.notes),
-    ]
-
-
-def _of_light_field(lf: LightField) -> list[tuple[str, str]]:
-    return [
-        ("views", facts.views(lf)),
-        *((("missing", facts.missing(lf)),) if lf.missing else ()),
-        ("size", facts.size(lf)),
-        ("reference", facts.reference(lf)),
-        ("offsets", facts.offsets(lf)),
-        ("geometry", facts.geometry(lf.geometry)),
-        ("ground truth", facts.truth(lf)),
     ]
 
 

@@ -28,8 +28,8 @@ class ConjugateGradients:
         self, shape: Sequence[int], kernels: KernelSet, device: str, *, tolerance: float, max_iterations: int
     ) -> None:
         self._kernels, self._tolerance, self._most = kernels, tolerance, max_iterations
-        self._r, self._z, self._p, self._q = (kernels.zeros(shape, device) for _ in range(4))
-        self._rz, self._pq, self._norm, self._ratio, self._minus = (kernels.scalar(0.0, device) for _ in range(5))
+        self._r, self._p, self._q = (kernels.zeros(shape, device) for _ in range(3))
+        self._rz, self._norm = (kernels.scalar(0.0, device) for _ in range(2))
         self._residuals = kernels.residuals(device, tolerance=tolerance, most=max_iterations)
 
     def solve(
@@ -45,29 +45,19 @@ class ConjugateGradients:
         apply(x, result_out) writes A x. `right_side` is b. `preconditioner` approximates the inverse of the diagonal of
         A. All are fields. `callback` is called as callback(iteration, √(rᵀ M r) / √(bᵀ M b)); it makes the host wait.
         """
-        k, r, z, p, q = self._kernels, self._r, self._z, self._p, self._q
+        k, r, p, q = self._kernels, self._r, self._p, self._q
         k.multiply(preconditioner, right_side, q)
         k.dot(right_side, q, self._norm)
         self._residuals.begin(self._norm)
         apply(x, r)
         k.axpby(1.0, right_side, -1.0, r, r)
-        k.multiply(preconditioner, r, z)
-        k.copy(z, p)
-        k.dot(r, z, self._rz)
+        k.multiply(preconditioner, r, p)
+        k.dot(r, p, self._rz)
         self._residuals.add(self._rz)
 
         def iterate() -> None:
             apply(p, q)
-            k.dot(p, q, self._pq)
-            k.ratio(self._rz, self._pq, self._ratio)
-            k.ratio(self._rz, self._pq, self._minus, factor=-1.0)
-            k.axpby(1.0, x, self._ratio, p, x)
-            k.axpby(1.0, r, self._minus, q, r)
-            k.multiply(preconditioner, r, z)
-            k.copy(self._rz, self._pq)
-            k.dot(r, z, self._rz)
-            k.ratio(self._rz, self._pq, self._ratio)
-            k.axpby(1.0, z, self._ratio, p, p)
+            k.conjugate_step(p, q, preconditioner, self._rz, x, r)
             self._residuals.add(self._rz)
             if callback is not None:
                 trace = self._residuals.report()

@@ -149,7 +149,7 @@ def _sections(config: Any) -> list[dict[str, Any]]:
 
 def _facts(contents: Contents) -> dict[str, Any]:
     return {
-        "lightField": None if contents.lf is None else _light_field(contents.lf, contents),
+        "lightField": None if contents.lf is None else _light_field(contents.lf),
         "size": contents.size,
         "metric": contents.geometry is not None,
         "results": [_result(contents, name, entry) for name, entry in contents.all_entries().items()],
@@ -162,7 +162,7 @@ def _path(contents: Contents) -> Path | None:
     return None if contents.film is None else contents.film.path
 
 
-def _light_field(lf: LightField, contents: Contents) -> dict[str, Any]:
+def _light_field(lf: LightField) -> dict[str, Any]:
     return {
         "name": lf.name,
         "views": len(lf.views),

@@ -97,30 +97,6 @@ def disparity_figure(
     return map_figure(disparity, title=f"{_short(name)}: disparity", label=_DISPARITY, limits=limits)
 
 
-def confidence_figure(confidence: ArrayLike, *, name: str = "light field") -> Figure:
-    """Draw a confidence map in cividis, on the scale 0 to 1.
-
-    Parameters
-    ----------
-    confidence
-        [y, x], 0 to 1; NaN is grey.
-    name
-        The scene, for the title.
-
-    Raises
-    ------
-    LightFieldError
-        If the map is not [y, x].
-    """
-    return map_figure(
-        confidence,
-        title=f"{_short(name)}: confidence",
-        label="confidence\nlarger is surer",
-        colours="cividis",
-        limits=(0.0, 1.0),
-    )
-
-
 def sparsification_figure(curve: Sparsification, *, name: str = "light field") -> Figure:
     """Draw a sparsification curve: the share of bad pixels among the most confident ones, and that of the oracle.
 

@@ -46,12 +46,10 @@ _LEAST_HEIGHT = 0.4  # of the longer side: space for the label of the bar
 _COMPRESSION = 1  # of PNG: more takes twice as long and saves a third
 
 
-def write_disparity(
-    disparity: ArrayLike, path: str | os.PathLike[str], *, name: str, limits: tuple[float, float] | None = None
-) -> None:
+def write_disparity(disparity: ArrayLike, path: str | os.PathLike[str], *, name: str) -> None:
     """Write a disparity map [y, x] as PNG, in viridis; as `write_picture`."""
     label = "disparity (px per view step), larger is nearer"
-    write_picture(disparity, path, title=f"{_short(name)}: disparity", label=label, limits=limits)
+    write_picture(disparity, path, title=f"{_short(name)}: disparity", label=label)
 
 
 def write_confidence(confidence: ArrayLike, path: str | os.PathLike[str], *, name: str) -> None:

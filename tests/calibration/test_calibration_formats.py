@@ -302,7 +302,7 @@ def test_rigs_of_colmap_that_are_damaged(tmp_path: Path) -> None:
         assert words in refused(tmp_path)
 
 
-def test_a_lens_that_cannot_be_undone_and_depths_that_are_none(tmp_path: Path) -> None:
+def test_a_lens_that_cannot_be_undone_and_depths_that_are_none() -> None:
     cameras = rig(lens=(0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0))  # its picture ends half a focal length from the middle
     assert np.isnan(cameras[0].rays((0.0, 0.0))[:2]).all()
     assert np.isfinite(cameras[0].rays((310.0, 240.0))).all()

@@ -240,7 +240,7 @@ def test_wrong_arguments_are_refused(boxes: LightField, tmp_path: Path) -> None:
     flat = LightField.from_grid(np.full((3, 3, 64, 64), 128, np.uint8))
     with pytest.raises(LightFieldError, match="texture"):
         refine(flat, disparity_range=(-1, 1))
-    with pytest.raises(LightFieldError):
+    with pytest.raises(LightFieldError, match="an empty folder"):
         rectify(tmp_path)
 
 

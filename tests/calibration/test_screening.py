@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from disturbed import truth, with_view
 from scipy import ndimage
 
 import lfgpu
@@ -19,17 +20,6 @@ from lfgpu.data.result import DepthResult
 @pytest.fixture(scope="module")
 def boxes() -> LightField:
     return scenes.make("boxes", grid=(5, 5), size=(160, 176), seed=3, noise=0.004)
-
-
-def truth(lf: LightField) -> np.ndarray:
-    assert lf.truth is not None
-    return lf.truth.disparity
-
-
-def with_view(lf: LightField, index: int, change) -> LightField:
-    views = lf.views.copy()
-    views[index] = np.clip(np.rint(change(views[index].astype(np.float64))), 0, 255)
-    return replace(lf, views=views)
 
 
 def turned(image: np.ndarray, degrees: float) -> np.ndarray:

@@ -76,6 +76,20 @@ def star(n: int) -> set[tuple[int, int]]:
     return {(row, column) for row, column in box(n, n) if abs(row - n // 2) == abs(column - n // 2)} | cross(n)
 
 
+def changed(about: dict[str, Any], **values: Any) -> dict[str, Any]:
+    """Nested dictionaries with other values, `a__b` for the one at ["a"]["b"]; None takes one out."""
+    for name, value in values.items():
+        *parents, last = name.split("__")
+        place = about
+        for parent in parents:
+            place = place[parent]
+        if value is None:
+            del place[last]
+        else:
+            place[last] = value
+    return about
+
+
 def refusal(call: Callable[[], object]) -> str:
     with pytest.raises(LightFieldError) as error:
         call()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from fields import BLENDER_FOCAL, BLENDER_STEP, SAMPLES, blender_depth
 from PIL import Image
-from samples import refusal
+from samples import changed, refusal
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read, recognise
@@ -38,19 +38,9 @@ def folder(rendered: Path, tmp_path: Path) -> Path:
 
 
 def change(folder: Path, **values: Any) -> None:
-    """Other values in the configuration, by "a__b"; None takes one out."""
+    """Other values in the configuration, see `changed`."""
     file = folder / "lightfield.json"
-    about = json.loads(file.read_text())
-    for name, value in values.items():
-        *parents, last = name.split("__")
-        place = about
-        for parent in parents:
-            place = place[parent]
-        if value is None:
-            del place[last]
-        else:
-            place[last] = value
-    file.write_text(json.dumps(about))
+    file.write_text(json.dumps(changed(json.loads(file.read_text()), **values)))
 
 
 def frames(folder: Path) -> list[dict[str, Any]]:

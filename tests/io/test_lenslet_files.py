@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lenslet_samples import Camera, Sample, capture, container, eight_bit, metadata, packed, section
 from PIL import Image
-from samples import refusal, refused_or_not
+from samples import changed, refusal, refused_or_not
 
 from lfgpu.io import read, recognise
 from lfgpu.io.lenslet.capture import read_capture, unpack
@@ -35,17 +35,8 @@ def write(path: Path, data: bytes) -> Path:
 
 
 def small(bits: int = 12, **changes: Any) -> bytes:
-    """A container of few pixels; `changes` go into the metadata, by "a.b.c"."""
-    about = metadata(SHAPE, bits=bits)
-    for name, value in changes.items():
-        *parents, last = name.split("__")
-        place = about
-        for parent in parents:
-            place = place[parent]
-        if value is None:
-            del place[last]
-        else:
-            place[last] = value
+    """A container of few pixels; `changes` go into the metadata, see `changed`."""
+    about = changed(metadata(SHAPE, bits=bits), **changes)
     return container(packed(values(bits), bits), about, illum=bits == 10)
 
 

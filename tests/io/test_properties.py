@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import sys
 import tempfile
 import time
@@ -198,12 +199,16 @@ def test_any_numpy_array(array: NDArray[Any], grid: tuple[int, int] | None) -> N
 @given(
     st.binary(max_size=120).map(lambda tail: b"Pf\n" + tail)
     | st.from_regex(rb"P[fF]\s\d+\s\d+\s-?\d+\n.{0,40}", fullmatch=True)
+    | st.binary(min_size=24, max_size=25).map(lambda pixels: b"Pf\n3 2\n-1\n" + pixels)
 )
 def test_any_pfm(content: bytes) -> None:
     with folder() as place:
         (place / "a.pfm").write_bytes(content)
         with suppress(LightFieldError):
-            assert read_map(place / "a.pfm").ndim == 2
+            found = read_map(place / "a.pfm")
+            header = re.match(rb"P[fF]\s+(\d+)\s+(\d+)\s", content)
+            assert header is not None
+            assert found.shape == (int(header[2]), int(header[1]))
 
 
 @EASY
@@ -217,7 +222,8 @@ def test_any_value_in_parameters(value: str, key: str) -> None:
             "baseline_mm = 1\nfocus_distance_m = 1\n"
         )
         (place / "parameters.cfg").write_text(text.replace(f"{key} = ", f"{key} = {value} "), encoding="utf-8")
-        read_or_refused(place)
+        found = read_or_refused(place)
+        assert found is None or np.unique(found.views).tolist() == [0, 1]  # both views, or none
 
 
 JSON = st.recursive(
@@ -245,7 +251,8 @@ def test_any_description(value: Any) -> None:
         views = [{"file": "a.png", "position": [0, 0]}, {"file": "b.png", "position": [1, 0]}]
         table = {"views": views, **value} if isinstance(value, dict) else value
         (place / "a.json").write_text(json.dumps(table))
-        read_or_refused(place / "a.json")
+        found = read_or_refused(place / "a.json")
+        assert found is None or set(np.unique(found.views)) <= {ord("a"), ord("b")}  # nothing but what was there
 
 
 # --- round trips ---

@@ -46,7 +46,7 @@ def test_views_of_sixteen_bits_stay(tmp_path: Path) -> None:
     assert read(tmp_path / "b").white is None
 
 
-def test_white_is_a_number(tmp_path: Path) -> None:
+def test_white_is_a_number() -> None:
     true = scenes.make("boxes", grid=(3, 3), size=(40, 48))
     with pytest.raises(lfgpu.LightFieldError, match="white must be"):
         replace(true, white=0)

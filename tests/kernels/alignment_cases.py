@@ -16,9 +16,10 @@ TOLERANCE = 0.25 + 2.0**-13
 
 @dataclass(frozen=True)
 class AlignmentCase(splat_cases.SplatCase):
-    """A splat case, how much differences count, by how much views may differ to agree, and how far surfaces reach."""
+    """A splat case, how much differences count, beside which steps they count less, and what agrees and hides."""
 
     gradient_weight: float = 2.0
+    contrast: float = 0.5
     robust: float = 0.25
     reach: int = 1
 
@@ -34,6 +35,7 @@ ALIGNMENT_CASES = (
     AlignmentCase("grey float16", channels=1, dtype="float16"),
     AlignmentCase("one pixel wide", size=(13, 1)),
     AlignmentCase("one pixel high", size=(1, 13), channels=1, reach=3),
+    AlignmentCase("surfaces that reach as far as they may", size=(7, 260), channels=1, reach=100),
     AlignmentCase("one pixel", size=(1, 1), disparities=(-0.25, 0.25)),
     AlignmentCase("two by two", size=(2, 2), channels=1, masked=True),
     AlignmentCase("one row of views", offsets=cases.grid(1, 5)),
@@ -44,6 +46,8 @@ ALIGNMENT_CASES = (
     AlignmentCase("partly out of the frame", disparities=(-9.0, 9.0), reach=0),
     AlignmentCase("all out of the frame", disparities=(20.0, 40.0), offsets=((1.0, 0.0), (-1.0, 1.0), (0.0, -2.0))),
     AlignmentCase("whole disparities", disparities=(2.0, 2.0)),
+    AlignmentCase("gradients count beside steps, too", contrast=8.0),
+    AlignmentCase("gradients count nowhere but on plain surfaces", channels=1, contrast=2.0**-6),
     AlignmentCase("colours only", gradient_weight=0.0, dtype="uint8"),
     AlignmentCase("arbitrary numbers", exact=False, offsets=((0.31, -1.2), (1.7, 0.9))),
     AlignmentCase("work for several threads", size=(47, 138), offsets=cases.grid(3, 6), masked=True, dtype="uint8"),
@@ -64,7 +68,8 @@ def alignment_inputs(case: AlignmentCase, rng: np.random.Generator) -> SimpleNam
     places = rng.uniform(*case.disparities, i.recorded.shape[:3])
     behind = rng.random(places.shape) < 0.3
     i.nearest = np.where(behind, -1e6, np.round(places * 2**10) / 2**10).astype(np.float32)
-    i.gradient_weight, i.robust, i.tolerance = case.gradient_weight, case.robust, TOLERANCE
+    i.gradient_weight, i.contrast = case.gradient_weight, case.contrast
+    i.robust, i.tolerance = case.robust, TOLERANCE
     i.reach, i.exact = case.reach, case.exact
     return i
 

@@ -35,6 +35,7 @@ def alignment(desk: Desk, i: SimpleNamespace) -> Outputs:
         desk.field(i.offsets),
         scale=i.scale,
         gradient_weight=i.gradient_weight,
+        contrast=i.contrast,
         robust=i.robust,
         tolerance=i.tolerance,
     )
@@ -176,6 +177,7 @@ def check_step_leads_to_the_truth(kernels: KernelSet, device: str, channels: int
         nearest=np.full((len(offsets), height, width), -1e6),
         scale=1.0,
         gradient_weight=2.0,
+        contrast=0.1,
         robust=0.05,
         tolerance=0.25,
     )
@@ -205,7 +207,9 @@ def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
     offsets = kernels.field(values["offsets"], device)
     weights = kernels.field(np.full((12, *views.shape[1:3]), 0.5), device)
     surface = kernels.z_buffer(views.shape, offsets, reach=1)
-    plan = kernels.alignment(views.shape, offsets, scale=1.0, gradient_weight=2.0, robust=0.25, tolerance=0.30078125)
+    plan = kernels.alignment(
+        views.shape, offsets, scale=1.0, gradient_weight=2.0, contrast=0.5, robust=0.25, tolerance=0.30078125
+    )
     nearest = kernels.zeros(views.shape[:3], device)
     curvature, slope, step, plane, unmixed = (kernels.zeros(views.shape[1:3], device) for _ in range(5))
     certainty = kernels.field(np.full(views.shape[1:3], 0.5), device)

@@ -39,9 +39,11 @@ ON_HOST = ("asking", "control", "memory", "recording", "sharing", "staging", "st
 _PRELUDE = """
     #define __CUDA_ARCH__ 900
     #define __shared__ static
+    #define memcpy __builtin_memcpy
     #define alignas(size) __attribute__((aligned(size)))
     struct int4 { int x, y, z, w; };
     struct uint2 { unsigned x, y; };
+    struct float2 { float x, y; };
     struct uint4 { unsigned x, y, z, w; };
     struct float4 { float x, y, z, w; };
     static const auto make_int4 = [](int x, int y, int z, int w) { return int4{x, y, z, w}; };
@@ -56,6 +58,7 @@ _PRELUDE = """
     static const auto __float2int_rn = [](float value) { return (int)__builtin_rintf(value); };
     static const auto __fdividef = [](float a, float b) { return a / b; };
     static const auto __ldcs = [](auto* place) { return *place; };
+    static const auto __ldg = [](auto* place) { return *place; };
     static const auto __byte_perm = [](unsigned x, unsigned y, unsigned selector) {
         const unsigned long long both = (unsigned long long)y << 32 | x;
         unsigned result = 0;

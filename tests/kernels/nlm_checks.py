@@ -34,13 +34,18 @@ def nlm_neighbors(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 
 def nlm_laplacian(desk: Desk, i: SimpleNamespace) -> Outputs:
-    out = desk.out(i.values.shape)
-    desk.kernels.nlm_laplacian(desk.field(i.weights), desk.field(i.values), window=i.window, laplacian_out=out)
-    return {"laplacian": out}
+    """Alone, and with a diagonal."""
+    weights, values, diagonal = desk.field(i.weights), desk.field(i.values), desk.field(i.values[::-1, ::-1])
+    alone, beside = desk.out(i.values.shape), desk.out(i.values.shape)
+    desk.kernels.nlm_laplacian(weights, values, window=i.window, laplacian_out=alone)
+    desk.kernels.nlm_laplacian(weights, values, window=i.window, laplacian_out=beside, diagonal=diagonal)
+    return {"laplacian": alone, "and diagonal": beside}
 
 
 NEIGHBORS = Operation(nlm_neighbors, "nlm", relative_to_terms(sums=lambda i: size(i.values)))
-LAPLACIAN = Operation(nlm_laplacian, "nlm", relative_to_terms(laplacian=lambda i: size(i.values)))
+LAPLACIAN = Operation(
+    nlm_laplacian, "nlm", relative_to_terms(**dict.fromkeys(("laplacian", "and diagonal"), lambda i: size(i.values)))
+)
 WEIGHTS = Operation(nlm_weights, "nlm")
 OPERATIONS = (
     WEIGHTS,

@@ -27,7 +27,6 @@ class SweepCase:
     gradient_weight: float = 2.0
     preference: float = 0.1
     least: int = 2
-    penalty: float = 0.0625
 
     def __str__(self) -> str:
         return self.name.replace(" ", "-")
@@ -67,7 +66,6 @@ SWEEP_CASES = (
     SweepCase("more view_sets than views", directions=31, offsets=cases.IRREGULAR),
     SweepCase("colours alone", gradient_weight=0.0, masked=True),
     SweepCase("no preference", preference=0.0, masked=True),
-    SweepCase("no penalty", penalty=0.0, masked=True),
     SweepCase("wide", size=(5, 150)),
     SweepCase("high", size=(300, 3), channels=1, offsets=cases.IRREGULAR, masked=True, count=2),
     SweepCase("work for several threads", size=(53, 67), offsets=cases.grid(3, 4), masked=True, count=4),
@@ -89,7 +87,6 @@ def sweep_inputs(case: SweepCase, rng: np.random.Generator) -> SimpleNamespace:
         offsets=offsets,
         view_sets=sides(offsets, case.directions),
         nearest=surfaces((n, *shape), disparities + tolerance, rng),
-        certain=surfaces((n, *shape), disparities + tolerance, rng),
         options={
             "first": case.first,
             "step": case.step,
@@ -101,7 +98,6 @@ def sweep_inputs(case: SweepCase, rng: np.random.Generator) -> SimpleNamespace:
             "preference": case.preference,
             "tolerance": tolerance,
             "least": case.least,
-            "penalty": case.penalty,
         },
     )
 

@@ -12,22 +12,25 @@ from sweep_cases import sides
 
 from lfgpu.contract import KernelSet
 
+VOLUMES = "view_sets", "seen", "intensities"
+INTENSITY_TRUNCATION = 0.12  # of the last one
+
 
 def plane_sweep(desk: Desk, i: SimpleNamespace) -> Outputs:
-    """Both volumes after those of another light field, which leave no trace."""
+    """All volumes after those of another light field, which leave no trace."""
     offsets, view_sets = desk.field(i.offsets), desk.field(i.view_sets)
     plan = desk.kernels.plane_sweep(i.recorded.shape, offsets, view_sets, **i.options)
     shape = (i.options["count"], *i.image.shape[:2])
-    out = {name: desk.out(shape) for name in ("view_sets", "seen", "seen_past_one")}
+    out = {name: desk.out(shape) for name in VOLUMES}
     other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
     plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
-    plan.by_visibility(desk.field(i.nearest[:, ::-1]), desk.field(i.certain[:, ::-1]), out["view_sets"])
-    plan.by_view_sets(out["seen"])
+    plan.by_visibility(desk.field(i.nearest[:, ::-1]), out["view_sets"])
+    plan.by_visibility(desk.field(i.nearest[:, ::-1]), out["seen"], truncation=INTENSITY_TRUNCATION)
+    plan.by_view_sets(out["intensities"])
     plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
     plan.by_view_sets(out["view_sets"])
-    plan.by_visibility(desk.field(i.nearest), desk.field(i.certain), out["seen"])
-    surface = desk.field(i.nearest)
-    plan.by_visibility(surface, surface, out["seen_past_one"])
+    plan.by_visibility(desk.field(i.nearest), out["seen"])
+    plan.by_visibility(desk.field(i.nearest), out["intensities"], truncation=INTENSITY_TRUNCATION)
     return out
 
 
@@ -39,8 +42,10 @@ def changed(i: SimpleNamespace, **values: Any) -> SimpleNamespace:
     return SimpleNamespace(**{**vars(i), **values})
 
 
-def most(i: SimpleNamespace) -> float:
-    """What a pixel costs at most."""
+def most(i: SimpleNamespace, name: str) -> float:
+    """What a pixel costs at most in that volume."""
+    if name == "intensities":
+        return INTENSITY_TRUNCATION
     weight = i.options["gradient_weight"]
     return float((i.options["truncation"] + weight * i.options["gradient_truncation"]) / (1 + weight))
 
@@ -53,7 +58,7 @@ def check_masked_view_is_a_missing_view(kernels: KernelSet, device: str, i: Simp
     valid = np.ones(i.recorded.shape[:3], np.float32)
     no_mask, all_valid = (compute(kernels, device, SWEEP, changed(i, valid=mask)) for mask in (None, valid))
     valid[0] = 0
-    fewer = {name: getattr(i, name)[1:] for name in ("recorded", "offsets", "nearest", "certain")}
+    fewer = {name: getattr(i, name)[1:] for name in ("recorded", "offsets", "nearest")}
     masked = compute(kernels, device, SWEEP, changed(i, valid=valid))
     missing = compute(kernels, device, SWEEP, changed(i, **fewer, view_sets=i.view_sets[:, 1:], valid=None))
     tolerance = adjoint_tolerance(kernels)
@@ -63,10 +68,9 @@ def check_masked_view_is_a_missing_view(kernels: KernelSet, device: str, i: Simp
 
 
 def check_nothing_valid_costs_the_most(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
-    options = {**i.options, "penalty": 0.0}
-    unseen = changed(i, valid=np.zeros(i.recorded.shape[:3]), options=options)
+    unseen = changed(i, valid=np.zeros(i.recorded.shape[:3]))
     for name, volume in compute(kernels, device, SWEEP, unseen).items():
-        np.testing.assert_allclose(volume, most(i), rtol=1e-6, atol=0, err_msg=f"{name} without a valid pixel")
+        np.testing.assert_allclose(volume, most(i, name), rtol=1e-6, atol=0, err_msg=f"{name} without a valid pixel")
 
 
 def check_a_side_that_sees_is_enough(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
@@ -84,12 +88,12 @@ def check_a_side_that_sees_is_enough(kernels: KernelSet, device: str, i: SimpleN
     recorded[hidden] += 0.7
     near[hidden] = 3.0
     options = {**i.options, "first": 0.0, "step": 1.0, "count": 4, "scale": 1.0, "least": 1, "tolerance": 0.5}
-    options["penalty"] = 0.0
-    values = {"image": image, "recorded": recorded, "valid": None, "offsets": offsets, "nearest": near, "certain": near}
+    values = {"image": image, "recorded": recorded, "valid": None, "offsets": offsets, "nearest": near}
     got = compute(kernels, device, SWEEP, changed(i, **values, view_sets=sides(offsets, 8), options=options))
     inner = np.s_[:, 3:-3, 3:-3]  # where all views take part, and see the neighbours too
     np.testing.assert_allclose(got["view_sets"][2:3][inner], 1e-4, rtol=0, atol=1e-6, err_msg="a side that sees")
-    np.testing.assert_allclose(got["seen"][2:3][inner], 0, rtol=0, atol=1e-6, err_msg="those that see")
+    for name in ("seen", "intensities"):
+        np.testing.assert_allclose(got[name][2:3][inner], 0, rtol=0, atol=1e-6, err_msg=f"{name}: those that see")
     for name, volume in got.items():
         others = np.delete(volume, 2, axis=0)[inner]
         assert others.min() > 0.01, f"{name}: the plane seems to be elsewhere too"
@@ -99,12 +103,10 @@ def check_a_side_that_sees_is_enough(kernels: KernelSet, device: str, i: SimpleN
 
 
 def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
-    """Both volumes of a light field that is loaded each time."""
+    """All volumes of a light field that is loaded each time."""
     views, offsets = values["recorded"], values["offsets"]
     inputs = {name: kernels.image(values[name], device) for name in ("image", "recorded")}
-    inputs["valid"] = kernels.field(values["valid"], device)
-    certain = kernels.zeros(values["valid"].shape, device)
-    ones = kernels.field(np.ones_like(values["valid"]), device)
+    inputs |= {name: kernels.field(values[name], device) for name in ("valid", "nearest")}
     plan = kernels.plane_sweep(
         views.shape,
         kernels.field(offsets, device),
@@ -119,15 +121,14 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
         preference=0.2,
         tolerance=0.1003,
         least=1,
-        penalty=0.03125,
     )
     shape = (5, *views.shape[1:3])
-    volumes = {name: kernels.zeros(shape, device) for name in ("view_sets", "seen")}
+    volumes = {name: kernels.zeros(shape, device) for name in VOLUMES}
 
     def work() -> None:
         plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
         plan.by_view_sets(volumes["view_sets"])
-        kernels.axpby(1.0, ones, -1.0, inputs["valid"], certain)
-        plan.by_visibility(inputs["valid"], certain, volumes["seen"])  # surfaces at 0 and 1
+        plan.by_visibility(inputs["nearest"], volumes["seen"])
+        plan.by_visibility(inputs["nearest"], volumes["intensities"], truncation=INTENSITY_TRUNCATION)
 
     return Program(inputs, work, volumes)

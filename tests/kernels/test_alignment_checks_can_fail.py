@@ -179,6 +179,22 @@ def without_square(self: Any, residual: Any) -> Any:
     return 1 / (1 + (residual**2).mean(2) / self._robust**2)
 
 
+def counting_the_same(own: Any, of_views: Any, weights: Any, right: Any = alignment.mean_of) -> Any:
+    """Views that take part count the same in all means."""
+    return right(own, of_views, [np.ones(own.shape[:2]) * (k > 0) for k in weights])
+
+
+def looking_farther(right: Any) -> Any:
+    """Steps in brightness count a pixel farther."""
+
+    def wrong(*light_field: Any) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(alignment, "GRADIENT_REACH", alignment.GRADIENT_REACH + 1)
+            right(*light_field)
+
+    return wrong
+
+
 def one_sided(values: Any) -> Any:
     """Differences to the next pixel."""
     padded = np.pad(values, ((0, 1), (0, 1), (0, 0)), mode="edge")
@@ -233,6 +249,15 @@ FAULTS = (
     Fault("scale ignored", "alignment", option("scale", lambda _: 1.0), ALIGNMENT),
     Fault("colours only", "alignment", option("gradient_weight", lambda _: 0.0), ALIGNMENT),
     Fault("gradients weigh a little less", "alignment", option("gradient_weight", lambda w: 0.99 * w), ALIGNMENT),
+    Fault("gradients count beside steps", "alignment", option("contrast", lambda _: 1e6), ALIGNMENT),
+    Fault("steps count a little less", "alignment", option("contrast", lambda c: 1.01 * c), ALIGNMENT),
+    Fault("steps a pixel farther count", "alignment", method("load", looking_farther), ALIGNMENT),
+    Fault(
+        "all that take part count the same in means",
+        "alignment",
+        patched(alignment, "mean_of", counting_the_same),
+        ALIGNMENT,
+    ),
     Fault("as if all agreed", "alignment", option("robust", lambda _: 1e6), ALIGNMENT),
     Fault("a little less robust", "alignment", option("robust", lambda r: 1.01 * r), ALIGNMENT),
     Fault("weights forgotten", "alignment", patched(alignment.Alignment, "_weight", without_weights), ALIGNMENT),

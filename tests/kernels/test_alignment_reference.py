@@ -51,7 +51,7 @@ def test_nearest_surface_is_what_comparing_every_two_pixels_says(case: Alignment
 
 def aligned(i: SimpleNamespace) -> tuple[np.ndarray, np.ndarray]:
     """Curvature and slope pixel by pixel: the definition in `lfgpu/contract`, written out."""
-    (height, width), w = i.disparity.shape, i.gradient_weight
+    height, width = i.disparity.shape
     others = [n for n, offset in enumerate(i.offsets.astype(float)) if math.hypot(*offset) > 1e-3]
     views = {n: i.scale * i.recorded[n].astype(float) for n in others} | {-1: i.image.astype(float)}
 
@@ -62,14 +62,22 @@ def aligned(i: SimpleNamespace) -> tuple[np.ndarray, np.ndarray]:
     def feature(n: int, y: int, x: int) -> np.ndarray:
         across = (color(n, y, x + 1) - color(n, y, x - 1)) / 2
         down = (color(n, y + 1, x) - color(n, y - 1, x)) / 2
-        return np.concatenate([color(n, y, x), w * across, w * down])
+        return np.array([color(n, y, x), across, down])
 
     @cache
-    def change(n: int, y: int, x: int) -> np.ndarray:
-        du, dv = i.offsets[n].astype(float)
+    def gradient(n: int, y: int, x: int) -> np.ndarray:
         across = (feature(n, y, x + 1) - feature(n, y, x - 1)) / 2
         down = (feature(n, y + 1, x) - feature(n, y - 1, x)) / 2
-        return -(du * across + dv * down)
+        return np.array([across, down])
+
+    def weight_of_gradients(y: int, x: int) -> float:
+        around = list(product(range(max(0, y - 2), min(height, y + 3)), range(max(0, x - 2), min(width, x + 3))))
+        steps = [
+            np.abs(color(-1, *p) - color(-1, *q)).mean()
+            for p, q in product(around, around)
+            if abs(p[0] - q[0]) + abs(p[1] - q[1]) == 1
+        ]
+        return float(i.gradient_weight / (1 + (max(steps, default=0.0) / i.contrast) ** 2))
 
     def weight(residual: np.ndarray) -> float:
         return float(1 / (1 + (residual**2).mean() / i.robust**2) ** 2)
@@ -77,6 +85,8 @@ def aligned(i: SimpleNamespace) -> tuple[np.ndarray, np.ndarray]:
     curvature, slope = np.zeros((height, width)), np.zeros((height, width))
     for py, px in np.ndindex(height, width):
         d, seen = float(i.disparity[py, px]), []
+        w = weight_of_gradients(py, px)
+        features = np.array([1.0, w, w])[:, None]
         for n in others:
             x, y = px - d * float(i.offsets[n, 0]), py - d * float(i.offsets[n, 1])
             if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
@@ -85,18 +95,22 @@ def aligned(i: SimpleNamespace) -> tuple[np.ndarray, np.ndarray]:
             if (i.valid is not None and i.valid[pixel] == 0) or d < float(i.nearest[pixel]) - i.tolerance:
                 continue
             left, top = math.floor(x), math.floor(y)
-            f, g = np.zeros(0), np.zeros(0)
+            f, g = np.zeros(()), np.zeros(())
             for ty, tx in product((top, top + 1), (left, left + 1)):
                 share = (1 - abs(x - tx)) * (1 - abs(y - ty))
-                f = share * feature(n, ty, tx) + (f if f.size else 0)
-                g = share * change(n, ty, tx) + (g if g.size else 0)
-            seen.append((f, g))
-        own = feature(-1, py, px)
-        shares = [weight(f - own) for f, _ in seen]
-        mean = (own + sum(k * f for k, (f, _) in zip(shares, seen, strict=True))) / (1 + sum(shares))
-        for f, g in seen:
-            curvature[py, px] += weight(f - mean) * (g**2).mean() / len(others)
-            slope[py, px] -= weight(f - mean) * (g * (f - mean)).mean() / len(others)
+                f = share * features * feature(n, ty, tx) + f
+                g = share * features * gradient(n, ty, tx) + g
+            seen.append((i.offsets[n].astype(float), f, g))
+        own, own_gradient = features * feature(-1, py, px), features * gradient(-1, py, px)
+        shares = [weight(f - own) for _, f, _ in seen]
+        mean = (own + sum(k * f for k, (_, f, _) in zip(shares, seen, strict=True))) / (1 + sum(shares))
+        shares = [weight(f - mean) for _, f, _ in seen]
+        total = own_gradient + sum(k * g for k, (_, _, g) in zip(shares, seen, strict=True))
+        across, down = total / (1 + sum(shares))
+        for k, ((du, dv), f, _) in zip(shares, seen, strict=True):
+            change = -(du * across + dv * down)
+            curvature[py, px] += k * (change**2).mean() / len(others)
+            slope[py, px] -= k * (change * (f - mean)).mean() / len(others)
     return curvature, slope
 
 

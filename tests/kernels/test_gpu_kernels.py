@@ -26,16 +26,18 @@ from lfgpu.methods.synthesis import model
 CHOSEN = (
     r"data_term-(grey-uint8-masked|colour-float16-masked|partly-out|all-out|one-pixel-high|several-tiles|more-strips)",
     r"data_term-views-of-a-benchmark",
-    r"plane_sweep-(grey-uint8-masked|one-pixel-high|high|wide|corner-reference)",
+    r"plane_sweep-(grey-uint8-masked|colour-uint16-masked|grey-uint16|colour-float16|one-pixel-high|high|wide|corner-reference)",
     r"semi_global-(colour|slices-for|many-slices|wide|work-for)",
     r"nlm_(laplacian|ratio|plane)-(colour|one-pixel|window-wider)",
     r"nlm_neighbors-(colour|one-pixel)",
+    r"nlm_weights-(colour|one-pixel|window-wider|wide)",
+    r"line_mean-(colour|wide)",
     r"nlm_average-(colour|window-wider|one-pixel|wide|many-slices)",
     r"z_buffer-(grey-float32|one-pixel|work-for)",
-    r"alignment-(grey-float32|one-pixel-wide|work-for)",
+    r"alignment-(grey-float32|grey-uint8|colour-uint16|one-pixel-wide|work-for)",
     r"smooth_views-(colour-uint16-masked|grey-float16-masked|one-pixel-wide|few-valid|several-tiles)",
     r"lbfgs-(memory-of-one|curved-valley|as-many|curvature-and|work-for)",
-    r"dot-",
+    r"(dot|conjugate_step)-",
 )
 """Of the matrix, by name."""
 
@@ -58,15 +60,19 @@ def test_operation_equals_the_reference(gpu: KernelSet, operation: checks.Operat
 
 
 BATCHES = (
-    ("alignment", "_BUFFER", 1, "z_buffer-(colour|work-for)"),
+    ("semi_global", "_ROOM", 1, "semi_global-(colour|slices-for|wide)"),
+    ("semi_global", "_ROOM", 20000, "semi_global-(colour|slices-for|wide)"),
+    ("z_buffer", "_BUFFER", 1, "z_buffer-(colour|work-for)"),
     ("occlusion", "_BUFFER", 1, "z_buffered_data_term-colour-u"),
     ("views", "_BATCH", 2, "normalization-(grey-uint16-masked|one-pixel-high)"),
 )
-"""A module, what limits the views that it works on at a time, a limit that gives several batches, and cases."""
+"""A module, what limits how much it works on at a time, a limit that gives several batches, and cases."""
 
 
-@pytest.mark.parametrize(("module", "limit", "small", "pattern"), BATCHES, ids=[batch[0] for batch in BATCHES])
-def test_views_come_in_batches(
+@pytest.mark.parametrize(
+    ("module", "limit", "small", "pattern"), BATCHES, ids=[f"{batch[0]}-{batch[2]}" for batch in BATCHES]
+)
+def test_work_comes_in_batches(
     gpu: KernelSet, module: str, limit: str, small: int, pattern: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys.modules[f"{gpu_blocks.NAME}.{module}"], limit, small)

@@ -57,11 +57,11 @@ NOTHING = of(sweep_checks.check_nothing_valid_costs_the_most)
 
 
 def output(name: str, change: Callable[[np.ndarray], Any]) -> Callable[..., Any]:
-    """What one of the two volumes holds is changed in place afterwards."""
+    """What a volume holds is changed in place afterwards."""
 
     def broken(right: Callable[..., Any]) -> Callable[..., Any]:
-        def wrong(*arrays: Any) -> None:
-            right(*arrays)
+        def wrong(*arrays: Any, **options: Any) -> None:
+            right(*arrays, **options)
             change(arrays[-1])
 
         return wrong
@@ -70,38 +70,36 @@ def output(name: str, change: Callable[[np.ndarray], Any]) -> Callable[..., Any]
 
 
 def adding(right: Callable[..., Any]) -> Callable[..., Any]:
-    def wrong(*arrays: Any) -> None:
+    def wrong(*arrays: Any, **options: Any) -> None:
         held = np.nan_to_num(arrays[-1])
-        right(*arrays)
+        right(*arrays, **options)
         arrays[-1][:] += held
 
     return wrong
 
 
-def seeing(change: Callable[[np.ndarray, np.ndarray], Any]) -> Callable[..., Any]:
-    """The sweep is given other surfaces."""
+def seeing(change: Callable[[np.ndarray], np.ndarray]) -> Callable[..., Any]:
+    """The sweep is given another surface."""
+    return method("by_visibility", argument(0, change))
+
+
+def truncated(change: Callable[[float | None], float | None]) -> Callable[..., Any]:
+    """The sweep of what is seen is asked for another truncation of intensities alone, or for none."""
 
     def broken(right: Callable[..., Any]) -> Callable[..., Any]:
-        def wrong(nearest: np.ndarray, certain: np.ndarray, volume: np.ndarray) -> None:
-            right(*change(nearest, certain), volume)
-
-        return wrong
+        return lambda *arrays, truncation=None: right(*arrays, truncation=change(truncation))
 
     return method("by_visibility", broken)
-
-
-def past_both(nearest: np.ndarray, certain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return (np.maximum(nearest, certain),) * 2
 
 
 def within(name: str, value: Any) -> Callable[..., Any]:
     """Something of the reference's module is another one while the sweep computes."""
 
     def broken(right: Callable[..., Any]) -> Callable[..., Any]:
-        def wrong(*arrays: Any) -> None:
+        def wrong(*arrays: Any, **options: Any) -> None:
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(plane_sweep, name, value)
-                right(*arrays)
+                right(*arrays, **options)
 
         return wrong
 
@@ -155,10 +153,10 @@ FAULTS = (
     Fault("tolerance ignored", NAME, option("tolerance", lambda _: 0.0), VALUE),
     Fault("one is enough", NAME, option("least", lambda _: 1), VALUE),
     Fault("one more is needed", NAME, option("least", lambda least: least + 1), VALUE),
-    Fault("what is certain costs no more", NAME, option("penalty", lambda _: 0.0), VALUE),
-    Fault("what is certain ignored", NAME, seeing(lambda nearest, certain: (nearest, nearest)), VALUE),
-    Fault("nearest surfaces ignored", NAME, seeing(lambda nearest, certain: (certain, certain)), VALUE),
-    Fault("seen past both surfaces", NAME, seeing(past_both), VALUE),
+    Fault("nothing hides anything", NAME, seeing(lambda nearest: np.full_like(nearest, -1e6)), VALUE),
+    Fault("surfaces of other views", NAME, seeing(lambda nearest: np.roll(nearest, 1, axis=0)), VALUE),
+    Fault("surfaces one pixel off", NAME, seeing(lambda nearest: np.roll(nearest, 1, axis=2)), VALUE),
+    Fault("nothing hides anything, seen in a program", NAME, seeing(lambda nearest: nearest - 3), PROGRAM),
     Fault("first view_set only", NAME, argument(2, lambda a: a[:1]), VALUE),
     Fault("last view_set skipped", NAME, argument(2, lambda a: a[:-1]), GRID),
     Fault("all in all view_sets", NAME, argument(2, np.ones_like), VALUE),
@@ -182,6 +180,9 @@ FAULTS = (
     Fault("last disparity skipped", NAME, output("by_view_sets", zeroed(-1)), VALUE),
     Fault("last row skipped", NAME, output("by_visibility", zeroed(np.s_[:, -1])), VALUE),
     Fault("adds to its output", NAME, method("by_view_sets", adding), VALUE),
+    Fault("gradients where there should be none", NAME, truncated(lambda _: None), VALUE),
+    Fault("intensities truncated a little later", NAME, truncated(lambda given: given and 1.01 * given), VALUE),
+    Fault("gradients left out everywhere", NAME, truncated(lambda given: given or 0.3), VALUE),
     Fault("adds to what is seen", NAME, method("by_visibility", adding), VALUE),
 )
 

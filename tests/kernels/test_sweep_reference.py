@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import sweep_checks
 from checks import compute
-from numpy.typing import NDArray
 from sweep_cases import SWEEP_CASES, SweepCase, sweep_inputs
 from test_reference import REFERENCE
 
@@ -45,8 +44,8 @@ class Written:
         x, y = min(max(x, 0), self.width - 1), min(max(y, 0), self.height - 1)
         return self.recorded(x + self.shift[0], y + self.shift[1], c) - float(self.i.image[y, x, c])
 
-    def cost(self, x: int, y: int) -> float:
-        channels, weight = range(self.i.image.shape[2]), self.i.options["gradient_weight"]
+    def cost(self, x: int, y: int, weight: float, truncation: float) -> float:
+        channels = range(self.i.image.shape[2])
         color = sum(abs(self.difference(x, y, c)) for c in channels) / len(channels)
         slopes = [
             abs(self.difference(x + dx, y + dy, c) - self.difference(x - dx, y - dy, c)) / 2
@@ -54,7 +53,7 @@ class Written:
             for dx, dy in ((1, 0), (0, 1))
         ]
         gradient = min(sum(slopes) / len(slopes), self.i.options["gradient_truncation"])
-        return float((min(color, self.i.options["truncation"]) + weight * gradient) / (1 + weight))
+        return float((min(color, truncation) + weight * gradient) / (1 + weight))
 
     def takes_part(self, x: int, y: int) -> bool:
         place = x + self.shift[0], y + self.shift[1]
@@ -67,8 +66,8 @@ class Written:
     def nearest(self, x: int, y: int) -> tuple[int, int]:
         return math.floor(y + self.shift[1] + 0.5), math.floor(x + self.shift[0] + 0.5)
 
-    def sees(self, x: int, y: int, surfaces: NDArray[np.float32]) -> bool:
-        return self.takes_part(x, y) and bool(surfaces[(self.n, *self.nearest(x, y))] <= self.limit)
+    def sees(self, x: int, y: int) -> bool:
+        return self.takes_part(x, y) and bool(self.i.nearest[(self.n, *self.nearest(x, y))] <= self.limit)
 
 
 def mean(costs: list[float]) -> float:
@@ -78,32 +77,31 @@ def mean(costs: list[float]) -> float:
 @pytest.mark.parametrize("case", SMALL, ids=str)
 def test_sweep_is_the_definition(case: SweepCase, rng: np.random.Generator) -> None:
     i = sweep_inputs(case, rng)
-    got, most = compute(REFERENCE, "cpu", sweep_checks.SWEEP, i), sweep_checks.most(i)
+    got = compute(REFERENCE, "cpu", sweep_checks.SWEEP, i)
+    as_planned = i.options["gradient_weight"], i.options["truncation"]
     for _ in range(PIXELS):
         label, y, x = (int(rng.integers(side)) for side in got["seen"].shape)
         views = [Written(i, label, n) for n in range(len(i.offsets))]
-        costs = {n: view.cost(x, y) for n, view in enumerate(views) if view.takes_part(x, y)}
-        lowest = most
+        costs = {n: view.cost(x, y, *as_planned) for n, view in enumerate(views) if view.takes_part(x, y)}
+        lowest = sweep_checks.most(i, "view_sets")
         for m, members in enumerate(i.view_sets):
             inside = [cost for n, cost in costs.items() if members[n]]
             if inside:
                 lowest = min(lowest, mean(inside) * (1 + case.preference) + 1e-4 if m else mean(inside))
         assert got["view_sets"][label, y, x] == pytest.approx(lowest, abs=1e-12)
-        lowest = most
-        for surfaces, penalty in ((i.nearest, 0.0), (i.certain, case.penalty)):
-            seeing = [cost for n, cost in costs.items() if views[n].sees(x, y, surfaces)]
-            if len(seeing) >= case.least:
-                lowest = min(lowest, mean(seeing) + penalty)
-        assert got["seen"][label, y, x] == pytest.approx(lowest, abs=1e-12)
+        for name, counted in (("seen", as_planned), ("intensities", (0.0, sweep_checks.INTENSITY_TRUNCATION))):
+            seeing = [view.cost(x, y, *counted) for view in views if view.sees(x, y)]
+            want = mean(seeing) if len(seeing) >= case.least else sweep_checks.most(i, name)
+            assert got[name][label, y, x] == pytest.approx(want, abs=1e-12)
 
 
 def test_cases_reach_what_they_should(rng: np.random.Generator) -> None:
     """Costs lie on both sides of what truncates them, other view_sets than the first win, and some see too little."""
-    i = sweep_inputs(SweepCase("any", size=(23, 21), masked=True, penalty=0.0), rng)
+    i = sweep_inputs(SweepCase("any", size=(23, 21), masked=True), rng)
     got = compute(REFERENCE, "cpu", sweep_checks.SWEEP, i)
     alone = compute(REFERENCE, "cpu", sweep_checks.SWEEP, sweep_checks.changed(i, view_sets=i.view_sets[:1]))
     assert 0.1 < (got["view_sets"] < alone["view_sets"]).mean() < 0.99
-    assert 0.001 < (got["seen"] == sweep_checks.most(i)).mean() < 0.9
+    assert 0.001 < (got["seen"] == sweep_checks.most(i, "seen")).mean() < 0.9
     limits = i.options["truncation"], i.options["gradient_truncation"]
     for truncation, name in zip(limits, ("truncation", "gradient_truncation"), strict=True):
         more = sweep_checks.changed(i, options={**i.options, name: 1.5 * truncation})

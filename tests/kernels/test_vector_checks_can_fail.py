@@ -43,6 +43,16 @@ def doing_again(work: Callable[[], None], device: str) -> Callable[[], None]:
     return work
 
 
+def forgetful(right: Callable[..., Any]) -> Callable[..., Any]:
+    """The next direction is that of steepest descent."""
+
+    def wrong(p: Any, q: Any, preconditioner: Any, rz: Any, x: Any, r: Any) -> None:
+        right(p, q, preconditioner, rz, x, r)
+        p[:] = preconditioner * r
+
+    return wrong
+
+
 DOUBLE_DOT: Check = lambda kernels, rng: vector_checks.check_dot_in_double(kernels, "cpu")  # noqa: E731
 DOUBLE_NUMBERS: Check = lambda kernels, rng: vector_checks.check_numbers_in_double(kernels, "cpu")  # noqa: E731
 SHARED: Check = lambda kernels, rng: vector_checks.check_shared(kernels, "cpu")  # noqa: E731
@@ -98,6 +108,9 @@ def COUNTS_CAPTURED(kernels: KernelSet, rng: np.random.Generator) -> None:  # no
 
 FAULTS = (
     # vectors
+    Fault("squares of residuals alone", "conjugate_step", argument(2, np.ones_like), value_of("conjugate_step")),
+    Fault("the old direction forgotten", "conjugate_step", forgetful, value_of("conjugate_step")),
+    Fault("its number kept", "conjugate_step", argument(3, np.copy), value_of("conjugate_step")),
     Fault("in float32", "dot", after(lambda a: np.copyto(a, np.float32(a))), DOUBLE_DOT),
     Fault("of sizes", "dot", lambda right: lambda a, b, out: right(np.abs(a), np.abs(b), out), value_of("dot")),
     Fault(

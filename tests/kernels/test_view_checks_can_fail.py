@@ -145,6 +145,9 @@ FAULTS = (
     Fault("one half of the window", "nlm_neighbors", half, value_of("nlm_neighbors")),
     Fault("one half of the window, seen by symmetry", "nlm_neighbors", half, NLM_SYMMETRIC),
     Fault("weights of the pixel beside", "nlm_laplacian", argument(0, skewed), value_of("nlm_laplacian")),
+    Fault(
+        "diagonal ignored", "nlm_laplacian", option("diagonal", lambda _: None, absent=True), value_of("nlm_laplacian")
+    ),
     Fault("wrong sign", "nlm_laplacian", after(scaled(-1), "laplacian_out"), NLM_SYMMETRIC),
     Fault("factor 2 too much", "nlm_laplacian", after(scaled(2), "laplacian_out"), value_of("nlm_laplacian")),
     Fault(

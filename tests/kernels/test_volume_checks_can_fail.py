@@ -90,18 +90,6 @@ def beyond(right: Callable[..., Any]) -> Callable[..., Any]:
     return wrong
 
 
-def across(right: Callable[..., Any]) -> Callable[..., Any]:
-    """What is worse in between does not stop it."""
-
-    def wrong(volume: Any, disparity: Any, *, first: float, step: float, margin: float, disparity_out: Any) -> None:
-        k = np.floor((disparity - first) / step + 0.5).clip(0, len(volume) - 1).astype(int)
-        best = volume <= np.take_along_axis(volume, k[None], 0) + margin
-        least = np.where(np.arange(len(volume))[:, None, None] <= k, best, False).argmax(0)
-        disparity_out[:] = np.where(least < k, first + step * least, disparity)
-
-    return wrong
-
-
 def without_last(volume: np.ndarray) -> np.ndarray:
     return np.concatenate([volume[:-1], np.zeros_like(volume[-1:])])
 
@@ -110,7 +98,7 @@ def text(old: str, new: str) -> Callable[..., Any]:
     return rewritten(cost_volume, old, new)
 
 
-AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, FARTHEST, *CONFIDENCE = map(value_of, volume_checks.OPERATIONS)
+AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, *CONFIDENCE = map(value_of, volume_checks.OPERATIONS)
 EVIDENCE, LINE_MEAN, UNEVENNESS, JUDGE = CONFIDENCE
 
 FIRST_ROW = "reduced[:, :1].repeat(volume_inout.shape[1], 1)"
@@ -163,12 +151,6 @@ FAULTS = (
     Fault("step ignored, seen in a program", "winner_takes_all", option("step", lambda _: 1.0), PROGRAM),
     Fault("one pixel off", "winner_takes_all", after(one_off, "disparity_out"), LOWEST),
     Fault("adds to its output", "winner_takes_all", accumulating("disparity_out"), LOWEST),
-    Fault("no farther", "farthest_as_good", option("margin", lambda _: -1.0), FARTHEST),
-    Fault("across worse ones", "farthest_as_good", across, FARTHEST),
-    Fault("rounded down", "farthest_as_good", argument(1, lambda d: d - 0.1875), FARTHEST),
-    Fault("first ignored", "farthest_as_good", option("first", lambda _: 0.0), FARTHEST),
-    Fault("step ignored, seen in a program", "farthest_as_good", option("step", lambda _: 1.0), PROGRAM),
-    Fault("adds to its output", "farthest_as_good", accumulating("disparity_out"), FARTHEST),
     Fault("step ignored", "evidence", option("step", lambda _: 1.0), EVIDENCE),
     Fault("unit ignored", "evidence", option("unit", lambda _: 1.0), EVIDENCE),
     Fault("sharper", "evidence", with_another(confidence, "SHARPNESS", lambda s: 1.1 * s), EVIDENCE),

@@ -93,23 +93,6 @@ def test_lowest_is_the_minimum_of_the_parabola(case: VolumeCase, rng: np.random.
             assert got[name][y, x] == pytest.approx(case.first + case.step * (k + t), abs=1e-9)
 
 
-@pytest.mark.parametrize("case", SMALL, ids=str)
-def test_farthest_as_good_goes_down_while_costs_do_not_rise(case: VolumeCase, rng: np.random.Generator) -> None:
-    i, got = run(volume_checks.FARTHEST, case, rng)
-    moved = 0
-    for name, margin in (("some", 0.25), ("all", 1.0)):
-        for y, x in np.ndindex(*case.size):
-            given = float(i.map[y, x])
-            start = min(max(math.floor((given - case.first) / case.step + 0.5), 0), case.count - 1)
-            costs = [float(cost) for cost in i.alike[: start + 1, y, x]]
-            too_dear = [label for label, cost in enumerate(costs) if cost > costs[-1] + margin]
-            end = too_dear[-1] + 1 if too_dear else 0
-            want = given if end == start else case.first + case.step * end
-            assert got[name][y, x] == pytest.approx(want, abs=1e-12)
-            moved += end < start
-    assert moved > 0 or math.prod(case.size) < 20, "nothing was moved: the check says little"
-
-
 @pytest.mark.parametrize("case", [case for case in REDUCED_CASES if math.prod(case.size) <= 200], ids=str)
 def test_reduced_volume_is_added_linear_between_the_middles_of_its_pixels(
     case: VolumeCase, rng: np.random.Generator

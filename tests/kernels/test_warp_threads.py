@@ -144,3 +144,8 @@ def test_launches_that_cannot_be_counted_are_refused() -> None:
     check_size(2**31 - 1)
     with pytest.raises(BackendError, match=r"2147483648 threads .* use fewer or smaller views"):
         check_size(5, 2**31)
+
+
+def test_a_reach_that_a_row_has_no_room_for_is_refused(warp: Any) -> None:
+    with pytest.raises(AssertionError, match="reach is 101"):
+        warp.kernels.z_buffer((1, 4, 4, 1), warp.kernels.field(np.zeros((1, 2), np.float32), "cpu"), reach=101)

@@ -13,6 +13,7 @@ from checks import (
     Outputs,
     Values,
     largest_error,
+    relative_to_terms,
     size,
 )
 
@@ -36,6 +37,20 @@ def ratio(desk: Desk, i: SimpleNamespace) -> Outputs:
     kernels.ratio(out["onto numerator"], b, out["onto numerator"])
     kernels.ratio(a, out["onto denominator"], out["onto denominator"])
     return {name: kernels.number(scalar) for name, scalar in out.items()}
+
+
+def conjugate_step(desk: Desk, i: SimpleNamespace) -> Outputs:
+    """A step of a system that is a diagonal, and one along nothing, from nothing."""
+    kernels, shape = desk.kernels, i.x.shape
+    weights = (0.5 + np.abs(i.ties)).astype(np.float32)
+    preconditioner, q = desk.field(weights), desk.field((1 + np.abs(i.holes)) * i.x)
+    rz = desk.number_out(float(np.sum(weights.astype(np.float64) * i.y.astype(np.float64) ** 2)))
+    p, x, r = desk.held(i.x), desk.held(i.x[::-1]), desk.held(i.y)
+    kernels.conjugate_step(p, q, preconditioner, rz, x, r)
+    still, at, left, none = desk.held(np.zeros(shape)), desk.held(i.x), desk.held(i.y), desk.number_out(0.0)
+    kernels.conjugate_step(still, q, preconditioner, none, at, left)
+    out = {"p": p, "x": x, "r": r, "rz": kernels.number(rz)}
+    return {**out, "still": still, "at": at, "left": left, "from 0": kernels.number(none)}
 
 
 def copy(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -161,10 +176,14 @@ def axpby_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNames
     return {name: largest_error(got[name], want[name], max(float(np.abs(want[name]).max()), term)) for name in want}
 
 
+conjugate_errors = relative_to_terms(
+    p=lambda i: size(i.y), x=lambda i: size(i.x), r=lambda i: size(i.y), rz=lambda i: size(i.y) ** 2
+)
 DOT = Operation(dot, "vector", dot_error)
 OPERATIONS = (
     DOT,
     Operation(ratio, "vector"),
+    Operation(conjugate_step, "vector", conjugate_errors),
     Operation(copy, "vector"),
     Operation(axpby, "vector", axpby_errors),
     Operation(multiply, "vector"),

@@ -72,7 +72,7 @@ def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace
     i.penalty_scale = rng.uniform(0.5, 4.0, case.size).astype(np.float32)
     i.row = {"first": case.first, "step": case.step}
     last = case.first + case.step * (case.count - 1)
-    i.map = rng.uniform(case.first - 0.5, last + 0.5, case.size).astype(np.float32)  # beyond both ends, too
+    i.map = rng.uniform(case.first - 0.5, last + 0.5, case.size).astype(np.float32)
     i.unit = 0.5 * (case.costs[1] - case.costs[0])
     # Some of the best paths cost what the best disparity costs.
     i.path_costs = (8 * i.volume + rng.choice([0.0, 1.0], shape) * i.unit).astype(np.float32)

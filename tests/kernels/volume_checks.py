@@ -47,16 +47,6 @@ def winner_takes_all(desk: Desk, i: SimpleNamespace) -> Outputs:
     return out
 
 
-def farthest_as_good(desk: Desk, i: SimpleNamespace) -> Outputs:
-    """Of costs and a margin that are exact in float32, so that rounding decides nothing."""
-    out = {name: desk.out(i.volume.shape[1:]) for name in ("some", "all")}
-    for name, margin in (("some", 0.25), ("all", 1.0)):
-        desk.kernels.farthest_as_good(
-            desk.field(i.alike), desk.field(i.map), **i.row, margin=margin, disparity_out=out[name]
-        )
-    return out
-
-
 def evidence(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = {name: desk.out(i.volume.shape[1:]) for name in ("conflict", "evidence", "cost")}
     desk.kernels.evidence(
@@ -128,13 +118,17 @@ OPERATIONS = (
     Operation(add_reduced, "reduced", relative_to_terms(volume=lambda i: size(i.volume))),
     Operation(least_costs, "volume"),
     Operation(winner_takes_all, "volume", lowest_errors),
-    Operation(farthest_as_good, "volume"),
-    Operation(evidence, "volume", relative_to_terms(conflict=lambda i: size(i.volume) / i.unit)),
+    Operation(
+        evidence,
+        "volume",
+        # The logarithm of step times a sum: that of the step, and that of the sum.
+        relative_to_terms(conflict=lambda i: size(i.volume) / i.unit, evidence=lambda i: abs(np.log(i.row["step"]))),
+    ),
     Operation(line_mean, "volume"),
     Operation(unevenness, "volume"),
     Operation(judge, "volume"),
 )
-AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, FARTHEST, EVIDENCE, LINE_MEAN, UNEVENNESS, JUDGE = OPERATIONS
+AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, EVIDENCE, LINE_MEAN, UNEVENNESS, JUDGE = OPERATIONS
 
 
 # --- a program of them, for devices that can do work as a whole ---
@@ -149,7 +143,7 @@ def finding_the_lowest(kernels: KernelSet, device: str, values: dict[str, Values
     plan = kernels.nlm_weights(values["image"].shape, device, **options)
     weights = kernels.zeros((WINDOW * WINDOW // 2, *shape[1:]), device)
     average, total = (kernels.zeros(shape, device) for _ in range(2))
-    disparity, least, farthest = (kernels.zeros(shape[1:], device) for _ in range(3))
+    disparity, least = (kernels.zeros(shape[1:], device) for _ in range(2))
 
     def work() -> None:
         plan(image, weights)
@@ -158,7 +152,6 @@ def finding_the_lowest(kernels: KernelSet, device: str, values: dict[str, Values
         kernels.least_costs(average, least_out=least)
         kernels.semi_global(average, image, least, small=0.01, large=0.05, contrast=0.25, sum_out=total)
         kernels.winner_takes_all(volume, first=-1.0, step=0.5, disparity_out=disparity)
-        kernels.farthest_as_good(volume, disparity, first=-1.0, step=0.5, margin=0.5, disparity_out=farthest)
 
-    outputs = {"sum": total, "least": least, "disparity": disparity, "farthest": farthest}
+    outputs = {"sum": total, "least": least, "disparity": disparity}
     return Program({"image": image, "volume": volume, "reduced": reduced}, work, outputs)

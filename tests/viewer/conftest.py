@@ -1,4 +1,4 @@
-"""One browser, one viewer and one tab for all tests of the page: each takes long to come."""
+"""One viewer and one tab for all tests of the page: each takes long to come."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.io import write_hci, write_result
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.viewer import Viewer
-from tests.browser import chromium
 from tests.viewer.page import HOLE, SIZE, Page
 
 
@@ -24,12 +23,6 @@ def extra() -> None:
     """Tests are skipped where what the viewer needs is not installed."""
     for name in ("viser", "tornado"):
         pytest.importorskip(name, reason=f"{name} is not installed: pip install -e '.[viewer]'")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

@@ -20,9 +20,7 @@ from tests.browser import until
 from tests.viewer.page import SIZE, Page
 
 
-def test_a_stream_is_followed_without_scores_of_another_frame(
-    browser: Any, lf: LightField, files: Path, rng: np.random.Generator
-) -> None:
+def test_a_stream_is_followed_without_scores_of_another_frame(browser: Any, lf: LightField, files: Path) -> None:
     switched: list[bool] = []
     assert lf.truth is not None
     with Viewer.of([files / "boxes"], port=0) as viewer:

@@ -33,7 +33,7 @@ def test_pixels_are_those_of_the_data(page: Page, viewer: Viewer, lf: LightField
     assert not (grey & ~inside).any()
 
 
-def test_pointing_says_the_values(page: Page, viewer: Viewer, lf: LightField) -> None:
+def test_pointing_says_the_values(page: Page, viewer: Viewer) -> None:
     contents = viewer.contents
     entry, truth = contents.entries["fast"], contents.truth
     assert entry.confidence is not None

@@ -8,7 +8,7 @@ from lfgpu import scenes
 
 TITLES = {
     "sweep": "1 sweep",
-    "resweep": "2 second sweep",
+    "resweep": "2 further sweeps",
     "align": "3 alignment",
     "boundaries": "4 boundaries, holes",
 }

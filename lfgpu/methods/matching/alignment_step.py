@@ -39,6 +39,7 @@ class AlignmentStep:
             offsets,
             scale=scale,
             gradient_weight=config.gradient_weight,
+            contrast=config.contrast,
             robust=config.robust,
             tolerance=tolerance,
         )

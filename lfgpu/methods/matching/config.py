@@ -18,9 +18,13 @@ class SweepConfig(Section):
         "leaves 40 or more of a grid. star: those in the reference's row, column and diagonals. cross: those in its "
         "row and column. If fewer than four are left beside the reference, all are used"
     )  # fmt: skip
-    occlusions: str = choice(
-        "twice", ("once", "twice"), "once compares partial view sets; twice sweeps again with the views that see a "
-        "pixel past the first surface"
+    first_views: str = choice(
+        "cross", ("all", "cross"), "views that the first sweep compares: all that are used, or of these those in the "
+        "reference's row and column. If fewer than four are left beside the reference, all are compared"
+    )  # fmt: skip
+    resweeps: int = number(
+        3, 0, 8, "how many more sweeps there are; at most one where the views are on one side or in one line. Each "
+        "compares the views that see a pixel past the surface that was found so far"
     )  # fmt: skip
     step: float = number(0.4, 0.02, 2.0, "distance between two disparities, pixels in the farthest view")
     max_labels: int = number(256, 3, 4096, "most disparities; a range that needs more gets longer steps")
@@ -37,12 +41,21 @@ class SweepConfig(Section):
         "leaves them out"
     )  # fmt: skip
     truncation: float = number(0.1, 1e-3, 10.0, "larger differences in intensity count as this one")
-    gradient_weight: float = number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
+    resweep_truncation: float = number(
+        0.05, 1e-3, 10.0, "the same in the sweeps between the first and the last, which compare intensities only: the "
+        "gradient beside an outline is that of what is nearer"
+    )  # fmt: skip
+    gradient_weight: float = number(
+        1.5, 0.0, 100.0, "weight of image gradients against intensities in the first sweep"
+    )  # fmt: skip
+    resweep_gradient_weight: float = number(
+        0.5, 0.0, 100.0, "the same in the last sweep, if there are several"
+    )  # fmt: skip
     gradient_truncation: float = number(
         0.05, 1e-4, 10.0, "larger differences in image gradients count as this one, intensity per pixel"
     )
     view_set_angle: float = number(
-        90.0, 10.0, 180.0, "opening angle of the partial view sets around the reference, degrees"
+        180.0, 10.0, 180.0, "opening angle of the partial view sets around the reference, degrees"
     )  # fmt: skip
     view_set_penalty: float = number(
         0.2, 0.0, 10.0, "a partial view set must agree better than all views by this share to be preferred"
@@ -51,16 +64,13 @@ class SweepConfig(Section):
         1.2, 0.0, 100.0, "a surface hides only what lies behind it by more than this, pixels in the farthest view"
     )  # fmt: skip
     min_share: float = number(
-        0.02, 0.0, 1.0, "share of the views, but at least one, that must see a pixel in the second sweep"
+        0.02, 0.0, 1.0, "share of the views, but at least one, that must see a pixel in further sweeps"
     )  # fmt: skip
-    hiding_margin: float = number(
-        0.1, 0.0, 100.0, "a surface may lie farther away than it was found: as far as its costs are higher by at "
-        "most this; it hides something for certain only from there on; units of the noise"
-    )  # fmt: skip
-    certain_penalty: float = number(
-        0.01, 0.0, 100.0, "added to the mean cost over the views that see a pixel past what hides for certain, "
-        "units of the noise"
-    )  # fmt: skip
+
+    @property
+    def kind(self) -> str:
+        """Which weights of the confidence (`trust.py`) belong to it: "again" if there are further sweeps, or "once"."""
+        return "again" if self.resweeps else "once"
 
 
 @dataclass(frozen=True)
@@ -69,9 +79,9 @@ class SemiGlobalConfig(Section):
 
     window: int = number(3, 3, 31, "side of the window over which costs are averaged, pixels", odd=True)
     small_penalty: float = number(0.0005, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
-    large_penalty: float = number(0.0035, 0.0, 10.0, "cost of a larger change", symbol="P2")
+    large_penalty: float = number(0.0043, 0.0, 10.0, "cost of a larger change", symbol="P2")
     resweep_factor: float = number(
-        0.7, 0.1, 100.0, "factor on large_penalty after the second sweep, and in frames that start from the last map"
+        0.73, 0.1, 100.0, "factor on large_penalty after further sweeps, and in frames that start from the last map"
     )  # fmt: skip
     contrast: float = number(2.0, 1e-3, 10.0, "difference in intensity that lowers both penalties to 1/e")
 
@@ -82,12 +92,16 @@ class AlignmentConfig(Section):
 
     iterations: int = number(3, 1, 100, "number of steps, each over all pixels")
     gradient_weight: float = number(2.0, 0.0, 100.0, "weight of image gradients against intensities")
+    contrast: float = number(
+        0.06, 1e-4, 100.0, "difference of adjacent pixels that halves gradient_weight two pixels around, intensity: "
+        "the gradient beside an outline is that of what is nearer"
+    )  # fmt: skip
     robust: float = number(
         0.01, 1e-4, 10.0, "scale of the robust loss: larger differences from the mean of the views count less, "
         "intensity"
     )  # fmt: skip
     support: float = number(
-        0.4, 1e-3, 100.0, "difference in disparity that halves the weight of a neighbour, pixels in the farthest view"
+        0.18, 1e-3, 100.0, "difference in disparity that halves the weight of a neighbour, pixels in the farthest view"
     )  # fmt: skip
     ridge: float = number(
         1.0, 1e-3, 1e6, "variance of the places in a window below which its plane becomes level, pixel²"
@@ -116,7 +130,7 @@ class HoleFillingConfig(Section):
         0.02, 1e-6, 100.0, "curvature over robust² at which a pixel's own estimate counts as much as one similar "
         "neighbour, 1 / pixel²"
     )  # fmt: skip
-    tolerance: float = number(3e-7, 1e-8, 1e-1, "relative residual at which the solver stops")
+    tolerance: float = number(1e-7, 1e-8, 1e-1, "relative residual at which the solver stops")
     max_iterations: int = number(100, 0, 10000, "most iterations of the solver")
 
 
@@ -132,6 +146,7 @@ class MatchingConfig(Config):
 
     method = "matching"
     renamed = {  # noqa: RUF012 - a ClassVar of the base
+        "sweep.occlusions": "sweep.resweeps",
         "sweep.most_labels": "sweep.max_labels",
         "sweep.aperture": "sweep.view_set_angle",
         "sweep.preference": "sweep.view_set_penalty",
@@ -154,9 +169,10 @@ class MatchingConfig(Config):
 PRESETS = {
     "accurate": MatchingConfig(),
     "fast": MatchingConfig(
-        sweep=SweepConfig(views="cross", occlusions="once", view_set_angle=180.0, reduced_weight=0.0),
-        alignment=AlignmentConfig(iterations=1),
+        sweep=SweepConfig(views="cross", resweeps=0, gradient_weight=2.0, reduced_weight=0.0),
+        semi_global=SemiGlobalConfig(large_penalty=0.0035, resweep_factor=0.7),
+        alignment=AlignmentConfig(iterations=1, support=0.4),
     ),
 }
-"""`accurate` matches all views, of large grids every other one at first, and sweeps twice. `fast` matches the
-reference's row and column of views, once."""
+"""`accurate` matches the reference's row and column of views, and then three times the views that see a pixel: all, or
+of large grids of every other one. `fast` matches the reference's row and column of views, once."""

@@ -31,7 +31,7 @@ class HoleFilling:
         kernels, device = prior.kernels, prior.device
         self._prior, self._kernels, self._config = prior, kernels, config
         self._weights = kernels.zeros((len(half_window(prior.window)), *size), device)
-        self._certainty, self._target, self._inverse, self._workspace = (kernels.zeros(size, device) for _ in range(4))
+        self._certainty, self._target, self._inverse = (kernels.zeros(size, device) for _ in range(3))
         self._solver = ConjugateGradients(
             size, kernels, device, tolerance=config.tolerance, max_iterations=config.max_iterations
         )
@@ -55,7 +55,5 @@ class HoleFilling:
 
     def _apply(self, m: Array, result_out: Array) -> None:
         """(L + diag(c)) m"""
-        k = self._kernels
-        k.nlm_laplacian(self._weights, m, window=self._prior.window, laplacian_out=result_out)
-        k.multiply(self._certainty, m, self._workspace)
-        k.axpby(1.0, result_out, 1.0, self._workspace, result_out)
+        window = self._prior.window
+        self._kernels.nlm_laplacian(self._weights, m, window=window, laplacian_out=result_out, diagonal=self._certainty)

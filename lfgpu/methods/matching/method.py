@@ -13,12 +13,14 @@ from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.noise import measured_grain, measured_noise, of_given_noise, smoothing_deviation
 from lfgpu.methods.matching.plan import MatchingPlan
-from lfgpu.methods.matching.sweep import labels, swept_views, used_views
+from lfgpu.methods.matching.sweep import first_views, labels, swept_views, used_views
 from lfgpu.methods.matching.temporal import TemporalMatching
 from lfgpu.methods.measured import Measured, checked_range
 from lfgpu.methods.temporal_prior import TemporalPrior
 
 _SLICES = 16  # that work on a CPU is cut into, some of which have a workspace of their own
+_STEP_COSTS = 8 * 2 * 4  # bytes: of the steps to a pixel in all directions, which a GPU keeps
+_SPARE_VOLUMES, _DIRECTIONS = 7, 2**29  # of directions beside the first one, and their bytes, at most
 _REDUCED = 3  # pixels of reduced views: differences, and what is interpolated between them
 _PATHS = 60  # pixels at the edge of a tile from which semi-global matching learns where its paths come from
 
@@ -28,7 +30,7 @@ class Matching(Method[MatchingConfig]):
 
     STAGES = (
         Stage("sweep", "plane sweep"),
-        Stage("resweep", "second plane sweep"),
+        Stage("resweep", "further plane sweeps"),
         Stage("align", "alignment", "step", "px per view step, rms"),
         Stage("boundaries", "boundary refinement and hole filling"),
     )
@@ -36,8 +38,8 @@ class Matching(Method[MatchingConfig]):
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        twice = self.config.sweep.occlusions == "twice"
-        return tuple(stage for stage in self.STAGES if twice or stage.name != "resweep")
+        again = self.config.sweep.resweeps > 0
+        return tuple(stage for stage in self.STAGES if again or stage.name != "resweep")
 
     @property
     def is_recordable(self) -> bool:
@@ -76,7 +78,8 @@ class Matching(Method[MatchingConfig]):
     def footprint(self, lf: LightField, measured: Measured, *, on_gpu: bool) -> Footprint:
         config, channels, stored = self.config, lf.channels, lf.views.dtype.itemsize
         used = self.used_views(lf)
-        some = len(swept_views(lf.offsets[used], config.sweep.views))
+        chosen = swept_views(lf.offsets[used], config.sweep.views)
+        some, in_first = len(chosen), set(first_views(lf, config.sweep.first_views))
         taken, copied = len(used), some if some < len(used) else 0
         views = (taken + copied) * channels * stored
         masks = 0 if lf.valid is None else 5 * taken + 4 * copied
@@ -85,20 +88,30 @@ class Matching(Method[MatchingConfig]):
         if smoothing_deviation(measured.grain, config.sweep) is not None:
             smoothed, compared = 2 * some * channels, 2
         packed = (taken + copied) * (4 if channels == 3 else 2) * stored  # a pixel with whether it is valid
-        swept = some * (channels if not on_gpu else 4 if channels == 3 else 2) * compared + smoothed
+        few = sum(used[view] in in_first for view in chosen)
+        copied_few = few * channels * compared if few < some else 0
+        compared *= some * (config.sweep.resweeps > 0) + few
+        swept = (channels if not on_gpu else 4 if channels == 3 else 2) * compared + smoothed + copied_few
         if config.sweep.reduced_weight:
-            swept += -(-(2 * 2 * some * channels + masks) // REDUCTION**2)
-        volumes = 2 * 4 * labels(measured.disparity_range, lf.offsets, config.sweep)[2]
+            swept += -(-(2 * 2 * few * channels + masks) // REDUCTION**2)
+        volume = 4 * labels(measured.disparity_range, lf.offsets, config.sweep)[2]
+        volumes = (4 if on_gpu else 2) * volume
         if config.sweep.reduced_weight:
-            volumes += -(-volumes // (2 * REDUCTION**2))
-        weights = 3 * 4 * ((config.prior.window**2 - 1) // 2) + 4 * 3 * channels
+            volumes += -(-volume // REDUCTION**2)
+        weights = 2 * 4 * ((config.prior.window**2 - 1) // 2) + 4 * 3 * channels
         if config.semi_global.window != config.prior.window:
-            weights += 2 * 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels
-        hiding = 4 * (taken + copied + (some if config.sweep.occlusions == "twice" else 0))
-        workspaces = 0 if on_gpu else 2 * 4 * _SLICES
-        fields = 4 * (26 + 2 * channels)
+            weights += 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels
+        hiding = 4 * (taken + copied)
+        if on_gpu and config.sweep.resweeps:
+            hiding += 2 * some  # the first disparity past the surface
+        buffers = 1 + int(copied > 0) + min(config.sweep.resweeps, 2)
+        workspaces = _STEP_COSTS if on_gpu else buffers * 4 * _SLICES
+        weighed = 1 + int(copied > 0)  # how much gradients count, in each alignment
+        fields = 4 * (26 + weighed + 2 * channels)
         per_pixel = host + views + swept + packed + hiding + volumes + weights + workspaces + fields + masks
-        return Footprint(per_pixel, GPU_CONTEXT if on_gpu else PROCESS)
+        if not on_gpu:
+            return Footprint(per_pixel, PROCESS)
+        return Footprint(per_pixel, GPU_CONTEXT, _SPARE_VOLUMES * volume, _DIRECTIONS)
 
     def halo(self, lf: LightField, measured: Measured) -> tuple[int, int]:
         low, high = measured.disparity_range
@@ -107,7 +120,7 @@ class Matching(Method[MatchingConfig]):
             math.ceil(axis * max(abs(low), abs(high))) + math.ceil(axis * (high - low))
             for axis in np.abs(lf.offsets).max(0)
         ]
-        passes = 2 + 2 * (self.config.sweep.occlusions == "twice") + 2 * self.config.alignment.iterations
+        passes = 2 + 2 * self.config.sweep.resweeps + 2 * self.config.alignment.iterations
         windows = (self.config.prior.window // 2) * passes + self.config.prior.patch // 2 + 2
         windows += SMOOTHING_REACH + 1 + _REDUCED * REDUCTION
         return reach[1] + windows + _PATHS, reach[0] + windows + _PATHS

@@ -10,6 +10,7 @@ import numpy as np
 
 from lfgpu.config import Section
 from lfgpu.contract import WHITE, KernelSet
+from lfgpu.data.channels import mean_of_channels
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.windows import window_max, window_mean, window_min
 from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
@@ -46,9 +47,14 @@ def measured_grain(lf: LightField) -> float:
         return 0.0
     image = lf.views[lf.reference_index].astype(np.float32) * np.float32(lf.scale)
     fine = np.diff(np.diff(image, 4, axis=0), 4, axis=1)
-    sizes = np.abs(fine).mean(2) * np.float32(math.sqrt(math.pi / 2) / np.square(_FOURTH_DIFFERENCE).sum())
+    sizes = mean_of_channels(np.abs(fine), np.float32) * np.float32(
+        math.sqrt(math.pi / 2) / np.square(_FOURTH_DIFFERENCE).sum()
+    )
     sizes = window_mean(sizes, _GRAIN_WINDOW)
-    limits = ((image == image.min((0, 1))) | (image == image.max((0, 1)))).any(2)
+    limits = np.zeros(lf.size, np.bool_)
+    for c in range(lf.channels):
+        channel = image[..., c]
+        limits |= (channel == channel.min()) | (channel == channel.max())
     counts = (sizes > _LEAST_GRAIN) | ~window_max(limits, _GRAIN_SEEN)[inner]
     if lf.valid is not None:
         counts &= window_min(lf.valid[lf.reference_index], _GRAIN_SEEN)[inner]
@@ -87,7 +93,9 @@ def measured_noise(
     lf = lf.subset(used_views(lf, "cross"))
     place = labels(bounds, lf.offsets, config)
     shape, scale = (len(lf.views), *lf.size, lf.channels), lf.scale if deviation is None else 1 / WHITE
-    sweep = planned_sweep(shape, lf.offsets, place, config, kernels, device, scale=scale)
+    sweep = planned_sweep(
+        shape, lf.offsets, place, config, kernels, device, scale=scale, gradient_weight=config.gradient_weight
+    )
     volume = kernels.zeros((place[2], *lf.size), device)
     views, image = kernels.image(lf.views, device), kernels.zeros_image((*lf.size, lf.channels), device)
     valid = None if lf.valid is None else kernels.field(lf.valid, device)
@@ -125,7 +133,7 @@ def in_units_of(noise: float, config: MatchingConfig, *, grain: float | None = N
         config,
         sweep=replace(config.sweep, noise=min(swept * _USUAL_NOISE, 1.0)),
         semi_global=_times(times, _times(swept, config.semi_global, "small_penalty", "large_penalty"), "contrast"),
-        alignment=_times(times, config.alignment, "robust"),
+        alignment=_times(times, config.alignment, "robust", "contrast"),
         boundaries=_times(times, config.boundaries, "contrast"),
         prior=_times(math.sqrt(times), config.prior, "sigma_color"),
     )

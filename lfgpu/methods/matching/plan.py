@@ -1,10 +1,12 @@
 """Matching: what every pixel of the reference view looks most like in the other views, with occlusions.
 
-Four stages. `sweep` compares the views with the reference at a row of disparities and finds the best surface through
-these costs. What it compares is smoothed first, as far as the views have grain, and reduced views are compared as well:
-both show faint texture that noise hides from single pixels. Partial view sets see past occluders. `resweep` compares
-again, now only with the views that see a pixel past the first surface, or past what is certain of it: a surface without
-texture may lie farther away than it was found.
+Four stages. `sweep` compares a row and a column of views with the reference at a row of disparities and finds the best
+surface through these costs. What it compares is smoothed first, as far as the views have grain, and reduced views are
+compared as well: both show faint texture that noise hides from single pixels. Partial view sets see past occluders.
+`resweep` compares again, several times, each time with the views that see a pixel past the surface found so far. What
+lies beside an outline looks like a part of what is nearer: its image gradient and its smoothed value are. So the first
+surfaces are too large, and hide that place from itself. Later surfaces are nearly right, and what they hide is widened
+by a pixel; gradients count for less in the last sweep, and for nothing in those between.
 `align` makes the disparity continuous: Gauss-Newton steps on what the views that see a pixel have in common, and then
 the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side whose colour
 it has, and fills surfaces without texture from those around them.
@@ -32,18 +34,26 @@ from lfgpu.methods.matching.hole_filling import HoleFilling
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
 from lfgpu.methods.matching.reduced import ReducedSweep
 from lfgpu.methods.matching.some_views import SomeViews
-from lfgpu.methods.matching.sweep import labels, planned_sweep, swept_views, used_views
+from lfgpu.methods.matching.sweep import (
+    first_views,
+    further_sweeps,
+    labels,
+    planned_sweep,
+    swept_views,
+    used_views,
+)
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.solvers.solution import Solution
 
-_LEAST_CURVATURE = 1e-3  # over robust²: no division by 0 where there is no texture
+_LEAST_CURVATURE = 1e-2  # over robust²: what holds a pixel where nothing but noise would move it
 _LEAST_REDUCED = 2  # pixels, side of the smallest views that are worth comparing
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
 _MOST_NOISY = 4.0  # in units of the noise: how much the least costs around a pixel raise the penalties there
 
 _AROUND = 4  # pixels on each side of one, whose costs are judged with its own
 _WIDE = 16  # pixels on each side of those, in which there may be something to go by
+_BESIDE = 1  # pixels beside an outline in another view that show what is nearer, too
 _CONVERGED = 0.02  # pixels per view step, rms of the last step
 
 
@@ -74,7 +84,6 @@ class MatchingPlan:
         self._noise = noise_of_views(measured.noise, measured.grain, config.sweep)
         config, bounds = in_units_of(measured.noise, config, grain=measured.grain), measured.disparity_range
         self._kernels, self._bounds, self._config = kernels, bounds, config
-        self._twice = config.sweep.occlusions == "twice"
         self._used, self._chosen = used_views(lf, config.sweep.views), None
         if len(self._used) < len(lf.views):
             lf = lf.subset(self._used)
@@ -110,26 +119,56 @@ class MatchingPlan:
             self._swept_offsets = kernels.field(some.offsets, device)
             self._swept_nearest = kernels.zeros((len(swept), *lf.size), device)
         self._swept_shape, self._swept_reference = (len(some.views), *shape[1:]), some.reference_index
-        self._certain = kernels.zeros(self._swept_shape[:3], device) if self._twice else None
         place = self._first, self._step, count
         self._compared, self._unit = self._image, lf.scale
         if self._deviation is not None:
             self._compared, self._unit = kernels.zeros_image(image, device), 1 / WHITE
             self._smoothed = kernels.zeros_image(self._swept_shape, device, np.uint16)
+        self._resweeps = further_sweeps(some.offsets, config.sweep)
+        self._few, few = None, some
+        chosen = first_views(some, config.sweep.first_views)
+        if len(chosen) < len(some.views):
+            stored = None if self._deviation is None else np.uint16
+            self._few = SomeViews(some, chosen, kernels, device, stored=stored, masked=self.may_be_masked)
+            few = some.subset(chosen)
+        self._few_shape, self._few_offsets = (len(few.views), *shape[1:]), few.offsets
         self._sweep = planned_sweep(
-            self._swept_shape, some.offsets, place, config.sweep, kernels, device, scale=self._unit
+            self._few_shape,
+            self._few_offsets,
+            place,
+            config.sweep,
+            kernels,
+            device,
+            scale=self._unit,
+            gradient_weight=config.sweep.gradient_weight,
         )
         self._reduced = None
         if config.sweep.reduced_weight > 0 and min(lf.size) >= _LEAST_REDUCED * REDUCTION:
-            self._reduced = ReducedSweep(some, place, config.sweep, kernels, device, scale=self._unit)
-        self._hiding = kernels.z_buffer(self._swept_shape, self._swept_offsets, reach=0) if self._twice else None
+            self._reduced = ReducedSweep(few, place, config.sweep, kernels, device, scale=self._unit)
+        self._resweep = None
+        if self._resweeps:
+            self._resweep = planned_sweep(
+                self._swept_shape,
+                some.offsets,
+                place,
+                config.sweep,
+                kernels,
+                device,
+                scale=self._unit,
+                gradient_weight=config.sweep.resweep_gradient_weight,
+            )
+        # The first surface is too large as it is.
+        self._hiding = [
+            kernels.z_buffer(self._swept_shape, self._swept_offsets, reach=_BESIDE if again else 0)
+            for again in range(min(self._resweeps, 2))
+        ]
         self._last_step = self._planned_step(shape, self._offsets, nearest)
         self._first_steps = self._last_step
         if self._some is not None:
             self._first_steps = self._planned_step(self._swept_shape, self._swept_offsets, self._swept_nearest)
         self._swept, self._aligned, self.disparity, self.confidence = (kernels.zeros(lf.size, device) for _ in range(4))
         """`disparity` and `confidence` are the results, fields [y, x]."""
-        self._matched = kernels.zeros(lf.size, device) if self._twice else self._swept
+        self._matched = kernels.zeros(lf.size, device) if self._resweeps else self._swept
         self._hole_filling = HoleFilling(lf.size, self._prior, config.hole_filling)
         self._curvature, self._slope, self._certainty = (kernels.zeros(lf.size, device) for _ in range(3))
         self._workspace, self._variance, self._penalty_scale = (kernels.zeros(lf.size, device) for _ in range(3))
@@ -142,7 +181,7 @@ class MatchingPlan:
 
     def stages(self, views: Array) -> dict[str, Work]:
         """What there is to do for `views` [n, y, x, c], as stored, by name and in order."""
-        again: dict[str, Work] = {"resweep": self._compare_visible} if self._twice else {}
+        again: dict[str, Work] = {"resweep": self._compare_visible} if self._resweeps else {}
         return {
             "sweep": lambda _: self._compare(views),
             **again,
@@ -164,7 +203,7 @@ class MatchingPlan:
 
     def maps(self) -> dict[str, Float32Array]:
         """The map after each stage, float32 [y, x], NaN where it is undefined; waits for the device."""
-        again = {"resweep": self._matched} if self._twice else {}
+        again = {"resweep": self._matched} if self._resweeps else {}
         kept = {"sweep": self._swept, **again, "align": self._aligned, "boundaries": self.disparity}
         found = {name: self._kernels.numpy(field).astype(np.float32) for name, field in kept.items()}
         if self._known is None:
@@ -192,7 +231,8 @@ class MatchingPlan:
             self._reduced.add(self._volume)
         self._find_surface(self._swept)
 
-    def _load(self, views: Array) -> None:
+    def _load(self, views: Array, *, first: bool = True) -> None:
+        """Take the views of a frame [n, y, x, c]; the first sweep gets its share only if it is to come (`first`)."""
         kernels = self._kernels
         if self._chosen is not None:
             kernels.line_of_views(views, self._used, vertical=False, epis_out=self._chosen)
@@ -214,26 +254,23 @@ class MatchingPlan:
             kernels.intensities(
                 views, self._swept_reference, valid, scale=self._unit, fill=UNLIKE_ANY, image_out=self._compared
             )
+        if self._resweep is not None:
+            self._resweep.load(self._compared, views, valid)
+        if not first:
+            return
+        if self._few is not None:
+            views, valid = self._few.of(views, valid)
         self._sweep.load(self._compared, views, valid)
         if self._reduced is not None:
             self._reduced.load(views, valid)
 
     def _compare_visible(self, _: Callback | None) -> None:
-        assert self._hiding is not None  # there is no such stage otherwise
-        assert self._certain is not None
-        # Where the costs do not tell how far away a surface lies, it must not hide what may be seen in its place.
-        self._kernels.farthest_as_good(
-            self._smooth,
-            self._swept,
-            first=self._first,
-            step=self._step,
-            margin=self._config.sweep.hiding_margin * self._config.sweep.noise,
-            disparity_out=self._workspace,
-        )
-        self._hiding(self._workspace, self._certain)
-        self._hiding(self._swept, self._swept_nearest)
-        self._sweep.by_visibility(self._swept_nearest, self._certain, self._volume)
-        self._find_surface(self._matched, self._config.semi_global.resweep_factor)
+        assert self._resweep is not None  # there is no such stage otherwise
+        for again in range(self._resweeps):
+            self._hiding[min(again, 1)](self._matched if again else self._swept, self._swept_nearest)
+            truncation = self._config.sweep.resweep_truncation if again < self._resweeps - 1 else None
+            self._resweep.by_visibility(self._swept_nearest, self._volume, truncation=truncation)
+            self._find_surface(self._matched, self._config.semi_global.resweep_factor)
 
     def _find_surface(self, disparity_out: Array, factor: float = 1.0) -> None:
         """From costs to the map of the best surface through them; both volumes change.
@@ -340,6 +377,7 @@ class MatchingPlan:
         `cost` there whether the views show the same things at all.
         """
         kernels = self._kernels
+        weights = self._config.sweep.kind
         conflict, evidence, bend, relief, wide, cost = self._judged_by
         low, high = self._bounds
         kernels.evidence(
@@ -364,8 +402,8 @@ class MatchingPlan:
             wide,
             cost,
             span=high - low,
-            share=trust.SHARE[self._config.sweep.occlusions],
-            spread=trust.SPREAD[self._config.sweep.occlusions],
+            share=trust.SHARE[weights],
+            spread=trust.SPREAD[weights],
             confidence_out=self.confidence,
             variance_out=self._variance,
         )

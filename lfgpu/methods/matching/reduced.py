@@ -46,7 +46,16 @@ class ReducedSweep:
         self._valid = kernels.zeros(shape[:3], device)
         self._volume = kernels.zeros((place[2], height, width), device)
         # A disparity moves what is seen in a reduced view by so many of its pixels less.
-        self._sweep = planned_sweep(shape, lf.offsets / REDUCTION, place, config, kernels, device, scale=1 / WHITE)
+        self._sweep = planned_sweep(
+            shape,
+            lf.offsets / REDUCTION,
+            place,
+            config,
+            kernels,
+            device,
+            scale=1 / WHITE,
+            gradient_weight=config.gradient_weight,
+        )
 
     def load(self, views: Array, valid: Array | None) -> None:
         """Reduce views [n, y, x, c], as stored, with their mask [n, y, x]."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from numpy.typing import DTypeLike
+
 from lfgpu.contract import Array, KernelSet
 from lfgpu.data.lightfield import LightField
 
@@ -19,16 +21,25 @@ class SomeViews:
         Their indices, in order, the reference among them.
     kernels, device
         Where they are.
+    stored
+        How the views' values are stored. Default None: as those of `lf`.
     masked
         Whether masks may come even if `lf` has none.
     """
 
     def __init__(
-        self, lf: LightField, chosen: Sequence[int], kernels: KernelSet, device: str, *, masked: bool = False
+        self,
+        lf: LightField,
+        chosen: Sequence[int],
+        kernels: KernelSet,
+        device: str,
+        *,
+        stored: DTypeLike | None = None,
+        masked: bool = False,
     ) -> None:
         self._kernels, self._chosen = kernels, list(chosen)
         shape = (len(chosen), *lf.size, lf.channels)
-        self._views = kernels.zeros_image(shape, device, lf.views.dtype)
+        self._views = kernels.zeros_image(shape, device, lf.views.dtype if stored is None else stored)
         self._valid = kernels.zeros(shape[:3], device) if masked or lf.valid is not None else None
 
     def of(self, views: Array, valid: Array | None) -> tuple[Array, Array | None]:

@@ -26,6 +26,7 @@ def planned_sweep(
     device: str,
     *,
     scale: float,
+    gradient_weight: float,
 ) -> PlaneSweep:
     """A sweep over views of `shape` [n, y, x, c], `offsets` [n, 2] apart, at the disparities of `labels`."""
     first, step, count = place
@@ -38,12 +39,11 @@ def planned_sweep(
         count=count,
         scale=scale,
         truncation=config.truncation,
-        gradient_weight=config.gradient_weight,
+        gradient_weight=gradient_weight,
         gradient_truncation=config.gradient_truncation,
         preference=config.view_set_penalty,
         tolerance=config.tolerance / farthest(offsets),
         least=max(1, math.ceil(config.min_share * (len(offsets) - 1))),
-        penalty=config.certain_penalty * config.noise,
     )
 
 
@@ -65,6 +65,24 @@ def swept_views(offsets: Float64Array, pattern: str) -> list[int]:
         if len(alternate) >= _MANY:
             return [int(index) for index in alternate]
     return list(range(len(offsets)))
+
+
+def first_views(lf: LightField, pattern: str) -> list[int]:
+    """Indices of the views that the first sweep compares, in order, of all [n] that are swept."""
+    return used_views(lf, "full" if pattern == "all" else pattern)
+
+
+def further_sweeps(offsets: Float64Array, config: SweepConfig) -> int:
+    """How many sweeps follow the first one over views `offsets` [n, 2] apart.
+
+    From the second of them on, surfaces are widened before they hide anything. That needs views on all sides: in a row
+    of views, what lies above something near is never seen at a distance from it, and would be hidden for ever. Where
+    the directions of the views leave half of a turn open, at most one sweep follows.
+    """
+    du, dv = offsets[np.hypot(*offsets.T) > _ON_LINE].T
+    turns = np.sort(np.arctan2(dv, du))
+    is_surrounded = np.diff(turns, append=turns[:1] + 2 * np.pi).max(initial=0) < np.pi - _ON_LINE
+    return config.resweeps if is_surrounded else min(config.resweeps, 1)
 
 
 def labels(bounds: tuple[float, float], offsets: Float64Array, config: SweepConfig) -> tuple[float, float, int]:

@@ -31,7 +31,7 @@ from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior
 
 _SAME = 0.5  # least `same` of a pixel whose past surface hides what lies behind it
-_RATE_GAIN = 0.1  # share of the difference from the expected map that goes into its rate of change
+_RATE_GAIN = 0.15  # share of the difference from the expected map that goes into its rate of change
 _STEADY = 0.05  # rate of change that halves the weight of earlier frames, in units of `TemporalPrior.support`
 _NO_RATE = 0.05  # weight of a rate of 0 in the mean over a surface
 
@@ -66,8 +66,13 @@ class TemporalMatching(MatchingPlan):
         prior: TemporalPrior,
     ) -> None:
         super().__init__(lf, measured, config, kernels, device)
-        # What compares only once has no use for it otherwise.
-        self._past_hiding = self._hiding or kernels.z_buffer(self._swept_shape, self._swept_offsets, reach=0)
+        if self._resweep is not None:
+            self._sweep_past, self._past_hiding = self._resweep, self._hiding[-1]
+            self._past_nearest = self._swept_nearest
+        else:
+            offsets = kernels.field(self._few_offsets, device)
+            self._sweep_past, self._past_hiding = self._sweep, kernels.z_buffer(self._few_shape, offsets, reach=0)
+            self._past_nearest = kernels.zeros(self._few_shape[:3], device)
         self._temporal, self._streaming, self._is_warm = prior, streaming, False
         self._past, self._frames, self._rate = (kernels.zeros(lf.size, device) for _ in range(3))
         self._expected, self._frames_before, self._rate_before = (kernels.zeros(lf.size, device) for _ in range(3))
@@ -105,8 +110,8 @@ class TemporalMatching(MatchingPlan):
     def levels(self) -> tuple[tuple[int, Callable[[Array], None]], ...]:
         """(steps, work) for a frame on its own, from the least to the most work."""
         steps = range(1, self._config.alignment.iterations + 1)
-        quick = [(1, lambda views: self.cold(views, 1, twice=False))] if self._twice else []
-        return (*quick, *((n, lambda views, n=n: self.cold(views, n, twice=True)) for n in steps))
+        quick = [(1, lambda views: self.cold(views, 1, again=False))] if self._resweep is not None else []
+        return (*quick, *((n, lambda views, n=n: self.cold(views, n, again=True)) for n in steps))
 
     @property
     def warm_levels(self) -> tuple[tuple[int, Callable[[Array], None]], ...]:
@@ -114,13 +119,13 @@ class TemporalMatching(MatchingPlan):
         steps = range(1, self._config.alignment.iterations + 1)
         return tuple((n, lambda views, n=n: self.warm(views, n)) for n in steps)
 
-    def cold(self, views: Array, steps: int, *, twice: bool) -> None:
-        """The map of `views` [n, y, x, c] alone, by `steps` of the alignment; compared again only if `twice`."""
+    def cold(self, views: Array, steps: int, *, again: bool) -> None:
+        """The map of `views` [n, y, x, c] alone, by `steps` of the alignment; compared again only if `again`."""
         self._is_warm, self._steps = False, steps
         self._compare(views)
-        if self._twice and twice:
+        if self._resweep is not None and again:
             self._compare_visible(None)
-        elif self._twice:
+        elif self._resweep is not None:
             self._kernels.copy(self._swept, self._matched)
         self._improve(None)
         self._complete()
@@ -131,7 +136,7 @@ class TemporalMatching(MatchingPlan):
         """A map of `views` that starts from the last one: the views that saw that are those that are compared, once."""
         kernels = self._kernels
         self._is_warm, self._steps = True, steps
-        self._load(views)
+        self._load(views, first=self._resweep is None)
         tolerance = self._temporal.tolerance * self.noise
         self._motion.find(self._image, self._last_image, tolerance=tolerance, same_out=self._same)
         self._motion.carry(
@@ -150,10 +155,10 @@ class TemporalMatching(MatchingPlan):
         # A surface that is not there any more hides nothing.
         kernels.threshold(self._same, _SAME, self._workspace)
         kernels.select(self._workspace, self._expected, self._farthest_surface, self._workspace)
-        self._past_hiding(self._workspace, self._swept_nearest)
-        self._sweep.by_visibility(self._swept_nearest, self._swept_nearest, self._volume)
+        self._past_hiding(self._workspace, self._past_nearest)
+        self._sweep_past.by_visibility(self._past_nearest, self._volume)
         self._find_surface(self._swept, self._config.semi_global.resweep_factor)
-        if self._twice:
+        if self._resweep is not None:
             kernels.copy(self._swept, self._matched)
         self._improve(None)
         self._complete()

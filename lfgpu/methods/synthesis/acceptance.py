@@ -14,9 +14,10 @@ from lfgpu.data.lightfield import LightField, farthest
 from lfgpu.methods.prior import NonLocalMeans
 
 _GRADIENT_WEIGHT = 2.0  # of image gradients against intensities
+_CONTRAST = 0.07  # intensity at the usual noise: steps between pixels that halve the weight of gradients around them
 _ROBUST = 0.005  # intensity at the usual noise: larger differences from the mean of the views count less
 _UNLIMITED = 10.0  # intensity: all views count the same
-_LEAST_SHARE = 0.15  # of the curvature of all views that those have that agree, at which a pixel is moved half as far
+_LEAST_SHARE = 0.2  # of the curvature of all views that those have that agree, at which a pixel is moved half as far
 _TOLERANCE = 1.2  # pixels in the farthest view: a surface hides only what lies behind it by more
 _REACH = 1  # pixels around a surface in another view that it hides, too: there both sides mix
 _STIFFNESS = 0.1  # 1 / pixel²: curvature over robust² at which the confidence is a half
@@ -55,6 +56,7 @@ class Acceptance:
                 offsets,
                 scale=lf.scale,
                 gradient_weight=_GRADIENT_WEIGHT,
+                contrast=_CONTRAST * noise,
                 robust=robust,
                 tolerance=_TOLERANCE / farthest(lf.offsets),
             )

@@ -18,6 +18,7 @@ from lfgpu.methods.synthesis.model import compared_as
 from lfgpu.methods.synthesis.plan import SynthesisPlan
 from lfgpu.methods.synthesis.units import spread
 
+_NOISE_SWEEP = SweepConfig(gradient_weight=2.0, view_set_angle=90.0)  # in units of its costs parameters are chosen
 _NORMALISED = 16  # views that are normalised at a time on a GPU
 _TENSORS = 3  # positions along a line of views over which a structure tensor is summed
 _NEIGHBOURHOODS = 6  # half windows after which the influence of a pixel through the solvers is negligible
@@ -49,7 +50,7 @@ class Synthesis(Method[SynthesisConfig]):
         unit = self.config.prior.sigma_unit
         return Measured(
             bounds,
-            noise=measured_noise(lf, bounds, SweepConfig(), kernels, device) if unit == "noise" else None,
+            noise=measured_noise(lf, bounds, _NOISE_SWEEP, kernels, device) if unit == "noise" else None,
             spread=spread(lf, self.config.prior.patch) if unit == "image" else None,
         )
 

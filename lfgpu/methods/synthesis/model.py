@@ -58,7 +58,7 @@ class ForwardModel:
             shape, device, scale=lf.scale, sigma=config.detail_scale, floor=config.contrast_floor
         )
         self._data_term = data_terms.planned(
-            config.data_term, shape, self._offsets, softness=config.softness, kernels=kernels, device=device
+            config.data_term, shape, self._offsets, softness=config.softness, kernels=kernels
         )
 
     def load(self, views: Array, start: Array | None = None) -> None:

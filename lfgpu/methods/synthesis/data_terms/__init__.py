@@ -21,9 +21,7 @@ NAMES = tuple(_HOMES)
 """Names of all data terms, the default first."""
 
 
-def planned(
-    name: str, shape: Sequence[int], offsets: Array, *, softness: float, kernels: KernelSet, device: str
-) -> SplatDataTerm:
+def planned(name: str, shape: Sequence[int], offsets: Array, *, softness: float, kernels: KernelSet) -> SplatDataTerm:
     """Plan a data term for views of one shape.
 
     Parameters
@@ -31,12 +29,12 @@ def planned(
     name
         One of `NAMES`.
     shape, offsets
-        The shape [n, y, x, c] of the views, and their offsets [n, 2], a field, in view steps.
+        The shape [n, y, x, c] of the views, and their offsets [n, 2] in view steps, a field on the device.
     softness
         Width of the rounded kinks of the triangle kernel, pixels.
-    kernels, device
-        The backend's kernels, and the name of the device.
+    kernels
+        The backend's kernels.
     """
     module = importlib.import_module(f"{__name__}.{_HOMES[name]}")
-    plan: SplatDataTerm = module.plan(shape, offsets, softness=softness, kernels=kernels, device=device)
+    plan: SplatDataTerm = module.plan(shape, offsets, softness=softness, kernels=kernels)
     return plan

@@ -7,6 +7,6 @@ from collections.abc import Sequence
 from lfgpu.contract import Array, KernelSet, SplatDataTerm
 
 
-def plan(shape: Sequence[int], offsets: Array, *, softness: float, kernels: KernelSet, device: str) -> SplatDataTerm:
+def plan(shape: Sequence[int], offsets: Array, *, softness: float, kernels: KernelSet) -> SplatDataTerm:
     """The squared error of the additive splat, see `lfgpu.contract.Synthesis.data_term`."""
     return kernels.data_term(shape, offsets, scale=1.0, softness=softness)

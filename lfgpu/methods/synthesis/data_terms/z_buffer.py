@@ -10,7 +10,7 @@ _SHARPNESS = 10.0  # view steps per pixel: a surface that is 0.5 px nearer has e
 _LEAST_COVERAGE = 0.5  # pixels with less coverage are gaps; a gap begins half a pixel beyond a surface
 
 
-def plan(shape: Sequence[int], offsets: Array, *, softness: float, kernels: KernelSet, device: str) -> SplatDataTerm:
+def plan(shape: Sequence[int], offsets: Array, *, softness: float, kernels: KernelSet) -> SplatDataTerm:
     """The squared error of the z-buffered splat, see `lfgpu.contract.Synthesis.z_buffered_data_term`."""
     return _ZBuffered(shape, offsets, softness, kernels)
 

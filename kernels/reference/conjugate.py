@@ -1,0 +1,17 @@
+"""A step of conjugate gradients: NumPy, float64. A number is an array of shape [1]."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def conjugate_step(p: Array, q: Array, preconditioner: Array, rz: Array, x: Array, r: Array) -> None:
+    pq = float(np.vdot(p, q))
+    alpha = rz[0] / pq if pq != 0 else 0.0
+    x += alpha * p
+    r -= alpha * q
+    z = preconditioner * r
+    left = float(np.vdot(r, z))
+    p[:] = z + (left / rz[0] if rz[0] != 0 else 0.0) * p
+    rz[0] = left

@@ -1,0 +1,147 @@
+"""A step of conjugate gradients in as few passes over its fields as its two inner products allow."""
+
+from typing import Any
+
+import warp as wp
+
+from .threads import launch, launch_tiles, once
+from .vector import BLOCK, dot, partial_dot_kernel
+
+wp.set_module_options({"enable_backward": False})
+
+_BLOCKS = 512  # of a GPU, which share an inner product
+
+
+@wp.func
+def _sum_of(parts: wp.array(dtype=wp.float64), thread: int):
+    """The sum of the first _BLOCKS parts, which each block finds for itself, all in one order."""
+    part = wp.float64(0.0)
+    for i in range(thread, wp.static(_BLOCKS), wp.static(BLOCK)):
+        part = part + parts[i]
+    return wp.tile_extract(wp.tile_sum(wp.tile(part)), 0)
+
+
+@wp.kernel
+def _move_kernel(
+    p: wp.array(dtype=float),
+    q: wp.array(dtype=float),
+    preconditioner: wp.array(dtype=float),
+    rz: wp.array(dtype=wp.float64),
+    parts: wp.array(dtype=wp.float64),
+    threads: int,
+    x: wp.array(dtype=float),
+    r: wp.array(dtype=float),
+    parts_out: wp.array(dtype=wp.float64),
+):
+    """x and r, and parts of the next rᵀ M r; the last of them is the rᵀ M r that there was."""
+    block, thread = wp.tid()
+    pq = _sum_of(parts, thread)
+    alpha = float(0.0)
+    if pq != wp.float64(0.0):
+        alpha = float(rz[0] / pq)
+    total = wp.float64(0.0)
+    for i in range(block * wp.block_dim() + thread, x.shape[0], threads):
+        x[i] = x[i] + alpha * p[i]
+        left = r[i] - alpha * q[i]
+        r[i] = left
+        total = total + wp.float64(left) * wp.float64(preconditioner[i] * left)
+    wp.tile_store(parts_out, wp.tile_sum(wp.tile(total)), offset=block)
+    if block == 0 and thread == 0:
+        parts_out[wp.static(_BLOCKS)] = rz[0]
+
+
+@wp.kernel
+def _turn_kernel(
+    r: wp.array(dtype=float),
+    preconditioner: wp.array(dtype=float),
+    parts: wp.array(dtype=wp.float64),
+    threads: int,
+    p: wp.array(dtype=float),
+    rz_out: wp.array(dtype=wp.float64),
+):
+    """p, and the sum of the parts."""
+    block, thread = wp.tid()
+    rz = _sum_of(parts, thread)
+    before = parts[wp.static(_BLOCKS)]
+    beta = float(0.0)
+    if before != wp.float64(0.0):
+        beta = float(rz / before)
+    for i in range(block * wp.block_dim() + thread, p.shape[0], threads):
+        p[i] = preconditioner[i] * r[i] + beta * p[i]
+    if block == 0 and thread == 0:
+        rz_out[0] = rz
+
+
+_MOVE = """
+    // Eight sums side by side, which a CPU adds to at once; the order is always the same.
+    const size_t size = x.shape[0];
+    const float alpha = pq.data[0] != 0.0 ? (float)(rz.data[0] / pq.data[0]) : 0.f;
+    const float* __restrict__ const a = p.data;
+    const float* __restrict__ const b = q.data;
+    const float* __restrict__ const m = preconditioner.data;
+    float* __restrict__ const to = x.data;
+    float* __restrict__ const left = r.data;
+    double totals[8] = {};
+    auto move = [&](size_t i, int j) {
+        to[i] += alpha * a[i];
+        left[i] -= alpha * b[i];
+        totals[j] += (double)left[i] * (double)(m[i] * left[i]);
+    };
+    size_t i = 0;
+    for (; i + 8 <= size; i += 8)
+        for (int j = 0; j < 8; ++j) move(i + j, j);
+    for (; i < size; ++i) move(i, 0);
+    double next = 0.0;
+    for (int j = 0; j < 8; ++j) next += totals[j];
+    const float beta = rz.data[0] != 0.0 ? (float)(next / rz.data[0]) : 0.f;
+    float* __restrict__ const along = p.data;
+    for (size_t i = 0; i < size; ++i) along[i] = m[i] * left[i] + beta * along[i];
+    rz.data[0] = next;
+"""
+
+
+@wp.func_native(_MOVE)
+def _move(
+    pq: wp.array(dtype=wp.float64),
+    q: wp.array(dtype=float),
+    preconditioner: wp.array(dtype=float),
+    rz: wp.array(dtype=wp.float64),
+    p: wp.array(dtype=float),
+    x: wp.array(dtype=float),
+    r: wp.array(dtype=float),
+): ...
+
+
+@wp.kernel(module="lfgpu_conjugate_cpu", enable_backward=False)
+def _step_on_cpu_kernel(
+    pq: wp.array(dtype=wp.float64),
+    q: wp.array(dtype=float),
+    preconditioner: wp.array(dtype=float),
+    rz: wp.array(dtype=wp.float64),
+    p: wp.array(dtype=float),
+    x: wp.array(dtype=float),
+    r: wp.array(dtype=float),
+):
+    _move(pq, q, preconditioner, rz, p, x, r)
+
+
+@once
+def _parts(device: str) -> Any:
+    """Of both inner products; of the second one, what there was as well."""
+    return [wp.empty(_BLOCKS + 1, dtype=wp.float64, device=device) for _ in range(2)]
+
+
+def conjugate_step(p: Any, q: Any, preconditioner: Any, rz: Any, x: Any, r: Any) -> None:
+    device = p.device
+    fields = p.flatten(), q.flatten(), preconditioner.flatten(), x.flatten(), r.flatten()
+    p, q, preconditioner, x, r = fields
+    along, left = _parts(device.alias)
+    if device.is_cpu:
+        pq = along[:1]
+        dot(p, q, pq)
+        launch(_step_on_cpu_kernel, 1, [pq, q, preconditioner, rz, p, x], [r], device=device)
+        return
+    threads, options = _BLOCKS * BLOCK, {"dim": [_BLOCKS], "block_dim": BLOCK, "device": device}
+    launch_tiles(partial_dot_kernel, inputs=[p, q, threads], outputs=[along], **options)
+    launch_tiles(_move_kernel, inputs=[p, q, preconditioner, rz, along, threads], outputs=[x, r, left], **options)
+    launch_tiles(_turn_kernel, inputs=[r, preconditioner, left, threads], outputs=[p, rz], **options)

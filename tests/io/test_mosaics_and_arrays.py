@@ -1,0 +1,206 @@
+"""All views in one file: mosaics, MATLAB, NumPy and TIFF."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fields import SAMPLES, scene
+from PIL import Image
+from samples import HEIGHT, WIDTH, picture, refusal
+
+from lfgpu.data.lightfield import LightField
+from lfgpu.io import read
+
+
+@pytest.fixture(scope="module")
+def true() -> LightField:
+    return scene()
+
+
+def grid_of(lf: LightField) -> Any:
+    assert lf.grid_shape is not None
+    return lf.views.reshape(*lf.grid_shape, *lf.views.shape[1:])
+
+
+# --- mosaics ---
+
+
+@pytest.mark.parametrize("grid", [(5, 5), (7, 9)])
+def test_the_block_of_a_mosaic_is_found(tmp_path: Path, grid: tuple[int, int]) -> None:
+    true = scene(grid, (40, 48))
+    path = SAMPLES["mosaic"].write(true, tmp_path)
+    found = read(path)
+    assert found.grid_shape == grid
+    np.testing.assert_array_equal(found.view(0, 1), true.view(0, 1))
+    assert f"a block of {grid[0]} x {grid[1]} pixels" in found.notes[0]
+
+
+def test_eslf_of_stanford_has_14_x_14_views_and_dark_corners(tmp_path: Path) -> None:
+    true = scene((14, 14), (36, 36))
+    distance = np.hypot(*(true.positions - 6.5).T)
+    views = np.where((distance < 8)[:, None, None, None], true.views, true.views // 50).astype(np.uint8)
+    path = SAMPLES["mosaic"].write(replace(true, views=views), tmp_path)
+    found = read(path)
+    assert found.grid_shape == (14, 14)
+    assert len(found.views) == (distance < 8).sum()
+    np.testing.assert_allclose(np.hypot(*(found.positions - 6.5).T).max(), distance[distance < 8].max())
+    assert any("recorded nothing of use" in note for note in found.notes)
+
+
+def test_pictures_are_no_mosaics(tmp_path: Path, true: LightField) -> None:
+    Image.fromarray(np.kron(true.views[0], np.ones((4, 4, 1), np.uint8))[:150, :187]).save(tmp_path / "a.png")
+    assert "no block of pixels repeats" in refusal(lambda: read(tmp_path / "a.png", format="mosaic"))
+    text = refusal(lambda: read(tmp_path / "a.png", format="mosaic", grid=(100, 3)))
+    assert "187 x 150 pixels; they do not hold 100 x 3 views" in text
+    found = read(tmp_path / "a.png", format="mosaic", grid=(4, 4))
+    assert any("do not fill a block" in note for note in found.notes)
+
+
+# --- MATLAB, NumPy, TIFF ---
+
+
+def test_weights_of_the_light_field_toolbox(tmp_path: Path, true: LightField) -> None:
+    from scipy.io import savemat
+
+    grid = grid_of(true).astype(np.uint16) * 257
+    weight = np.full((*grid.shape[:4], 1), 65535, np.uint16)
+    weight[0, 1, :, :8] = 100
+    weight[4, 4] = 0
+    savemat(tmp_path / "a.mat", {"LF": np.concatenate([grid, weight], axis=4)})
+    found = read(tmp_path / "a.mat")
+    assert (len(found.views), found.missing, found.views.dtype) == (24, ((4, 4),), np.uint16)
+    assert found.valid is not None
+    assert not found.valid[found.index_of(0, 1), :, :8].any()
+    assert found.valid[found.index_of(0, 1), :, 8:].all()
+    np.testing.assert_array_equal(found.view(0, 1), grid[0, 1])
+
+
+@pytest.mark.parametrize(
+    ("variables", "words"),
+    [
+        ({"x": np.zeros((2, 2))}, "no variable LF [t, s, v, u, c] of 1 to 4 colours; it holds x (2, 2)"),
+        ({"LF": np.zeros((2, 2, 4, 5, 3), np.int32)}, "LF holds int32"),
+        ({"LF": np.zeros((2, 2, 4, 5, 3))}, "nothing of the middle view is valid"),
+        ({"LF": np.full((2, 2, 4, 5, 3), np.nan)}, "NaN or infinite"),
+        ({"LF": np.full((2, 2, 4, 5, 3), 200.0)}, "scale float views to [0, 1]"),
+    ],
+)
+def test_matlab_files_that_are_refused(tmp_path: Path, variables: dict[str, Any], words: str) -> None:
+    from scipy.io import savemat
+
+    if "nothing" in words:
+        variables = {
+            "LF": np.concatenate([np.ones((2, 2, 4, 5, 3)), np.eye(2)[..., None, None, None] * np.ones((4, 5, 1))], 4)
+        }
+        variables["LF"][1, 1, :, :, 3] = 0
+    savemat(tmp_path / "a.mat", variables)
+    text = refusal(lambda: read(tmp_path / "a.mat"))
+    assert words in text
+    assert "a.mat" in text
+
+
+def test_numpy_arrays_of_all_arrangements(tmp_path: Path) -> None:
+    grid = np.stack([picture(index) for index in range(6)]).reshape(2, 3, HEIGHT, WIDTH, 3)
+    for array, shape, options in (
+        (grid, (2, 3), {}),
+        (grid[..., 0], (2, 3), {}),
+        (grid.reshape(6, HEIGHT, WIDTH, 3), (2, 3), {"grid": (2, 3)}),
+        (grid.reshape(6, HEIGHT, WIDTH, 3)[..., 0], (3, 2), {"grid": (3, 2)}),
+        (grid.reshape(6, HEIGHT, WIDTH, 3)[:4], (2, 2), {}),
+        (grid.astype(">u2"), (2, 3), {}),
+        (grid.astype(np.float64) / 255, (2, 3), {}),
+    ):
+        np.save(tmp_path / "a.npy", array)
+        found = read(tmp_path / "a.npy", **options)  # type: ignore[arg-type]
+        assert found.grid_shape == shape
+        assert found.views.dtype.isnative
+    assert "Float64 values rounded to float32." in found.notes
+    np.save(tmp_path / "a.npy", grid.reshape(6, HEIGHT, WIDTH, 3))
+    assert "6 views in one row of files or pages; say how they stand" in refusal(lambda: read(tmp_path / "a.npy"))
+    assert "not a grid of 2 x 2" in refusal(lambda: read(tmp_path / "a.npy", grid=(2, 2)))
+    np.save(tmp_path / "a.npy", grid)
+    assert "has a grid of 2 x 3 views" in refusal(lambda: read(tmp_path / "a.npy", grid=(3, 2)))
+
+
+def test_numpy_files_that_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.array([{}], object), allow_pickle=True)
+    assert "holds Python objects" in refusal(lambda: read(tmp_path / "a.npy"))
+    for array, words in (
+        (np.zeros((3, 3), np.uint8), "views must be [v, u, y, x, c]"),
+        (np.zeros((2, 2, 4, 5, 3), np.int64), "int64 values"),
+        (np.full((2, 2, 4, 5, 3), np.inf), "NaN or infinite"),
+        (np.zeros((2, 2, 4, 5, 3), [("a", "u1")]), "holds records"),
+    ):
+        np.save(tmp_path / "a.npy", array)
+        assert words in refusal(lambda: read(tmp_path / "a.npy"))
+    np.savez(tmp_path / "b.npz", pictures=np.zeros((2, 2, 4, 5, 3)))
+    assert "no array 'views'; it holds pictures" in refusal(lambda: read(tmp_path / "b.npz"))
+
+
+def npy_claiming(shape: tuple[int, ...]) -> bytes:
+    header = f"{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + bytes(100)
+
+
+def test_claims_that_would_exhaust_memory_are_refused_at_once(tmp_path: Path) -> None:
+    (tmp_path / "a.npy").write_bytes(npy_claiming((9, 9, 100_000, 100_000, 3)))
+    assert "which a file of 228 bytes cannot hold" in refusal(lambda: read(tmp_path / "a.npy"))
+    with zipfile.ZipFile(tmp_path / "b.npz", "w") as archive:
+        archive.writestr("views.npy", npy_claiming((9, 9, 100_000, 100_000, 3)))
+    assert "cannot hold" in refusal(lambda: read(tmp_path / "b.npz"))
+    with (tmp_path / "a.npy").open("r+b") as file:
+        file.truncate(1 << 40)  # a sparse file: the claim fits, the machine does not have it
+    assert "does not fit into memory" in refusal(lambda: read(tmp_path / "a.npy"))
+
+
+def test_tiff_stacks(tmp_path: Path, true: LightField) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, grid_of(true), photometric="rgb")  # with its shape in the description
+    assert read(path).grid_shape == (5, 5)
+    six = np.stack([picture(index, 1)[..., 0] for index in range(6)])
+    tifffile.imwrite(path, six, imagej=True)
+    assert "say how they stand" in refusal(lambda: read(path))
+    found = read(path, grid=(2, 3))
+    np.testing.assert_array_equal(found.views[..., 0], six)
+    tifffile.imwrite(path, np.moveaxis(true.views, 3, 1), photometric="rgb", planarconfig="separate", metadata=None)
+    np.testing.assert_array_equal(read(path).views, true.views)
+    with tifffile.TiffWriter(path) as writer:
+        writer.write(six[0])
+        writer.write(six[1, :3])
+    assert "pages that are not alike" in refusal(lambda: read(path))
+    tifffile.imwrite(path, true.views, photometric="rgb", metadata=None)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert str(path) in refusal(lambda: read(path, format="tiff-stack"))
+
+
+def test_pages_of_a_tiff_in_a_circle_come_to_an_end(tmp_path: Path, true: LightField) -> None:
+    """In a process of its own, which may not come to an end."""
+    tifffile = pytest.importorskip("tifffile")
+    path = tmp_path / "circle.tif"
+    views = true.views[:9, :8, :8]
+    tifffile.imwrite(path, views, photometric="rgb", imagej=True)
+    data = bytearray(path.read_bytes())
+    with tifffile.TiffFile(path) as file:
+        offsets, order = [page.offset for page in file.pages], {">": "big", "<": "little"}[file.byteorder]
+    link = offsets[4] + 2 + 12 * int.from_bytes(data[offsets[4] : offsets[4] + 2], order)
+    data[link : link + 4] = offsets[2].to_bytes(4, order)
+    path.write_bytes(data)
+    for told in ([], ["--format=tiff-stack", "--grid=3x3"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "lfgpu", "info", str(path), *told],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=600,
+        )
+        assert done.returncode == 1, done
+        assert "Traceback" not in done.stderr
+    assert "linked in a circle" in refusal(lambda: read(path))

@@ -1,0 +1,27 @@
+"""What tests of solvers share: both solvers, and what they leave."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from lfgpu.solvers.lbfgs import BoundedLbfgs
+from lfgpu.solvers.lbfgsb import ScipyLbfgsb
+from lfgpu.solvers.solution import Solution
+
+Solver = type[BoundedLbfgs] | type[ScipyLbfgsb]
+both = pytest.mark.parametrize("solver", [BoundedLbfgs, ScipyLbfgsb])
+
+
+class Found(NamedTuple):
+    """What a solver left on the device, and what it says about it."""
+
+    values: np.ndarray
+    solution: Solution
+
+
+def assert_sentence(status: str) -> None:
+    assert status.endswith(".")
+    assert len(status.split()) >= 6
