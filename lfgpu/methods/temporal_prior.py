@@ -26,8 +26,8 @@ class TemporalPrior:
         Weight that earlier frames keep from one frame to the next, at pixels that did not change. In the long run
         1 / (1 - persistence) frames are averaged. 0 to 0.99, default 0.9.
     strength
-        Largest cost of a disparity that differs from the last map, in units of `semi_global.large_penalty`. 0 to 10,
-        default 0.5.
+        Largest cost of a disparity that differs from the last map, in units of the penalty of large changes in such
+        frames (`semi_global.large_penalty` times `semi_global.resweep_factor`). 0 to 10, default 0.7.
     reach
         Difference in disparity from which on this cost is constant, in steps of the sweep. 0.5 to 100, default 2.
     tolerance
@@ -44,7 +44,7 @@ class TemporalPrior:
     """
 
     persistence: float = 0.9
-    strength: float = 0.5
+    strength: float = 0.7
     reach: float = 2.0
     tolerance: float = 2.0
     support: float = 0.4

@@ -42,7 +42,7 @@ class SweepConfig(Section):
     )  # fmt: skip
     truncation: float = number(0.1, 1e-3, 10.0, "larger differences in intensity count as this one")
     resweep_truncation: float = number(
-        0.05, 1e-3, 10.0, "the same in the sweeps between the first and the last, which compare intensities only: the "
+        0.07, 1e-3, 10.0, "the same in the sweeps between the first and the last, which compare intensities only: the "
         "gradient beside an outline is that of what is nearer"
     )  # fmt: skip
     gradient_weight: float = number(
@@ -79,11 +79,17 @@ class SemiGlobalConfig(Section):
 
     window: int = number(3, 3, 31, "side of the window over which costs are averaged, pixels", odd=True)
     small_penalty: float = number(0.0005, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
-    large_penalty: float = number(0.0043, 0.0, 10.0, "cost of a larger change", symbol="P2")
-    resweep_factor: float = number(
-        0.73, 0.1, 100.0, "factor on large_penalty after further sweeps, and in frames that start from the last map"
+    large_penalty: float = number(0.0056, 0.0, 10.0, "cost of a larger change", symbol="P2")
+    contrast: float = number(
+        0.03, 1e-3, 10.0, "difference in intensity of adjacent pixels that lowers both penalties to 1/e after the first "
+        "sweep: surfaces end where the image has edges"
     )  # fmt: skip
-    contrast: float = number(2.0, 1e-3, 10.0, "difference in intensity that lowers both penalties to 1/e")
+    resweep_factor: float = number(
+        0.56, 0.1, 100.0, "factor on large_penalty after further sweeps, and in frames that start from the last map"
+    )  # fmt: skip
+    resweep_contrast: float = number(
+        2.0, 1e-3, 10.0, "contrast after further sweeps, and in frames that start from the last map"
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -170,7 +176,7 @@ PRESETS = {
     "accurate": MatchingConfig(),
     "fast": MatchingConfig(
         sweep=SweepConfig(views="cross", resweeps=0, gradient_weight=2.0, reduced_weight=0.0),
-        semi_global=SemiGlobalConfig(large_penalty=0.0035, resweep_factor=0.7),
+        semi_global=SemiGlobalConfig(large_penalty=0.0045, resweep_factor=0.54),
         alignment=AlignmentConfig(iterations=1, support=0.4),
     ),
 }

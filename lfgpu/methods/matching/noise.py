@@ -132,7 +132,7 @@ def in_units_of(noise: float, config: MatchingConfig, *, grain: float | None = N
     return replace(
         config,
         sweep=replace(config.sweep, noise=min(swept * _USUAL_NOISE, 1.0)),
-        semi_global=_times(times, _times(swept, config.semi_global, "small_penalty", "large_penalty"), "contrast"),
+        semi_global=_times(swept, config.semi_global, "small_penalty", "large_penalty"),
         alignment=_times(times, config.alignment, "robust", "contrast"),
         boundaries=_times(times, config.boundaries, "contrast"),
         prior=_times(math.sqrt(times), config.prior, "sigma_color"),

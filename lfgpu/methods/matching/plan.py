@@ -270,24 +270,27 @@ class MatchingPlan:
             self._hiding[min(again, 1)](self._matched if again else self._swept, self._swept_nearest)
             truncation = self._config.sweep.resweep_truncation if again < self._resweeps - 1 else None
             self._resweep.by_visibility(self._swept_nearest, self._volume, truncation=truncation)
-            self._find_surface(self._matched, self._config.semi_global.resweep_factor)
+            self._find_surface(self._matched, again=True)
 
-    def _find_surface(self, disparity_out: Array, factor: float = 1.0) -> None:
-        """From costs to the map of the best surface through them; both volumes change.
+    def _find_surface(self, disparity_out: Array, *, again: bool = False) -> None:
+        """From costs to the map of the best surface through them, after further sweeps `again`; both volumes change.
 
-        `factor` is on the penalty of large changes.
+        Edges of the image are those of the views as they are compared, smoothed if they have grain: noise is no edge.
         """
         semi_global = self._config.semi_global
+        factor, contrast = 1.0, semi_global.contrast
+        if again:
+            factor, contrast = semi_global.resweep_factor, semi_global.resweep_contrast
         self._near.average(self._volume, self._smooth)
         self._weigh_penalties()
         self._expect(self._smooth)
         self._kernels.semi_global(
             self._smooth,
-            self._image,
+            self._compared,
             self._penalty_scale,
             small=semi_global.small_penalty,
             large=factor * semi_global.large_penalty,
-            contrast=semi_global.contrast,
+            contrast=contrast,
             sum_out=self._volume,
         )
         self._kernels.winner_takes_all(self._volume, first=self._first, step=self._step, disparity_out=disparity_out)

@@ -157,7 +157,7 @@ class TemporalMatching(MatchingPlan):
         kernels.select(self._workspace, self._expected, self._farthest_surface, self._workspace)
         self._past_hiding(self._workspace, self._past_nearest)
         self._sweep_past.by_visibility(self._past_nearest, self._volume)
-        self._find_surface(self._swept, self._config.semi_global.resweep_factor)
+        self._find_surface(self._swept, again=True)
         if self._resweep is not None:
             kernels.copy(self._swept, self._matched)
         self._improve(None)
@@ -171,7 +171,8 @@ class TemporalMatching(MatchingPlan):
         copy(self._image, self._last_image)
 
     def _expect(self, costs: Array) -> None:
-        strength = self._temporal.strength * self._config.semi_global.large_penalty
+        semi_global = self._config.semi_global
+        strength = self._temporal.strength * semi_global.resweep_factor * semi_global.large_penalty
         if self._is_warm and strength > 0:
             self._streaming.bias(
                 self._expected,

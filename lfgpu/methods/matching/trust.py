@@ -6,8 +6,8 @@ noise.
 `MatchingPlan._judge` says what the weights belong to: 1, conflict, evidence, bend, relief, bend times relief.
 """
 
-SHARE = {"once": (-3.552, -1.289, 1.089, -0.547, 0.762, 0.116), "again": (-3.811, -1.255, 1.021, -0.482, 0.798, 0.137)}
+SHARE = {"once": (-4.484, -1.513, 0.889, -0.557, 0.662, 0.104), "again": (-3.786, -1.272, 0.993, -0.476, 0.779, 0.132)}
 """Of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `SweepConfig.kind`."""
 
-SPREAD = {"once": (4.481, 2.012, -1.815, 0.944, -0.978, -0.151), "again": (5.348, 2.097, -1.711, 1.073, -0.994, -0.116)}
+SPREAD = {"once": (6.21, 2.459, -1.743, 0.883, -0.92, -0.169), "again": (5.249, 2.08, -1.68, 1.059, -0.95, -0.112)}
 """Of the logarithm of the variance of the disparity, (pixels per view step)², by `SweepConfig.kind`."""
