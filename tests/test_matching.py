@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -307,6 +308,17 @@ def test_noise_is_measured_and_borne() -> None:
         for name in ("accurate", "paper")
     )
     assert matching.badpix_07 < 0.7 * synthesis.badpix_07
+
+
+def test_surfaces_without_texture_end_where_the_image_has_edges() -> None:
+    errors = {0.03: 0.0, 2.0: 0.0}
+    for seed, contrast in itertools.product((1, 3), errors):
+        lf = scenes.make("textureless", seed=seed, grid=(5, 5), size=(192, 192))
+        config = PRESETS["fast"].with_values({"semi_global.contrast": contrast})
+        found = estimate_depth(lf, disparity_range=RANGE, config=config, check_cameras=False)
+        assert lf.truth is not None
+        errors[contrast] += evaluate(found, lf.truth).mse_100
+    assert errors[0.03] < 0.9 * errors[2.0]
 
 
 def test_grain_is_that_of_the_smooth_part() -> None:

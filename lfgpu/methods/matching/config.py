@@ -81,8 +81,8 @@ class SemiGlobalConfig(Section):
     small_penalty: float = number(0.0005, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
     large_penalty: float = number(0.0056, 0.0, 10.0, "cost of a larger change", symbol="P2")
     contrast: float = number(
-        0.03, 1e-3, 10.0, "difference in intensity of adjacent pixels that lowers both penalties to 1/e after the first "
-        "sweep: surfaces end where the image has edges"
+        0.03, 1e-3, 10.0, "difference in intensity of adjacent pixels that lowers both penalties to 1/e after the "
+        "first sweep: surfaces end where the image has edges"
     )  # fmt: skip
     resweep_factor: float = number(
         0.56, 0.1, 100.0, "factor on large_penalty after further sweeps, and in frames that start from the last map"
