@@ -23,12 +23,12 @@ MOVED, TURNED, BRIGHTER = 0.05, 0.07, 0.015
 OUT_OF_LINE, OUT_OF_SHAPE = 0.06, 0.1
 """Pixels, of all views together: half of the same."""
 _POINTS, _FEWEST = 800, 200
-_AGREE = 0.4  # pixels: views that differ from the reference by no more than this in the median have the right axes
+_AGREE = 0.2  # pixels: views that differ from the reference by no more than this in the median have the right axes
 _ROUNDS = 2  # of robust weights
 _LEAST_NOISE = 0.003  # intensity
 _SIDES = 4  # views, those farthest away, in which it is looked at what hides what
 _TOLD = 50  # pixels that tell what hides what; from fewer nobody can tell
-_AS_GOOD = 0.95  # of the loss: how much better the right order must be than the other one
+_AS_GOOD = 0.7  # of the loss: right cameras leave at most half of what the other order of depth leaves
 
 
 def worth_a_look(lf: LightField, disparity: NDArray[np.float32]) -> bool:

@@ -58,11 +58,14 @@ def test_all_cameras_together_are_worth_it(boxes: LightField, how: str) -> None:
     assert worth_a_look(disturb(boxes, Misalignment.parse(how), seed=1).light_field, truth(boxes))
 
 
+@pytest.mark.parametrize("preset", ["fast", "accurate"])
 @pytest.mark.parametrize("matrix", [((1, 0), (0, -1)), ((-1, 0), (0, -1)), ((0, 1), (1, 0))])
-def test_wrong_axes_are_worth_it(boxes: LightField, matrix: tuple[tuple[int, int], tuple[int, int]]) -> None:
+def test_wrong_axes_are_worth_it(
+    boxes: LightField, matrix: tuple[tuple[int, int], tuple[int, int]], preset: str
+) -> None:
     positions = boxes.positions @ np.array(matrix, float).T
     lf = replace(boxes, positions=positions, grid_shape=None, truth=None, geometry=None)
-    assert worth_a_look(lf, lfgpu.estimate_depth(lf, config="fast", device="cpu").disparity)
+    assert worth_a_look(lf, lfgpu.estimate_depth(lf, config=preset, device="cpu").disparity)
 
 
 def test_no_look_is_taken_where_none_is_worth_it(boxes: LightField, monkeypatch: pytest.MonkeyPatch) -> None:
