@@ -89,6 +89,7 @@ VARIANTS = (
     Variant(ALL),
     Variant("fast", preset="fast"),
     Variant("paper", preset="paper"),
+    Variant("all views in all steps", {"sweep.views": "full"}),
     Variant("views of rows, columns, diagonals only", {"sweep.views": "star"}),
     Variant("views of row and column only", {"sweep.views": "cross"}),
     Variant("no apertures", {"sweep.view_set_penalty": 10}),

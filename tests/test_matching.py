@@ -19,7 +19,14 @@ from lfgpu.methods import PRESETS, method_of
 from lfgpu.methods.matching import plan
 from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.noise import in_units_of, measured_grain, measured_noise
-from lfgpu.methods.matching.sweep import further_sweeps, labels, swept_views, used_views, view_sets
+from lfgpu.methods.matching.sweep import (
+    further_sweeps,
+    labels,
+    middle_views,
+    swept_views,
+    used_views,
+    view_sets,
+)
 from lfgpu.metrics import Metrics, evaluate, sparsification
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.pipeline import DepthPipeline
@@ -60,8 +67,25 @@ def test_every_other_view_of_a_large_grid_is_swept_at_first() -> None:
     assert len(swept) == 41
     assert (swept.sum(1) % 2 == 0).all()
     assert len(swept_views(offsets, "full")) == 81
-    assert len(swept_views(grid(7, 7), "alternate")) == 49  # 25 are too few
     assert len(swept_views(offsets + np.linspace(0, 0.2, 81)[:, None], "alternate")) == 81  # not on a grid
+    assert len(swept_views(grid(5, 5), "alternate")) == 25  # 9 are too few
+
+
+@pytest.mark.parametrize(
+    ("places", "columns"),
+    [(grid(9, 9), [-4, -2, 0, 2, 4]), (grid(7, 7), [-3, -1, 0, 1, 3]), (grid(7, 8), [-4, -2, 0, 1, 3])],
+)
+def test_between_the_first_and_the_last_sweep_every_other_row_and_column_is_compared(
+    places: np.ndarray, columns: list[int]
+) -> None:
+    """From the outermost ones to the reference's; in grids of less than 9 x 9 views they are what is swept."""
+    swept = places[swept_views(places, "alternate")]
+    middle = swept[middle_views(swept, "alternate")]
+    assert len(middle) == 25
+    assert sorted(set(middle[:, 0])) == columns
+    assert len(swept) == (41 if len(places) == 81 else 25)
+    assert len(middle_views(swept, "full")) == len(swept)
+    assert len(middle_views(grid(5, 5), "alternate")) == 25
 
 
 @pytest.mark.parametrize(

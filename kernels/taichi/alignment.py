@@ -15,9 +15,9 @@ import taichi as ti
 
 from lfgpu.contract import GRADIENT_REACH, Alignment, ZBuffer
 
+from .landing import land, within
 from .memory import DeviceArray, empty, flat, numpy, optional
 from .runtime import TASK, on_cpu, once, run
-from .splat import land, within
 
 _NOWHERE = -1e6  # the disparity of what nothing comes near
 _AT_REFERENCE = 1e-3  # view steps: what is no farther from the reference is the reference

@@ -12,7 +12,7 @@ from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .nlm_regression import nlm_on_surface, nlm_plane, nlm_ratio
-from .occlusion import splat_z_buffered, visible, z_buffered_data_term
+from .occlusion import splat_z_buffered, z_buffered_data_term
 from .plane_sweep import plane_sweep
 from .range_search import details, distinct_minimum, shrink, side_costs
 from .resampling import resample
@@ -20,11 +20,12 @@ from .residuals import residuals
 from .runtime import devices
 from .semi_global import semi_global
 from .smoothing import reduce_views, smooth_views
-from .splat import data_term, seen_by_reference, splat, splat_jvp, splat_transpose, splat_vjp
+from .splat import data_term, splat, splat_jvp, splat_transpose, splat_vjp
 from .structure_tensor import keep_more_coherent, structure_tensor
 from .sums import dot
 from .vector import axpby, clamp, copy, divide, fill, multiply, ratio, select, threshold
 from .views import intensities, line_of_views, normalization
+from .visibility import seen_by_reference, visible
 
 name = "taichi"
 compiles = True

@@ -1,10 +1,10 @@
-"""The splat with occlusions, its data term, and what other views see; `kernels/reference/occlusion.py` says what it is.
+"""The splat with occlusions and its data term; `kernels/reference/occlusion.py` says what they are.
 
 A view is made in two passes over the reference pixels, first the z-buffer, then sums relative to it. A pixel of the
 sums is its weighted colours, their weight and the coverage; the data term then turns it into what the gradient gathers.
 On a CPU a view belongs to one thread, which needs no atomics. The plan holds a view for each slice there, and as many
 as fit into the cache on a GPU, at 24 bytes for each pixel of three channels; `splat_z_buffered` allocates as much for
-all its views, `visible` 4 bytes, and both give it back.
+all its views, and gives it back.
 """
 
 from collections.abc import Sequence
@@ -15,119 +15,17 @@ import taichi as ti
 
 from lfgpu.contract import DataTerm, Loss
 
+from .landing import land
 from .memory import DeviceArray, clear, empty, flat, optional
 from .runtime import TASK, on_cpu, once, run
-from .splat import land, within
 from .sums import Total
-from .tent import foot, tent_slope
+from .tent import tent_slope
+from .visibility import LEAST_WEIGHT, NOWHERE, sides, z_kernels
 
 _LOSSES = get_args(Loss)
 _SQUARES, _CHARBONNIER = _LOSSES.index("squares"), _LOSSES.index("charbonnier")
-_LEAST_WEIGHT = 1e-20
-_NOWHERE = -3e38  # the disparity of what is not there
 _SLICES = 16  # of the views on a CPU; fixed, so that results do not depend on the number of threads
 _BUFFER = 20 * 2**20  # bytes
-_ANY_SOFTNESS = 0.5  # whatever it is, the same pixels are reached
-
-
-@ti.func
-def sides(a: float, first: int, size: int, softness: float):
-    """What a pixel `a` beyond `first` gives to the row or column `first` and to the next one; 0 outside the frame."""
-    before = foot(1.0 - a, softness)
-    after = foot(a, softness)
-    if first < 0 or first >= size:
-        before = 0.0
-    if first < -1 or first >= size - 1:
-        after = 0.0
-    return ti.Vector([before, after])
-
-
-@once
-def _z_kernels(cpu: bool) -> SimpleNamespace:
-    """The z-buffer and what is made of it alone."""
-    field = flat()
-
-    @ti.func
-    def raise_near(
-        disparity: ti.template(),
-        offsets: ti.template(),
-        n: int,
-        p: int,
-        height: int,
-        width: int,
-        softness: float,
-        first: int,
-        nearest: ti.template(),
-    ):
-        d = disparity[p]
-        to = land(p % width, p // width, d, offsets[2 * n], offsets[2 * n + 1])
-        columns = sides(to.ax, to.x, width, softness)
-        rows = sides(to.ay, to.y, height, softness)
-        for k in ti.static(range(4)):
-            if columns[k % 2] * rows[k // 2] > _LEAST_WEIGHT:
-                i = first + (to.y + k // 2) * width + to.x + k % 2
-                if ti.static(cpu):
-                    nearest[i] = ti.max(nearest[i], d)
-                else:
-                    ti.atomic_max(nearest[i], d)
-
-    @ti.kernel
-    def nearest_kernel(
-        disparity: field,
-        offsets: field,
-        begin: int,
-        count: int,
-        softness: float,
-        height: int,
-        width: int,
-        nearest_out: field,
-    ):
-        """The z-buffer of `count` views from the one numbered `begin` on."""
-        size = height * width
-        if ti.static(cpu):
-            for task in range(count * TASK):
-                if task % TASK == 0:
-                    n = task // TASK
-                    first = n * size
-                    for p in range(size):
-                        nearest_out[first + p] = _NOWHERE
-                    for p in range(size):
-                        raise_near(disparity, offsets, begin + n, p, height, width, softness, first, nearest_out)
-        else:
-            for i in range(count * size):
-                nearest_out[i] = _NOWHERE
-            for i in range(count * size):
-                n = i // size
-                raise_near(disparity, offsets, begin + n, i - n * size, height, width, softness, n * size, nearest_out)
-
-    @ti.kernel
-    def visible_kernel(
-        disparity: field,
-        offsets: field,
-        nearest: field,
-        softness: float,
-        tolerance: float,
-        height: int,
-        width: int,
-        visible_out: field,
-    ):
-        size = height * width
-        for i in range(visible_out.shape[0]):
-            n = i // size
-            p = i - n * size
-            d = disparity[p]
-            to = land(p % width, p // width, d, offsets[2 * n], offsets[2 * n + 1])
-            free = 0.0
-            if within(to.x, to.ax, width) and within(to.y, to.ay, height):
-                columns = sides(to.ax, to.x, width, softness)
-                rows = sides(to.ay, to.y, height, softness)
-                for k in ti.static(range(4)):
-                    if columns[k % 2] * rows[k // 2] > _LEAST_WEIGHT:
-                        if nearest[n * size + (to.y + k // 2) * width + to.x + k % 2] <= d + tolerance:
-                            free = 1.0
-            visible_out[i] = free
-
-    return SimpleNamespace(nearest=nearest_kernel, visible=visible_kernel, raise_near=raise_near)
 
 
 @once
@@ -136,7 +34,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
     field, image_type, stored_image = flat(), flat(channels=channels), flat(stored, channels)
     sums_type, sums = flat(channels=channels + 2), ti.types.vector(channels + 2, ti.f32)
     pixel = ti.types.vector(channels, ti.f32)
-    raise_near = _z_kernels(cpu).raise_near
+    raise_near = z_kernels(cpu).raise_near
 
     @ti.func
     def give(
@@ -160,7 +58,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         rows = sides(to.ay, to.y, height, softness)
         for k in ti.static(range(4)):
             given = columns[k % 2] * rows[k // 2]
-            if given > _LEAST_WEIGHT:
+            if given > LEAST_WEIGHT:
                 i = first + (to.y + k // 2) * width + to.x + k % 2
                 weight = given * ti.exp(sharpness * (d - nearest[i]))
                 value = sums(0.0)
@@ -240,7 +138,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         total = 0.0
         for k in ti.static(range(4)):
             given = columns[k % 2] * rows[k // 2]
-            if given > _LEAST_WEIGHT:
+            if given > LEAST_WEIGHT:
                 i = first + (to.y + k // 2) * width + to.x + k % 2
                 slope = sharpness * given
                 slope += (1 - 2 * (k % 2)) * slope_x * rows[k // 2]
@@ -411,7 +309,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
                     gradients_out[own + p] = 0.0
                 for n in range(count * k // slices, count * (k + 1) // slices):
                     for p in range(size):
-                        nearest[own + p] = _NOWHERE
+                        nearest[own + p] = NOWHERE
                         residuals[own + p] = sums(0.0)
                     for p in range(size):
                         raise_near(disparity, offsets, n, p, height, width, softness, own, nearest)
@@ -501,7 +399,7 @@ def splat_z_buffered(
     nearest = empty(coverage_out.shape)
     sums = clear(empty(coverage_out.shape, channels=image.channels + 2))
     seen = disparity.values, offsets.values
-    run(_z_kernels(cpu).nearest, *seen, *all_views, softness, *size, nearest.values)
+    run(z_kernels(cpu).nearest, *seen, *all_views, softness, *size, nearest.values)
     run(kernels.sums, image.values, *seen, nearest.values, *all_views, softness, sharpness, *size, sums.values)
     run(kernels.means, sums.values, views_out.values, coverage_out.values)
 
@@ -571,7 +469,7 @@ class _OccludingDataTerm:
             pixels = tuple(number * size[0] * size[1] for number in views)
             weights = *views, self._softness, self._sharpness, *size
             clear(residuals)
-            run(_z_kernels(self._cpu).nearest, *seen, *views, self._softness, *size, nearest.values)
+            run(z_kernels(self._cpu).nearest, *seen, *views, self._softness, *size, nearest.values)
             run(kernels.sums, self._image.values, *seen, nearest.values, *weights, residuals.values)
             run(kernels.residual, *recorded, *pixels, self._scale, *self._compared, residuals.values)
             sources = self._image.values, *seen, nearest.values, residuals.values
@@ -591,10 +489,3 @@ def z_buffered_data_term(
 ) -> DataTerm:
     compared = least_coverage, _LOSSES.index(loss), loss_scale
     return _OccludingDataTerm(shape, offsets, scale, softness, sharpness, compared)
-
-
-def visible(disparity: DeviceArray, offsets: DeviceArray, *, tolerance: float, visible_out: DeviceArray) -> None:
-    kernels, size, seen = _z_kernels(on_cpu()), disparity.shape, (disparity.values, offsets.values)
-    nearest = empty(visible_out.shape)
-    run(kernels.nearest, *seen, 0, visible_out.shape[0], _ANY_SOFTNESS, *size, nearest.values)
-    run(kernels.visible, *seen, nearest.values, _ANY_SOFTNESS, tolerance, *size, visible_out.values)

@@ -13,39 +13,13 @@ import taichi as ti
 
 from lfgpu.contract import SplatDataTerm
 
+from .landing import inside, land
 from .memory import DeviceArray, clear, empty, flat, numpy, optional
 from .runtime import TASK, on_cpu, once, run
 from .sums import GPU_PARTS, Total, share
 from .tent import tent, tent_slope
 
 _SLICES = 16  # of the views on a CPU; fixed, so that results do not depend on the number of threads
-
-
-@ti.dataclass
-class Landing:
-    """Where a reference pixel lands in a view: the pixel above and to the left, and how far beyond it."""
-
-    x: ti.i32
-    y: ti.i32
-    ax: ti.f32
-    ay: ti.f32
-
-
-@ti.func
-def land(x: int, y: int, disparity: float, du: float, dv: float):
-    # The shift is split before the column is added: a small number keeps its digits in float32.
-    shift_x = -disparity * du
-    shift_y = -disparity * dv
-    whole_x = ti.floor(shift_x)
-    whole_y = ti.floor(shift_y)
-    return Landing(
-        x=x + ti.cast(whole_x, ti.i32), y=y + ti.cast(whole_y, ti.i32), ax=shift_x - whole_x, ay=shift_y - whole_y
-    )
-
-
-@ti.func
-def inside(x: int, y: int, height: int, width: int):
-    return x >= 0 and x < width and y >= 0 and y < height
 
 
 @once
@@ -540,60 +514,3 @@ class _DataTerm:
 
 def data_term(shape: Sequence[int], offsets: DeviceArray, *, scale: float, softness: float) -> SplatDataTerm:
     return _DataTerm(shape, offsets, scale, softness)
-
-
-@ti.func
-def nearest(whole: int, beyond: float):
-    """The whole number nearest to whole + beyond with `beyond` in [0, 1]; halves round to even."""
-    result = whole
-    if beyond > 0.5 or (beyond == 0.5 and whole % 2 != 0):
-        result += 1
-    return result
-
-
-@ti.func
-def within(whole: int, beyond: float, size: int):
-    """Whether whole + beyond lies in [0, size - 1]."""
-    return whole >= 0 and (whole < size - 1 or (whole == size - 1 and beyond == 0.0))
-
-
-@ti.kernel
-def _seen_kernel(
-    disparity: flat(),
-    offsets: flat(),
-    known: flat(),
-    some_known: ti.template(),
-    valid: flat(),
-    masked: ti.template(),
-    height: int,
-    width: int,
-    seen_out: flat(),
-):
-    size = height * width
-    for i in range(seen_out.shape[0]):
-        n = i // size
-        p = i - n * size
-        # Where a pixel comes from is where one of the reference lands with the opposite offset.
-        place = land(p % width, p // width, disparity[p], -offsets[2 * n], -offsets[2 * n + 1])
-        seen = 0.0
-        if within(place.x, place.ax, width) and within(place.y, place.ay, height):
-            seen = 1.0
-            if ti.static(some_known):
-                if known[nearest(place.y, place.ay) * width + nearest(place.x, place.ax)] == 0.0:
-                    seen = 0.0
-            if ti.static(masked):
-                if valid[i] == 0.0:
-                    seen = 0.0
-        seen_out[i] = seen
-
-
-def seen_by_reference(
-    disparity: DeviceArray,
-    offsets: DeviceArray,
-    known: DeviceArray | None,
-    valid: DeviceArray | None,
-    *,
-    seen_out: DeviceArray,
-) -> None:
-    inputs = disparity.values, offsets.values, *optional(known), *optional(valid), *disparity.shape
-    run(_seen_kernel, *inputs, seen_out.values)

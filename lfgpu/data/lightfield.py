@@ -12,8 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfgpu.data import hooks, interop, summary
+from lfgpu.data import hooks, summary
 from lfgpu.data.geometry import Geometry
+from lfgpu.data.light_field_checks import (
+    POSITION_TOLERANCE,
+    array_of_numbers,
+    check_distinct,
+    check_grid,
+    check_values,
+    span,
+)
 from lfgpu.data.mapping import each_view
 from lfgpu.errors import LightFieldError
 from lfgpu.printable import printable
@@ -25,13 +33,8 @@ full: all views. star: the row, the column and both diagonals through the refere
 row and column: one of them.
 """
 
-_POSITION_TOLERANCE = 1e-6  # view steps: positions that differ by less are equal
-_NEAREST = 1e-3  # in view steps, to which views must stand apart
 _LINE_TOLERANCE = 0.1  # view steps: measured cameras are not exactly in line
 _FARTHEST = 1e6  # view steps: the largest coordinate of a position
-FLOAT_RANGE = -0.5, 1.5
-"""Of float values on [0, 1]: resampling may overshoot a little; other units differ by much more."""
-
 _LONGEST_NAME = 300  # characters
 
 
@@ -119,7 +122,7 @@ class LightField:
     white: int | None = None
 
     def __post_init__(self) -> None:
-        views = _array("views", self.views)
+        views = array_of_numbers("views", self.views)
         if views.ndim == 3:
             views = views[..., None]
         if views.ndim != 4 or views.shape[3] not in (1, 3) or 0 in views.shape:
@@ -130,14 +133,14 @@ class LightField:
             raise LightFieldError(f"views must be uint8, uint16 or float32; found {views.dtype}; convert them first.")
         if len(views) < 2:
             raise LightFieldError(f"{self.name} has a single view, but depth needs at least two views of the scene.")
-        positions = _array("positions", self.positions, np.float64).copy()
+        positions = array_of_numbers("positions", self.positions, np.float64).copy()
         if positions.shape != (len(views), 2) or not (np.abs(positions) <= _FARTHEST).all():
             raise LightFieldError(
                 f"positions must be {len(views)} finite pairs (u, v) within {_FARTHEST:g} view steps, one for each "
                 f"view; found shape {positions.shape}."
             )
-        _check_values(views, positions)
-        _check_distinct(positions)
+        check_values(views, positions)
+        check_distinct(positions)
         reference = self.reference
         if reference is None:
             middle = (positions.min(0) + positions.max(0)) / 2
@@ -146,7 +149,7 @@ class LightField:
             raise LightFieldError(
                 f"reference view {reference} does not exist; give an index from 0 to {len(views) - 1}."
             )
-        valid = None if self.valid is None else _array("valid", self.valid)
+        valid = None if self.valid is None else array_of_numbers("valid", self.valid)
         if valid is not None and (valid.shape != views.shape[:3] or valid.dtype != np.bool_):
             raise LightFieldError(f"valid must be bool {views.shape[:3]}; found {valid.dtype} {valid.shape}.")
         if self.truth is not None:
@@ -154,7 +157,7 @@ class LightField:
                 if values is not None and values.shape != views.shape[1:3]:
                     raise LightFieldError(f"truth must be {views.shape[1:3]}, like the views; found {values.shape}.")
         if self.grid_shape is not None:
-            _check_grid(positions, self.grid_shape)
+            check_grid(positions, self.grid_shape)
         if self.white is not None and (not isinstance(self.white, Integral) or self.white < 1):
             raise LightFieldError(f"white must be a whole number of at least 1, not {self.white}.")
         if self.files and len(self.files) != len(views):
@@ -190,7 +193,7 @@ class LightField:
         """
         if not (math.isfinite(vertical_step) and vertical_step > 0):
             raise LightFieldError(f"vertical_step must be a positive number, not {vertical_step}.")
-        grid = _array("views", views)
+        grid = array_of_numbers("views", views)
         if grid.ndim not in (4, 5):
             raise LightFieldError(f"a grid of views must be [v, u, y, x] or [v, u, y, x, c]; found shape {grid.shape}.")
         rows, columns = grid.shape[:2]
@@ -262,7 +265,7 @@ class LightField:
         if index is None:
             raise LightFieldError(
                 f"{self.name} has no view at row {row:g}, column {column:g}; "
-                f"rows span {_span(self.positions[:, 1])}, columns {_span(self.positions[:, 0])}."
+                f"rows span {span(self.positions[:, 1])}, columns {span(self.positions[:, 0])}."
             )
         return index
 
@@ -428,7 +431,7 @@ class LightField:
         return replace(self, views=views, valid=valid, **{**fields, **others})
 
     def _find(self, u: float, v: float) -> int | None:
-        found = np.flatnonzero(np.abs(self.positions - (u, v)).max(1) < _POSITION_TOLERANCE)
+        found = np.flatnonzero(np.abs(self.positions - (u, v)).max(1) < POSITION_TOLERANCE)
         return int(found[0]) if len(found) else None
 
     def _line(self, axis: int) -> NDArray[np.intp]:
@@ -452,74 +455,3 @@ def check_light_field(lf: object) -> None:
 def farthest(offsets: NDArray[np.float64]) -> float:
     """The largest distance of a view from the reference view, along u or v, in view steps."""
     return float(np.abs(offsets).max())
-
-
-def _array(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:
-    if hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__"):
-        values = interop.on_host(name, values)
-    try:
-        return np.asarray(values, dtype)
-    except (TypeError, ValueError) as error:
-        raise LightFieldError(f"{name} must be an array of numbers: {error}.") from error
-
-
-def _check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:
-    if views.dtype != np.float32:
-        return
-
-    def check(index: int, view: NDArray[Any]) -> None:
-        low, high = float(view.min()), float(view.max())
-        where = f"view {index} (row {positions[index, 1]:g}, column {positions[index, 0]:g})"
-        if not np.isfinite(low + high):
-            raise LightFieldError(f"{where} has NaN or infinite values; float views must be finite.")
-        check_scaled(where, low, high)
-
-    each_view(views, range(len(views)), check)
-
-
-def check_scaled(where: str, low: float, high: float) -> None:
-    """LightFieldError that names `where` if float values from `low` to `high` are not on [0, 1]."""
-    if low < FLOAT_RANGE[0] or high > FLOAT_RANGE[1]:
-        raise LightFieldError(f"{where} has values from {low:g} to {high:g}; scale float views to [0, 1].")
-
-
-def _check_distinct(positions: NDArray[np.float64]) -> None:
-    rounded = np.round(positions / _POSITION_TOLERANCE).astype(np.int64)
-    unique, counts = np.unique(rounded, axis=0, return_counts=True)
-    if len(unique) < len(positions):
-        u, v = unique[counts > 1][0] * _POSITION_TOLERANCE
-        raise LightFieldError(f"two views have the position row {v:g}, column {u:g}; all positions must differ.")
-    distance, at = _nearest(positions)
-    if distance <= _NEAREST:  # what is nearer than that to the reference tells nothing of depth
-        raise LightFieldError(
-            f"two views stand {distance:g} view steps apart, near row {positions[at, 1]:g}, column "
-            f"{positions[at, 0]:g}; positions are in units of the distance of neighbours."
-        )
-
-
-def _nearest(positions: NDArray[np.float64]) -> tuple[float, int]:
-    """The smallest distance of two positions, and the index of one of them; a larger one if it is not below
-    `_NEAREST`."""
-    order = np.lexsort(positions.T[::-1])
-    ordered, found = positions[order], (np.inf, 0)
-    for k in range(1, len(ordered)):  # each with the one k places on, until all of these are too far away in u alone
-        apart = ordered[k:] - ordered[:-k]
-        if apart[:, 0].min() > _NEAREST:
-            break
-        distance = np.hypot(*apart.T)
-        found = min(found, (float(distance.min()), int(order[distance.argmin()])))
-    return found
-
-
-def _check_grid(positions: NDArray[np.float64], grid_shape: tuple[int, int]) -> None:
-    places = np.round(positions)
-    last = (grid_shape[1] - 1, grid_shape[0] - 1)
-    if np.abs(positions - places).max() > _POSITION_TOLERANCE or (places < 0).any() or (places > last).any():
-        raise LightFieldError(
-            f"positions must be integers in the grid of {grid_shape[0]} x {grid_shape[1]} views, counted from 0; "
-            f"found rows {_span(positions[:, 1])} and columns {_span(positions[:, 0])}."
-        )
-
-
-def _span(values: NDArray[np.float64]) -> str:
-    return f"{values.min():g} to {values.max():g}"

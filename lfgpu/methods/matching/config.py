@@ -13,10 +13,12 @@ class SweepConfig(Section):
     """The plane sweep: every view is compared with the reference at a row of disparities."""
 
     views: str = choice(
-        "alternate", ("full", "alternate", "star", "cross"), "views that are used. full: all. alternate: all, but "
-        "until the last step of the alignment every other one, as the squares of one colour on a chessboard, if that "
-        "leaves 40 or more of a grid. star: those in the reference's row, column and diagonals. cross: those in its "
-        "row and column. If fewer than four are left beside the reference, all are used"
+        "alternate", ("full", "alternate", "star", "cross"), "views that are used. full: all. alternate: all in the "
+        "last step of the alignment; before, every other one of a grid, as the squares of one colour on a chessboard, "
+        "if that leaves 40 or more, and in the sweeps between the first and the last those of every other row and "
+        "column, if that leaves 25; so in all these steps if the chessboard leaves fewer. star: those in the "
+        "reference's row, column and diagonals. cross: those in its row and column. If fewer than four are left "
+        "beside the reference, all are used"
     )  # fmt: skip
     first_views: str = choice(
         "cross", ("all", "cross"), "views that the first sweep compares: all that are used, or of these those in the "

@@ -13,7 +13,7 @@ from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.noise import measured_grain, measured_noise, of_given_noise, smoothing_deviation
 from lfgpu.methods.matching.plan import MatchingPlan
-from lfgpu.methods.matching.sweep import first_views, labels, swept_views, used_views
+from lfgpu.methods.matching.sweep import first_views, labels, middle_views, swept_views, used_views
 from lfgpu.methods.matching.temporal import TemporalMatching
 from lfgpu.methods.measured import Measured, checked_range
 from lfgpu.methods.temporal_prior import TemporalPrior
@@ -90,7 +90,12 @@ class Matching(Method[MatchingConfig]):
         packed = (taken + copied) * (4 if channels == 3 else 2) * stored  # a pixel with whether it is valid
         few = sum(used[view] in in_first for view in chosen)
         copied_few = few * channels * compared if few < some else 0
-        compared *= some * (config.sweep.resweeps > 0) + few
+        between = 0
+        if config.sweep.resweeps > 1:
+            middle = len(middle_views(lf.offsets[used][chosen], config.sweep.views))
+            between = middle if middle < some else 0
+        copied_few += between * channels * compared
+        compared *= (some if config.sweep.resweeps else 0) + between + few
         swept = (channels if not on_gpu else 4 if channels == 3 else 2) * compared + smoothed + copied_few
         if config.sweep.reduced_weight:
             swept += -(-(2 * 2 * few * channels + masks) // REDUCTION**2)
@@ -101,10 +106,10 @@ class Matching(Method[MatchingConfig]):
         weights = 2 * 4 * ((config.prior.window**2 - 1) // 2) + 4 * 3 * channels
         if config.semi_global.window != config.prior.window:
             weights += 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels
-        hiding = 4 * (taken + copied)
+        hiding = 4 * (taken + copied + between)
         if on_gpu and config.sweep.resweeps:
-            hiding += 2 * some  # the first disparity past the surface
-        buffers = 1 + int(copied > 0) + min(config.sweep.resweeps, 2)
+            hiding += 2 * (some + between)  # the first disparity past the surface
+        buffers = 1 + int(copied > 0) + min(config.sweep.resweeps, 2 + int(between > 0))
         workspaces = _STEP_COSTS if on_gpu else buffers * 4 * _SLICES
         weighed = 1 + int(copied > 0)  # how much gradients count, in each alignment
         fields = 4 * (26 + weighed + 2 * channels)

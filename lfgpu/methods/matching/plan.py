@@ -11,13 +11,14 @@ by a pixel; gradients count for less in the last sweep, and for nothing in those
 the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side whose colour
 it has, and fills surfaces without texture from those around them.
 
-Of large grids every other view is enough until the last step of the alignment: `swept_views`.
+Of large grids every other view is enough until the last step of the alignment: `swept_views`. Between the first and the
+last sweep half of those are: `middle_views`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,10 +39,12 @@ from lfgpu.methods.matching.sweep import (
     first_views,
     further_sweeps,
     labels,
+    middle_views,
     planned_sweep,
     swept_views,
     used_views,
 )
+from lfgpu.methods.matching.visible_sweep import VisibleSweep
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.solvers.solution import Solution
@@ -83,7 +86,8 @@ class MatchingPlan:
         self._deviation = smoothing_deviation(measured.grain, config.sweep)
         self._noise = noise_of_views(measured.noise, measured.grain, config.sweep)
         config, bounds = in_units_of(measured.noise, config, grain=measured.grain), measured.disparity_range
-        self._kernels, self._bounds, self._config = kernels, bounds, config
+        self._kernels, self._device, self._size = kernels, device, lf.size
+        self._bounds, self._config = bounds, config
         self._used, self._chosen = used_views(lf, config.sweep.views), None
         if len(self._used) < len(lf.views):
             lf = lf.subset(self._used)
@@ -145,23 +149,14 @@ class MatchingPlan:
         self._reduced = None
         if config.sweep.reduced_weight > 0 and min(lf.size) >= _LEAST_REDUCED * REDUCTION:
             self._reduced = ReducedSweep(few, place, config.sweep, kernels, device, scale=self._unit)
-        self._resweep = None
+        self._middle = self._resweep = None
+        self._reach = _BESIDE if self._resweeps > 1 else 0  # the first surface is too large as it is
         if self._resweeps:
-            self._resweep = planned_sweep(
-                self._swept_shape,
-                some.offsets,
-                place,
-                config.sweep,
-                kernels,
-                device,
-                scale=self._unit,
-                gradient_weight=config.sweep.resweep_gradient_weight,
-            )
-        # The first surface is too large as it is.
-        self._hiding = [
-            kernels.z_buffer(self._swept_shape, self._swept_offsets, reach=_BESIDE if again else 0)
-            for again in range(min(self._resweeps, 2))
-        ]
+            middle = middle_views(some.offsets, config.sweep.views)
+            if self._resweeps > 1 and len(middle) < len(some.views):
+                self._middle = self._visible_sweep(some, place, range(min(self._resweeps - 1, 2)), middle)
+            reaches = (self._reach,) if self._middle is not None else range(min(self._resweeps, 2))
+            self._resweep = self._visible_sweep(some, place, reaches)
         self._last_step = self._planned_step(shape, self._offsets, nearest)
         self._first_steps = self._last_step
         if self._some is not None:
@@ -176,7 +171,7 @@ class MatchingPlan:
         free = self._curvature, self._certainty, self._slope, self._workspace, self._penalty_scale
         self._judged_by = *free, kernels.zeros(lf.size, device)
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
-        self._trust, self._size = kernels.scalar(0.0, device), lf.size
+        self._trust = kernels.scalar(0.0, device)
         self._steps = len(self._moves)
 
     def stages(self, views: Array) -> dict[str, Work]:
@@ -258,6 +253,8 @@ class MatchingPlan:
             self._resweep.load(self._compared, views, valid)
         if not first:
             return
+        if self._middle is not None:
+            self._middle.load(self._compared, views, valid)
         if self._few is not None:
             views, valid = self._few.of(views, valid)
         self._sweep.load(self._compared, views, valid)
@@ -266,11 +263,14 @@ class MatchingPlan:
 
     def _compare_visible(self, _: Callback | None) -> None:
         assert self._resweep is not None  # there is no such stage otherwise
-        for again in range(self._resweeps):
-            self._hiding[min(again, 1)](self._matched if again else self._swept, self._swept_nearest)
-            truncation = self._config.sweep.resweep_truncation if again < self._resweeps - 1 else None
-            self._resweep.by_visibility(self._swept_nearest, self._volume, truncation=truncation)
+        middle, truncation = self._middle or self._resweep, self._config.sweep.resweep_truncation
+        surface, reach = self._swept, 0
+        for _again in range(self._resweeps - 1):
+            middle(surface, self._volume, reach=reach, truncation=truncation)
             self._find_surface(self._matched, again=True)
+            surface, reach = self._matched, _BESIDE
+        self._resweep(surface, self._volume, reach=reach)
+        self._find_surface(self._matched, again=True)
 
     def _find_surface(self, disparity_out: Array, *, again: bool = False) -> None:
         """From costs to the map of the best surface through them, after further sweeps `again`; both volumes change.
@@ -429,6 +429,35 @@ class MatchingPlan:
         if self._known is not None:
             deviation[self._kernels.numpy(self._known) <= 0] = np.nan
         return deviation
+
+    def _visible_sweep(
+        self,
+        lf: LightField,
+        place: tuple[float, float, int],
+        reaches: Collection[int],
+        chosen: Sequence[int] | None = None,
+    ) -> VisibleSweep:
+        """A further sweep over the views of `lf`, or over those that are chosen."""
+        kernels, device, config = self._kernels, self._device, self._config.sweep
+        some, nearest = None, self._swept_nearest
+        if chosen is not None:
+            stored = None if self._deviation is None else np.uint16
+            some = SomeViews(lf, chosen, kernels, device, stored=stored, masked=self.may_be_masked)
+            lf, nearest = lf.subset(chosen), kernels.zeros((len(chosen), *self._size), device)
+        shape = (len(lf.views), *self._swept_shape[1:])
+        sweep = planned_sweep(
+            shape,
+            lf.offsets,
+            place,
+            config,
+            kernels,
+            device,
+            scale=self._unit,
+            gradient_weight=config.resweep_gradient_weight,
+        )
+        return VisibleSweep(
+            sweep, shape, kernels.field(lf.offsets, device), nearest, kernels, reaches=reaches, some=some
+        )
 
     def _planned_step(self, shape: Sequence[int], offsets: Array, nearest: Array) -> AlignmentStep:
         return AlignmentStep(

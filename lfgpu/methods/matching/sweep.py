@@ -14,7 +14,7 @@ from lfgpu.methods.matching.config import SweepConfig
 _DIRECTIONS = 8  # in which some of the views lie
 _FEWEST = 4  # views beside the reference that a pattern must have
 _ON_LINE = 1e-3  # view steps
-_MANY = 40  # views that must be left where every other one is left out
+_MANY, _ENOUGH = 40, 25  # views that must be left of a chessboard, and of every other row and column
 
 
 def planned_sweep(
@@ -57,14 +57,35 @@ def swept_views(offsets: Float64Array, pattern: str) -> list[int]:
     """Indices of those of the used views, `offsets` [n, 2] apart, which all steps before the alignment's last take.
 
     These are all of them but for "alternate": then those of one colour, where the places of a grid are coloured as the
-    squares of a chessboard, the reference among them. A grid with fewer than 40 such views keeps all.
+    squares of a chessboard, the reference among them; where fewer than 40 would be left, those that `middle_views`
+    finds among all.
     """
-    places = np.rint(offsets)
-    if pattern == "alternate" and np.abs(offsets - places).max() < _ON_LINE:
-        alternate = np.flatnonzero(places.sum(1) % 2 == 0)
-        if len(alternate) >= _MANY:
-            return [int(index) for index in alternate]
+    places = _places(offsets) if pattern == "alternate" else None
+    if places is None:
+        return list(range(len(offsets)))
+    alternate = np.flatnonzero(places.sum(1) % 2 == 0)
+    return [int(index) for index in alternate] if len(alternate) >= _MANY else middle_views(offsets, pattern)
+
+
+def middle_views(offsets: Float64Array, pattern: str) -> list[int]:
+    """Indices of those of the swept views, `offsets` [n, 2] apart, which the sweeps between first and last compare.
+
+    These are all of them but for "alternate": then those of every other row and column of a grid, from the outermost
+    ones to the reference's, if 25 or more are left.
+    """
+    places = _places(offsets) if pattern == "alternate" else None
+    if places is not None:
+        inwards = np.where(places > 0, places.max(0) - places, places - places.min(0))
+        chosen = np.flatnonzero(((inwards % 2 == 0) | (places == 0)).all(1))
+        if len(chosen) >= _ENOUGH:
+            return [int(index) for index in chosen]
     return list(range(len(offsets)))
+
+
+def _places(offsets: Float64Array) -> Float64Array | None:
+    """The places in a grid; None if views are beside these."""
+    places = np.rint(offsets)
+    return places if np.abs(offsets - places).max() < _ON_LINE else None
 
 
 def first_views(lf: LightField, pattern: str) -> list[int]:

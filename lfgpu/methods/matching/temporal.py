@@ -27,6 +27,7 @@ from lfgpu.contract import Array, KernelSet, Scalar, Streaming
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.plan import MatchingPlan
+from lfgpu.methods.matching.visible_sweep import VisibleSweep
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior
 
@@ -66,13 +67,11 @@ class TemporalMatching(MatchingPlan):
         prior: TemporalPrior,
     ) -> None:
         super().__init__(lf, measured, config, kernels, device)
-        if self._resweep is not None:
-            self._sweep_past, self._past_hiding = self._resweep, self._hiding[-1]
-            self._past_nearest = self._swept_nearest
-        else:
-            offsets = kernels.field(self._few_offsets, device)
-            self._sweep_past, self._past_hiding = self._sweep, kernels.z_buffer(self._few_shape, offsets, reach=0)
-            self._past_nearest = kernels.zeros(self._few_shape[:3], device)
+        past = self._resweep
+        if past is None:
+            offsets, nearest = kernels.field(self._few_offsets, device), kernels.zeros(self._few_shape[:3], device)
+            past = VisibleSweep(self._sweep, self._few_shape, offsets, nearest, kernels, reaches=(self._reach,))
+        self._sweep_past = past
         self._temporal, self._streaming, self._is_warm = prior, streaming, False
         self._past, self._frames, self._rate = (kernels.zeros(lf.size, device) for _ in range(3))
         self._expected, self._frames_before, self._rate_before = (kernels.zeros(lf.size, device) for _ in range(3))
@@ -155,8 +154,7 @@ class TemporalMatching(MatchingPlan):
         # A surface that is not there any more hides nothing.
         kernels.threshold(self._same, _SAME, self._workspace)
         kernels.select(self._workspace, self._expected, self._farthest_surface, self._workspace)
-        self._past_hiding(self._workspace, self._past_nearest)
-        self._sweep_past.by_visibility(self._past_nearest, self._volume)
+        self._sweep_past(self._workspace, self._volume, reach=self._reach)
         self._find_surface(self._swept, again=True)
         if self._resweep is not None:
             kernels.copy(self._swept, self._matched)

@@ -1,0 +1,94 @@
+"""What the arrays of a light field must be: numbers on a scale, and cameras at places of their own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.data import interop
+from lfgpu.data.mapping import each_view
+from lfgpu.errors import LightFieldError
+
+POSITION_TOLERANCE = 1e-6
+"""View steps: positions that differ by less are equal."""
+
+_NEAREST = 1e-3  # in view steps, to which views must stand apart
+_FLOAT_RANGE = -0.5, 1.5  # of values on [0, 1]: resampling may overshoot a little; other units differ by much more
+
+
+def array_of_numbers(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:
+    """An array of any library, on the host; LightFieldError, with its name, if it holds no numbers."""
+    if hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__"):
+        values = interop.on_host(name, values)
+    try:
+        return np.asarray(values, dtype)
+    except (TypeError, ValueError) as error:
+        raise LightFieldError(f"{name} must be an array of numbers: {error}.") from error
+
+
+def check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:
+    """LightFieldError that names the view if float views [n, y, x, c] are not finite and on [0, 1]."""
+    if views.dtype != np.float32:
+        return
+
+    def check(index: int, view: NDArray[Any]) -> None:
+        low, high = float(view.min()), float(view.max())
+        where = f"view {index} (row {positions[index, 1]:g}, column {positions[index, 0]:g})"
+        if not np.isfinite(low + high):
+            raise LightFieldError(f"{where} has NaN or infinite values; float views must be finite.")
+        check_scaled(where, low, high)
+
+    each_view(views, range(len(views)), check)
+
+
+def check_scaled(where: str, low: float, high: float) -> None:
+    """LightFieldError that names `where` if float values from `low` to `high` are not on [0, 1]."""
+    if low < _FLOAT_RANGE[0] or high > _FLOAT_RANGE[1]:
+        raise LightFieldError(f"{where} has values from {low:g} to {high:g}; scale float views to [0, 1].")
+
+
+def check_distinct(positions: NDArray[np.float64]) -> None:
+    """LightFieldError if two of the positions [n, 2] are the same, or nearly so."""
+    rounded = np.round(positions / POSITION_TOLERANCE).astype(np.int64)
+    unique, counts = np.unique(rounded, axis=0, return_counts=True)
+    if len(unique) < len(positions):
+        u, v = unique[counts > 1][0] * POSITION_TOLERANCE
+        raise LightFieldError(f"two views have the position row {v:g}, column {u:g}; all positions must differ.")
+    distance, at = _nearest(positions)
+    if distance <= _NEAREST:  # what is nearer than that to the reference tells nothing of depth
+        raise LightFieldError(
+            f"two views stand {distance:g} view steps apart, near row {positions[at, 1]:g}, column "
+            f"{positions[at, 0]:g}; positions are in units of the distance of neighbours."
+        )
+
+
+def _nearest(positions: NDArray[np.float64]) -> tuple[float, int]:
+    """The smallest distance of two positions, and the index of one of them; a larger one if it is not below
+    `_NEAREST`."""
+    order = np.lexsort(positions.T[::-1])
+    ordered, found = positions[order], (np.inf, 0)
+    for k in range(1, len(ordered)):  # each with the one k places on, until all of these are too far away in u alone
+        apart = ordered[k:] - ordered[:-k]
+        if apart[:, 0].min() > _NEAREST:
+            break
+        distance = np.hypot(*apart.T)
+        found = min(found, (float(distance.min()), int(order[distance.argmin()])))
+    return found
+
+
+def check_grid(positions: NDArray[np.float64], grid_shape: tuple[int, int]) -> None:
+    """LightFieldError if positions [n, 2] are not places of a grid of (rows, columns)."""
+    places = np.round(positions)
+    last = (grid_shape[1] - 1, grid_shape[0] - 1)
+    if np.abs(positions - places).max() > POSITION_TOLERANCE or (places < 0).any() or (places > last).any():
+        raise LightFieldError(
+            f"positions must be integers in the grid of {grid_shape[0]} x {grid_shape[1]} views, counted from 0; "
+            f"found rows {span(positions[:, 1])} and columns {span(positions[:, 0])}."
+        )
+
+
+def span(values: NDArray[np.float64]) -> str:
+    """The least and the largest value, as a sentence has them."""
+    return f"{values.min():g} to {values.max():g}"
