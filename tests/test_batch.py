@@ -253,25 +253,32 @@ def started(arguments: list[str]) -> Iterator[subprocess.Popen[str]]:
 
 
 def test_interruption_is_clean_and_the_next_run_goes_on(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
+    """The fourth item waits to be read, so that there is something to interrupt however late the interruption comes."""
+    folder, out_folder = tmp_path / "in", tmp_path / "out"
+    shutil.copytree(recorded, folder)
+    waits = folder / "scene_3" / "input_Cam004.png"
+    picture = waits.rename(tmp_path / "picture.png")
+    os.mkfifo(waits)
     settings = ["--set", "prior.window=3", "--set", "sweep.step=1", "--set", "alignment.iterations=100"]
-    command = ["batch", str(recorded), "-o", str(tmp_path), "--preset", "fast", "--disparity-range", "-1.2,1.2"]
+    command = ["batch", str(folder), "-o", str(out_folder), "--preset", "fast", "--disparity-range", "-1.2,1.2"]
     command += [*settings, "--device", "cpu", "--threads", "1"]
     with started(["lfgpu", *command]) as process:
-        wait_for(lambda: "scene_0" in read_manifest(tmp_path))
+        wait_for(lambda: "scene_0" in read_manifest(out_folder))
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does it: all processes get it
         out, err = process.communicate(timeout=600)
     assert process.returncode == 130, err
     assert re.fullmatch(r"lfgpu: interrupted after \d of 5 items; run the same command again to continue\.\n", err), err
     assert out == ""
-    before = sum(entry["status"] == DONE for entry in read_manifest(tmp_path).values())
+    before = sum(entry["status"] == DONE for entry in read_manifest(out_folder).values())
     assert 1 <= before < 4
+    picture.replace(waits)
     outcome = lfgpu(*command)
     assert outcome.exit_code == 1, outcome.output
     assert re.match(r"lfgpu: 1 of 5 items failed: scene_2: .*input_Cam004\.png", outcome.stderr)
     assert f"{4 - before} computed, {before} kept from before" in outcome.stdout
-    assert (tmp_path / REPORT_FILE).is_file()
-    assert_same_maps(tmp_path, undisturbed)
-    assert_nothing_left_over(tmp_path)
+    assert (out_folder / REPORT_FILE).is_file()
+    assert_same_maps(out_folder, undisturbed)
+    assert_nothing_left_over(out_folder)
 
 
 def test_a_full_disk_fails_items_and_room_brings_them_back(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
