@@ -20,6 +20,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import imageio.v3 as iio
 import numpy as np
 import pytest
 from batch_runs import (
@@ -253,12 +254,15 @@ def started(arguments: list[str]) -> Iterator[subprocess.Popen[str]]:
 
 
 def test_interruption_is_clean_and_the_next_run_goes_on(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
-    """The fourth item waits to be read, so that there is something to interrupt however late the interruption comes."""
+    """The fourth item takes very long at first, so that there is something to interrupt however late that comes."""
     folder, out_folder = tmp_path / "in", tmp_path / "out"
     shutil.copytree(recorded, folder)
-    waits = folder / "scene_3" / "input_Cam004.png"
-    picture = waits.rename(tmp_path / "picture.png")
-    os.mkfifo(waits)
+    long, short = folder / "scene_3", tmp_path / "short"
+    shutil.copytree(long, short)
+    for truth in long.glob("*.pfm"):
+        truth.unlink()
+    for picture in long.glob("*.png"):
+        iio.imwrite(picture, np.tile(iio.imread(picture), (40, 40, 1)))
     settings = ["--set", "prior.window=3", "--set", "sweep.step=1", "--set", "alignment.iterations=100"]
     command = ["batch", str(folder), "-o", str(out_folder), "--preset", "fast", "--disparity-range", "-1.2,1.2"]
     command += [*settings, "--device", "cpu", "--threads", "1"]
@@ -271,7 +275,8 @@ def test_interruption_is_clean_and_the_next_run_goes_on(recorded: Path, undistur
     assert out == ""
     before = sum(entry["status"] == DONE for entry in read_manifest(out_folder).values())
     assert 1 <= before < 4
-    picture.replace(waits)
+    shutil.rmtree(long)
+    short.rename(long)
     outcome = lfgpu(*command)
     assert outcome.exit_code == 1, outcome.output
     assert re.match(r"lfgpu: 1 of 5 items failed: scene_2: .*input_Cam004\.png", outcome.stderr)
