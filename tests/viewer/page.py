@@ -23,8 +23,12 @@ HOLE = (5, 8, 12, 20)  # top, bottom, left, right of the pixels that are unknown
 class Page:
     """One tab that shows the viewer."""
 
-    def __init__(self, browser: Any, viewer: Viewer, *, width: int = 1366, height: int = 650, **options: Any) -> None:
+    def __init__(
+        self, browser: Any, viewer: Viewer, *, width: int = 1366, height: int = 650, script: str = "", **options: Any
+    ) -> None:
+        """With `script`, JavaScript that runs before that of the page."""
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
+        context.add_init_script(script)
         self.tab = context.new_page()
         self.errors: list[str] = []
         self.asked: list[str] = []

@@ -456,21 +456,20 @@ function takeNow(next) {
   document.querySelector("main").classList.toggle("maps-only", !lf());
   document.querySelector("nav [data-value=view]").disabled = !lf();
   if (!lf() && document.body.dataset.show === "view") showPart("map");
+  showLoading(); // what takes room comes first: the pictures are as large as the rest leaves
+  showStream();
+  film.show();
   if (!before || other || state.revision !== before.revision) {
     document.title = [lf()?.name, "lfgpu"].filter(Boolean).join(" – ");
     $("name").textContent = lf()?.name ?? state.results[0]?.name ?? "";
     $("facts").textContent = facts();
     showChoices();
     showLeft();
-    layoutViews();
     showThumbnails();
     showEpis();
     showMaps();
     findPixel();
   }
-  showLoading();
-  showStream();
-  film.show();
   estimate.progress(state.progress, Boolean(lf()));
   space.refresh();
 }
