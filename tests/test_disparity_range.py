@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,6 +100,21 @@ def test_views_without_texture_have_none(noise: float) -> None:
     plain = 0.5 + np.random.default_rng(0).normal(0, noise, (3, 3, 64, 64, 3))
     with pytest.raises(LightFieldError, match=r"wall: the disparity range cannot be found.*give disparity_range"):
         find_disparity_range(LightField.from_grid(np.clip(plain, 0, 1).astype(np.float32), name="wall"))
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("bars", {"seed": 9098, "grid": (3, 7), "size": (200, 360), "disparity_range": (-3.5, 3.5), "noise": 0.01}),
+        ("bars", {"seed": 5002, "grid": (7, 7), "size": (160, 200), "noise": 0.043, "channels": 1}),
+        ("bars", {"seed": 440, "grid": (11, 11), "size": (320, 288), "noise": 0.02, "channels": 1}),
+    ],
+    ids=["few", "noisy", "many"],
+)
+def test_a_wall_behind_noise_is_in_it(name: str, options: dict[str, Any]) -> None:
+    """The whole background was lost: its texture is seen above the noise in views four times as small only."""
+    reference = (0, 0) if options["grid"] == (3, 7) else (8, 0) if options["grid"] == (11, 11) else None
+    spans(scenes.make(name, reference=reference, **options), missing=0.002)
 
 
 @pytest.mark.parametrize("backend", ["taichi", "reference"])

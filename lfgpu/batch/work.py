@@ -167,10 +167,12 @@ def _estimate(lf: LightField, job: Job, device: str) -> DepthResult:
     settings, start = job.settings, time.perf_counter()
     measured = _measured(job.first, settings, device) if job.first else None
     pipeline, is_new = _RESIDENT.pipeline(lf, measured, settings, device)
-    if not is_new:
+    if is_new:
+        result = pipeline.estimate()  # which confirms a range that was found
+    else:
         pipeline.upload(lf.views)
-    pipeline.run()
-    result = pipeline.result()
+        pipeline.run()
+        result = pipeline.result()
     timings = {"total": time.perf_counter() - start}
     return replace(result, name=lf.name, geometry=lf.geometry, timings=timings)
 
@@ -182,16 +184,31 @@ def _measured(first: tuple[str, ...], settings: Settings, device: str) -> Measur
         _MEASURED[key] = None
         for source in first:
             with suppress(LfgpuError):  # the frame reports its error when it is its turn
-                lf, kernels = _read(source, settings), load(settings.backend)
-                _MEASURED[key] = method_of(settings.config).measure(
-                    lf, kernels, device, disparity_range=settings.disparity_range
-                )
+                lf = _read(source, settings)
+                pipeline = _pipeline(lf, None, settings, device)
+                if settings.disparity_range is None:
+                    pipeline.estimate()  # which confirms the range
+                _MEASURED[key] = pipeline.measured
                 forget(lf.views)
                 break
     return _MEASURED[key]
 
 
 _MEASURED: dict[Any, Measured | None] = {}
+
+
+def _pipeline(lf: LightField, measured: Measured | None, settings: Settings, device: str) -> DepthPipeline:
+    from lfgpu.pipelines.pipeline import DepthPipeline
+
+    return DepthPipeline(
+        lf,
+        config=settings.config,
+        disparity_range=settings.disparity_range,
+        backend=settings.backend,
+        device=device,
+        deterministic=settings.deterministic,
+        measured=measured,
+    )
 
 
 class _Resident:
@@ -209,8 +226,6 @@ class _Resident:
         self, lf: LightField, measured: Measured | None, settings: Settings, device: str
     ) -> tuple[DepthPipeline, bool]:
         """A pipeline for a light field, and whether it is new, so that it already holds the views."""
-        from lfgpu.pipelines.pipeline import DepthPipeline
-
         measured = measured or method_of(settings.config).given(lf, settings.disparity_range)
         key = (
             *(lf.views.shape, lf.views.dtype.str, lf.scale, lf.positions.tobytes(), lf.reference_index),
@@ -219,15 +234,7 @@ class _Resident:
         if self._pipeline is not None and measured is not None and key == self._key:
             return self._pipeline, False
         self._pipeline = None  # frees its memory first
-        self._pipeline = DepthPipeline(
-            lf,
-            config=settings.config,
-            disparity_range=settings.disparity_range,
-            backend=settings.backend,
-            device=device,
-            deterministic=settings.deterministic,
-            measured=measured,
-        )
+        self._pipeline = _pipeline(lf, measured, settings, device)
         self._key = key
         return self._pipeline, True
 

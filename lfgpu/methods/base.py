@@ -135,6 +135,9 @@ class Method(ABC, Generic[C]):
     TRACED: ClassVar[str]
     """The name of the stage whose values become the `trace` of a result."""
 
+    MATCHED: ClassVar[str | None] = None
+    """The name of the first stage if its map shows where surfaces lie beyond the disparity range: at its ends."""
+
     def __init__(self, config: C) -> None:
         self.config = config
 

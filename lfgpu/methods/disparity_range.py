@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from lfgpu.errors import LightFieldError
 
 _SIDE = 170  # about as many pixels has the shorter side of the shrunk views
 _COARSEST = 24  # pixels, the least that it has
+_COARSER = 2  # times that they may be shrunk to half of that
 _FARTHEST = 64.0  # pixels between neighbouring views, what is searched,
 _SHIFT = 0.4  # but no more than this share of the shorter side
 _STEP = 0.5  # distance of the disparities that are compared, shrunk pixels in the farthest view
@@ -92,17 +94,17 @@ def find_disparity_range(
     shorter, farthest = min(lf.size), float(np.abs(lf.offsets).max())
     nearest = _nearest(lf)
     fine = max(1, round(shorter / _SIDE))
-    coarser = 2 if shorter // (2 * fine) >= _COARSEST else 1
-    most = min(_FARTHEST, _SHIFT * shorter) / nearest
+    sizes = [1, *(2**k for k in range(1, _COARSER + 1) if shorter // (2**k * fine) >= _COARSEST)]
+    most = largest_disparity(lf)
     search = _Search(lf, kernels, device, views, fine)
     with kernels.asking(device):
-        found = search.compare(_sides(lf, nearest), (-most, most), (coarser,))
+        found = search.compare(_sides(lf, nearest), (-most, most), sizes[:2][-1:])
         low, high = _ends(lf, found)
         low, high = low - 2 * found[0].step, high + 2 * found[0].step
         for _ in range(_TRIES):
             reach = max(nearest, min(farthest, _SHIFT * shorter / max(abs(low), abs(high))))
-            # The finer one sees thin things, the coarser one textures that are weaker than the noise.
-            found = search.compare(_sides(lf, reach), (low, high), tuple(dict.fromkeys((1, coarser))))
+            # The finest one sees thin things, coarser ones textures that are weaker than the noise.
+            found = search.compare(_sides(lf, reach), (low, high), sizes)
             first, last = _ends(lf, found)
             further, close = (high - low) / 2, 2.5 * max(evidence.step for evidence in found)
             if first >= low + close and last <= high - close:
@@ -113,26 +115,33 @@ def find_disparity_range(
     return first - margin, last + margin
 
 
+def largest_disparity(lf: LightField) -> float:
+    """The largest disparity that is searched, pixels per view step."""
+    return min(_FARTHEST, _SHIFT * min(lf.size)) / _nearest(lf)
+
+
 def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
     """The disparities of the outermost evidence, without a few pixels of each comparison at either end.
 
-    Each comparison but the first is half as fine as the one before; it counts where that one found nothing.
+    Each comparison but the first is half as fine as the one before; it counts where no finer one found anything.
     """
     kept: list[Float32Array] = []
-    finer: NDArray[np.bool_] | None = None
+    finer: Any = None  # bool [y, x], where a finer one found something
     for evidence in found:
         disparity = evidence.disparity
-        is_evidence = np.isfinite(disparity)
+        is_known = np.isfinite(disparity)
+        is_evidence = is_known
         if finer is not None:
             height, width = disparity.shape
-            is_evidence &= ~finer[: 2 * height, : 2 * width].reshape(height, 2, width, 2).any((1, 3))
-        finer = np.isfinite(disparity)
-        count = int(finer.sum())
+            finer = finer[: 2 * height, : 2 * width].reshape(height, 2, width, 2).any((1, 3))
+            is_evidence = is_known & ~finer
+        finer = is_known if finer is None else is_known | finer
+        count = int(is_known.sum())
         outer = max(min(count // 100, _OUTLIERS), count // _UNCHECKED if evidence.unchecked else 0)
         disparities = np.sort(disparity[is_evidence])
         kept.append(disparities[outer : max(outer, len(disparities) - outer)])
     together = np.concatenate(kept)
-    if not len(together):
+    if not any(len(one) for one in kept[:_COARSER]):  # the coarsest alone is not believed
         raise LightFieldError(
             f"{lf.name}: the disparity range cannot be found: nowhere do views look alike at one disparity only "
             "(no texture, all masked, or cameras too far apart); give disparity_range."

@@ -155,8 +155,8 @@ def _pipelines(
             deterministic=deterministic,
             measured=measured,
         )
-        measured = pipeline.measured
         yield pipeline
+        measured = pipeline.measured  # the first estimate may have widened the range
 
 
 class Join:

@@ -21,6 +21,7 @@ from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.range_check import notes_of
+from lfgpu.methods.range_confirmation import confirm
 from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.rehearsal import Rehearsal
 
@@ -44,7 +45,8 @@ class DepthPipeline:
     ----------
     lf
         Gives the cameras, size, stored type, masks and reference view. Its views are the first input. The noise, and
-        the disparity range if it is not given, are measured on them.
+        the disparity range if it is not given, are measured on them. The first `estimate` confirms that range, `run`
+        does not.
     config, disparity_range, backend, device, deterministic
         As for `estimate_depth`.
     measured
@@ -89,6 +91,7 @@ class DepthPipeline:
         self._timings: dict[str, float] = {}
         self._graph: Callable[[], None] | None = None
         self._runs = 0
+        self._is_found = measured is None and disparity_range is None  # and no map has confirmed that range
         self._unseen = False  # whether the views came from a GPU, where NaN is not looked for
         used = self.method.used_views(lf)
         self._used = used if len(used) < len(lf.views) else None
@@ -219,8 +222,10 @@ class DepthPipeline:
         return self._map(self._plan.disparity)
 
     def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
-        """Run all stages and return the result; waits for the device after each stage."""
-        stages = self.stages()
+        """Run all stages and return the result; waits for the device after each stage.
+
+        If the disparity range was found, the first call searches a wider one where surfaces lie at its ends after all.
+        """
         before = self._timings if self._runs == 0 else {}  # what came before the first run is a part of it
         self._timings = dict(before)
         with self._timed("total"):
@@ -229,13 +234,10 @@ class DepthPipeline:
                     with self.kernels.asking(self.device):
                         self._rectification.work()
                     self.kernels.number(self._waited_for)
-            for stage, work in stages.items():
-                with self._timed(stage):
-                    if on_progress is not None:
-                        on_progress(stage, 0, 0.0)
-                    with self.kernels.asking(self.device):
-                        work(None if on_progress is None else _of_stage(on_progress, stage))
-                    self.kernels.number(self._waited_for)
+            for stage in self.stages():
+                self._do(stage, on_progress)
+                if stage == self.method.MATCHED and self._is_found and self._runs == 0:
+                    self._confirm_range(stage, on_progress)
                 if stage == self._plan.decided:
                     self._runs += 1
                     self._plan.check(self._lf.name)
@@ -285,6 +287,30 @@ class DepthPipeline:
             self._rectification.work()
         for stage in self.stages().values():
             stage(None)
+
+    def _do(self, stage: str, on_progress: Progress | None) -> None:
+        """One stage; waits for the device."""
+        work = self.stages()[stage]
+        with self._timed(stage):
+            if on_progress is not None:
+                on_progress(stage, 0, 0.0)
+            with self.kernels.asking(self.device):
+                work(None if on_progress is None else _of_stage(on_progress, stage))
+            self.kernels.number(self._waited_for)
+
+    def _confirm_range(self, stage: str, on_progress: Progress | None) -> None:
+        """Do the first stage again, within a wider range, where surfaces lie at the ends of the found one."""
+
+        def match(bounds: tuple[float, float]) -> Float32Array:
+            with self._timed("measure"), self.kernels.asking(self.device):
+                some = self._lf if self._used is None else self._lf.subset(self._used)
+                self.measured = self.method.measured(self._lf, bounds, self.kernels, self.device)
+                del self._plan  # its memory first
+                self._plan = self.method.plan(some, self.measured, self.kernels, self.device)
+            self._do(stage, on_progress)
+            return self._plan.maps()[stage]
+
+        confirm(self._lf, self.bounds, self._plan.maps()[stage], match)
 
     def _map(self, field: Array) -> Float32Array:
         return self.kernels.numpy(field).astype(np.float32, copy=False)

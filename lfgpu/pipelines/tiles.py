@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from lfgpu._backends import load, pick_device
 from lfgpu.config import Config
-from lfgpu.contract import REDUCTION
+from lfgpu.contract import REDUCTION, Float32Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import each_view, forget, is_mapped
 from lfgpu.data.result import DepthResult
@@ -31,7 +31,9 @@ from lfgpu.errors import LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.methods.base import Method
 from lfgpu.methods.footprint import Footprint
+from lfgpu.methods.measured import Measured
 from lfgpu.methods.range_check import notes_of
+from lfgpu.methods.range_confirmation import confirm
 from lfgpu.pipelines.pipeline import DepthPipeline, Progress
 
 _RAMP = 16  # pixels: width of the blend between two tiles
@@ -118,25 +120,31 @@ def estimate_in_tiles(
     several = device is None and on_gpu and backend == "warp"
     devices = [name for name in kernels.devices() if name != "cpu"] if several else [first]
     method = method_of(config)
-    measured = method.measure(lf, kernels, first, disparity_range=disparity_range)
-    forget(lf.views)
+    done: list[DepthResult] = []
 
-    in_memory = 0 if on_gpu or is_mapped(lf.views) else lf.views.nbytes
-    kept = 4 * 8 * lf.size[0] * lf.size[1]  # maps of all tiles, and the joined maps
-    needed = method.footprint(lf, measured, on_gpu=on_gpu)
-    taken = 0 if on_gpu else in_memory + kept
-    plan = plan_tiles(lf.size, method.halo(lf, measured), needed, max_memory, taken=taken, devices=len(devices))
-    options = {
-        "config": config,
-        "measured": measured,
-        "backend": backend,
-        "deterministic": deterministic,
-    }
-    results = _estimate_all(lf, method, plan, devices, options, on_progress)
-    joined = _joined(lf, plan, results, method.same_surface(lf))
-    there = [result.timings for result in results if result is not None]
-    timings = {name: sum(timings.get(name, 0.0) for timings in there) for name in joined.timings}
-    return replace(joined, timings={**timings, "total": perf_counter() - start})
+    def estimate(measured: Measured) -> None:
+        done.clear()
+        forget(lf.views)
+        in_memory = 0 if on_gpu or is_mapped(lf.views) else lf.views.nbytes
+        kept = 4 * 8 * lf.size[0] * lf.size[1]  # maps of all tiles, and the joined maps
+        needed = method.footprint(lf, measured, on_gpu=on_gpu)
+        taken = 0 if on_gpu else in_memory + kept
+        plan = plan_tiles(lf.size, method.halo(lf, measured), needed, max_memory, taken=taken, devices=len(devices))
+        options = {"config": config, "measured": measured, "backend": backend, "deterministic": deterministic}
+        results = _estimate_all(lf, method, plan, devices, options, on_progress)
+        joined = _joined(lf, plan, results, method.same_surface(lf))
+        there = [result.timings for result in results if result is not None]
+        timings = {name: sum(timings.get(name, 0.0) for timings in there) for name in joined.timings}
+        done.append(replace(joined, timings=timings))
+
+    def match(bounds: tuple[float, float]) -> Float32Array:
+        estimate(method.measured(lf, bounds, kernels, first))
+        return done[0].stages[str(method.MATCHED)]
+
+    estimate(method.measure(lf, kernels, first, disparity_range=disparity_range))
+    if disparity_range is None and method.MATCHED is not None:
+        confirm(lf, done[0].disparity_range, done[0].stages[method.MATCHED], match)
+    return replace(done[0], timings={**done[0].timings, "total": perf_counter() - start})
 
 
 def _estimate_all(

@@ -35,6 +35,7 @@ class Matching(Method[MatchingConfig]):
         Stage("boundaries", "boundary refinement and hole filling"),
     )
     TRACED = "align"
+    MATCHED = "sweep"
 
     @property
     def stages(self) -> tuple[Stage, ...]:

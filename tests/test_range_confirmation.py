@@ -1,0 +1,104 @@
+"""A range of disparities that was found is widened where surfaces lie at its ends, and only there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from lfgpu import DepthPipeline, estimate_depth, scenes
+from lfgpu._backends import load
+from lfgpu.data.lightfield import LightField
+from lfgpu.methods.disparity_range import find_disparity_range
+from lfgpu.methods.range_confirmation import confirm
+
+KERNELS = load("warp")
+
+
+@pytest.fixture(scope="module")
+def beyond() -> LightField:
+    """What is near has no texture but its outlines, in noise: the range that is found leaves 18 % of the pixels out."""
+    options = {"size": (160, 200), "disparity_range": (-2.274, 0.726), "noise": 0.02, "reference": (5, 0)}
+    lf = scenes.make("textureless", seed=8982, grid=(9, 1), channels=1, **options)  # type: ignore[arg-type]
+    assert lf.truth is not None
+    assert (lf.truth.disparity > find_disparity_range(lf, KERNELS, "cpu")[1]).mean() > 0.1
+    return lf
+
+
+@pytest.mark.parametrize("max_memory", [None, "580MB"])
+@pytest.mark.parametrize("preset", ["fast", "accurate"])
+def test_it_is_widened_where_surfaces_lie_at_its_ends(beyond: LightField, preset: str, max_memory: str | None) -> None:
+    """Also of an estimate in tiles."""
+    seen: list[str] = []
+    result = estimate_depth(
+        beyond,
+        config=preset,  # type: ignore[arg-type]
+        device="cpu",
+        max_memory=max_memory,
+        check_cameras=False,
+        on_progress=lambda stage, iteration, value: seen.append(stage),
+    )
+    low, high = result.disparity_range
+    assert beyond.truth is not None
+    assert ((beyond.truth.disparity >= low) & (beyond.truth.disparity <= high)).all()
+    assert high - low < 1.5 * np.ptp(beyond.truth.disparity)
+    assert ("tiles" in seen) == (max_memory is not None)
+    assert result.notes == ()
+
+
+def test_a_given_range_is_kept(beyond: LightField) -> None:
+    given = find_disparity_range(beyond, KERNELS, "cpu")
+    assert estimate_depth(beyond, config="fast", device="cpu", disparity_range=given).disparity_range == given
+    pipeline = DepthPipeline(beyond, config="fast", device="cpu", disparity_range=given)
+    assert pipeline.estimate().disparity_range == given
+
+
+def test_a_pipeline_widens_it_once(beyond: LightField) -> None:
+    """At the first estimate; what comes later changes nothing that was allocated."""
+    pipeline = DepthPipeline(beyond, config="fast", device="cpu")
+    found = pipeline.bounds
+    first = pipeline.estimate()
+    assert pipeline.bounds == first.disparity_range != found
+    pipeline.upload(beyond.views)
+    pipeline.run()
+    assert np.array_equal(pipeline.disparity(), first.disparity)
+    pipeline.upload(np.roll(beyond.views, 1, axis=0))
+    assert pipeline.estimate().disparity_range == first.disparity_range
+
+
+def confirmed(lf: LightField, found: tuple[float, float], *disparities: float) -> list[tuple[float, float]]:
+    """The ranges in which is matched, of surfaces that are as large as each other; they are clamped to the range."""
+    tried = []
+
+    def match(bounds: tuple[float, float]) -> np.ndarray:
+        tried.append(bounds)
+        return np.clip(np.asarray([disparities], np.float32), *bounds)
+
+    confirm(lf, found, match(found), match)
+    return tried[1:]
+
+
+def test_what_is_confirmed_is_not_matched_again() -> None:
+    lf = scenes.make("relief", grid=(3, 3), size=(64, 64))
+    assert confirmed(lf, (-1.0, 1.0), -0.9, 0.0, 0.9) == []
+    assert confirmed(lf, (-1.0, 1.0), np.nan, 0.9) == []
+    assert confirmed(lf, (-1.0, 1.0), np.nan) == []
+
+
+def test_the_end_at_which_surfaces_lie_is_moved() -> None:
+    lf = scenes.make("relief", grid=(3, 3), size=(64, 64))
+    assert confirmed(lf, (-1.0, 1.0), 0.0, 1.5) == [(-1.0, 2.0)]
+    assert confirmed(lf, (-1.0, 1.0), -3.0, 0.5) == [(-2.0, 1.0), (-3.5, 1.0)]
+    assert confirmed(lf, (-1.0, 1.0), -1.5, 1.5) == [(-2.0, 2.0)]
+
+
+def test_the_found_range_is_the_last_one_if_none_is_wide_enough() -> None:
+    lf = scenes.make("relief", grid=(3, 3), size=(64, 64))
+    assert confirmed(lf, (-1.0, 1.0), 0.0, 99.0) == [(-1.0, 2.0), (-1.0, 3.5), (-1.0, 5.75), (-1.0, 1.0)]
+    assert confirmed(lf, (-9.0, 9.0), 0.0, 99.0) == [(-9.0, 18.0), (-9.0, 9.0)]  # beyond 25.6 nothing is searched
+    assert confirmed(lf, (-20.0, 20.0), 0.0, 99.0) == []
+
+
+def test_a_range_over_which_disparities_are_spread_is_kept() -> None:
+    """As those of noise are: a few per cent lie near the ends by chance."""
+    lf = scenes.make("relief", grid=(3, 3), size=(64, 64))
+    assert confirmed(lf, (-1.0, 1.0), *np.linspace(-1.0, 1.0, 1000)) == []
