@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache, partial
@@ -81,18 +81,19 @@ def run(
     ranges: Sequence[str],
     say: Say,
     draw: Callable[[Picture], None],
-    scene_names: Sequence[str] = (),
+    others: Mapping[str, Callable[[], LightField]] | None = None,
 ) -> Run:
     """Estimate each light field with each preset and range.
 
     `say` is told what is being estimated, `draw` is given what came out. What fails is a record that says why.
-    `scene_names` are scenes of the package besides, as `made` takes them.
+    `others` are light fields besides, by name.
     """
     load, date = machine.load_average(), datetime.now(UTC).isoformat(timespec="seconds")
     records: list[Record] = []
-    sources: dict[str, Callable[[], LightField]] = {name: made(name) for name in scene_names}
-    if folders:
-        sources = {**{name: partial(read, path) for name, path in light_fields(folders).items()}, **sources}
+    sources: dict[str, Callable[[], LightField]] = {
+        **{name: partial(read, path) for name, path in light_fields(folders).items()},
+        **(others or {}),
+    }
     for scene, source in sources.items():
         try:
             lf = source()

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from benchmarks import error_sheet, population, results, tables
+from benchmarks import drawn, error_sheet, population, results, tables
 from benchmarks.cli import app
 from benchmarks.clock import spread
 from benchmarks.errors import BenchmarkError
@@ -53,8 +53,31 @@ def told(*arguments: str | Path) -> Any:
     return CliRunner().invoke(app, ["accuracy", *map(str, arguments)])
 
 
+def test_light_fields_that_are_drawn_stand_beside_folders(tmp_path: Path) -> None:
+    """Each seed is a light field of its own, and always the same."""
+    several, again = drawn.drawn(3, 40), drawn.drawn(12, 1)
+    assert len(several) == 40
+    assert list(again) == [list(several)[9]]
+    (name,) = again
+    one, other = several[name](), again[name]()
+    assert np.array_equal(one.views, other.views)
+    assert one.truth is not None
+    assert name.startswith("12-")
+    assert f"{one.size[0]}x{one.size[1]}" in name
+    assert len({name.split("-")[1] for name in several}) == 5
+
+    small = tmp_path / "drawn.json"
+    done = told("--drawn", "1", "--first", "12", "--presets", "fast", "-o", small)
+    assert done.exit_code == 0, done.output
+    assert {(r.case, r.name) for r in results.load(small).records} == {
+        (name, "fast, range found"),
+        (name, "fast, range true"),
+    }
+
+
 def test_scenes_of_the_package_stand_beside_folders() -> None:
-    found = population.run([], ["fast"], ["true"], lambda _: None, lambda _: None, ["planes-5x5x64x72"])
+    name = "planes-5x5x64x72"
+    found = population.run([], ["fast"], ["true"], lambda _: None, lambda _: None, {name: population.made(name)})
     lf = scenes.make("planes", grid=(5, 5), size=(64, 72))
     assert lf.truth is not None
     (scored,) = found.records

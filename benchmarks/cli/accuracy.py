@@ -11,6 +11,7 @@ import typer
 from benchmarks import (
     ablation,
     confidence,
+    drawn,
     error_sheet,
     files,
     live,
@@ -68,25 +69,29 @@ def accuracy_(
     scene_names: Annotated[
         str, typer.Option("--scenes", metavar="NAME-CASE,...", help="Scenes of the package: boxes-7x7x375x375 ...")
     ] = "",
+    draws: Annotated[
+        int, typer.Option("--drawn", metavar="N", min=0, help="Light fields of the package, drawn at random.")
+    ] = 0,
+    seed: Annotated[int, typer.Option("--first", metavar="SEED", min=0, help="Seed of the first one.")] = 0,
     sheet: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Where the pictures of errors go.")] = None,
     out: Out = None,
 ) -> None:
     """Score presets on a population of light fields, with the range found and the true one, against a baseline."""
     where = [*(first or ()), *(folders or ())]
-    made = listed(scene_names)
-    if not where and not made:
-        raise BenchmarkError("no light fields to score: give folders with --population, or --scenes of the package.")
-    for name in made:
-        population.made(name)
+    others = {**{name: population.made(name) for name in listed(scene_names)}, **drawn.drawn(seed, draws)}
+    if not where and not others:
+        raise BenchmarkError(
+            "no light fields to score: give folders with --population, or --scenes of the package, or --drawn."
+        )
     check_known(listed(ranges), "range", population.RANGES)
     check_out(out, sheet)
     old = results.load(baseline) if baseline != population.BASELINE or baseline.exists() else None
     pictures: list[population.Picture] = []
-    run = population.run(where, listed(presets), listed(ranges), say, pictures.append, made)
+    run = population.run(where, listed(presets), listed(ranges), say, pictures.append, others)
     if sheet is not None and pictures:
         error_sheet.write(pictures, sheet)
     finish(run, out)
-    if old is not None:
+    if old is not None and {r.case for r in run.records} & {r.case for r in old.records}:
         show.table(tables.against(run, old))
 
 
