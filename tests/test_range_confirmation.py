@@ -65,7 +65,9 @@ def test_a_pipeline_widens_it_once(beyond: LightField) -> None:
     assert pipeline.estimate().disparity_range == first.disparity_range
 
 
-def confirmed(lf: LightField, found: tuple[float, float], *disparities: float) -> list[tuple[float, float]]:
+def confirmed(
+    lf: LightField, found: tuple[float, float], *disparities: float, sure: bool = True
+) -> list[tuple[float, float]]:
     """The ranges in which is matched, of surfaces that are as large as each other; they are clamped to the range."""
     tried = []
 
@@ -73,7 +75,10 @@ def confirmed(lf: LightField, found: tuple[float, float], *disparities: float) -
         tried.append(bounds)
         return np.clip(np.asarray([disparities], np.float32), *bounds)
 
-    confirm(lf, found, match(found), match)
+    doubt = confirm(lf, found, match(found), match)
+    assert (doubt is None) == sure
+    if doubt is not None:
+        assert f"from {found[0]:g} to {found[1]:g} px per view step" in doubt
     return tried[1:]
 
 
@@ -92,10 +97,23 @@ def test_the_end_at_which_surfaces_lie_is_moved() -> None:
 
 
 def test_the_found_range_is_the_last_one_if_none_is_wide_enough() -> None:
+    """A sentence says so; further out than 25.6 px nothing is searched."""
     lf = scenes.make("relief", grid=(3, 3), size=(64, 64))
-    assert confirmed(lf, (-1.0, 1.0), 0.0, 99.0) == [(-1.0, 2.0), (-1.0, 3.5), (-1.0, 5.75), (-1.0, 1.0)]
-    assert confirmed(lf, (-9.0, 9.0), 0.0, 99.0) == [(-9.0, 18.0), (-9.0, 9.0)]  # beyond 25.6 nothing is searched
-    assert confirmed(lf, (-20.0, 20.0), 0.0, 99.0) == []
+    ends = [(-1.0, 2.0), (-1.0, 3.5), (-1.0, 5.75), (-1.0, 1.0)]
+    assert confirmed(lf, (-1.0, 1.0), 0.0, 99.0, sure=False) == ends
+    assert confirmed(lf, (-9.0, 9.0), 0.0, 99.0, sure=False) == [(-9.0, 18.0), (-9.0, 9.0)]
+    assert confirmed(lf, (-20.0, 20.0), 0.0, 99.0, sure=False) == []
+
+
+def test_an_estimate_says_so() -> None:
+    """Noise spreads over any range, so wider ones are not believed."""
+    options = {"size": (200, 360), "disparity_range": (-2.787, 4.213), "noise": 0.02, "reference": (0, 5)}
+    lf = scenes.make("textureless", seed=1031, grid=(3, 7), channels=1, **options)  # type: ignore[arg-type]
+    found = find_disparity_range(lf, KERNELS, "cpu")
+    for max_memory in (None, "8GiB"):
+        result = estimate_depth(lf, config="fast", device="cpu", check_cameras=False, max_memory=max_memory)
+        assert result.disparity_range == found
+        assert any("Surfaces may lie beyond the disparity range that was found" in note for note in result.notes)
 
 
 def test_a_range_over_which_disparities_are_spread_is_kept() -> None:

@@ -28,7 +28,7 @@ def confirm(
     found: tuple[float, float],
     matched: Float32Array,
     match: Callable[[tuple[float, float]], Float32Array],
-) -> None:
+) -> str | None:
     """Match within a wider range than the found one while surfaces lie at its ends after all.
 
     A found range has margins in which no surface lies. What lies beyond it is matched to its ends, and a wider range
@@ -44,21 +44,31 @@ def confirm(
         The map [y, x] that was matched within it, pixels per view step, before anything else; NaN where it is unknown.
     match
         Called with each further range; returns the map that was matched within it.
+
+    Returns
+    -------
+    A sentence if surfaces may lie beyond the found range all the same; else None.
     """
     bounds, most = found, largest_disparity(lf)
-    for _ in range(_TRIES):
+    for tries in range(_TRIES + 1):
         piles = [share > _MANY and share > _MORE_THAN_BESIDE * beside for share, beside in _at_ends(bounds, matched)]
         if not any(piles):
             break
         further = _FURTHER * (bounds[1] - bounds[0])
         wider = bounds[0] - further * piles[0], bounds[1] + further * piles[1]
-        if max(-wider[0], wider[1]) > most:
+        if tries == _TRIES or max(-wider[0], wider[1]) > most:
             break
         bounds, matched = wider, match(wider)
-    shares = [share for share, _ in _at_ends(bounds, matched)]
     moved = [now != before for now, before in zip(bounds, found, strict=True)]
-    if any(share > _FEW for share, is_moved in zip(shares, moved, strict=True) if is_moved):
+    left = [share > _FEW for share, _ in _at_ends(bounds, matched)]
+    if not any(piles) and not any(is_left and is_moved for is_left, is_moved in zip(left, moved, strict=True)):
+        return None
+    if bounds != found:
         match(found)
+    return (
+        f"Surfaces may lie beyond the disparity range that was found, from {found[0]:.3g} to {found[1]:.3g} px per "
+        "view step: many pixels were matched to its ends, and wider ranges left it open; give disparity_range."
+    )
 
 
 def _at_ends(bounds: tuple[float, float], matched: Float32Array) -> list[tuple[float, float]]:

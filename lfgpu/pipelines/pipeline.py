@@ -92,6 +92,7 @@ class DepthPipeline:
         self._graph: Callable[[], None] | None = None
         self._runs = 0
         self._is_found = measured is None and disparity_range is None  # and no map has confirmed that range
+        self._notes: tuple[str, ...] = ()  # about that range
         self._unseen = False  # whether the views came from a GPU, where NaN is not looked for
         used = self.method.used_views(lf)
         self._used = used if len(used) < len(lf.views) else None
@@ -270,7 +271,7 @@ class DepthPipeline:
             },
             geometry=lf.geometry,
             name=lf.name,
-            notes=notes_of(disparity, confidence, self.bounds),
+            notes=(*self._notes, *notes_of(disparity, confidence, self.bounds)),
         )
 
     def stages(self) -> dict[str, Work]:
@@ -310,7 +311,8 @@ class DepthPipeline:
             self._do(stage, on_progress)
             return self._plan.maps()[stage]
 
-        confirm(self._lf, self.bounds, self._plan.maps()[stage], match)
+        doubt = confirm(self._lf, self.bounds, self._plan.maps()[stage], match)
+        self._notes = () if doubt is None else (doubt,)
 
     def _map(self, field: Array) -> Float32Array:
         return self.kernels.numpy(field).astype(np.float32, copy=False)

@@ -142,9 +142,11 @@ def estimate_in_tiles(
         return done[0].stages[str(method.MATCHED)]
 
     estimate(method.measure(lf, kernels, first, disparity_range=disparity_range))
+    doubt = None
     if disparity_range is None and method.MATCHED is not None:
-        confirm(lf, done[0].disparity_range, done[0].stages[method.MATCHED], match)
-    return replace(done[0], timings={**done[0].timings, "total": perf_counter() - start})
+        doubt = confirm(lf, done[0].disparity_range, done[0].stages[method.MATCHED], match)
+    notes = done[0].notes if doubt is None else (doubt, *done[0].notes)
+    return replace(done[0], notes=notes, timings={**done[0].timings, "total": perf_counter() - start})
 
 
 def _estimate_all(
