@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from lfgpu import DepthPipeline, estimate_depth, scenes
+from lfgpu import DepthPipeline, DepthStream, estimate_depth, export_pipeline, scenes
 from lfgpu._backends import load
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.disparity_range import find_disparity_range
@@ -63,6 +66,16 @@ def test_a_pipeline_widens_it_once(beyond: LightField) -> None:
     assert np.array_equal(pipeline.disparity(), first.disparity)
     pipeline.upload(np.roll(beyond.views, 1, axis=0))
     assert pipeline.estimate().disparity_range == first.disparity_range
+
+
+def test_what_lasts_for_many_frames_has_the_wider_range(beyond: LightField, tmp_path: Path) -> None:
+    """Streams and exported pipelines measure once, on the first frame."""
+    expected = estimate_depth(beyond, config="fast", device="cpu", check_cameras=False).disparity_range
+    with DepthStream(beyond, config="fast", device="cpu") as stream:
+        assert stream.bounds == expected
+    export_pipeline(beyond, tmp_path / "exported", config="fast", device="cpu")
+    described = json.loads((tmp_path / "exported" / "pipeline.json").read_text())
+    assert tuple(described["disparity_range"]) == expected
 
 
 def confirmed(

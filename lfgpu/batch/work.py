@@ -179,36 +179,27 @@ def _estimate(lf: LightField, job: Job, device: str) -> DepthResult:
 
 def _measured(first: tuple[str, ...], settings: Settings, device: str) -> Measured | None:
     """Range and noise of a sequence, measured on its first readable frame; None if no frame is readable."""
+    from lfgpu.pipelines.pipeline import measured_on
+
     key = (first, device, repr(settings))
     if key not in _MEASURED:
         _MEASURED[key] = None
         for source in first:
             with suppress(LfgpuError):  # the frame reports its error when it is its turn
                 lf = _read(source, settings)
-                pipeline = _pipeline(lf, None, settings, device)
-                if settings.disparity_range is None:
-                    pipeline.estimate()  # which confirms the range
-                _MEASURED[key] = pipeline.measured
+                _MEASURED[key] = measured_on(
+                    lf,
+                    config=settings.config,
+                    disparity_range=settings.disparity_range,
+                    backend=settings.backend,
+                    device=device,
+                )
                 forget(lf.views)
                 break
     return _MEASURED[key]
 
 
 _MEASURED: dict[Any, Measured | None] = {}
-
-
-def _pipeline(lf: LightField, measured: Measured | None, settings: Settings, device: str) -> DepthPipeline:
-    from lfgpu.pipelines.pipeline import DepthPipeline
-
-    return DepthPipeline(
-        lf,
-        config=settings.config,
-        disparity_range=settings.disparity_range,
-        backend=settings.backend,
-        device=device,
-        deterministic=settings.deterministic,
-        measured=measured,
-    )
 
 
 class _Resident:
@@ -226,6 +217,8 @@ class _Resident:
         self, lf: LightField, measured: Measured | None, settings: Settings, device: str
     ) -> tuple[DepthPipeline, bool]:
         """A pipeline for a light field, and whether it is new, so that it already holds the views."""
+        from lfgpu.pipelines.pipeline import DepthPipeline
+
         measured = measured or method_of(settings.config).given(lf, settings.disparity_range)
         key = (
             *(lf.views.shape, lf.views.dtype.str, lf.scale, lf.positions.tobytes(), lf.reference_index),
@@ -234,7 +227,15 @@ class _Resident:
         if self._pipeline is not None and measured is not None and key == self._key:
             return self._pipeline, False
         self._pipeline = None  # frees its memory first
-        self._pipeline = _pipeline(lf, measured, settings, device)
+        self._pipeline = DepthPipeline(
+            lf,
+            config=settings.config,
+            disparity_range=settings.disparity_range,
+            backend=settings.backend,
+            device=device,
+            deterministic=settings.deterministic,
+            measured=measured,
+        )
         self._key = key
         return self._pipeline, True
 

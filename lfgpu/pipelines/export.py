@@ -22,6 +22,7 @@ from lfgpu.io.atomic import atomic_folder, check_writable
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import LivePlan
 from lfgpu.methods.temporal_prior import TemporalPrior
+from lfgpu.pipelines.pipeline import measured_on
 from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.stream import CUT, SEEN_CHANGE
 from lfgpu.threads import limited_threads
@@ -116,7 +117,7 @@ def export_pipeline(
     used = method.used_views(lf)
     with limited_threads(1):  # the work of other threads would not be recorded
         with kernels.asking(device):
-            measured = method.measure(lf, kernels, device, disparity_range=disparity_range)
+            measured = measured_on(lf, config=config, disparity_range=disparity_range, backend=backend, device=device)
             some = lf if len(used) == len(lf.views) else lf.subset(used)
             rectification = None
             if rectifier is not None:

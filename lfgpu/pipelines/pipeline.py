@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from time import perf_counter
 from typing import Any
 
@@ -225,7 +225,7 @@ class DepthPipeline:
     def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
         """Run all stages and return the result; waits for the device after each stage.
 
-        If the disparity range was found, the first call searches a wider one where surfaces lie at its ends after all.
+        If the disparity range was found, the first run searches a wider one where surfaces lie at its ends after all.
         """
         before = self._timings if self._runs == 0 else {}  # what came before the first run is a part of it
         self._timings = dict(before)
@@ -333,3 +333,26 @@ class DepthPipeline:
 
 def _of_stage(on_progress: Progress, stage: str) -> Callback:
     return lambda iteration, value: on_progress(stage, iteration, value)
+
+
+def measured_on(
+    lf: LightField,
+    *,
+    config: Config | PresetName,
+    disparity_range: tuple[float, float] | None,
+    backend: str,
+    device: str,
+) -> Measured:
+    """What a method measures on a light field. A range that is found is confirmed by an estimate, as it may hold long.
+
+    Raises
+    ------
+    LightFieldError, BackendError
+        As `DepthPipeline`.
+    """
+    if disparity_range is not None:
+        return method_of(config).measure(lf, load(backend), device, disparity_range=disparity_range)
+    pipeline = DepthPipeline(lf, config=config, backend=backend, device=device)  # type: ignore[arg-type]
+    with suppress(LightFieldError):  # what these views do not show, others may
+        pipeline.estimate()
+    return pipeline.measured

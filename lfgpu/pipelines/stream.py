@@ -28,6 +28,7 @@ from lfgpu.pipelines.first_errors import FirstErrors
 from lfgpu.pipelines.inbox import Inbox
 from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.open_streams import OPEN
+from lfgpu.pipelines.pipeline import measured_on
 from lfgpu.pipelines.range_watch import RangeWatch
 from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.snapshots import Snapshots
@@ -153,7 +154,9 @@ class DepthStream:
         self._intake = Intake(lf, self._used, self.device)
 
         with kernels.asking(self.device):
-            self.measured = measured or method.measure(lf, kernels, self.device, disparity_range=disparity_range)
+            self.measured = measured or measured_on(
+                lf, config=self.config, disparity_range=disparity_range, backend=backend, device=self.device
+            )
             lf = lf if len(self._used) == len(lf.views) else lf.subset(self._used)
             self._rectification: Rectification | None = None
             if rectifier is not None:
