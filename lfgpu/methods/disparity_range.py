@@ -77,7 +77,7 @@ def find_disparity_range(
     lf
         The light field; masked pixels are left out.
     kernels, device
-        Where views are compared. The host waits for the device once for each of two to seven comparisons.
+        Where views are compared. The host waits for the device once for each of two to ten comparisons.
     views
         All views [n, y, x, c] of `lf` as stored, if they are on the device already. Default None: those that are
         compared are copied there.
