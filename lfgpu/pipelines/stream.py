@@ -72,7 +72,8 @@ class DepthStream:
     config
         All parameters, or the name of a preset: "accurate" (default) or "fast".
     disparity_range
-        (low, high) of the disparities in pixels per view step; larger is nearer. Default None: found from the views.
+        (low, high) of the disparities in pixels per view step; larger is nearer. Default None: found from the views,
+        and confirmed by an estimate of them.
     backend
         "warp" (default), the only backend with streams.
     device
