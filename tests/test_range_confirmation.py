@@ -56,10 +56,19 @@ def test_a_given_range_is_kept(beyond: LightField) -> None:
 
 
 def test_a_pipeline_widens_it_once(beyond: LightField) -> None:
-    """At the first estimate; what comes later changes nothing that was allocated."""
+    """At the first estimate, or before; what comes later changes nothing that was allocated."""
     pipeline = DepthPipeline(beyond, config="fast", device="cpu")
     found = pipeline.bounds
     first = pipeline.estimate()
+    before = DepthPipeline(beyond, config="fast", device="cpu")
+    assert before.confirm_range() == ()
+    assert before.bounds == first.disparity_range
+    before.run()
+    assert np.array_equal(before.disparity(), first.disparity)
+    late = DepthPipeline(beyond, config="fast", device="cpu")
+    late.run()
+    late.confirm_range()
+    assert late.bounds == found
     assert pipeline.bounds == first.disparity_range != found
     pipeline.upload(beyond.views)
     pipeline.run()
@@ -118,7 +127,7 @@ def test_the_found_range_is_the_last_one_if_none_is_wide_enough() -> None:
     assert confirmed(lf, (-20.0, 20.0), 0.0, 99.0, sure=False) == []
 
 
-def test_an_estimate_says_so() -> None:
+def test_estimates_and_streams_say_so(caplog: pytest.LogCaptureFixture) -> None:
     """Noise spreads over any range, so wider ones are not believed."""
     options = {"size": (200, 360), "disparity_range": (-2.787, 4.213), "noise": 0.02, "reference": (0, 5)}
     lf = scenes.make("textureless", seed=1031, grid=(3, 7), channels=1, **options)  # type: ignore[arg-type]
@@ -126,7 +135,11 @@ def test_an_estimate_says_so() -> None:
     for max_memory in (None, "8GiB"):
         result = estimate_depth(lf, config="fast", device="cpu", check_cameras=False, max_memory=max_memory)
         assert result.disparity_range == found
-        assert any("Surfaces may lie beyond the disparity range that was found" in note for note in result.notes)
+        (note,) = (note for note in result.notes if "Surfaces may lie beyond the disparity range" in note)
+    with DepthStream(lf, config="fast", device="cpu") as stream:
+        assert stream.bounds == found
+        assert note in stream.warnings
+    assert caplog.messages.count(note) == 1
 
 
 def test_a_range_over_which_disparities_are_spread_is_kept() -> None:

@@ -187,7 +187,7 @@ def _measured(first: tuple[str, ...], settings: Settings, device: str) -> Measur
         for source in first:
             with suppress(LfgpuError):  # the frame reports its error when it is its turn
                 lf = _read(source, settings)
-                _MEASURED[key] = measured_on(
+                _MEASURED[key], _ = measured_on(
                     lf,
                     config=settings.config,
                     disparity_range=settings.disparity_range,

@@ -136,7 +136,7 @@ class Method(ABC, Generic[C]):
     """The name of the stage whose values become the `trace` of a result."""
 
     MATCHED: ClassVar[str | None] = None
-    """The name of the first stage if its map shows where surfaces lie beyond the disparity range: at its ends."""
+    """The name of the first stage, if surfaces beyond the disparity range lie at its ends in the map of that stage."""
 
     def __init__(self, config: C) -> None:
         self.config = config

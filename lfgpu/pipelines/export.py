@@ -117,7 +117,9 @@ def export_pipeline(
     used = method.used_views(lf)
     with limited_threads(1):  # the work of other threads would not be recorded
         with kernels.asking(device):
-            measured = measured_on(lf, config=config, disparity_range=disparity_range, backend=backend, device=device)
+            measured, _ = measured_on(
+                lf, config=config, disparity_range=disparity_range, backend=backend, device=device
+            )
             some = lf if len(used) == len(lf.views) else lf.subset(used)
             rectification = None
             if rectifier is not None:

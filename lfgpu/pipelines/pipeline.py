@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from time import perf_counter
 from typing import Any
 
@@ -25,6 +26,7 @@ from lfgpu.methods.range_confirmation import confirm
 from lfgpu.pipelines.rectifier import Rectification, Rectifier
 from lfgpu.pipelines.rehearsal import Rehearsal
 
+_LOG = logging.getLogger(__name__)
 _NOT_FINITE = "views hold NaN or infinity; mask or replace these values."
 
 Progress = Callable[[str, int, float], None]
@@ -45,8 +47,8 @@ class DepthPipeline:
     ----------
     lf
         Gives the cameras, size, stored type, masks and reference view. Its views are the first input. The noise, and
-        the disparity range if it is not given, are measured on them. The first `estimate` confirms that range, `run`
-        does not.
+        the disparity range if it is not given, are measured on them. The first `estimate` confirms that range; before
+        `run`, `confirm_range` does.
     config, disparity_range, backend, device, deterministic
         As for `estimate_depth`.
     measured
@@ -225,25 +227,37 @@ class DepthPipeline:
     def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
         """Run all stages and return the result; waits for the device after each stage.
 
-        If the disparity range was found, the first run searches a wider one where surfaces lie at its ends after all.
+        The first run also does what `confirm_range` does.
         """
         before = self._timings if self._runs == 0 else {}  # what came before the first run is a part of it
         self._timings = dict(before)
         with self._timed("total"):
-            if self._rectification is not None:
-                with self._timed("rectify"):
-                    with self.kernels.asking(self.device):
-                        self._rectification.work()
-                    self.kernels.number(self._waited_for)
+            self._rectify()
             for stage in self.stages():
                 self._do(stage, on_progress)
-                if stage == self.method.MATCHED and self._is_found and self._runs == 0:
-                    self._confirm_range(stage, on_progress)
+                if stage == self.method.MATCHED and self._runs == 0:
+                    self._widen(stage, on_progress)
                 if stage == self._plan.decided:
                     self._runs += 1
                     self._plan.check(self._lf.name)
         self._timings["total"] += sum(before.values())
         return self.result()
+
+    def confirm_range(self) -> tuple[str, ...]:
+        """Take a wider disparity range where the first map shows surfaces at the ends of the one that was found.
+
+        Only the first stage runs; waits for the device. A range that was given stays, and so does any after a run.
+
+        Returns
+        -------
+        A sentence if surfaces may lie beyond the range all the same; else nothing.
+        """
+        stage = self.method.MATCHED
+        if stage is not None and self._is_found and self._runs == 0:
+            self._rectify()
+            self._do(stage, None)
+            self._widen(stage, None)
+        return self._notes
 
     def result(self) -> DepthResult:
         """The result of the last run; waits for the device. Raises as `disparity`."""
@@ -299,8 +313,18 @@ class DepthPipeline:
                 work(None if on_progress is None else _of_stage(on_progress, stage))
             self.kernels.number(self._waited_for)
 
-    def _confirm_range(self, stage: str, on_progress: Progress | None) -> None:
-        """Do the first stage again, within a wider range, where surfaces lie at the ends of the found one."""
+    def _rectify(self) -> None:
+        if self._rectification is not None:
+            with self._timed("rectify"):
+                with self.kernels.asking(self.device):
+                    self._rectification.work()
+                self.kernels.number(self._waited_for)
+
+    def _widen(self, stage: str, on_progress: Progress | None) -> None:
+        """Do the first stage again, within a wider range, where surfaces lie at the ends of the found one; once."""
+        if not self._is_found:
+            return
+        self._is_found = False
 
         def match(bounds: tuple[float, float]) -> Float32Array:
             with self._timed("measure"), self.kernels.asking(self.device):
@@ -342,8 +366,12 @@ def measured_on(
     disparity_range: tuple[float, float] | None,
     backend: str,
     device: str,
-) -> Measured:
-    """What a method measures on a light field. A range that is found is confirmed by an estimate, as it may hold long.
+) -> tuple[Measured, tuple[str, ...]]:
+    """What a method measures on the first of many light fields; a range that is found is confirmed (`confirm_range`).
+
+    Returns
+    -------
+    What is measured, and a sentence if surfaces may lie beyond the range that was found, which is also logged.
 
     Raises
     ------
@@ -351,8 +379,9 @@ def measured_on(
         As `DepthPipeline`.
     """
     if disparity_range is not None:
-        return method_of(config).measure(lf, load(backend), device, disparity_range=disparity_range)
+        return method_of(config).measure(lf, load(backend), device, disparity_range=disparity_range), ()
     pipeline = DepthPipeline(lf, config=config, backend=backend, device=device)  # type: ignore[arg-type]
-    with suppress(LightFieldError):  # what these views do not show, others may
-        pipeline.estimate()
-    return pipeline.measured
+    notes = pipeline.confirm_range()
+    for note in notes:
+        _LOG.warning(note)
+    return pipeline.measured, notes

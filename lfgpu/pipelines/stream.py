@@ -73,7 +73,7 @@ class DepthStream:
         All parameters, or the name of a preset: "accurate" (default) or "fast".
     disparity_range
         (low, high) of the disparities in pixels per view step; larger is nearer. Default None: found from the views,
-        and confirmed by an estimate of them.
+        and confirmed by the first map of them.
     backend
         "warp" (default), the only backend with streams.
     device
@@ -155,9 +155,12 @@ class DepthStream:
         self._intake = Intake(lf, self._used, self.device)
 
         with kernels.asking(self.device):
-            self.measured = measured or measured_on(
-                lf, config=self.config, disparity_range=disparity_range, backend=backend, device=self.device
-            )
+            self._notes: tuple[str, ...] = ()  # about the range that was found
+            if measured is None:
+                measured, self._notes = measured_on(
+                    lf, config=self.config, disparity_range=disparity_range, backend=backend, device=self.device
+                )
+            self.measured = measured
             lf = lf if len(self._used) == len(lf.views) else lf.subset(self._used)
             self._rectification: Rectification | None = None
             if rectifier is not None:
@@ -260,7 +263,7 @@ class DepthStream:
         of which at least 1 % lies at one end; at most every ten seconds, beside the work on frames. Each sentence is
         also logged once by `logging`.
         """
-        return (*self._watch.warnings, *self._stamps.warnings)
+        return (*self._notes, *self._watch.warnings, *self._stamps.warnings)
 
     # --- pushing frames ---
 

@@ -456,7 +456,7 @@ function takeNow(next) {
   document.querySelector("main").classList.toggle("maps-only", !lf());
   document.querySelector("nav [data-value=view]").disabled = !lf();
   if (!lf() && document.body.dataset.show === "view") showPart("map");
-  showLoading(); // what takes room comes first: the pictures are as large as the rest leaves
+  showLoading(); // these first: the pictures get the room that the rest leaves
   showStream();
   film.show();
   if (!before || other || state.revision !== before.revision) {
