@@ -210,6 +210,7 @@ def _planned_sweep(on: Desk) -> PlaneSweep:
         truncation=config.truncation,
         gradient_weight=config.gradient_weight,
         gradient_truncation=config.gradient_truncation,
+        softness=config.softness * _UNIT,
         preference=config.view_set_penalty,
         tolerance=config.tolerance / farthest(places),
         least=max(1, math.ceil(config.min_share * (len(places) - 1))),

@@ -357,7 +357,7 @@ def test_grain_is_that_of_the_smooth_part() -> None:
 def test_differences_of_intensity_go_with_the_noise() -> None:
     config = PRESETS["accurate"]
     twice, most = in_units_of(0.008, config), in_units_of(1.0, config)
-    assert twice.semi_global.large_penalty == pytest.approx(2 * config.semi_global.large_penalty)
+    assert twice.semi_global.large_penalty == pytest.approx(math.sqrt(2) * config.semi_global.large_penalty)
     assert twice.alignment.robust == pytest.approx(2 * config.alignment.robust)
     assert twice.prior.sigma_color == pytest.approx(math.sqrt(2) * config.prior.sigma_color)
     for name in ("view_set_penalty", "truncation", "gradient_truncation"):

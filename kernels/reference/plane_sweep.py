@@ -1,7 +1,8 @@
 """How well the views agree with the reference view at each of a row of disparities: NumPy, float64, view by view.
 
 `PlaneSweep` in `lfgpu/contract` says what is computed. Truncated absolute differences are robust against what is hidden
-or shines (Scharstein and Szeliski 2002); those of gradients bear differences in brightness.
+or shines (Scharstein and Szeliski 2002); those of gradients bear differences in brightness. Roots of differences make
+faint texture count beside strong edges.
 """
 
 from collections.abc import Iterator, Sequence
@@ -72,6 +73,7 @@ class PlaneSweep:
         truncation: float,
         gradient_weight: float,
         gradient_truncation: float,
+        softness: float,
         preference: float,
         tolerance: float,
         least: int,
@@ -82,7 +84,7 @@ class PlaneSweep:
         self._others = np.flatnonzero(np.hypot(*offsets.T) > LEAST_OFFSET)
         self._scale, self._truncation = scale, truncation
         self._weight, self._gradient_truncation = gradient_weight, gradient_truncation
-        self._preference, self._tolerance, self._least = preference, tolerance, least
+        self._softness, self._preference, self._tolerance, self._least = softness, preference, tolerance, least
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
         self._image, self._recorded, self._valid = image, recorded, valid
@@ -111,7 +113,12 @@ class PlaneSweep:
             slice_out[:] = np.where(count >= self._least, total / np.maximum(count, 1), self._most(weight, truncation))
 
     def _most(self, weight: float, truncation: float) -> float:
-        return (truncation + weight * self._gradient_truncation) / (1 + weight)
+        return float((self._rooted(truncation) + weight * self._gradient_truncation) / (1 + weight))
+
+    def _rooted(self, difference: Array | float) -> Array | float:
+        """As it is while it is small; beyond the softness it counts by its root."""
+        s = self._softness
+        return 2 * s * (np.sqrt(1 + difference / s) - 1) if s > 0 else difference
 
     def _compared(self, label: int, weight: float, truncation: float) -> Iterator[Compared]:
         """Each view but the reference; `weight` is that of gradients, `truncation` that of intensities."""
@@ -121,7 +128,7 @@ class PlaneSweep:
             difference = self._scale * bilinear(self._recorded[n], x, y) - self._image
             color = np.abs(difference).mean(2)
             gradient = np.abs(np.concatenate(central_differences(difference), axis=2)).mean(2)
-            robust = np.minimum(color, truncation)
+            robust = self._rooted(np.minimum(color, truncation))
             robust += weight * np.minimum(gradient, self._gradient_truncation)
             inside, nearest = np.outer(y.inside, x.inside), tuple(np.meshgrid(y.nearest, x.nearest, indexing="ij"))
             if self._valid is not None:
@@ -141,6 +148,7 @@ def plane_sweep(
     truncation: float,
     gradient_weight: float,
     gradient_truncation: float,
+    softness: float,
     preference: float,
     tolerance: float,
     least: int,
@@ -155,6 +163,7 @@ def plane_sweep(
         truncation,
         gradient_weight,
         gradient_truncation,
+        softness,
         preference,
         tolerance,
         least,

@@ -51,6 +51,16 @@ def within(i: int, size: int):
     return ti.min(ti.max(i, 0), size - 1)
 
 
+@ti.func
+def rooted(difference: float, softness: float):
+    """As it is while it is small; beyond the softness it counts by its root."""
+    result = difference
+    if softness > 0.0:
+        # 2 s (sqrt(1 + x / s) - 1), without the difference of two nearly equal numbers
+        result = 2.0 * difference / (ti.sqrt(1.0 + difference / softness) + 1.0)
+    return result
+
+
 @once
 def _planes_kernel(channels: int, stored: Any) -> Any:
     @ti.kernel
@@ -137,6 +147,7 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, sloped: bool, block: i
         truncation: float,
         gradient_weight: float,
         gradient_truncation: float,
+        softness: float,
         deepest: float,
         group_out: flat(),
         sums_out: flat(),
@@ -185,7 +196,7 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, sloped: bool, block: i
                         if ti.static(sloped):
                             slope += abs(differences[plane + p + after] - differences[plane + p + before])
                             slope += abs(differences[under + p] - differences[over + p])
-                    cost = ti.min(color / channels, truncation)
+                    cost = rooted(ti.min(color / channels, truncation), softness)
                     if ti.static(sloped):
                         cost += gradient_weight * ti.min(slope / (4 * channels), gradient_truncation)
                     part = part_of(valid, nearest, deepest, to + x)
@@ -216,6 +227,7 @@ def _least_kernel(
     truncation: float,
     gradient_weight: float,
     gradient_truncation: float,
+    softness: float,
     preference: float,
     least: float,
     first: int,
@@ -225,7 +237,7 @@ def _least_kernel(
     """The least mean of the view_sets, to the slice of the volume that begins at `first`; the first needs `least`."""
     fade = 1.0 / (1.0 + gradient_weight)
     for p in range(size):
-        lowest = fade * (truncation + gradient_weight * gradient_truncation)
+        lowest = fade * (rooted(truncation, softness) + gradient_weight * gradient_truncation)
         if sums[size + p] >= least:
             lowest = fade * sums[p] / sums[size + p]
         for m in range(1, view_sets):
@@ -253,7 +265,7 @@ class _PlaneSweep:
         step: float,
         count: int,
         scale: float,
-        limits: tuple[float, float, float],
+        limits: tuple[float, float, float, float],
         preference: float,
         tolerance: float,
         least: int,
@@ -303,7 +315,7 @@ class _PlaneSweep:
         volume_out: DeviceArray,
     ) -> None:
         gradients = truncation is None
-        limits = self._limits if truncation is None else (truncation, 0.0, 0.0)
+        limits = self._limits if truncation is None else (truncation, 0.0, 0.0, self._limits[3])
         _, height, width, channels = self._shape
         (mask, masked), (surface, seen) = optional(self._valid), optional(nearest)
         differ = _difference_kernel(self._recorded.scalar, self._block)
@@ -352,9 +364,10 @@ def plane_sweep(
     truncation: float,
     gradient_weight: float,
     gradient_truncation: float,
+    softness: float,
     preference: float,
     tolerance: float,
     least: int,
 ) -> PlaneSweep:
-    limits = truncation, gradient_weight, gradient_truncation
+    limits = truncation, gradient_weight, gradient_truncation, softness
     return _PlaneSweep(shape, offsets, view_sets, first, step, count, scale, limits, preference, tolerance, least)

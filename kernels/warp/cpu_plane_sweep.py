@@ -29,8 +29,16 @@ _SWEEP = """
     const bool seen = nearest.data, counted = seen || valid.data;
     // Of stored values, not intensities, and sums over channels instead of means.
     const float most_color = CHANNELS * truncation / scale, most_slope = 4 * CHANNELS * gradient_truncation / scale;
-    const float of_slope = 0.25f * gradient_weight, fade = 1.f / (1.f + gradient_weight);
-    const float unit = fade * scale / CHANNELS, most = fade * (truncation + gradient_weight * gradient_truncation);
+    const float fade = 1.f / (1.f + gradient_weight);
+    // Of rooted intensities 2 s (sqrt(1 + x / s) - 1) only the root is added up.
+    const float mean_color = scale / CHANNELS, inner = ROOTED ? mean_color / softness : 1.f;
+    const float outer = fade * (ROOTED ? 2.f * softness : mean_color);
+    const float of_slope = 0.25f * gradient_weight * (ROOTED ? 0.5f * inner : 1.f);
+    auto rooted = [&](auto x) {
+        if constexpr (ROOTED) return __builtin_sqrtf(1.f + inner * x);
+        return x;
+    };
+    const float most = outer * (rooted(most_color) + of_slope * most_slope - ROOTED);
 
     const size_t sum_size = (size_t)STRIP * LANES;
     float* const differences = room.data;                    // [3, CHANNELS, LANES + 2], row y in ring place y % 3
@@ -129,7 +137,7 @@ _SWEEP = """
                         const float* const lower = row_of(at + 1);
                         float* const cost = costs + group * sum_size + (at - top) * LANES;
                         auto robust = [&](int j) {
-                            if constexpr (!GRADIENTS) return least_of(sizes[j + 1], most_color);
+                            if constexpr (!GRADIENTS) return rooted(least_of(sizes[j + 1], most_color));
                             float color = 0.f, slope = 0.f;
                             #pragma unroll
                             for (int c = 0; c < CHANNELS; ++c) {
@@ -137,7 +145,7 @@ _SWEEP = """
                                 color += size_of(here[i + 1]);
                                 slope += size_of(here[i + 2] - here[i]) + size_of(lower[i + 1] - upper[i + 1]);
                             }
-                            return least_of(color, most_color) + of_slope * least_of(slope, most_slope);
+                            return rooted(least_of(color, most_color)) + of_slope * least_of(slope, most_slope);
                         };
                         if (!counted && from == 0 && to == LANES - 2) {
                             #pragma clang loop vectorize(assume_safety)
@@ -205,7 +213,7 @@ _SWEEP = """
                     const int dy = (int)shift.c[1];
                     is_cut |= top + dy < 0 || bottom + dy + (shift.c[3] > 0.f) > height;
                 });
-                const float factor = unit * (m == 0 ? 1.f : 1.f + preference);
+                const float factor = outer * (m == 0 ? 1.f : 1.f + preference);
                 const float extra = m == 0 ? 0.f : PENALTY, needed = m == 0 ? least : 1.f;
                 for (int y = top; y < bottom; ++y) {
                     if (!counted && (y == top || is_cut)) count_views(y);
@@ -219,7 +227,7 @@ _SWEEP = """
                     for_views([&](int, int group, bool leads) { if (leads) take(group); });
                     float* const out = best + (y - top) * LANES;
                     for (int j = 0; j < LANES; ++j) {
-                        const float mean = factor * total[j] / (count[j] > 1.f ? count[j] : 1.f);
+                        const float mean = factor * (total[j] / (count[j] > 1.f ? count[j] : 1.f) - ROOTED);
                         const float value = count[j] >= needed ? mean + extra : most;
                         out[j] = m == 0 || value < out[j] ? value : out[j];
                     }
@@ -281,14 +289,14 @@ def loading_kernels(channels: int, stored: Any) -> SimpleNamespace:
 
 
 @once
-def sweep_kernel(channels: int, stored: Any, gradients: bool, penalty: float) -> Any:
+def sweep_kernel(channels: int, stored: Any, gradients: bool, rooted: bool, penalty: float) -> Any:
     """`penalty` is that of all view sets but the first, besides their preference.
 
-    Without `gradients`, their weight must be 0.
+    Without `gradients`, their weight must be 0; `rooted` if there is a softness.
     """
     kept = kept_type(stored)
     numbers = {"CHANNELS": channels, "STRIP": _STRIP, "LANES": LANES, "PENALTY": f"{penalty}f"}
-    numbers["GRADIENTS"] = int(gradients)
+    numbers |= {"GRADIENTS": int(gradients), "ROOTED": int(rooted)}
 
     @wp.func_native(code(_SWEEP, **numbers))
     def sweep_rows(
@@ -307,6 +315,7 @@ def sweep_kernel(channels: int, stored: Any, gradients: bool, penalty: float) ->
         truncation: float,
         gradient_weight: float,
         gradient_truncation: float,
+        softness: float,
         preference: float,
         least: float,
         first: int,
@@ -315,7 +324,7 @@ def sweep_kernel(channels: int, stored: Any, gradients: bool, penalty: float) ->
         volume: wp.array3d(dtype=float),
     ): ...
 
-    @wp.kernel(module=f"lfgpu_plane_sweep_{channels}_{stored.__name__}_{gradients:d}", enable_backward=False)
+    @wp.kernel(module=f"lfgpu_plane_sweep_{channels}_{stored.__name__}_{gradients:d}{rooted:d}", enable_backward=False)
     def sweep(
         views: wp.array4d(dtype=kept),
         margin: int,
@@ -332,6 +341,7 @@ def sweep_kernel(channels: int, stored: Any, gradients: bool, penalty: float) ->
         truncation: float,
         gradient_weight: float,
         gradient_truncation: float,
+        softness: float,
         preference: float,
         least: float,
         first: int,
@@ -356,6 +366,7 @@ def sweep_kernel(channels: int, stored: Any, gradients: bool, penalty: float) ->
             truncation,
             gradient_weight,
             gradient_truncation,
+            softness,
             preference,
             least,
             first,

@@ -73,6 +73,16 @@ _SWEEP_STRIP = """
         return pixel;
     };
 
+    // Of rooted intensities 2 s (sqrt(1 + x / s) - 1) only the root is added up.
+    const float inner = ROOTED ? 1.f / softness : 1.f, fade = 1.f / (1.f + gradient_weight);
+    const float outer = fade * (ROOTED ? 2.f * softness : 1.f);
+    const float of_slope = gradient_weight * (ROOTED ? 0.5f * inner : 1.f);
+    auto rooted = [=](float x) {
+        if (!ROOTED) return x;
+        const float square = 1.f + inner * x;
+        return square * rsqrtf(square);  // in a third of the instructions of a root to the last bit
+    };
+
     float color[STRIP + 2 * RIM][CHANNELS];
     #pragma unroll
     for (int r = 0; r < STRIP + 2 * RIM; ++r)
@@ -126,7 +136,7 @@ _SWEEP_STRIP = """
                 const bool takes = inside && (unsigned)(row + dy) < rows_inside;
                 float size = 0.f;
                 for (int c = 0; c < CHANNELS; ++c) size += fabsf(RIM ? here[c] : after[c]);
-                float robust = fminf(size * (1.f / CHANNELS), truncation);
+                float robust = rooted(fminf(size * (1.f / CHANNELS), truncation));
                 if (RIM) {
                     const bool first = s == 0 && row == 0, last = row == height - 1;
                     float slope = 0.f, along = 0.f;
@@ -135,7 +145,7 @@ _SWEEP_STRIP = """
                         slope += fabsf((last ? here[c] : after[c]) - (first ? here[c] : before[c]));
                     }
                     slope += __shfl_up_sync(~0u, along, 1);
-                    robust += gradient_weight * fminf(slope * (0.25f / CHANNELS), gradient_truncation);
+                    robust += of_slope * fminf(slope * (0.25f / CHANNELS), gradient_truncation);
                 }
                 const unsigned now = RIM ? part : next_part;
                 if (SEEN) {
@@ -169,16 +179,16 @@ _SWEEP_STRIP = """
     }
 
     if (lane < RIM || lane >= 32 - RIM || x >= width || part_of * (BLOCK / 32) + thread % BLOCK / 32 > l) return;
-    const float fade = 1.f / (1.f + gradient_weight);
-    const float most = fade * (truncation + gradient_weight * gradient_truncation);
+    const float most = outer * (rooted(truncation) + of_slope * gradient_truncation - ROOTED);
+    auto mean = [=](float sum, float count) { return outer * (sum / count - ROOTED); };
     #pragma unroll
     for (int r = 0; r < STRIP; ++r) {
         if (y + r >= height) break;
-        float lowest = counts[0][r] >= least ? fade * sums[0][r] / counts[0][r] : most;
+        float lowest = counts[0][r] >= least ? mean(sums[0][r], counts[0][r]) : most;
         #pragma unroll
         for (int m = 1; m < SETS; ++m)
             if (counts[m][r] > 0.f)
-                lowest = fminf(lowest, (1.f + preference) * (fade * sums[m][r] / counts[m][r]) + PENALTY);
+                lowest = fminf(lowest, (1.f + preference) * mean(sums[m][r], counts[m][r]) + PENALTY);
         volume.data[l * plane + (size_t)(y + r) * width + x] = lowest;
     }
 """
@@ -263,10 +273,12 @@ def mark_kernel(channels: int, stored: Any) -> Any:
 
 
 @once
-def sweep_kernel(channels: int, stored: Any, sets: int, seen: bool, gradients: bool, set_penalty: float) -> Any:
+def sweep_kernel(
+    channels: int, stored: Any, sets: int, seen: bool, gradients: bool, rooted: bool, set_penalty: float
+) -> Any:
     """The kernel for so many view sets; if `seen`, the views that see a pixel past a surface are the only one.
 
-    Without `gradients`, their weight must be 0.
+    Without `gradients`, their weight must be 0; `rooted` if there is a softness.
     """
     pixel, kept_pixel = pixel_type(channels), kept_type(channels, stored)
     text = _SWEEP_STRIP
@@ -276,6 +288,7 @@ def sweep_kernel(channels: int, stored: Any, sets: int, seen: bool, gradients: b
         ("COLUMNS", _WARP - 2 * gradients),
         ("STRIP", _STRIPS[seen, gradients]),
         ("RIM", int(gradients)),
+        ("ROOTED", int(rooted)),
         ("PENALTY", f"{set_penalty}f"),
         ("SEEN", str(seen).lower()),
         ("BLOCK", BLOCK),
@@ -299,13 +312,14 @@ def sweep_kernel(channels: int, stored: Any, sets: int, seen: bool, gradients: b
         truncation: float,
         gradient_weight: float,
         gradient_truncation: float,
+        softness: float,
         preference: float,
         least: float,
         thread: int,
         volume: wp.array3d(dtype=float),
     ): ...
 
-    module = f"lfgpu_gpu_plane_sweep_{channels}_{stored.__name__}_{sets}_{seen:d}{gradients:d}"
+    module = f"lfgpu_gpu_plane_sweep_{channels}_{stored.__name__}_{sets}_{seen:d}{gradients:d}{rooted:d}"
 
     @wp.kernel(module=module, enable_backward=False)
     def sweep(
@@ -319,6 +333,7 @@ def sweep_kernel(channels: int, stored: Any, sets: int, seen: bool, gradients: b
         truncation: float,
         gradient_weight: float,
         gradient_truncation: float,
+        softness: float,
         preference: float,
         least: float,
         volume_out: wp.array3d(dtype=float),
@@ -334,6 +349,7 @@ def sweep_kernel(channels: int, stored: Any, sets: int, seen: bool, gradients: b
             truncation,
             gradient_weight,
             gradient_truncation,
+            softness,
             preference,
             least,
             wp.tid(),

@@ -22,6 +22,7 @@ from .threads import in_slices, launch, load, slices
 wp.set_module_options({"enable_backward": False})
 
 _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
+_SOFTNESS = 4  # its place in the kernels' numbers
 _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 
 
@@ -122,11 +123,12 @@ class _PlaneSweep:
         groups, sets = counts
         gradients = truncation is None
         numbers = self._numbers if gradients else [self._numbers[0], truncation, 0.0, *self._numbers[3:]]
+        rooted = self._numbers[_SOFTNESS] > 0
         if not self._device.is_cpu:
             seen = nearest is not None
             if seen:
                 self._mark_surface(nearest)
-            kernel = sweep_kernel(channels, self._stored, sets, seen, gradients, _PENALTY)
+            kernel = sweep_kernel(channels, self._stored, sets, seen, gradients, rooted, _PENALTY)
             dim = threads_of(self._count, height, width, seen=seen, gradients=gradients)
             marks = self._marks if seen else None
             inputs = [self._views, self._image, marks, self._order, members, self._shifts, *numbers, least]
@@ -134,7 +136,7 @@ class _PlaneSweep:
             return
         views = [self._views, self._margin, self._image, self._valid, nearest]
         planned = [self._order, members, groups, self._shifts, self._deepest, sets]
-        kernel = cpu_plane_sweep.sweep_kernel(channels, self._stored, gradients, _PENALTY)
+        kernel = cpu_plane_sweep.sweep_kernel(channels, self._stored, gradients, rooted, _PENALTY)
         load(self._device, kernel)
 
         def some_rows(k: int, first: int, last: int) -> None:
@@ -162,9 +164,11 @@ def plane_sweep(
     truncation: float,
     gradient_weight: float,
     gradient_truncation: float,
+    softness: float,
     preference: float,
     tolerance: float,
     least: int,
 ) -> PlaneSweep:
-    numbers = [scale, truncation, gradient_weight, gradient_truncation, preference]
+    # In the order of the kernels' parameters: _SOFTNESS says where that is.
+    numbers = [scale, truncation, gradient_weight, gradient_truncation, softness, preference]
     return _PlaneSweep(shape, offsets, view_sets, first, step, count, tolerance, least, numbers)

@@ -24,13 +24,15 @@ class PlaneSweep(Protocol):
     W_n(p) = scale * recorded_n at p - d_l o_n (bilinear, the position moved into the frame), D = W_n - I and G its
     central differences in x and y, (D(p + 1) - D(p - 1)) / 2 with the border pixels of D repeated,
 
-        c_n(p) = (min(mean_c |D|, truncation) + w min(mean_(c, x, y) |G|, gradient_truncation)) / (1 + w),
-        w = gradient_weight.
+        c_n(p) = (r(min(mean_c |D|, truncation)) + w min(mean_(c, x, y) |G|, gradient_truncation)) / (1 + w),
+        r(x) = 2 s (sqrt(1 + x / s) - 1), s = softness, w = gradient_weight.
+
+    r(x) is nearly x while x is small beside s, and grows like its root where it is large. With a softness of 0 it is x.
 
     View n takes part at p if it is not the reference (|o_n| > 1e-3), p - d_l o_n lies in the frame (0 to width - 1, 0
     to height - 1) and the recorded pixel nearest to it (x + 1/2 rounded down) is valid. What no view takes part in
-    costs the most there is, (truncation + w gradient_truncation) / (1 + w). The shifts -d_l o_n are `sweep_shifts`, so
-    that no rounding in float32 decides what lies in the frame and which pixel is nearest.
+    costs the most there is, (r(truncation) + w gradient_truncation) / (1 + w). The shifts -d_l o_n are `sweep_shifts`,
+    so that no rounding in float32 decides what lies in the frame and which pixel is nearest.
     """
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
@@ -109,14 +111,15 @@ class Matching(Protocol):
         truncation: float,
         gradient_weight: float,
         gradient_truncation: float,
+        softness: float,
         preference: float,
         tolerance: float,
         least: int,
     ) -> PlaneSweep:
         """Plan a sweep over views of `shape` [n, y, x, c]; `view_sets` [m, n] is a field of 1 and 0, row 0 all 1.
 
-        There are at most 32 view_sets; truncations, weight, preference and tolerance are >= 0, `count` and `least` > 0.
-        What `offsets` and `view_sets` hold is read once, when the sweep is planned.
+        There are at most 32 view_sets; truncations, weight, softness, preference and tolerance are >= 0, `count` and
+        `least` > 0. What `offsets` and `view_sets` hold is read once, when the sweep is planned.
         """
 
     def z_buffer(self, shape: Sequence[int], offsets: Array, *, reach: int) -> ZBuffer:

@@ -56,6 +56,7 @@ _PRELUDE = """
     static const auto __int_as_float = [](int value) { return __builtin_bit_cast(float, value); };
     static const auto __uint_as_float = [](unsigned value) { return __builtin_bit_cast(float, value); };
     static const auto __float2int_rn = [](float value) { return (int)__builtin_rintf(value); };
+    static const auto rsqrtf = [](float value) { return 1.f / __builtin_sqrtf(value); };
     static const auto __fdividef = [](float a, float b) { return a / b; };
     static const auto __ldcs = [](auto* place) { return *place; };
     static const auto __ldg = [](auto* place) { return *place; };

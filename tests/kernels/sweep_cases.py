@@ -25,6 +25,7 @@ class SweepCase:
     step: float = 0.71875
     count: int = 5
     gradient_weight: float = 2.0
+    softness: float = 0.05
     preference: float = 0.1
     least: int = 2
 
@@ -66,6 +67,9 @@ SWEEP_CASES = (
     SweepCase("more view_sets than views", directions=31, offsets=cases.IRREGULAR),
     SweepCase("colours alone", gradient_weight=0.0, masked=True),
     SweepCase("no preference", preference=0.0, masked=True),
+    SweepCase("differences as they are", softness=0.0, masked=True),
+    SweepCase("differences as they are, colours alone", softness=0.0, gradient_weight=0.0),
+    SweepCase("hardly more than roots", softness=1e-3, masked=True),
     SweepCase("wide", size=(5, 150)),
     SweepCase("high", size=(300, 3), channels=1, offsets=cases.IRREGULAR, masked=True, count=2),
     SweepCase("work for several threads", size=(53, 67), offsets=cases.grid(3, 4), masked=True, count=4),
@@ -95,6 +99,7 @@ def sweep_inputs(case: SweepCase, rng: np.random.Generator) -> SimpleNamespace:
             "truncation": 0.25,
             "gradient_weight": case.gradient_weight,
             "gradient_truncation": 0.2,
+            "softness": case.softness,
             "preference": case.preference,
             "tolerance": tolerance,
             "least": case.least,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
@@ -45,9 +46,15 @@ def changed(i: SimpleNamespace, **values: Any) -> SimpleNamespace:
 def most(i: SimpleNamespace, name: str) -> float:
     """What a pixel costs at most in that volume."""
     if name == "intensities":
-        return INTENSITY_TRUNCATION
-    weight = i.options["gradient_weight"]
-    return float((i.options["truncation"] + weight * i.options["gradient_truncation"]) / (1 + weight))
+        return rooted(INTENSITY_TRUNCATION, i)
+    weight, truncation = i.options["gradient_weight"], rooted(i.options["truncation"], i)
+    return float((truncation + weight * i.options["gradient_truncation"]) / (1 + weight))
+
+
+def rooted(difference: float, i: SimpleNamespace) -> float:
+    """What a difference in intensity costs."""
+    softness = float(i.options["softness"])
+    return 2 * softness * (math.sqrt(1 + difference / softness) - 1) if softness else difference
 
 
 # --- checks that know no truth ---
@@ -118,6 +125,7 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
         truncation=0.3,
         gradient_weight=2.0,
         gradient_truncation=0.2,
+        softness=0.02,
         preference=0.2,
         tolerance=0.1003,
         least=1,

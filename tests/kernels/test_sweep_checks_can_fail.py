@@ -149,6 +149,8 @@ FAULTS = (
     Fault("no truncation", NAME, option("truncation", lambda _: 1e9), VALUE),
     Fault("no truncation of gradients", NAME, option("gradient_truncation", lambda _: 1e9), VALUE),
     Fault("a little more of gradients", NAME, option("gradient_weight", lambda w: 1.01 * w), VALUE),
+    Fault("softness ignored", NAME, option("softness", lambda _: 0.0), VALUE),
+    Fault("a little softer", NAME, option("softness", lambda s: 0.99 * s), VALUE),
     Fault("preference ignored", NAME, option("preference", lambda _: 0.0), VALUE),
     Fault("tolerance ignored", NAME, option("tolerance", lambda _: 0.0), VALUE),
     Fault("one is enough", NAME, option("least", lambda _: 1), VALUE),

@@ -53,7 +53,7 @@ class Written:
             for dx, dy in ((1, 0), (0, 1))
         ]
         gradient = min(sum(slopes) / len(slopes), self.i.options["gradient_truncation"])
-        return float((min(color, truncation) + weight * gradient) / (1 + weight))
+        return float((sweep_checks.rooted(min(color, truncation), self.i) + weight * gradient) / (1 + weight))
 
     def takes_part(self, x: int, y: int) -> bool:
         place = x + self.shift[0], y + self.shift[1]

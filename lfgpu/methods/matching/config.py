@@ -48,14 +48,18 @@ class SweepConfig(Section):
         "gradient beside an outline is that of what is nearer"
     )  # fmt: skip
     gradient_weight: float = number(
-        1.5, 0.0, 100.0, "weight of image gradients against intensities in the first sweep"
+        0.5, 0.0, 100.0, "weight of image gradients against intensities in the first sweep"
     )  # fmt: skip
     resweep_gradient_weight: float = number(
-        0.5, 0.0, 100.0, "the same in the last sweep, if there are several"
+        0.15, 0.0, 100.0, "the same in the last sweep, if there are several"
     )  # fmt: skip
     gradient_truncation: float = number(
         0.05, 1e-4, 10.0, "larger differences in image gradients count as this one, intensity per pixel"
     )
+    softness: float = number(
+        0.2, 0.0, 1000.0, "larger differences in intensity count by their square root, so that faint texture counts "
+        "beside strong edges; in units of the noise; 0 counts all as they are"
+    )  # fmt: skip
     view_set_angle: float = number(
         180.0, 10.0, 180.0, "opening angle of the partial view sets around the reference, degrees"
     )  # fmt: skip
@@ -81,7 +85,7 @@ class SemiGlobalConfig(Section):
 
     window: int = number(3, 3, 31, "side of the window over which costs are averaged, pixels", odd=True)
     small_penalty: float = number(0.0005, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
-    large_penalty: float = number(0.0056, 0.0, 10.0, "cost of a larger change", symbol="P2")
+    large_penalty: float = number(0.0034, 0.0, 10.0, "cost of a larger change", symbol="P2")
     contrast: float = number(
         0.03, 1e-3, 10.0, "difference in intensity of adjacent pixels that lowers both penalties to 1/e after the "
         "first sweep: surfaces end where the image has edges"
@@ -177,8 +181,8 @@ class MatchingConfig(Config):
 PRESETS = {
     "accurate": MatchingConfig(),
     "fast": MatchingConfig(
-        sweep=SweepConfig(views="cross", resweeps=0, gradient_weight=2.0, reduced_weight=0.0),
-        semi_global=SemiGlobalConfig(large_penalty=0.0045, resweep_factor=0.54),
+        sweep=SweepConfig(views="cross", resweeps=0, reduced_weight=0.0),
+        semi_global=SemiGlobalConfig(large_penalty=0.003, resweep_factor=0.6),
         alignment=AlignmentConfig(iterations=1, support=0.4),
     ),
 }

@@ -121,10 +121,10 @@ def noise_of_views(noise: float, grain: float | None, config: SweepConfig) -> fl
 def in_units_of(noise: float, config: MatchingConfig, *, grain: float | None = None) -> MatchingConfig:
     """The parameters for views with that noise and grain; as they are at a noise of 0.004 without smoothing.
 
-    Penalties and the scales of what views differ by grow in proportion to the noise: those of the sweeps to that of
-    smoothed views, the others to that of views as they are. Truncations stay: what is hidden differs as much with noise
-    as without. Which pixels are alike is decided by means over patches, where noise averages out: that scale grows with
-    the square root.
+    The scales of what views differ by grow in proportion to the noise of views as they are. Penalties grow with the
+    square root of the noise of smoothed views: by so much a root of large differences changes less. Truncations stay:
+    what is hidden differs as much with noise as without. Which pixels are alike is decided by means over patches, where
+    noise averages out: that scale grows with the square root, too.
     """
     least = _LEAST_NOISE if smoothing_deviation(grain, config.sweep) is None else _LEAST_SMOOTHED
     swept = min(max(noise / _USUAL_NOISE, least), _MOST_NOISE)
@@ -132,7 +132,7 @@ def in_units_of(noise: float, config: MatchingConfig, *, grain: float | None = N
     return replace(
         config,
         sweep=replace(config.sweep, noise=min(swept * _USUAL_NOISE, 1.0)),
-        semi_global=_times(swept, config.semi_global, "small_penalty", "large_penalty"),
+        semi_global=_times(math.sqrt(swept), config.semi_global, "small_penalty", "large_penalty"),
         alignment=_times(times, config.alignment, "robust", "contrast"),
         boundaries=_times(times, config.boundaries, "contrast"),
         prior=_times(math.sqrt(times), config.prior, "sigma_color"),

@@ -40,6 +40,7 @@ from lfgpu.methods.matching.sweep import (
     further_sweeps,
     labels,
     middle_views,
+    noise_cost,
     planned_sweep,
     swept_views,
     used_views,
@@ -87,7 +88,7 @@ class MatchingPlan:
         self._noise = noise_of_views(measured.noise, measured.grain, config.sweep)
         config, bounds = in_units_of(measured.noise, config, grain=measured.grain), measured.disparity_range
         self._kernels, self._device, self._size = kernels, device, lf.size
-        self._bounds, self._config = bounds, config
+        self._bounds, self._config, self._noise_cost = bounds, config, noise_cost(config.sweep)
         self._used, self._chosen = used_views(lf, config.sweep.views), None
         if len(self._used) < len(lf.views):
             lf = lf.subset(self._used)
@@ -357,7 +358,7 @@ class MatchingPlan:
         differences of costs are larger by chance, and the penalties must be as well. The noise is the harmonic mean of
         the least costs in the window: a few pixels that no view shows well do not raise it.
         """
-        kernels, noise, scale, workspace = self._kernels, self._config.sweep.noise, self._penalty_scale, self._workspace
+        kernels, noise, scale, workspace = self._kernels, self._noise_cost, self._penalty_scale, self._workspace
         kernels.least_costs(self._smooth, least_out=scale)
         kernels.clamp(scale, noise / _MOST_NOISY, noise * _MOST_NOISY**2, scale)
         kernels.divide(self._prior.ones, scale, scale)
@@ -387,7 +388,7 @@ class MatchingPlan:
             self._smooth,
             self._volume,
             step=self._step,
-            unit=self._config.sweep.noise,
+            unit=self._noise_cost,
             conflict_out=evidence,
             evidence_out=bend,
             cost_out=wide,

@@ -41,10 +41,17 @@ def planned_sweep(
         truncation=config.truncation,
         gradient_weight=gradient_weight,
         gradient_truncation=config.gradient_truncation,
+        softness=config.softness * config.noise,
         preference=config.view_set_penalty,
         tolerance=config.tolerance / farthest(offsets),
         least=max(1, math.ceil(config.min_share * (len(offsets) - 1))),
     )
+
+
+def noise_cost(config: SweepConfig) -> float:
+    """What a difference in intensity as large as the noise costs, if gradients do not differ."""
+    softness = config.softness
+    return 2 * softness * config.noise * (math.sqrt(1 + 1 / softness) - 1) if softness else config.noise
 
 
 def used_views(lf: LightField, pattern: str) -> list[int]:

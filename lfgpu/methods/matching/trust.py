@@ -6,8 +6,8 @@ noise.
 `MatchingPlan._judge` says what the weights belong to: 1, conflict, evidence, bend, relief, bend times relief.
 """
 
-SHARE = {"once": (-4.484, -1.513, 0.889, -0.557, 0.662, 0.104), "again": (-3.786, -1.272, 0.993, -0.476, 0.779, 0.132)}
+SHARE = {"once": (-3.443, -1.011, 1.242, -0.639, 0.657, 0.106), "again": (-3.422, -1.067, 1.27, -0.543, 0.756, 0.134)}
 """Of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `SweepConfig.kind`."""
 
-SPREAD = {"once": (6.21, 2.459, -1.743, 0.883, -0.92, -0.169), "again": (5.249, 2.08, -1.68, 1.059, -0.95, -0.112)}
+SPREAD = {"once": (3.352, 1.122, -2.438, 0.9, -0.75, -0.183), "again": (3.324, 0.947, -2.656, 1.104, -0.892, -0.143)}
 """Of the logarithm of the variance of the disparity, (pixels per view step)², by `SweepConfig.kind`."""
