@@ -56,7 +56,6 @@ _PRELUDE = """
     static const auto __int_as_float = [](int value) { return __builtin_bit_cast(float, value); };
     static const auto __uint_as_float = [](unsigned value) { return __builtin_bit_cast(float, value); };
     static const auto __float2int_rn = [](float value) { return (int)__builtin_rintf(value); };
-    static const auto rsqrtf = [](float value) { return 1.f / __builtin_sqrtf(value); };
     static const auto __fdividef = [](float a, float b) { return a / b; };
     static const auto __ldcs = [](auto* place) { return *place; };
     static const auto __ldg = [](auto* place) { return *place; };
@@ -125,6 +124,8 @@ _POSTLUDE = """
     #undef alignas
 """
 
+_ROOT = re.compile(r'asm\("sqrt\.approx\.ftz\.f32 %0, %1;" : "=f"\((.*?)\) : "f"\((.*)\)\);')
+
 
 def _native(code: str) -> Callable[[Callable[..., Any]], Any]:
     return cast("Callable[[Callable[..., Any]], Any]", wp.func_native(_PRELUDE + code + _POSTLUDE))
@@ -139,6 +140,7 @@ class _Loader(SourceFileLoader):
             text = re.sub(r"\b[\w.]+\.is_cpu\b", "False", text)
             text = re.sub(r"\b[\w.]+\.is_cuda\b", "True", text)
             text = text.replace("@wp.func_native(", "@_native(")
+            text = _ROOT.sub(r"\1 = __builtin_sqrtf(\2);", text)
         text = re.sub(r"^(_?PARTS) = 128\b", rf"\1 = {PARTS}", text, flags=re.MULTILINE)
         text = re.sub(r'(\bmodule ?= ?f?")lfgpu_', rf"\1{NAME}_", text)
         return compile(text, self.path, "exec", dont_inherit=True)
