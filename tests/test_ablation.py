@@ -27,8 +27,7 @@ ROOT = Path(__file__).parents[1]
 SIZE = 48
 SCALED = {
     **dict.fromkeys(("alignment.robust", "alignment.contrast", "boundaries.contrast"), 1.0),
-    **dict.fromkeys(("semi_global.small_penalty", "semi_global.large_penalty"), 1.0),
-    "prior.sigma_color": 0.5,
+    **dict.fromkeys(("semi_global.small_penalty", "semi_global.large_penalty", "prior.sigma_color"), 0.5),
 }
 """The parameters that grow with the noise, and with which power of it."""
 FEW = (VARIANTS[0], next(v for v in VARIANTS if v.values.get("sweep.views") == "cross"))

@@ -267,7 +267,7 @@ def test_fast_has_no_second_look() -> None:
         ("accurate", "boxes", 0.1),
         ("fast", "boxes", 0.1),
         ("accurate", "textureless", 0.45),
-        pytest.param("fast", "textureless", 0.3, marks=pytest.mark.xfail(strict=True, reason="AUSE is 0.305")),
+        ("fast", "textureless", 0.3),
     ],
 )
 def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> None:
@@ -283,7 +283,7 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
 def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
-    """Over scenes with texture together, in bins of the confidence that hold enough pixels.
+    """Over scenes with texture and noise of 0 to 0.02 together, in bins of the confidence that hold enough pixels.
 
     Surfaces without texture are filled, and nothing in the views says whether that is right. There the confidence may
     be too low, but over all scenes it is not too high.
@@ -291,8 +291,8 @@ def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     right, expected = {}, {}
     for name in ("boxes", "planes", "bars", "textureless"):
         inner, found, said = np.s_[15:-15, 15:-15], [], []
-        for seed in (0, 1, 2):
-            lf = scenes.make(name, seed=seed, grid=(5, 5), size=(192, 192))
+        for seed, noise in itertools.product((0, 1, 2), (0.0, 0.01, 0.02)):
+            lf = scenes.make(name, seed=seed, grid=(5, 5), size=(192, 192), noise=noise)
             result = estimate_depth(lf, disparity_range=RANGE, config=preset, check_cameras=False)
             assert lf.truth is not None
             found.append((np.abs(result.disparity - lf.truth.disparity) <= 0.07)[inner].ravel())

@@ -40,15 +40,20 @@ def test_black_corners_are_left_out_and_said(scene: LightField) -> None:
     assert "corners are black" in found.notes[-1]
 
 
-def test_without_them_the_map_beside_them_is_right_and_they_are_not_trusted(scene: LightField) -> None:
-    lf = without_black_corners(round_views(scene)[0])
-    assert scene.truth is not None
-    assert lf.valid is not None
-    there = lf.valid[lf.reference_index]
-    whole, left = (lfgpu.estimate_depth(each, disparity_range=(-1.6, 1.7)) for each in (scene, lf))
-    errors = [np.abs(result.disparity - scene.truth.disparity)[there].mean() for result in (whole, left)]
-    assert errors[1] < 1.12 * errors[0]
-    assert (left.confidence[~there] == 0).all()
+def test_without_them_the_map_beside_them_is_right_and_they_are_not_trusted() -> None:
+    ratios = []
+    for seed in range(6):
+        scene = scenes.make("relief", grid=(5, 5), size=(SIZE, SIZE), seed=seed)
+        lf = without_black_corners(round_views(scene)[0])
+        assert scene.truth is not None
+        assert lf.valid is not None
+        there = lf.valid[lf.reference_index]
+        whole, left = (lfgpu.estimate_depth(each, disparity_range=(-1.6, 1.7)) for each in (scene, lf))
+        errors = [np.abs(result.disparity - scene.truth.disparity)[there].mean() for result in (whole, left)]
+        ratios.append(errors[1] / errors[0])
+        assert (left.confidence[~there] == 0).all()
+    assert max(ratios) < 1.2
+    assert np.mean(ratios) < 1.1
 
 
 @pytest.mark.parametrize("what", ["nothing black", "three corners", "mask given", "one view not", "all black", "few"])

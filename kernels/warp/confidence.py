@@ -15,8 +15,8 @@ from .threads import launch_rows
 wp.set_module_options({"enable_backward": False})
 
 _NO_RIVAL = wp.constant(17.0)  # its share is lost in the rounding of the best one's
-_MOST_COST = wp.constant(4.5)
-_UNLIKE = wp.constant(8.0)
+_MOST_COST = wp.constant(2.6)
+_UNLIKE = wp.constant(12.0)
 _BLIND = wp.constant(8.0)
 
 _Weights = wp.types.vector(length=6, dtype=float)

@@ -227,7 +227,7 @@ class Matching(Protocol):
         f = (1, conflict, evidence, bend, relief, bend relief). `wide` is the evidence farther around, and `span` > 0
         what was searched, pixels per view step: u = min(exp(-wide) / span, 1)^8 / 2 is a half where all disparities
         are as good as the best one, as the map is then a guess, and soon 0 where they are not. `cost` is that farther
-        around: a = 1 / (1 + (exp(cost) / 4.5)^8) is soon 0 where views that should agree show different things.
+        around: a = 1 / (1 + (exp(cost) / 2.6)^12) is soon 0 where views that should agree show different things.
         """
 
     def refine_boundaries(

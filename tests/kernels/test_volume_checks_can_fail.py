@@ -174,8 +174,8 @@ FAULTS = (
     ),
     Fault("span ignored", "judge", option("span", lambda _: 1.0), JUDGE),
     Fault("no least cost", "evidence", with_another(confidence, "LEAST_COST", lambda _: 1.5), EVIDENCE),
-    Fault("unlike later", "judge", with_another(confidence, "MOST_COST", lambda _: 5.0), JUDGE),
-    Fault("unlike sooner", "judge", with_another(confidence, "UNLIKE", lambda _: 7), JUDGE),
+    Fault("unlike later", "judge", with_another(confidence, "MOST_COST", lambda _: 2.8), JUDGE),
+    Fault("unlike sooner", "judge", with_another(confidence, "UNLIKE", lambda _: 11), JUDGE),
     Fault("blind sooner", "judge", with_another(confidence, "BLIND", lambda _: 7), JUDGE),
     Fault("doubt", "judge", after(scaled(-1.0), "confidence_out"), JUDGE),
 )

@@ -6,8 +6,8 @@ noise.
 `MatchingPlan._judge` says what the weights belong to: 1, conflict, evidence, bend, relief, bend times relief.
 """
 
-SHARE = {"once": (-3.443, -1.011, 1.242, -0.639, 0.657, 0.106), "again": (-3.422, -1.067, 1.27, -0.543, 0.756, 0.134)}
+SHARE = {"once": (-3.222, -0.971, 1.281, -0.611, 0.684, 0.113), "again": (-3.309, -1.031, 1.284, -0.526, 0.76, 0.137)}
 """Of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `SweepConfig.kind`."""
 
-SPREAD = {"once": (3.352, 1.122, -2.438, 0.9, -0.75, -0.183), "again": (3.324, 0.947, -2.656, 1.104, -0.892, -0.143)}
+SPREAD = {"once": (3.591, 1.3, -2.57, 0.917, -0.9, -0.18), "again": (3.453, 0.925, -2.894, 1.124, -1.003, -0.151)}
 """Of the logarithm of the variance of the disparity, (pixels per view step)², by `SweepConfig.kind`."""
