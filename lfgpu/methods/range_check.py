@@ -95,6 +95,12 @@ def notes_of(disparity: Float32Array, confidence: Float32Array, bounds: tuple[fl
     return tuple(found)
 
 
+def with_notes_anew(result: DepthResult) -> DepthResult:
+    """A result whose confidence has changed, with what its map says against itself now."""
+    found = notes_of(result.disparity, result.confidence, result.disparity_range)
+    return replace(result, notes=(*result.notes, *(note for note in found if note not in result.notes)))
+
+
 def _sampled(values: Float32Array) -> Float32Array:
     return values[:: max(1, values.shape[0] // _SAMPLES), :: max(1, values.shape[1] // _SAMPLES)]
 

@@ -10,7 +10,7 @@ from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import PresetName, configured
 from lfgpu.methods.footprint import parse_memory
-from lfgpu.methods.range_check import doubt_about, doubted
+from lfgpu.methods.range_check import doubt_about, doubted, with_notes_anew
 from lfgpu.pipelines.pipeline import DepthPipeline, Progress
 from lfgpu.pipelines.tiles import estimate_in_tiles
 
@@ -101,10 +101,12 @@ def estimate_depth(
         )
         result = pipeline.estimate(on_progress=on_progress)
         kernels, device = pipeline.kernels, pipeline.device
-    result = doubted(result, doubt_about(lf, disparity_range, kernels, device))
+    doubt = doubt_about(lf, disparity_range, kernels, device)
+    result = doubted(result, doubt)
     if not check_cameras:
         return result
     try:
-        return hooks.call("judged", lf, result, backend=backend, device=device, quickly=max_memory is not None)
+        result = hooks.call("judged", lf, result, backend=backend, device=device, quickly=max_memory is not None)
     except LightFieldError:  # the map says nothing of the cameras
         return result
+    return result if doubt is not None and doubt.is_of_nothing else with_notes_anew(result)
