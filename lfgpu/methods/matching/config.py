@@ -91,7 +91,7 @@ class SemiGlobalConfig(Section):
         "first sweep: surfaces end where the image has edges"
     )  # fmt: skip
     resweep_factor: float = number(
-        0.56, 0.1, 100.0, "factor on large_penalty after further sweeps, and in frames that start from the last map"
+        0.7, 0.1, 100.0, "factor on large_penalty after further sweeps, and in frames that start from the last map"
     )  # fmt: skip
     resweep_contrast: float = number(
         2.0, 1e-3, 10.0, "contrast after further sweeps, and in frames that start from the last map"
