@@ -281,9 +281,17 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> 
     assert np.diff(curve.bad).max() < 0.6  # per cent: a handful of pixels among the few that are left last
 
 
-@pytest.mark.parametrize("preset", ["accurate", "fast"])
-def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
-    """Over scenes with texture and noise of 0 to 0.02 together, in bins of the confidence that hold enough pixels.
+@pytest.mark.parametrize(
+    ("preset", "noises"),
+    [
+        ("accurate", (0.0,)),
+        pytest.param("fast", (0.0,), marks=pytest.mark.xfail(strict=True, reason="71 pixels are below 0.5")),
+        ("accurate", (0.0, 0.01, 0.02)),
+        ("fast", (0.0, 0.01, 0.02)),
+    ],
+)
+def test_confidence_is_about_the_share_that_is_right(preset: str, noises: tuple[float, ...]) -> None:
+    """Over scenes with texture together, in bins of the confidence that hold enough pixels.
 
     Surfaces without texture are filled, and nothing in the views says whether that is right. There the confidence may
     be too low, but over all scenes it is not too high.
@@ -291,7 +299,7 @@ def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     right, expected = {}, {}
     for name in ("boxes", "planes", "bars", "textureless"):
         inner, found, said = np.s_[15:-15, 15:-15], [], []
-        for seed, noise in itertools.product((0, 1, 2), (0.0, 0.01, 0.02)):
+        for seed, noise in itertools.product((0, 1, 2), noises):
             lf = scenes.make(name, seed=seed, grid=(5, 5), size=(192, 192), noise=noise)
             result = estimate_depth(lf, disparity_range=RANGE, config=preset, check_cameras=False)
             assert lf.truth is not None

@@ -122,7 +122,7 @@ def in_units_of(noise: float, config: MatchingConfig, *, grain: float | None = N
     """The parameters for views with that noise and grain; as they are at a noise of 0.004 without smoothing.
 
     The scales of what views differ by grow in proportion to the noise of views as they are. Penalties grow with the
-    square root of the noise of smoothed views: by so much a root of large differences changes less. Truncations stay:
+    square root of the noise of smoothed views: in proportion to it they are too high in noisy scenes. Truncations stay:
     what is hidden differs as much with noise as without. Which pixels are alike is decided by means over patches, where
     noise averages out: that scale grows with the square root, too.
     """
