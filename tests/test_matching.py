@@ -48,17 +48,44 @@ def scores(lf: LightField, result: DepthResult) -> dict[str, Metrics]:
     return {stage: evaluate(values, lf.truth.disparity) for stage, values in result.stages.items()}
 
 
-def test_disparities_go_from_bound_to_bound_and_are_as_near_as_asked_in_the_farthest_view() -> None:
-    first, step, count = labels((-1.5, 1.0), grid(9, 9), SweepConfig(step=0.4))
-    assert first == -1.5
-    assert first + step * (count - 1) == pytest.approx(1.0)
-    assert step * 4 <= 0.4 < step * 4 * (count - 1) / (count - 2)
+@pytest.mark.parametrize("bounds", [(-1.5, 1.0), (-1.53, 1.08), (0.25, 0.99), (-3.1, -2.2)])
+def test_disparities_are_multiples_of_a_step_and_cover_the_range(bounds: tuple[float, float]) -> None:
+    first, step, count = labels(bounds, grid(9, 9), SweepConfig(step=0.4))
+    last = first + step * (count - 1)
+    assert step == pytest.approx(0.1)
+    assert first / step == pytest.approx(round(first / step))
+    assert bounds[0] - step < first <= bounds[0] + 1e-6
+    assert bounds[1] - 1e-6 <= last < bounds[1] + step
+
+
+def test_bounds_that_are_multiples_are_the_outermost_disparities() -> None:
+    for low, high in ((-1.5, 1.5), (-0.3, 0.7), (1.1, 2.9)):
+        first, step, count = labels((low, high), grid(9, 9), SweepConfig(step=0.4))
+        assert (first, first + step * (count - 1)) == (pytest.approx(low), pytest.approx(high))
 
 
 def test_a_wide_range_makes_the_steps_longer_and_a_narrow_one_still_has_three() -> None:
-    _, step, count = labels((-50.0, 50.0), grid(9, 9), SweepConfig(max_labels=101))
-    assert (step, count) == (1.0, 101)
+    for shift in np.linspace(0, 1, 7):
+        _, step, count = labels((-50.0 + shift, 50.0 + shift), grid(9, 9), SweepConfig(max_labels=102))
+        assert step == 1.0
+        assert count in (101, 102)
     assert labels((0.0, 1e-3), grid(3, 3), SweepConfig())[2] == 3
+
+
+@pytest.mark.parametrize("name", ["boxes", "planes", "textureless"])
+@pytest.mark.parametrize("config", ["fast", "accurate"])
+def test_a_range_that_is_wider_than_the_scene_changes_next_to_nothing(name: str, config: str) -> None:
+    """It adds disparities, and moves none."""
+    lf = scene(name)
+    assert lf.truth is not None
+    low, high = lf.truth.disparity.min() - 0.1, lf.truth.disparity.max() + 0.1
+    narrow, wide = (
+        estimate_depth(
+            lf, disparity_range=(low - more, high + more), config=config, device="cpu", check_cameras=False
+        ).disparity
+        for more in (0.0, 0.07)
+    )
+    assert (np.abs(wide - narrow) > 0.02).mean() < 0.002
 
 
 def test_every_other_view_of_a_large_grid_is_swept_at_first() -> None:

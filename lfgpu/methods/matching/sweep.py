@@ -14,6 +14,7 @@ from lfgpu.methods.matching.config import SweepConfig
 _DIRECTIONS = 8  # in which some of the views lie
 _FEWEST = 4  # views beside the reference that a pattern must have
 _ON_LINE = 1e-3  # view steps
+_ON_BOUND = 1e-6  # steps between disparities: what is so near to a bound lies on it
 _MANY, _ENOUGH = 40, 25  # views that must be left of a chessboard, and of every other row and column
 
 
@@ -114,14 +115,16 @@ def further_sweeps(offsets: Float64Array, config: SweepConfig) -> int:
 
 
 def labels(bounds: tuple[float, float], offsets: Float64Array, config: SweepConfig) -> tuple[float, float, int]:
-    """First, distance and number of the disparities that are compared: even, from bound to bound.
+    """First, distance and number of the disparities that are compared: multiples of a step, from bound to bound.
 
-    They are `config.step` pixels apart in the farthest view, or as far as it takes for `config.max_labels` of them.
+    The step is `config.step` pixels in the farthest view, or as long as it takes for `config.max_labels` of them. The
+    outermost ones lie on the bounds or up to a step beyond. Were they laid from bound to bound instead, a slightly
+    wider range would move them all, and with them each pixel that is almost as well matched elsewhere.
     """
     low, high = bounds
-    steps = math.ceil((high - low) * farthest(offsets) / config.step)
-    count = min(max(steps + 1, 3), config.max_labels)
-    return low, (high - low) / (count - 1), count
+    step = max(config.step / farthest(offsets), (high - low) / (config.max_labels - 2))
+    first, last = math.floor(low / step + _ON_BOUND), math.ceil(high / step - _ON_BOUND)
+    return first * step, step, max(last - first + 1, 3)
 
 
 def view_sets(offsets: Float64Array, angle: float) -> Float64Array:
