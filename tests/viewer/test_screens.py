@@ -130,7 +130,7 @@ def test_a_canvas_is_never_seen_empty_while_the_window_changes(browser: Any, vie
         }
     }"""
     page.tab.evaluate(code)
-    page.still()  # the first call, which all observers get, is over; in one frame with the change it may be its only one
+    page.still()  # so that the first call, which all observers get, is over
     page.tab.set_viewport_size({"width": 1100, "height": 800})
     empty = until(lambda: len(found := page.tab.evaluate("window.empty")) == 2 and found, "both change", page.tab)
     assert empty == {"view": False, "map": False}

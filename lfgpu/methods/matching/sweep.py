@@ -15,6 +15,7 @@ _DIRECTIONS = 8  # in which some of the views lie
 _FEWEST = 4  # views beside the reference that a pattern must have
 _ON_LINE = 1e-3  # view steps
 _ON_BOUND = 1e-6  # steps between disparities: what is so near to a bound lies on it
+_FEWEST_LABELS = 3  # a minimum between two disparities is found from three
 _MANY, _ENOUGH = 40, 25  # views that must be left of a chessboard, and of every other row and column
 
 
@@ -115,16 +116,17 @@ def further_sweeps(offsets: Float64Array, config: SweepConfig) -> int:
 
 
 def labels(bounds: tuple[float, float], offsets: Float64Array, config: SweepConfig) -> tuple[float, float, int]:
-    """First, distance and number of the disparities that are compared: multiples of a step, from bound to bound.
+    """First, distance and number of the disparities that are compared: the middles of steps that cover the bounds.
 
-    The step is `config.step` pixels in the farthest view, or as long as it takes for `config.max_labels` of them. The
-    outermost ones lie on the bounds or up to a step beyond. Were they laid from bound to bound instead, a slightly
-    wider range would move them all, and with them each pixel that is almost as well matched elsewhere.
+    A step is `config.step` pixels in the farthest view, or as long as it takes for `config.max_labels` of them. Steps
+    end at multiples of their length. Were they laid from bound to bound instead, a slightly wider range would move all
+    disparities, and with them each pixel that is almost as well matched elsewhere.
     """
     low, high = bounds
-    step = max(config.step / farthest(offsets), (high - low) / (config.max_labels - 2))
-    first, last = math.floor(low / step + _ON_BOUND), math.ceil(high / step - _ON_BOUND)
-    return first * step, step, max(last - first + 1, 3)
+    step = max(config.step / farthest(offsets), (high - low) / (config.max_labels - 1))
+    begin, end = math.floor(low / step + _ON_BOUND), math.ceil(high / step - _ON_BOUND)
+    lacking = max(0, _FEWEST_LABELS - (end - begin))
+    return (begin - lacking // 2 + 0.5) * step, step, end - begin + lacking
 
 
 def view_sets(offsets: Float64Array, angle: float) -> Float64Array:
