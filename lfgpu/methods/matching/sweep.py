@@ -14,7 +14,7 @@ from lfgpu.methods.matching.config import SweepConfig
 _DIRECTIONS = 8  # in which some of the views lie
 _FEWEST = 4  # views beside the reference that a pattern must have
 _ON_LINE = 1e-3  # view steps
-_ON_BOUND = 1e-6  # steps between disparities: what is so near to a bound lies on it
+_ON_BOUND = 1e-6  # steps: what is so near to a bound lies on it
 _FEWEST_LABELS = 3  # a minimum between two disparities is found from three
 _MANY, _ENOUGH = 40, 25  # views that must be left of a chessboard, and of every other row and column
 
@@ -116,17 +116,17 @@ def further_sweeps(offsets: Float64Array, config: SweepConfig) -> int:
 
 
 def labels(bounds: tuple[float, float], offsets: Float64Array, config: SweepConfig) -> tuple[float, float, int]:
-    """First, distance and number of the disparities that are compared: the middles of steps that cover the bounds.
+    """First, distance and number of the disparities that are compared: those at odd halves of a step, past the bounds.
 
-    A step is `config.step` pixels in the farthest view, or as long as it takes for `config.max_labels` of them. Steps
-    end at multiples of their length. Were they laid from bound to bound instead, a slightly wider range would move all
-    disparities, and with them each pixel that is almost as well matched elsewhere.
+    A step is `config.step` pixels in the farthest view, or as long as it takes for `config.max_labels` of them. The
+    outermost ones are on a bound or less than a step beyond it, so what lies beyond the bounds ends up on them. Were
+    they laid from bound to bound instead, a slightly wider range would move all of them, and with them each pixel that
+    is almost as well matched elsewhere. None is 0: there views are not interpolated, and differ by more noise.
     """
     low, high = bounds
-    step = max(config.step / farthest(offsets), (high - low) / (config.max_labels - 1))
-    begin, end = math.floor(low / step + _ON_BOUND), math.ceil(high / step - _ON_BOUND)
-    lacking = max(0, _FEWEST_LABELS - (end - begin))
-    return (begin - lacking // 2 + 0.5) * step, step, end - begin + lacking
+    step = max(config.step / farthest(offsets), (high - low) / (config.max_labels - 2))
+    begin, end = math.floor(low / step - 0.5 + _ON_BOUND), math.ceil(high / step - 0.5 - _ON_BOUND)
+    return (begin + 0.5) * step, step, max(end - begin + 1, _FEWEST_LABELS)
 
 
 def view_sets(offsets: Float64Array, angle: float) -> Float64Array:
