@@ -67,9 +67,9 @@ def test_a_wide_range_makes_the_steps_longer_and_a_narrow_one_still_has_three() 
     assert labels((0.0, 1e-3), grid(3, 3), SweepConfig())[2] == 3
 
 
-@pytest.mark.parametrize("name", ["boxes", "planes"])
+@pytest.mark.parametrize(("name", "share"), [("boxes", 0.002), ("planes", 0.002), ("textureless", 0.03)])
 @pytest.mark.parametrize("config", ["fast", "accurate"])
-def test_a_range_that_is_wider_than_the_scene_changes_next_to_nothing(name: str, config: str) -> None:
+def test_a_range_that_is_wider_than_the_scene_changes_next_to_nothing(name: str, share: float, config: str) -> None:
     """It adds disparities, and moves none."""
     lf = scene(name)
     assert lf.truth is not None
@@ -80,7 +80,7 @@ def test_a_range_that_is_wider_than_the_scene_changes_next_to_nothing(name: str,
         ).disparity
         for more in (0.0, 0.07)
     )
-    assert (np.abs(wide - narrow) > 0.02).mean() < 0.002
+    assert (np.abs(wide - narrow) > 0.02).mean() < share
 
 
 def test_every_other_view_of_a_large_grid_is_swept_at_first() -> None:

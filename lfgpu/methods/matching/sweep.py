@@ -116,12 +116,12 @@ def further_sweeps(offsets: Float64Array, config: SweepConfig) -> int:
 
 
 def labels(bounds: tuple[float, float], offsets: Float64Array, config: SweepConfig) -> tuple[float, float, int]:
-    """First, distance and number of the disparities that are compared: those at odd halves of a step, past the bounds.
+    """First, distance and number of the disparities that are compared: odd halves of a step that cover the bounds.
 
     A step is `config.step` pixels in the farthest view, or as long as it takes for `config.max_labels` of them. The
-    outermost ones are on a bound or less than a step beyond it, so what lies beyond the bounds ends up on them. Were
-    they laid from bound to bound instead, a slightly wider range would move all of them, and with them each pixel that
-    is almost as well matched elsewhere. None is 0: there views are not interpolated, and differ by more noise.
+    outermost ones are on a bound or less than a step beyond it: maps are clamped, so surfaces beyond a bound end up on
+    it. If disparities went from bound to bound, a slightly wider range would move all of them, and with them each pixel
+    that is almost as well matched elsewhere.
     """
     low, high = bounds
     step = max(config.step / farthest(offsets), (high - low) / (config.max_labels - 2))
