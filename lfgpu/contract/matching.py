@@ -13,8 +13,8 @@ from lfgpu.contract.arrays import Array, Float64Array
 GRADIENT_REACH = 2
 """Pixels on each side of one whose steps in brightness lower the weight of gradients there: as far as these see."""
 
-REACH = 2
-"""Rows and columns from a pixel to the farthest ones that `Matching.refine_boundaries` looks at."""
+REACH = 3
+"""Pixels from one to the farthest ones that `Matching.refine_boundaries` looks at."""
 
 
 class PlaneSweep(Protocol):
@@ -233,16 +233,22 @@ class Matching(Protocol):
     def refine_boundaries(
         self, image: Array, disparity: Array, *, step: float, contrast: float, share: float, disparity_out: Array
     ) -> None:
-        """Give pixels that show little of what is nearer to what is behind it; `image` is float32 [y, x, c].
+        """Give pixels that show little of what is nearer to what is behind it; `image` is float32 [y, x, c], >= 0.
 
-        Of the pixels q at most REACH rows and columns from p, other than p, those are in front whose disparity differs
+        Of the pixels q at most REACH pixels from p, other than p, those are in front whose disparity differs
         from d_p by at most `step` and beside which, in 3 x 3 pixels, none is farther by more than `step`; those are
-        behind for which d_q < d_p - step. With weights exp(-|q - p|^2 / 0.7) the first give the mean colour F, and the
-        second the mean colour B and the mean disparity D; of these, q beside which there is something nearer by more
-        than `step` count a thousandth, as they may be mixtures too.
+        behind for which d_q < d_p - step. Weights are exp(-|q - p|^2 / 3), but of pixels behind beside which there is
+        something nearer by more than `step` a thousandth of that, as they may be mixtures too. With the light
+        L = I^2, those behind give the mean light B and the mean disparity D; with m and V, mean and covariance of the
+        places q - p of those in front, and C the covariance of their places and light,
+
+            F = max(0, mean L - C (V + 0.3)^-1 m),
+
+        what a plane through their light says of p (0.3 pixel^2 times the unit matrix).
 
         p becomes D if something beside it is farther by more than `step`, there are pixels of both kinds, and
-        (I_p - B) . (F - B) < share |F - B|^2 with |F - B|^2 > c contrast^2 (sums over c channels); all else stays.
+        (L_p - B) . (F - B) < share |F - B|^2 with |sqrt F - sqrt B|^2 > c contrast^2 (sums over c channels); all else
+        stays.
         `disparity_out` is not `disparity`.
         """
 

@@ -192,40 +192,47 @@ def test_weights_on_a_surface_are_those_of_the_ratio(case: RatioCase, rng: np.ra
 def test_outlines_are_what_looking_at_each_pixel_says(case: OutlineCase, rng: np.random.Generator) -> None:
     i = outline_inputs(case, rng)
     got = run(alignment_checks.UNMIX, i)["disparity"]
-    image, d, (height, width) = i.image.astype(float), i.disparity.astype(float), case.size
+    light, d, (height, width) = i.image.astype(float) ** 2, i.disparity.astype(float), case.size
 
     def around(y: int, x: int, reach: int) -> list[tuple[int, int]]:
         rows, columns = range(max(0, y - reach), y + reach + 1), range(max(0, x - reach), x + reach + 1)
         return [(qy, qx) for qy, qx in product(rows, columns) if qy < height and qx < width and (qy, qx) != (y, x)]
 
     for y, x in np.ndindex(height, width):
-        front: list[tuple[float, np.ndarray]] = []
+        front: list[tuple[float, np.ndarray, np.ndarray]] = []
         behind: list[tuple[float, np.ndarray, float]] = []
-        for q in around(y, x, 2):
-            weight = math.exp(-((q[0] - y) ** 2 + (q[1] - x) ** 2) / 0.7)
+        for q in around(y, x, 3):
+            away = (q[0] - y) ** 2 + (q[1] - x) ** 2
+            if away > 9:
+                continue
+            weight = math.exp(-away / 3)
             if abs(d[q] - d[y, x]) <= case.step and all(d[q] - d[r] <= case.step for r in around(*q, 1)):
-                front.append((weight, image[q]))
+                front.append((weight, np.array([q[0] - y, q[1] - x]), light[q]))
             if d[q] < d[y, x] - case.step:
                 beside = any(d[r] - d[q] > case.step for r in around(*q, 1))
-                behind.append((weight * (1e-3 if beside else 1), image[q], d[q]))
+                behind.append((weight * (1e-3 if beside else 1), light[q], d[q]))
         want = d[y, x]
         if front and behind and any(d[y, x] - d[r] > case.step for r in around(y, x, 1)):
             total = sum(b[0] for b in behind)
-            nearer = sum(w * color for w, color in front) / sum(w for w, _ in front)
+            weights = np.array([f[0] for f in front]) / sum(f[0] for f in front)
+            places, lights = np.array([f[1] for f in front]), np.array([f[2] for f in front])
+            middle, mean = weights @ places, weights @ lights
+            spread = (weights[:, None] * (places - middle)).T @ (places - middle) + 0.3 * np.eye(2)
+            together = (weights[:, None] * (places - middle)).T @ (lights - mean)
+            nearer = np.maximum(mean - middle @ np.linalg.solve(spread, together), 0)
             back = sum(b[0] * b[1] for b in behind) / total
-            square = ((nearer - back) ** 2).sum()
-            little = (image[y, x] - back) @ (nearer - back) < case.share * square
-            if little and square > case.channels * case.contrast**2:
+            little = (light[y, x] - back) @ (nearer - back) < case.share * ((nearer - back) ** 2).sum()
+            if little and ((np.sqrt(nearer) - np.sqrt(back)) ** 2).sum() > case.channels * case.contrast**2:
                 want = sum(b[0] * b[2] for b in behind) / total
         assert got[y, x] == pytest.approx(want, abs=1e-9)
 
 
 def test_a_pixel_that_shows_little_of_what_is_nearer_belongs_to_what_is_behind() -> None:
-    """A column of mixtures between two surfaces, estimated as what is nearer: it goes by how much of that it shows."""
+    """A column of mixtures of light, estimated as what is nearer: it goes by how much of that it shows."""
     shares = np.linspace(0, 1, 11)
     image = np.zeros((11, 9, 1), np.float32)
     image[:, 5:] = 1
-    image[:, 4, 0] = shares
+    image[:, 4, 0] = np.sqrt(shares)
     disparity = np.where(np.arange(9) >= 4, 1.0, -1.0) * np.ones((11, 1))
     i = SimpleNamespace(
         image=image, disparity=disparity.astype(np.float32), options={"step": 0.5, "contrast": 0.1, "share": 0.45}
@@ -234,3 +241,17 @@ def test_a_pixel_that_shows_little_of_what_is_nearer_belongs_to_what_is_behind()
     np.testing.assert_allclose(got[:, 4], np.where(shares < 0.45, -1, 1), atol=1e-9)
     rest = np.arange(9) != 4
     np.testing.assert_array_equal(got[:, rest], disparity[:, rest])
+
+
+def test_what_is_nearer_may_get_darker_towards_its_outline() -> None:
+    """A surface whose light goes down by the pixel, whole up to its outline: its colour there is taken on from inside.
+
+    With the mean of its pixels instead, its last pixel shows 0.43 of it, and would go to what is behind.
+    """
+    light = np.array([0, 0, 0, 0, 1, 2, 3, 4, 5, 6]) / 6
+    image = np.sqrt(np.broadcast_to(light[:, None], (9, 10, 1))).astype(np.float32)
+    disparity = np.where(np.arange(10) >= 4, 1.0, -1.0) * np.ones((9, 1))
+    i = SimpleNamespace(
+        image=image, disparity=disparity.astype(np.float32), options={"step": 0.5, "contrast": 0.1, "share": 0.5}
+    )
+    np.testing.assert_array_equal(run(alignment_checks.UNMIX, i)["disparity"], disparity)

@@ -54,7 +54,7 @@ class SweepConfig(Section):
         0.15, 0.0, 100.0, "the same in the last sweep, if there are several"
     )  # fmt: skip
     gradient_truncation: float = number(
-        0.05, 1e-4, 10.0, "larger differences in image gradients count as this one, intensity per pixel"
+        0.035, 1e-4, 10.0, "larger differences in image gradients count as this one, intensity per pixel"
     )
     softness: float = number(
         0.2, 0.0, 1000.0, "larger differences in intensity count by their square root, so that faint texture counts "
@@ -122,12 +122,20 @@ class AlignmentConfig(Section):
         0.1, 0.0, 100.0, "a pixel whose curvature over robust² is below this follows its neighbours, 1 / pixel²"
     )  # fmt: skip
     longest_step: float = number(0.4, 1e-3, 10.0, "longest step, pixels in the farthest view")
+    reach: float = number(
+        2.0, 0.1, 1000.0, "a pixel that has moved farther than this is put back: it followed a shine or a mirror "
+        "image; in distances between two of the disparities that are compared"
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class BoundariesConfig(Section):
     """Boundary refinement: a pixel at a depth edge goes to the side whose colour it has."""
 
+    step: float = number(
+        0.84, 0.01, 100.0, "adjacent pixels whose disparities differ by more are on two sides of a depth edge, pixels "
+        "in the farthest view"
+    )  # fmt: skip
     share: float = number(
         0.5, 0.0, 1.0, "a pixel with less than this share of the nearer side's colour goes to the farther side"
     )  # fmt: skip

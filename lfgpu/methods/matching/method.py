@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lfgpu.contract import REDUCTION, SMOOTHING_REACH, KernelSet, Streaming
+from lfgpu.contract import REACH, REDUCTION, SMOOTHING_REACH, KernelSet, Streaming
 from lfgpu.data.lightfield import LightField, farthest
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
@@ -127,7 +127,7 @@ class Matching(Method[MatchingConfig]):
             for axis in np.abs(lf.offsets).max(0)
         ]
         passes = 2 + 2 * self.config.sweep.resweeps + 2 * self.config.alignment.iterations
-        windows = (self.config.prior.window // 2) * passes + self.config.prior.patch // 2 + 2
+        windows = (self.config.prior.window // 2) * passes + self.config.prior.patch // 2 + 2 * (REACH + 1)
         windows += SMOOTHING_REACH + 1 + _REDUCED * REDUCTION
         return reach[1] + windows + _PATHS, reach[0] + windows + _PATHS
 

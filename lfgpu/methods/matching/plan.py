@@ -55,6 +55,9 @@ _LEAST_REDUCED = 2  # pixels, side of the smallest views that are worth comparin
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
 _MOST_NOISY = 4.0  # in units of the noise: how much the least costs around a pixel raise the penalties there
 
+# Blurred outlines run through two pixels. Of the second one, only what is clear counts.
+_SHARE_AGAIN, _CONTRAST_AGAIN = 0.6, 4.0  # over those of the first one
+
 _AROUND = 4  # pixels on each side of one, whose costs are judged with its own
 _WIDE = 16  # pixels on each side of those, in which there may be something to go by
 _BESIDE = 1  # pixels beside an outline in another view that show what is nearer, too
@@ -311,6 +314,8 @@ class MatchingPlan:
             kernels.dot(workspace, workspace, moved)
             kernels.axpby(1.0, map_, 1.0, workspace, map_)
             kernels.clamp(map_, *self._bounds, map_)
+            if iteration == self._steps:
+                self._put_back(map_, config.reach * self._step)
             self._weigh_texture(config.stiffness * config.robust**2)
             support = config.support / self._farthest
             self._prior.plane(map_, self._certainty, support=support, ridge=config.ridge, plane_out=workspace)
@@ -319,6 +324,18 @@ class MatchingPlan:
                 callback(iteration, math.sqrt(kernels.number(moved) / (self._size[0] * self._size[1])))
         kernels.axpby(1.0, self._certainty, -_STILL, self._prior.ones, workspace)
         kernels.dot(workspace, self._prior.ones, self._trust)
+
+    def _put_back(self, map_: Array, reach: float) -> None:
+        """What is farther than `reach` from the matched surface returns to it.
+
+        A surface is matched to half the distance of two disparities. Smooth shading of a glossy surface moves with its
+        reflections: it draws pixels on and on, and only their outlines hold them.
+        """
+        kernels, workspace = self._kernels, self._workspace
+        kernels.axpby(1.0, map_, -1.0, self._matched, workspace)
+        kernels.multiply(workspace, workspace, workspace)
+        kernels.threshold(workspace, reach**2, workspace)
+        kernels.select(workspace, self._matched, map_, map_)
 
     def _finish(self, _: Callback | None) -> None:
         self._complete()
@@ -331,15 +348,20 @@ class MatchingPlan:
 
     def _complete(self) -> None:
         """Outlines where the colours have them, and surfaces without texture as what is around them goes on."""
-        config = self._config
-        self._kernels.refine_boundaries(
-            self._image,
-            self._aligned,
-            step=config.sweep.tolerance / self._farthest,
-            contrast=config.boundaries.contrast,
-            share=config.boundaries.share,
-            disparity_out=self.disparity,
-        )
+        config, boundaries = self._config, self._config.boundaries
+        again = _SHARE_AGAIN * boundaries.share, _CONTRAST_AGAIN * boundaries.contrast
+        for disparity, (share, contrast), out in (
+            (self._aligned, (boundaries.share, boundaries.contrast), self._workspace),
+            (self._workspace, again, self.disparity),
+        ):
+            self._kernels.refine_boundaries(
+                self._image,
+                disparity,
+                step=boundaries.step / self._farthest,
+                contrast=contrast,
+                share=share,
+                disparity_out=out,
+            )
         if self._alike is not None:  # what is like nothing has nothing to be filled from, and is left as it is
             self._kernels.select(self._alike, self._curvature, self._held, self._curvature)
         self._hole_filling.run(

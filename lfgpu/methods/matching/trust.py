@@ -6,8 +6,8 @@ noise.
 `MatchingPlan._judge` says what the weights belong to: 1, conflict, evidence, bend, relief, bend times relief.
 """
 
-SHARE = {"once": (-3.216, -0.979, 1.265, -0.603, 0.685, 0.116), "again": (-3.174, -1.023, 1.295, -0.52, 0.816, 0.144)}
+SHARE = {"once": (-3.056, -0.99, 1.282, -0.574, 0.674, 0.116), "again": (-3.002, -0.953, 1.316, -0.532, 0.798, 0.14)}
 """Of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `SweepConfig.kind`."""
 
-SPREAD = {"once": (3.647, 1.344, -2.542, 0.916, -0.889, -0.176), "again": (3.478, 1.068, -2.822, 1.115, -1.007, -0.141)}
+SPREAD = {"once": (3.377, 1.338, -2.549, 0.874, -0.798, -0.162), "again": (3.118, 0.985, -2.774, 1.123, -0.918, -0.123)}
 """Of the logarithm of the variance of the disparity, (pixels per view step)², by `SweepConfig.kind`."""
