@@ -138,6 +138,8 @@ VARIANTS = (
     ),
     Variant("alignment: across surfaces", {"alignment.support": 100}),
     Variant("alignment: no stiffness", {"alignment.stiffness": 0}),
+    Variant("alignment: nothing put back", {"alignment.reach": 1000}),
+    Variant("outlines: only where surfaces hide each other", {"boundaries.step": 1.2}),
     Variant("outlines left as they are", {"boundaries.contrast": 2}),
     Variant("nothing filled", {"hole_filling.max_iterations": 0}),
     Variant("outlines left, nothing filled", {"boundaries.contrast": 2, "hole_filling.max_iterations": 0}),

@@ -246,7 +246,7 @@ def test_occlusions_are_where_it_is_better_than_the_synthesis() -> None:
     [
         "boxes",
         "planes",
-        pytest.param("textureless", marks=pytest.mark.xfail(strict=True, reason="they leave 1.02 of the MSE")),
+        pytest.param("textureless", marks=pytest.mark.xfail(strict=True, reason="they leave 1.14 of the MSE")),
         "bars",
     ],
 )
@@ -257,7 +257,7 @@ def test_outlines_and_filling_bring_the_map_nearer(name: str) -> None:
     assert found["boundaries"].badpix_07 < found["align"].badpix_07
 
 
-@pytest.mark.xfail(strict=True, reason="filling leaves 0.98 of the MSE and 1.09 of BadPix(0.07)")
+@pytest.mark.xfail(strict=True, reason="filling leaves 1.01 of the MSE and 1.23 of BadPix(0.07)")
 def test_surfaces_without_texture_are_filled_from_their_outlines() -> None:
     """A slanted disc of one colour before a wall with texture."""
     lf = scene("textureless", size=128)
@@ -308,7 +308,7 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> 
     ("preset", "noises"),
     [
         ("accurate", (0.0,)),
-        pytest.param("fast", (0.0,), marks=pytest.mark.xfail(strict=True, reason="71 pixels are below 0.5")),
+        pytest.param("fast", (0.0,), marks=pytest.mark.xfail(strict=True, reason="20 pixels are below 0.5")),
         ("accurate", (0.0, 0.01, 0.02)),
         ("fast", (0.0, 0.01, 0.02)),
     ],
