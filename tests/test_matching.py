@@ -17,7 +17,7 @@ from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import PRESETS, method_of
 from lfgpu.methods.matching import plan
-from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
+from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.noise import in_units_of, measured_grain, measured_noise
 from lfgpu.methods.matching.sweep import (
     further_sweeps,
@@ -27,7 +27,6 @@ from lfgpu.methods.matching.sweep import (
     used_views,
     view_sets,
 )
-from lfgpu.methods.measured import Measured
 from lfgpu.metrics import Metrics, evaluate, sparsification
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.pipeline import DepthPipeline
@@ -66,22 +65,6 @@ def test_a_wide_range_makes_the_steps_longer_and_a_narrow_one_still_has_three() 
         assert count in (101, 102)
     assert labels((-50.0, 50.0), grid(9, 9), SweepConfig(max_labels=3))[1:] == (100.0, 3)
     assert labels((0.0, 1e-3), grid(3, 3), SweepConfig())[2] == 3
-
-
-@pytest.mark.parametrize(("name", "share"), [("boxes", 0.003), ("planes", 0.002), ("textureless", 0.03)])
-@pytest.mark.parametrize("config", ["fast", "accurate"])
-def test_a_range_that_is_wider_than_the_scene_changes_next_to_nothing(name: str, share: float, config: str) -> None:
-    """It adds disparities, and moves none."""
-    lf = scene(name)
-    assert lf.truth is not None
-    low, high = lf.truth.disparity.min() - 0.1, lf.truth.disparity.max() + 0.1
-    narrow, wide = (
-        estimate_depth(
-            lf, disparity_range=(low - more, high + more), config=config, device="cpu", check_cameras=False
-        ).disparity
-        for more in (0.0, 0.07)
-    )
-    assert (np.abs(wide - narrow) > 0.02).mean() < share
 
 
 def test_every_other_view_of_a_large_grid_is_swept_at_first() -> None:
@@ -495,33 +478,3 @@ def value_of(config: Config, name: str) -> float:
 @pytest.mark.parametrize("noise", [0.004, 0.01])
 def test_the_noise_that_parameters_are_in_units_of_is_an_intensity(noise: float) -> None:
     assert in_units_of(noise, PRESETS["accurate"]).sweep.noise == pytest.approx(noise)
-
-
-def test_what_the_alignment_moved_too_far_is_put_back() -> None:
-    """Two steps of the sweep are 0.4 px here: pixels that moved less stay where they are, all others return."""
-    lf, kernels = scene("boxes", size=48), load("warp")
-    matching = plan.MatchingPlan(lf, Measured((-1.0, 1.0), 0.004, None), MatchingConfig(), kernels, "cpu")
-    moved = np.linspace(-0.8, 0.8, 48 * 48, dtype=np.float32).reshape(48, 48)
-    map_ = kernels.field(0.1 + moved, "cpu")
-    kernels.copy(kernels.field(np.full((48, 48), 0.1), "cpu"), matching._matched)
-    matching._put_back(map_, 0.4)
-    want = np.where(np.abs(moved) < 0.4, 0.1 + moved, 0.1)
-    np.testing.assert_allclose(kernels.numpy(map_), want, atol=1e-6)
-
-
-def test_a_pixel_that_the_alignment_may_not_move_stays_near_where_it_was_matched() -> None:
-    """With a reach of next to nothing, all that is left of the alignment is the plane through similar pixels."""
-    lf = scene("boxes")
-    far, near = (
-        estimate_depth(
-            lf,
-            disparity_range=(-1.6, 1.6),
-            config=MatchingConfig().with_values({"alignment.reach": reach}),
-            device="cpu",
-            check_cameras=False,
-        ).stages
-        for reach in (1000.0, 0.1)
-    )
-    np.testing.assert_array_equal(far["resweep"], near["resweep"])
-    moved = [np.abs(stages["align"] - stages["resweep"]).mean() for stages in (far, near)]
-    assert moved[1] < 0.8 * moved[0]

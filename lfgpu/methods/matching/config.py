@@ -123,8 +123,8 @@ class AlignmentConfig(Section):
     )  # fmt: skip
     longest_step: float = number(0.4, 1e-3, 10.0, "longest step, pixels in the farthest view")
     reach: float = number(
-        2.0, 0.1, 1000.0, "a pixel that has moved farther than this is put back: it followed a shine or a mirror "
-        "image; in distances between two of the disparities that are compared"
+        2.0, 0.1, 1000.0, "a pixel that has moved farther than this is put back to where it was matched: it followed a "
+        "reflection. In steps between the disparities that the sweep compares"
     )  # fmt: skip
 
 
@@ -133,8 +133,8 @@ class BoundariesConfig(Section):
     """Boundary refinement: a pixel at a depth edge goes to the side whose colour it has."""
 
     step: float = number(
-        0.84, 0.01, 100.0, "adjacent pixels whose disparities differ by more are on two sides of a depth edge, pixels "
-        "in the farthest view"
+        0.84, 0.01, 100.0, "between adjacent pixels whose disparities differ by more than this there is a depth edge, "
+        "pixels in the farthest view"
     )  # fmt: skip
     share: float = number(
         0.5, 0.0, 1.0, "a pixel with less than this share of the nearer side's colour goes to the farther side"

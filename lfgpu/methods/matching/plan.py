@@ -30,6 +30,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Callback, Work
 from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.alignment_step import AlignmentStep
+from lfgpu.methods.matching.boundaries import Boundaries
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.hole_filling import HoleFilling
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
@@ -54,9 +55,6 @@ _LEAST_CURVATURE = 1e-2  # over robust²: what holds a pixel where nothing but n
 _LEAST_REDUCED = 2  # pixels, side of the smallest views that are worth comparing
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
 _MOST_NOISY = 4.0  # in units of the noise: how much the least costs around a pixel raise the penalties there
-
-# Blurred outlines run through two pixels. Of the second one, only what is clear counts.
-_SHARE_AGAIN, _CONTRAST_AGAIN = 0.6, 4.0  # over those of the first one
 
 _AROUND = 4  # pixels on each side of one, whose costs are judged with its own
 _WIDE = 16  # pixels on each side of those, in which there may be something to go by
@@ -171,6 +169,9 @@ class MatchingPlan:
         self._hole_filling = HoleFilling(lf.size, self._prior, config.hole_filling)
         self._curvature, self._slope, self._certainty = (kernels.zeros(lf.size, device) for _ in range(3))
         self._workspace, self._variance, self._penalty_scale = (kernels.zeros(lf.size, device) for _ in range(3))
+        self._boundaries = Boundaries(
+            kernels, config.boundaries, step=config.boundaries.step / self._farthest, workspace=self._workspace
+        )
         # What earlier stages needed is free when the map is judged.
         free = self._curvature, self._certainty, self._slope, self._workspace, self._penalty_scale
         self._judged_by = *free, kernels.zeros(lf.size, device)
@@ -326,10 +327,10 @@ class MatchingPlan:
         kernels.dot(workspace, self._prior.ones, self._trust)
 
     def _put_back(self, map_: Array, reach: float) -> None:
-        """What is farther than `reach` from the matched surface returns to it.
+        """Pixels that are farther than `reach` from where they were matched return there.
 
-        A surface is matched to half the distance of two disparities. Smooth shading of a glossy surface moves with its
-        reflections: it draws pixels on and on, and only their outlines hold them.
+        The smooth shading of a glossy surface moves with what is mirrored in it, not with the surface. It draws pixels
+        away from the surface, a little farther in every step; matching is right there to about one disparity.
         """
         kernels, workspace = self._kernels, self._workspace
         kernels.axpby(1.0, map_, -1.0, self._matched, workspace)
@@ -348,20 +349,8 @@ class MatchingPlan:
 
     def _complete(self) -> None:
         """Outlines where the colours have them, and surfaces without texture as what is around them goes on."""
-        config, boundaries = self._config, self._config.boundaries
-        again = _SHARE_AGAIN * boundaries.share, _CONTRAST_AGAIN * boundaries.contrast
-        for disparity, (share, contrast), out in (
-            (self._aligned, (boundaries.share, boundaries.contrast), self._workspace),
-            (self._workspace, again, self.disparity),
-        ):
-            self._kernels.refine_boundaries(
-                self._image,
-                disparity,
-                step=boundaries.step / self._farthest,
-                contrast=contrast,
-                share=share,
-                disparity_out=out,
-            )
+        config = self._config
+        self._boundaries.run(self._image, self._aligned, self.disparity)
         if self._alike is not None:  # what is like nothing has nothing to be filled from, and is left as it is
             self._kernels.select(self._alike, self._curvature, self._held, self._curvature)
         self._hole_filling.run(
