@@ -34,7 +34,7 @@ from ways_to_be_wrong import (
 from lfgpu.contract import UNSEEN, KernelSet
 
 CASE = RangeSearchCase("any", size=(17, 19), masked=True)
-ASKEW = replace(CASE, lines=((((-1.0, -0.5), (-2.0, -1.0)), ((1.0, 0.5),)),), count=5)
+ASKEW = replace(CASE, size=(25, 27), lines=((((-1.0, -0.5), (-2.0, -1.0)), ((1.0, 0.5),)),), count=5)
 
 
 def run(operation: checks.Operation, case: RangeSearchCase, rng: np.random.Generator) -> tuple[Any, dict[str, Any]]:

@@ -39,12 +39,16 @@ def ratio(desk: Desk, i: SimpleNamespace) -> Outputs:
     return {name: kernels.number(scalar) for name, scalar in out.items()}
 
 
+def weights(i: SimpleNamespace) -> Values:
+    """A preconditioner."""
+    return (0.5 + np.abs(i.ties)).astype(np.float32)
+
+
 def conjugate_step(desk: Desk, i: SimpleNamespace) -> Outputs:
     """A step of a system that is a diagonal, and one along nothing, from nothing."""
     kernels, shape = desk.kernels, i.x.shape
-    weights = (0.5 + np.abs(i.ties)).astype(np.float32)
-    preconditioner, q = desk.field(weights), desk.field((1 + np.abs(i.holes)) * i.x)
-    rz = desk.number_out(float(np.sum(weights.astype(np.float64) * i.y.astype(np.float64) ** 2)))
+    preconditioner, q = desk.field(weights(i)), desk.field((1 + np.abs(i.holes)) * i.x)
+    rz = desk.number_out(float(np.sum(weights(i).astype(np.float64) * i.y.astype(np.float64) ** 2)))
     p, x, r = desk.held(i.x), desk.held(i.x[::-1]), desk.held(i.y)
     kernels.conjugate_step(p, q, preconditioner, rz, x, r)
     still, at, left, none = desk.held(np.zeros(shape)), desk.held(i.x), desk.held(i.y), desk.number_out(0.0)
@@ -176,9 +180,15 @@ def axpby_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNames
     return {name: largest_error(got[name], want[name], max(float(np.abs(want[name]).max()), term)) for name in want}
 
 
-conjugate_errors = relative_to_terms(
-    p=lambda i: size(i.y), x=lambda i: size(i.x), r=lambda i: size(i.y), rz=lambda i: size(i.y) ** 2
-)
+def conjugate_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
+    """The new direction is the preconditioned residual and some of the old direction: those two may nearly cancel."""
+    new_direction = 0.1 * float(np.abs(weights(i) * want["r"]).max())
+    terms = relative_to_terms(x=lambda i: size(i.x), r=lambda i: size(i.y), rz=lambda i: size(i.y) ** 2)
+    errors = terms(got, want, i)
+    scale = max(float(np.abs(want["p"]).max()), new_direction, 0.1 * size(i.y))
+    return {**errors, "p": largest_error(got["p"], want["p"], scale)}
+
+
 DOT = Operation(dot, "vector", dot_error)
 OPERATIONS = (
     DOT,
