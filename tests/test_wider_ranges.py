@@ -17,7 +17,7 @@ from lfgpu.pipelines.estimate import estimate_depth
         pytest.param("fast", "textureless", marks=pytest.mark.xfail(strict=True, reason="it changes 2.5 %")),
         ("accurate", "boxes"),
         ("accurate", "planes"),
-        pytest.param("accurate", "textureless", marks=pytest.mark.xfail(strict=True, reason="it changes 0.6 %")),
+        ("accurate", "textureless"),
     ],
 )
 def test_a_range_that_is_wider_than_the_scene_changes_next_to_nothing(config: str, name: str) -> None:

@@ -28,7 +28,7 @@ class SweepConfig(Section):
         3, 0, 8, "how many more sweeps there are; at most one where the views are on one side or in one line. Each "
         "compares the views that see a pixel past the surface that was found so far"
     )  # fmt: skip
-    step: float = number(0.4, 0.02, 2.0, "distance between two disparities, pixels in the farthest view")
+    step: float = number(0.45, 0.02, 2.0, "distance between two disparities, pixels in the farthest view")
     max_labels: int = number(256, 3, 4096, "most disparities; a range that needs more gets longer steps")
     noise: float = number(
         0.0, 0.0, 1.0, "difference between views that agree, intensity; 0 measures it. Thresholds on what views may "
@@ -69,6 +69,11 @@ class SweepConfig(Section):
     tolerance: float = number(
         1.2, 0.0, 100.0, "a surface hides only what lies behind it by more than this, pixels in the farthest view"
     )  # fmt: skip
+    ambiguity: float = number(
+        0.3, 0.01, 1.0, "where a map is uneven and more than this share of the disparities is as good as the best one, "
+        "it was guessed: there only the farther surfaces hide what lies behind them, in the sweeps after the second; "
+        "1: no surface counts as guessed"
+    )  # fmt: skip
     min_share: float = number(
         0.02, 0.0, 1.0, "share of the views, but at least one, that must see a pixel in further sweeps"
     )  # fmt: skip
@@ -84,7 +89,7 @@ class SemiGlobalConfig(Section):
     """Semi-global matching (Hirschmüller 2008): the best surface through the costs of the sweep."""
 
     window: int = number(3, 3, 31, "side of the window over which costs are averaged, pixels", odd=True)
-    small_penalty: float = number(0.0005, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
+    small_penalty: float = number(0.0006, 0.0, 10.0, "cost of a change by one disparity", symbol="P1")
     large_penalty: float = number(0.0034, 0.0, 10.0, "cost of a larger change", symbol="P2")
     contrast: float = number(
         0.03, 1e-3, 10.0, "difference in intensity of adjacent pixels that lowers both penalties to 1/e after the "
@@ -123,7 +128,7 @@ class AlignmentConfig(Section):
     )  # fmt: skip
     longest_step: float = number(0.4, 1e-3, 10.0, "longest step, pixels in the farthest view")
     reach: float = number(
-        2.0, 0.1, 1000.0, "a pixel that has moved farther than this is put back to where it was matched: it followed a "
+        1.8, 0.1, 1000.0, "a pixel that has moved farther than this is put back to where it was matched: it followed a "
         "reflection. In steps between the disparities that the sweep compares"
     )  # fmt: skip
 
@@ -189,9 +194,9 @@ class MatchingConfig(Config):
 PRESETS = {
     "accurate": MatchingConfig(),
     "fast": MatchingConfig(
-        sweep=SweepConfig(views="cross", resweeps=0, reduced_weight=0.0),
-        semi_global=SemiGlobalConfig(large_penalty=0.003, resweep_factor=0.6),
-        alignment=AlignmentConfig(iterations=1, support=0.4),
+        sweep=SweepConfig(views="cross", resweeps=0, reduced_weight=0.0, step=0.4),
+        semi_global=SemiGlobalConfig(small_penalty=0.0005, large_penalty=0.003, resweep_factor=0.6),
+        alignment=AlignmentConfig(iterations=1, support=0.4, reach=2.0),
     ),
 }
 """`accurate` matches the reference's row and column of views, and then three times the views that see a pixel: all, or

@@ -6,7 +6,8 @@ compared as well: both show faint texture that noise hides from single pixels. P
 `resweep` compares again, several times, each time with the views that see a pixel past the surface found so far. What
 lies beside an outline looks like a part of what is nearer: its image gradient and its smoothed value are. So the first
 surfaces are too large, and hide that place from itself. Later surfaces are nearly right, and what they hide is widened
-by a pixel; gradients count for less in the last sweep, and for nothing in those between.
+by a pixel, but where they are mere guesses (`guesses.py`); gradients count for less in the last sweep, and for nothing
+in those between.
 `align` makes the disparity continuous: Gauss-Newton steps on what the views that see a pixel have in common, and then
 the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side whose colour
 it has, and fills surfaces without texture from those around them.
@@ -32,6 +33,7 @@ from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.alignment_step import AlignmentStep
 from lfgpu.methods.matching.boundaries import Boundaries
 from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.guesses import GuessedSurfaces
 from lfgpu.methods.matching.hole_filling import HoleFilling
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
 from lfgpu.methods.matching.reduced import ReducedSweep
@@ -175,6 +177,19 @@ class MatchingPlan:
         # What earlier stages needed is free when the map is judged.
         free = self._curvature, self._certainty, self._slope, self._workspace, self._penalty_scale
         self._judged_by = *free, kernels.zeros(lf.size, device)
+        self._guesses = None
+        if self._resweeps > 1 and config.sweep.ambiguity < 1:
+            self._guesses = GuessedSurfaces(
+                kernels,
+                share=config.sweep.ambiguity,
+                step=self._step,
+                count=count,
+                unit=self._noise_cost,
+                tolerance=config.sweep.tolerance / self._farthest,
+                ones=self._prior.ones,
+                zeros=kernels.zeros(lf.size, device),
+                workspace=self._judged_by,
+            )
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
         self._trust = kernels.scalar(0.0, device)
         self._steps = len(self._moves)
@@ -273,9 +288,16 @@ class MatchingPlan:
         for _again in range(self._resweeps - 1):
             middle(surface, self._volume, reach=reach, truncation=truncation)
             self._find_surface(self._matched, again=True)
-            surface, reach = self._matched, _BESIDE
+            surface, reach = self._hiding(self._matched), _BESIDE
         self._resweep(surface, self._volume, reach=reach)
         self._find_surface(self._matched, again=True)
+
+    def _hiding(self, surface: Array) -> Array:
+        """What hides anything of the surface that was found last; it is overwritten by the alignment."""
+        if self._guesses is None:
+            return surface
+        self._guesses.run(self._smooth, self._volume, surface, self._aligned)
+        return self._aligned
 
     def _find_surface(self, disparity_out: Array, *, again: bool = False) -> None:
         """From costs to the map of the best surface through them, after further sweeps `again`; both volumes change.

@@ -1,0 +1,107 @@
+"""Guessed surfaces: where nothing says how far away things are, only the farther ones hide what is behind them.
+
+Noise on a wall without texture is matched at random, near and far. If all of that hid what is behind it, its nearest
+pixels would hide the wall from nearly all views, and after a few sweeps they would be all that is left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from lfgpu.contract import Array, KernelSet
+
+_AROUND = 4  # pixels on each side of one, of which most must be uneven
+_MOST = 0.7  # of them: fewer are uneven along an outline or a thin bar
+_WIDE = 8  # pixels on each side of one, of whose surfaces the farther ones count
+_PASSES = 2  # of leaving out what is nearer than the mean
+_LITTLE = 1e-3  # what that counts nevertheless, so that means exist
+_EQUAL = 1e-4  # pixels per view step: what is nearer by less is not
+
+
+class GuessedSurfaces:
+    """Puts the farther surfaces around them in the place of guessed ones.
+
+    Parameters
+    ----------
+    kernels
+        Where it is computed.
+    share
+        The disparity of a pixel is ambiguous if more than this share of the disparities is as good as the best one.
+    step, count
+        The distance of the disparities that are compared, pixels per view step, and their number.
+    unit
+        What the costs of views that agree are.
+    tolerance
+        A map is uneven where it differs by more than this within 5 x 5 pixels, pixels per view step. Where most pixels
+        are ambiguous and the map is uneven there, it was guessed.
+    ones, zeros
+        Fields [y, x] of these numbers.
+    workspace
+        Six fields [y, x]; nothing is kept in them between two runs.
+    """
+
+    def __init__(
+        self,
+        kernels: KernelSet,
+        *,
+        share: float,
+        step: float,
+        count: int,
+        unit: float,
+        tolerance: float,
+        ones: Array,
+        zeros: Array,
+        workspace: Sequence[Array],
+    ) -> None:
+        self._kernels, self._step, self._unit, self._ones, self._zeros = kernels, step, unit, ones, zeros
+        self._most_evidence, self._least_relief = -math.log(share * count * step), math.log(tolerance)
+        self._line, *self._fields = workspace
+
+    def run(self, costs: Array, path_costs: Array, surface: Array, surface_out: Array) -> None:
+        """What of a map [y, x] hides anything; the costs [l, y, x] and the sums over paths are those of this map."""
+        guessed, farther, *others = self._fields
+        self._find(costs, path_costs, surface, guessed, *others)
+        self._push_back(surface, farther, *others)
+        self._kernels.select(guessed, farther, surface, surface_out)
+
+    def _find(self, costs: Array, path_costs: Array, surface: Array, guessed_out: Array, *workspace: Array) -> None:
+        """Above 0 where the map was guessed."""
+        k, ones, (evidence, relief, unused) = self._kernels, self._ones, workspace
+        k.evidence(
+            costs,
+            path_costs,
+            step=self._step,
+            unit=self._unit,
+            conflict_out=unused,
+            evidence_out=evidence,
+            cost_out=relief,
+        )
+        k.unevenness(surface, bend_out=unused, relief_out=relief)
+        k.axpby(1.0, evidence, -self._most_evidence, ones, evidence)
+        k.axpby(1.0, relief, -self._least_relief, ones, relief)
+        k.select(relief, ones, self._zeros, relief)
+        k.select(evidence, self._zeros, relief, relief)
+        self._mean(relief, _AROUND, guessed_out)
+        k.axpby(1.0, guessed_out, -_MOST, ones, guessed_out)
+
+    def _push_back(self, surface: Array, farther_out: Array, *workspace: Array) -> None:
+        """The mean of the surfaces around each pixel that are farther than most, or the pixel's own if that is."""
+        k, (counted, weighted, sums) = self._kernels, workspace
+        self._mean(surface, _WIDE, farther_out)
+        for _ in range(_PASSES):
+            k.axpby(1.0, farther_out, -1.0, surface, counted)
+            k.axpby(1.0, counted, _EQUAL, self._ones, counted)
+            k.select(counted, self._ones, self._zeros, counted)
+            k.axpby(1.0, counted, _LITTLE, self._ones, counted)
+            k.multiply(counted, surface, weighted)
+            self._mean(weighted, _WIDE, sums)
+            self._mean(counted, _WIDE, farther_out)
+            k.divide(sums, farther_out, farther_out)
+        k.axpby(1.0, surface, -1.0, farther_out, counted)
+        k.select(counted, farther_out, surface, farther_out)
+
+    def _mean(self, values: Array, reach: int, means_out: Array) -> None:
+        """Over a square."""
+        self._kernels.line_mean(values, axis=0, reach=reach, means_out=self._line)
+        self._kernels.line_mean(self._line, axis=1, reach=reach, means_out=means_out)
