@@ -45,12 +45,12 @@ def test_every_operation_of_matching_and_its_prior_is_measured() -> None:
 
 
 def test_traffic_of_matching_counts_labels_views_and_neighbours() -> None:
-    """By hand for 3 x 3 views of 48 x 48: 10 labels, 9 views in colour, 4 neighbours of 3 x 3, 40 of 9 x 9.
+    """By hand for 3 x 3 views of 48 x 48: 8 labels, 9 views in colour, 4 neighbours of 3 x 3, 40 of 9 x 9.
 
     A reduced view has a sixteenth of the pixels.
     """
     pixels = 48 * 48
-    image, views, offsets, volume, nearest = 12 * pixels, 27 * pixels, 9 * 2 * 4, 40 * pixels, 36 * pixels
+    image, views, offsets, volume, nearest = 12 * pixels, 27 * pixels, 9 * 2 * 4, 32 * pixels, 36 * pixels
     for name, bytes_ in {
         "smooth_views": views + 2 * views,
         "reduce_views": views + 2 * views // 16,
