@@ -6,7 +6,7 @@ compared as well: both show faint texture that noise hides from single pixels. P
 `resweep` compares again, several times, each time with the views that see a pixel past the surface found so far. What
 lies beside an outline looks like a part of what is nearer: its image gradient and its smoothed value are. So the first
 surfaces are too large, and hide that place from itself. Later surfaces are nearly right, and what they hide is widened
-by a pixel, but where they are mere guesses (`guesses.py`); gradients count for less in the last sweep, and for nothing
+by a pixel; what is a mere guess hides less (`guesses.py`). Gradients count for less in the last sweep, and for nothing
 in those between.
 `align` makes the disparity continuous: Gauss-Newton steps on what the views that see a pixel have in common, and then
 the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side whose colour
