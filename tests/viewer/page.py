@@ -124,4 +124,10 @@ def viridis(value: float, limits: tuple[float, float]) -> tuple[int, ...]:
 
 
 def marked(page: Page) -> Callable[[], list[str]]:
-    return lambda: page.readout().replace("\n", " ").split("disparity")[0].split()[-2:]
+    """What the page says of the pixel that was chosen; [] while it says something of the one under the pointer."""
+
+    def found() -> list[str]:
+        said = page.readout().replace("\n", " ").split("disparity")[0].split()
+        return said[-2:] if "chosen" in said else []
+
+    return found
