@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lfgpu import LightField, estimate_depth
+from lfgpu import LightField, estimate_depth, scenes
 from lfgpu._backends import load
 from lfgpu.methods import preset
 from lfgpu.methods.matching.guesses import GuessedSurfaces
@@ -89,3 +89,11 @@ def test_a_wall_of_noise_comes_less_near_in_further_sweeps(rng: np.random.Genera
         return float((result.stages["resweep"] > 1).mean())
 
     assert near(preset("accurate").sweep.ambiguity) < near(1.0) - 0.05
+
+
+def test_every_difference_may_be_a_depth_edge() -> None:
+    """A tolerance of 0 is in its range."""
+    lf = scenes.make("boxes", grid=(5, 5), size=(48, 48))
+    config = preset("accurate").with_values({"sweep.tolerance": 0.0})
+    result = estimate_depth(lf, disparity_range=(-2, 2), config=config, check_cameras=False)
+    assert np.isfinite(result.disparity).all()

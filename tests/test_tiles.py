@@ -31,7 +31,7 @@ from lfgpu.pipelines import tiles
 ROOT = Path(__file__).parents[1]
 RANGE = (-0.8, 0.8)
 TOLERANCE = 1e-3  # pixels per view step
-SIDE = 344  # pixels
+SIDE = 440  # pixels
 
 
 @pytest.fixture(scope="module")

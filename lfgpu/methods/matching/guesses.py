@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 
 from lfgpu.contract import Array, KernelSet
+from lfgpu.methods.matching.square_mean import square_mean
 
 _AROUND = 4  # pixels on each side of one, of which most must be uneven
 _MOST = 0.7  # of them: fewer are uneven along an outline or a thin bar
@@ -17,10 +18,14 @@ _WIDE = 8  # pixels on each side of one, of whose surfaces the farther ones coun
 _PASSES = 2  # of leaving out what is nearer than the mean
 _LITTLE = 1e-3  # what that counts nevertheless, so that means exist
 _EQUAL = 1e-4  # pixels per view step: what is nearer by less is not
+_LEAST = 0.01  # pixels per view step: less is not uneven
+
+GUESS_REACH = _WIDE * (1 + _PASSES)
+"""Rows and columns from a pixel to the farthest ones that say what it hides."""
 
 
 class GuessedSurfaces:
-    """Puts the farther surfaces around them in the place of guessed ones.
+    """Replaces guessed surfaces by the farther ones around them.
 
     Parameters
     ----------
@@ -31,10 +36,10 @@ class GuessedSurfaces:
     step, count
         The distance of the disparities that are compared, pixels per view step, and their number.
     unit
-        What the costs of views that agree are.
+        What a difference between views as large as the noise costs.
     tolerance
-        A map is uneven where it differs by more than this within 5 x 5 pixels, pixels per view step. Where most pixels
-        are ambiguous and the map is uneven there, it was guessed.
+        A map is uneven where it differs by about this or more within 5 x 5 pixels, pixels per view step. Where most
+        pixels around are both ambiguous and uneven, the map was guessed.
     ones, zeros
         Fields [y, x] of these numbers.
     workspace
@@ -55,7 +60,7 @@ class GuessedSurfaces:
         workspace: Sequence[Array],
     ) -> None:
         self._kernels, self._step, self._unit, self._ones, self._zeros = kernels, step, unit, ones, zeros
-        self._most_evidence, self._least_relief = -math.log(share * count * step), math.log(tolerance)
+        self._most_evidence, self._least_relief = -math.log(share * count * step), math.log(max(tolerance, _LEAST))
         self._line, *self._fields = workspace
 
     def run(self, costs: Array, path_costs: Array, surface: Array, surface_out: Array) -> None:
@@ -102,6 +107,4 @@ class GuessedSurfaces:
         k.select(counted, farther_out, surface, farther_out)
 
     def _mean(self, values: Array, reach: int, means_out: Array) -> None:
-        """Over a square."""
-        self._kernels.line_mean(values, axis=0, reach=reach, means_out=self._line)
-        self._kernels.line_mean(self._line, axis=1, reach=reach, means_out=means_out)
+        square_mean(self._kernels, values, reach=reach, workspace=self._line, means_out=means_out)

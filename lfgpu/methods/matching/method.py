@@ -11,6 +11,7 @@ from lfgpu.data.lightfield import LightField, farthest
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
 from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.guesses import GUESS_REACH
 from lfgpu.methods.matching.noise import measured_grain, measured_noise, of_given_noise, smoothing_deviation
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.matching.sweep import first_views, labels, middle_views, swept_views, used_views
@@ -113,7 +114,8 @@ class Matching(Method[MatchingConfig]):
         buffers = 1 + int(copied > 0) + min(config.sweep.resweeps, 2 + int(between > 0))
         workspaces = _STEP_COSTS if on_gpu else buffers * 4 * _SLICES
         weighed = 1 + int(copied > 0)  # how much gradients count, in each alignment
-        fields = 4 * (26 + weighed + 2 * channels)
+        guessed = int(config.sweep.resweeps > 1)
+        fields = 4 * (26 + weighed + guessed + 2 * channels)
         per_pixel = host + views + swept + packed + hiding + volumes + weights + workspaces + fields + masks
         if not on_gpu:
             return Footprint(per_pixel, PROCESS)
@@ -129,6 +131,7 @@ class Matching(Method[MatchingConfig]):
         passes = 2 + 2 * self.config.sweep.resweeps + 2 * self.config.alignment.iterations
         windows = (self.config.prior.window // 2) * passes + self.config.prior.patch // 2 + 2 * (REACH + 1)
         windows += SMOOTHING_REACH + 1 + _REDUCED * REDUCTION
+        windows += GUESS_REACH * max(0, self.config.sweep.resweeps - 1)
         return reach[1] + windows + _PATHS, reach[0] + windows + _PATHS
 
     def plan(self, lf: LightField, measured: Measured, kernels: KernelSet, device: str) -> MatchingPlan:

@@ -38,6 +38,7 @@ from lfgpu.methods.matching.hole_filling import HoleFilling
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
 from lfgpu.methods.matching.reduced import ReducedSweep
 from lfgpu.methods.matching.some_views import SomeViews
+from lfgpu.methods.matching.square_mean import square_mean
 from lfgpu.methods.matching.sweep import (
     first_views,
     further_sweeps,
@@ -293,7 +294,7 @@ class MatchingPlan:
         self._find_surface(self._matched, again=True)
 
     def _hiding(self, surface: Array) -> Array:
-        """What hides anything of the surface that was found last; it is overwritten by the alignment."""
+        """What of the surface that was found last hides anything; the next call and the alignment overwrite it."""
         if self._guesses is None:
             return surface
         self._guesses.run(self._smooth, self._volume, surface, self._aligned)
@@ -428,8 +429,7 @@ class MatchingPlan:
         )
         around = (evidence, _AROUND, conflict), (bend, _AROUND, evidence)
         for values, reach, means in (*around, (wide, _WIDE, cost), (evidence, _WIDE, wide)):
-            kernels.line_mean(values, axis=0, reach=reach, means_out=relief)
-            kernels.line_mean(relief, axis=1, reach=reach, means_out=means)
+            square_mean(kernels, values, reach=reach, workspace=relief, means_out=means)
         kernels.unevenness(self.disparity, bend_out=bend, relief_out=relief)
         kernels.judge(
             conflict,
