@@ -165,6 +165,11 @@ def reduced_volume(case: Case) -> NDArray[np.float32]:
     return blocks.mean((2, 4), dtype=np.float32)
 
 
+def shares(case: Case) -> NDArray[np.float32]:
+    """[r, s]: what the costs of reduced views count."""
+    return _rng(case, 9).uniform(0.9, 1.0, [side // REDUCTION for side in case.size]).astype(np.float32)
+
+
 def other_values(case: Case) -> NDArray[np.float32]:
     """[y, x]: a second map."""
     return _rng(case, 4).random(case.size, np.float32)
@@ -206,6 +211,7 @@ INPUTS: dict[str, Callable[[Case], NDArray[Any]]] = {
     "volume": volume,
     "path_costs": path_costs,
     "reduced_volume": reduced_volume,
+    "shares": shares,
     "other_values": other_values,
     "x": disparity,
     "x_gradient": x_gradient,

@@ -254,9 +254,14 @@ def _add_reduced(on: Desk) -> Work:
     k, a, weight = on.kernels, on.arrays, MATCHING.sweep.reduced_weight
     first = k.field(k.numpy(a["volume"]), on.device)
     return Work(
-        lambda: k.add_reduced(a["reduced_volume"], weight=weight, volume_inout=a["volume"]),
+        lambda: k.add_reduced(a["reduced_volume"], a["shares"], weight=weight, volume_inout=a["volume"]),
         lambda: k.copy(first, a["volume"]),
     )
+
+
+def _edge_weights(on: Desk) -> Work:
+    k, a, contrast = on.kernels, on.arrays, MATCHING.sweep.reduced_contrast
+    return Work(lambda: k.edge_weights(a["image"], contrast=contrast, reach=1, weights_out=a["weights_out"]))
 
 
 def _row(on: Desk) -> dict[str, float]:
@@ -427,7 +432,8 @@ OPERATIONS = (
     Operation(
         "semi_global", (_VOLUME, _IMAGE, Slot("other_values", "yx")), (Slot("sum", "lyx"),), _semi_global, local=False
     ),
-    Operation("add_reduced", (Slot("reduced_volume", "lrs"), _VOLUME), (_VOLUME,), _add_reduced),
+    Operation("add_reduced", (Slot("reduced_volume", "lrs"), Slot("shares", "rs"), _VOLUME), (_VOLUME,), _add_reduced),
+    Operation("edge_weights", (_IMAGE,), (Slot("weights_out", "yx"),), _edge_weights),
     Operation("least_costs", (_VOLUME,), (Slot("least", "yx"),), _least_costs),
     Operation("winner_takes_all", (_VOLUME,), (Slot("disparity_out", "yx"),), _winner_takes_all),
     Operation(

@@ -31,9 +31,9 @@ class Scene:
 
 
 SCENES = (
-    Scene("boxes", (320, 340)),
-    Scene("textureless", (320, 340), 0.01),
-    Scene("textureless", (600, 640), 0.01),  # with patches larger than the halo
+    Scene("boxes", (520, 540)),
+    Scene("textureless", (520, 540), 0.01),
+    Scene("textureless", (720, 760), 0.01),  # with patches larger than the halo
 )
 
 

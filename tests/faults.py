@@ -105,8 +105,8 @@ FAULTS = (
     Fault(
         "reduced costs half a pixel beside their place along rows",
         "kernels/warp/cost_volume.py",
-        "const float share = (j + 0.5f) / REDUCTION - 0.5f;",
-        "const float share = (float)j / REDUCTION - 0.5f;",
+        "const float away = (j + 0.5f) / REDUCTION - 0.5f;",
+        "const float away = (float)j / REDUCTION - 0.5f;",
         (_MATRIX, "-k", "add_reduced and left-over and warp and equals"),
     ),
     Fault(

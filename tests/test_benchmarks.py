@@ -113,8 +113,8 @@ def test_a_run_has_times_errors_and_memory(measured: Path) -> None:
             assert record.errors.keys() == {"mse_100", "badpix_07", "badpix_03", "badpix_01", "q25"} | energy
             assert record.details["iterations"] > 0
             transfers = () if record.name == "paper" else ("upload", "download")
-            stages = {"accurate": {"sweep", "resweep", "align", "boundaries"}, "fast": {"sweep", "align", "boundaries"}}
-            expected = stages.get(record.name, {"local", "propagate", "refine"})
+            matched = record.name in pipelines.MATCHING
+            expected = {"sweep", "resweep", "align", "boundaries"} if matched else {"local", "propagate", "refine"}
             assert set(record.details["stages"]) == {*expected, *transfers}
         if record.kind != "bandwidth":
             assert record.host_bytes is not None

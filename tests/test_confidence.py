@@ -56,11 +56,13 @@ def test_misregistered_views_lower_the_confidence() -> None:
     assert bad.uncertainty.mean() > 2 * good.uncertainty.mean()  # type: ignore[union-attr]
 
 
-def test_a_plain_surface_far_from_texture_is_not_believed() -> None:
+@pytest.mark.parametrize("preset", ["fast", "accurate"])
+def test_a_plain_surface_far_from_texture_is_not_believed(preset: str) -> None:
+    """Nor because no view sees what is behind it: it is not known where it is."""
     lf = scenes.make("relief", grid=(7, 7), size=(96, 104))
     views = lf.views.copy()
     views[:, :, 44:] = 128
-    result = estimated(replace(lf, views=views))
+    result = lfgpu.estimate_depth(replace(lf, views=views), config=preset, disparity_range=RANGE, device="cpu")  # type: ignore[arg-type]
     plain, textured = np.s_[20:-20, 75:], np.s_[20:-20, :30]
     assert result.confidence[plain].mean() < 0.75 * result.confidence[textured].mean()
     assert result.uncertainty is not None

@@ -54,7 +54,8 @@ def test_traffic_of_matching_counts_labels_views_and_neighbours() -> None:
     for name, bytes_ in {
         "smooth_views": views + 2 * views,
         "reduce_views": views + 2 * views // 16,
-        "add_reduced": 2 * volume + volume // 16,
+        "add_reduced": 2 * volume + volume // 16 + 4 * pixels // 16,
+        "edge_weights": image + 4 * pixels,
         "plane_sweep_by_view_sets": image + views + offsets + volume,
         "plane_sweep_by_visibility": image + views + offsets + nearest + volume,
         "nlm_average": 16 * pixels + 2 * volume,

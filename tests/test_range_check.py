@@ -80,7 +80,6 @@ def test_blurred_noise_is_refused_or_not_believed() -> None:
         assert any("The confidence is at most 0.1 at 95 %" in note for note in result.notes)
 
 
-@pytest.mark.xfail(strict=True, reason="the confidence of one map is at most 0.13 at 95 %")
 def test_blurred_noise_is_not_believed_without_a_look_at_the_cameras() -> None:
     positions = np.stack([np.arange(5.0), np.zeros(5)], axis=1)
     for seed in (2, 3):  # those in which a range is found

@@ -12,9 +12,9 @@ from lfgpu.pipelines.estimate import estimate_depth
 @pytest.mark.parametrize(
     ("config", "name"),
     [
-        pytest.param("fast", "boxes", marks=pytest.mark.xfail(strict=True, reason="it changes 0.22 %")),
+        ("fast", "boxes"),
         ("fast", "planes"),
-        pytest.param("fast", "textureless", marks=pytest.mark.xfail(strict=True, reason="it changes 2.5 %")),
+        ("fast", "textureless"),
         ("accurate", "boxes"),
         ("accurate", "planes"),
         ("accurate", "textureless"),

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from lfgpu.contract import GRADIENT_REACH
 
+from .edges import edge_weights
+
 Array = NDArray[np.float64]
 
 NOWHERE = -1e6  # the disparity of what nothing comes near
@@ -65,16 +67,6 @@ def features(intensities: Array) -> Array:
     return np.concatenate([continued, *differences(continued)], 2)
 
 
-def largest_step(image: Array) -> Array:
-    """The largest difference [y, x] of two adjacent pixels of [y, x, c] that are near a pixel, a mean of channels."""
-    r = GRADIENT_REACH
-    steps = []
-    for axis, window in ((1, (2 * r + 1, 2 * r)), (0, (2 * r, 2 * r + 1))):
-        padded = np.pad(np.abs(np.diff(image, axis=axis)).mean(2), r)
-        steps.append(np.lib.stride_tricks.sliding_window_view(padded, window).max(axis=(2, 3)))
-    return np.asarray(np.maximum(*steps))
-
-
 def mean_of(own: Array, of_views: Sequence[Array], weights: Sequence[Array]) -> Array:
     """The mean of what the reference has [y, x, c], with weight 1, and what views have, with weights [y, x]."""
     total = own + sum(k[..., None] * found for k, found in zip(weights, of_views, strict=True))
@@ -92,7 +84,9 @@ class Alignment:
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
         inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
         described = features(image)
-        self._weight_of_gradients = self._gradient_weight / (1 + (largest_step(image) / self._contrast) ** 2)
+        weights = np.empty(image.shape[:2])
+        edge_weights(image, contrast=self._contrast, reach=GRADIENT_REACH, weights_out=weights)
+        self._weight_of_gradients = self._gradient_weight * weights
         self._image = self._weighted(described[inner])
         self._own_changes = [self._weighted(change[inner]) for change in differences(described)]
         self._recorded = recorded

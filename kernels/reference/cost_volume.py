@@ -23,12 +23,12 @@ def nlm_average(weights: Array, volume: Array, *, window: int, average_out: Arra
         average /= total
 
 
-def add_reduced(reduced: Array, *, weight: float, volume_inout: Array) -> None:
+def add_reduced(reduced: Array, shares: Array, *, weight: float, volume_inout: Array) -> None:
     places = [
         np.clip((np.arange(size) + 0.5) / REDUCTION - 0.5, 0, small - 1)
         for size, small in zip(volume_inout.shape[1:], reduced.shape[1:], strict=True)
     ]
-    volume_inout += weight * _between(_between(reduced, places[0], 1), places[1], 2)
+    volume_inout += weight * _between(_between(shares * reduced, places[0], 1), places[1], 2)
 
 
 def _between(values: Array, places: Array, axis: int) -> Array:

@@ -15,6 +15,7 @@ import taichi as ti
 
 from lfgpu.contract import GRADIENT_REACH, Alignment, ZBuffer
 
+from .edges import weigh_edges
 from .landing import land, within
 from .memory import DeviceArray, empty, flat, numpy, optional
 from .runtime import TASK, on_cpu, once, run
@@ -217,34 +218,6 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         excess = 1.0 + square / (3 * channels * robust * robust)
         return 1.0 / (excess * excess)
 
-    @ti.func
-    def step_between(image: ti.template(), p: int, q: int):
-        size = 0.0
-        for c in ti.static(range(channels)):
-            size += ti.abs(image[p][c] - image[q][c])
-        return size / channels
-
-    @ti.kernel
-    def weigh_kernel(
-        image: flat(channels=channels), weight: float, contrast: float, height: int, width: int, weights_out: field
-    ):
-        """The weight of gradients: what is near a step in brightness sees it in them."""
-        for p in range(height * width):
-            left = ti.max(p % width - GRADIENT_REACH, 0)
-            right = ti.min(p % width + GRADIENT_REACH, width - 1)
-            top = ti.max(p // width - GRADIENT_REACH, 0)
-            bottom = ti.min(p // width + GRADIENT_REACH, height - 1)
-            largest = 0.0
-            for y in range(top, bottom + 1):
-                for x in range(left, right + 1):
-                    q = y * width + x
-                    if x < right:
-                        largest = ti.max(largest, step_between(image, q, q + 1))
-                    if y < bottom:
-                        largest = ti.max(largest, step_between(image, q, q + width))
-            share = largest / contrast
-            weights_out[p] = weight / (1.0 + share * share)
-
     @ti.kernel
     def align_kernel(
         image: flat(channels=channels),
@@ -373,7 +346,7 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
             curvature_out[p] = share_of_all * curvature
             slope_out[p] = share_of_all * slope
 
-    return SimpleNamespace(pack=pack_kernel, weigh=weigh_kernel, align=align_kernel)
+    return SimpleNamespace(pack=pack_kernel, align=align_kernel)
 
 
 class _Alignment:
@@ -390,7 +363,7 @@ class _Alignment:
         self._shape, self._offsets = tuple(shape), offsets
         others = int((np.hypot(*numpy(offsets).T) > _AT_REFERENCE).sum())
         share_of_all = 1 / (3 * shape[3] * max(others, 1))
-        self._weighing, self._weights = (gradient_weight, contrast), empty(shape[1:3])
+        self._weighing, self._weights = (gradient_weight, contrast, GRADIENT_REACH), empty(shape[1:3])
         self._compared = scale, robust, tolerance, share_of_all
         self._packed: Any = None
 
@@ -401,7 +374,8 @@ class _Alignment:
             size = n, height + _BORDER, width + _BORDER
             self._packed = empty(size, channels=channels + 1, scalar=recorded.scalar)
         self._image = image
-        run(self._kernels.weigh, image.values, *self._weighing, height, width, self._weights.values)
+        # What is near a step in brightness sees it in its gradients.
+        weigh_edges(image, *self._weighing, self._weights)
         run(self._kernels.pack, recorded.values, *optional(valid), height, width, self._packed.values)
 
     def __call__(

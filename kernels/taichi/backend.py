@@ -8,6 +8,7 @@ from .confidence import evidence, judge, line_mean, unevenness
 from .conjugate import conjugate_step
 from .control import asking, capture, is_deterministic, kernel_cache, repeat
 from .cost_volume import add_reduced, least_costs, nlm_average, winner_takes_all
+from .edges import edge_weights
 from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
@@ -50,6 +51,7 @@ __all__ = [
     "divide",
     "dot",
     "dtype",
+    "edge_weights",
     "evidence",
     "field",
     "fill",

@@ -95,7 +95,14 @@ def _pixels_kernel(
 
 @ti.kernel
 def _add_reduced_kernel(
-    reduced: flat(), weight: float, rows: int, columns: int, height: int, width: int, volume_inout: flat()
+    reduced: flat(),
+    shares: flat(),
+    weight: float,
+    rows: int,
+    columns: int,
+    height: int,
+    width: int,
+    volume_inout: flat(),
 ):
     size = height * width
     for p in range(volume_inout.shape[0]):
@@ -103,16 +110,20 @@ def _add_reduced_kernel(
         x = ti.math.clamp((p % width + 0.5) / REDUCTION - 0.5, 0.0, columns - 1.0)
         row = int(y)
         column = int(x)
-        first = p // size * rows * columns + row * columns + column
+        here = row * columns + column
         right = ti.min(1, columns - 1 - column)
         down = ti.min(1, rows - 1 - row) * columns
-        above = reduced[first] + (x - column) * (reduced[first + right] - reduced[first])
-        below = reduced[first + down] + (x - column) * (reduced[first + down + right] - reduced[first + down])
+        first = p // size * rows * columns + here
+        above = shares[here] * reduced[first]
+        above += (x - column) * (shares[here + right] * reduced[first + right] - above)
+        below = shares[here + down] * reduced[first + down]
+        below += (x - column) * (shares[here + down + right] * reduced[first + down + right] - below)
         volume_inout[p] += weight * (above + (y - row) * (below - above))
 
 
-def add_reduced(reduced: DeviceArray, *, weight: float, volume_inout: DeviceArray) -> None:
-    run(_add_reduced_kernel, reduced.values, weight, *reduced.shape[1:], *volume_inout.shape[1:], volume_inout.values)
+def add_reduced(reduced: DeviceArray, shares: DeviceArray, *, weight: float, volume_inout: DeviceArray) -> None:
+    sizes = *shares.shape, *volume_inout.shape[1:]
+    run(_add_reduced_kernel, reduced.values, shares.values, weight, *sizes, volume_inout.values)
 
 
 @ti.kernel

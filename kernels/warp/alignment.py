@@ -15,8 +15,9 @@ import warp as wp
 from lfgpu.contract import GRADIENT_REACH, Alignment
 
 from .cost_volume import code
-from .cpu_alignment import ALIGN_ROW, PACK_ROW, WEIGH_ROW
-from .gpu_alignment import ALIGN_PIXEL, PACK_PIXEL, WEIGH_PIXEL
+from .cpu_alignment import ALIGN_ROW, PACK_ROW
+from .edges import weigh_edges
+from .gpu_alignment import ALIGN_PIXEL, PACK_PIXEL
 from .memory import pixel_type
 from .splat import as_offsets
 from .threads import launch_rows, once
@@ -25,37 +26,6 @@ wp.set_module_options({"enable_backward": False})
 
 _AT_REFERENCE = 1e-3  # view steps: what is no farther from the reference is the reference
 _BEFORE, _BORDER = 2, 5  # pixels that copies of views are longer at their left and top, and in all
-
-
-@once
-def _weigh_kernel(channels: int, on_cpu: bool) -> Any:
-    """The weight of gradients: what is near a step in brightness sees it in them."""
-    pixel = pixel_type(channels)
-
-    @wp.func_native(code(WEIGH_ROW if on_cpu else WEIGH_PIXEL, CHANNELS=channels, REACH=GRADIENT_REACH))
-    def weigh_row(
-        image: wp.array2d(dtype=pixel),
-        weight: float,
-        contrast: float,
-        y: int,
-        lane: int,
-        weights: wp.array2d(dtype=float),
-    ): ...
-
-    @wp.kernel(module=f"lfgpu_{'cpu' if on_cpu else 'gpu'}_alignment_weights_{channels}", enable_backward=False)
-    def weigh_kernel(
-        image: wp.array2d(dtype=pixel),
-        weight: float,
-        contrast: float,
-        row: int,
-        lanes: int,
-        weights_out: wp.array2d(dtype=float),
-    ):
-        i = wp.tid()
-        line = i / lanes
-        weigh_row(image, weight, contrast, row + line, i - line * lanes, weights_out)
-
-    return weigh_kernel
 
 
 @once
@@ -203,7 +173,7 @@ def _kernels(channels: int, stored: Any, compact: Any, on_cpu: bool) -> SimpleNa
             slope_out,
         )
 
-    return SimpleNamespace(weigh=_weigh_kernel(channels, on_cpu), pack=pack, align=align_kernel)
+    return SimpleNamespace(pack=pack, align=align_kernel)
 
 
 class _Alignment:
@@ -220,7 +190,7 @@ class _Alignment:
         self._shape, self._pairs = tuple(shape), as_offsets(offsets)
         others = int((np.hypot(*offsets.numpy().T) > _AT_REFERENCE).sum())
         share_of_all = 1 / (3 * shape[3] * max(others, 1))
-        self._weighing = [gradient_weight, contrast]
+        self._weighing = gradient_weight, contrast, GRADIENT_REACH
         self._weights = wp.empty(self._shape[1:3], dtype=float, device=offsets.device)
         self._compared = [scale, robust, tolerance, share_of_all]
         self._stored: Any = None
@@ -235,7 +205,8 @@ class _Alignment:
             self._stored, self._kernels = stored, _kernels(channels, stored, compact, device.is_cpu)
             self._packed = wp.empty(size, dtype=kept, device=device)
         self._image = image
-        launch_rows(self._kernels.weigh, [image, *self._weighing], self._weights)
+        # What is near a step in brightness sees it in its gradients.
+        weigh_edges(image, *self._weighing, self._weights)
         launch_rows(self._kernels.pack, [recorded, valid], self._packed)
 
     def __call__(self, disparity: Any, nearest: Any, curvature_out: Any, slope_out: Any) -> None:

@@ -196,6 +196,8 @@ _ADD_REDUCED = """
     const float place = at < 0.f ? 0.f : at > rows - 1 ? (float)(rows - 1) : at;
     const int upper = (int)place, lower = upper + 1 < rows ? upper + 1 : upper;
     const float down = weight * (place - upper), up = weight - down;
+    const float* __restrict__ const share_above = shares.data + (size_t)upper * columns;
+    const float* __restrict__ const share_below = shares.data + (size_t)lower * columns;
     for (int l = 0; l < volume.shape[0]; ++l) {
         const float* __restrict__ const above = reduced.data + ((size_t)l * rows + upper) * columns;
         const float* __restrict__ const below = reduced.data + ((size_t)l * rows + lower) * columns;
@@ -203,14 +205,13 @@ _ADD_REDUCED = """
         for (int k = lane; k * REDUCTION < width; k += lanes) {
             const int here = k < columns ? k : columns - 1;
             const int before = k < 1 ? 0 : k - 1 < here ? k - 1 : here, after = k + 1 < columns ? k + 1 : columns - 1;
-            const float left = up * above[before] + down * below[before];
-            const float middle = up * above[here] + down * below[here];
-            const float right = up * above[after] + down * below[after];
+            auto at = [&](int i) { return up * share_above[i] * above[i] + down * share_below[i] * below[i]; };
+            const float left = at(before), middle = at(here), right = at(after);
             #pragma unroll
             for (int j = 0; j < REDUCTION; ++j) {
-                const float share = (j + 0.5f) / REDUCTION - 0.5f;
+                const float away = (j + 0.5f) / REDUCTION - 0.5f;
                 const int x = k * REDUCTION + j;
-                if (x < width) out[x] += middle + (share < 0.f ? -share * (left - middle) : share * (right - middle));
+                if (x < width) out[x] += middle + (away < 0.f ? -away * (left - middle) : away * (right - middle));
             }
         }
     }
@@ -219,20 +220,31 @@ _ADD_REDUCED = """
 
 @wp.func_native(code(_ADD_REDUCED, REDUCTION=REDUCTION))
 def _add_row(
-    reduced: wp.array3d(dtype=float), weight: float, y: int, lane: int, lanes: int, volume: wp.array3d(dtype=float)
+    reduced: wp.array3d(dtype=float),
+    shares: wp.array2d(dtype=float),
+    weight: float,
+    y: int,
+    lane: int,
+    lanes: int,
+    volume: wp.array3d(dtype=float),
 ): ...
 
 
 @wp.kernel(module="lfgpu_add_reduced", enable_backward=False)
 def _add_kernel(
-    reduced: wp.array3d(dtype=float), weight: float, row: int, lanes: int, volume_inout: wp.array3d(dtype=float)
+    reduced: wp.array3d(dtype=float),
+    shares: wp.array2d(dtype=float),
+    weight: float,
+    row: int,
+    lanes: int,
+    volume_inout: wp.array3d(dtype=float),
 ):
     i = wp.tid()
-    _add_row(reduced, weight, row + i / lanes, i % lanes, lanes, volume_inout)
+    _add_row(reduced, shares, weight, row + i / lanes, i % lanes, lanes, volume_inout)
 
 
-def add_reduced(reduced: Any, *, weight: float, volume_inout: Any) -> None:
-    launch_rows(_add_kernel, [reduced, weight], volume_inout)
+def add_reduced(reduced: Any, shares: Any, *, weight: float, volume_inout: Any) -> None:
+    launch_rows(_add_kernel, [reduced, shares, weight], volume_inout)
 
 
 _LEAST = """

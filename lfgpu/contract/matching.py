@@ -76,8 +76,7 @@ class Alignment(Protocol):
     p - d(p) o_n. Its weight is k_n(r) = 1 / (1 + mean r^2 / robust^2)^2, mean over the features, 0 where it takes no
     part.
 
-    w(p) = gradient_weight / (1 + (e / contrast)^2) with the largest difference e between pixels of the reference that
-    lie side by side or one above the other, as a mean over channels; both at most GRADIENT_REACH from p in x and in y.
+    w(p) is gradient_weight times what `edge_weights` is for the reference, `contrast` and GRADIENT_REACH.
     """
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
@@ -157,9 +156,17 @@ class Matching(Protocol):
         `image` is float32 [y, x, c].
         """
 
-    def add_reduced(self, reduced: Array, *, weight: float, volume_inout: Array) -> None:
-        """Add weight * R to a volume [l, y, x]; R is `reduced` [l, y // REDUCTION, x // REDUCTION], interpolated.
+    def edge_weights(self, image: Array, *, contrast: float, reach: int, weights_out: Array) -> None:
+        """1 / (1 + (e / contrast)^2) for each pixel p of an image [y, x, c]; contrast > 0, `reach` 1 to 100.
 
+        e is the largest difference between pixels that lie side by side or one above the other, as a mean over
+        channels; both at most `reach` from p in x and in y. Without any two such pixels it is 0.
+        """
+
+    def add_reduced(self, reduced: Array, shares: Array, *, weight: float, volume_inout: Array) -> None:
+        """Add weight * R to a volume [l, y, x]; R is `shares` * `reduced`, interpolated.
+
+        `reduced` is [l, y // REDUCTION, x // REDUCTION], and `shares` [y // REDUCTION, x // REDUCTION] for all l.
         Between the centres of its pixels R is linear in y and in x, beyond them it stays what it is there.
         """
 

@@ -23,7 +23,7 @@ METHODS: dict[str, Entry] = {
         _matching.PRESETS,
         "lfgpu.methods.matching.method:Matching",
         "finds the surface on which the views agree, with occlusions",
-        {"accurate": "all views, occlusions in four sweeps", "fast": "one row and one column of views, one sweep"},
+        {"accurate": "all views, occlusions in four sweeps", "fast": "one row and one column of views, two sweeps"},
     ),
     "synthesis": Entry(
         _synthesis.SynthesisConfig,

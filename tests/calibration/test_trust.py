@@ -47,9 +47,6 @@ def test_confidence_falls_to_what_is_true_where_cameras_are_off(planes: LightFie
     after = judged(wrong, before, device="cpu")
     assert len(after.remarks) == 1
     assert "line" in after.remarks[0]
-    share = right(before, planes)
-    assert said(before) > share + 0.15
-    assert abs(said(after) - share) < 0.6 * (said(before) - share)
     assert before.uncertainty is not None
     assert after.uncertainty is not None
     assert (after.uncertainty > before.uncertainty).all()
@@ -58,6 +55,21 @@ def test_confidence_falls_to_what_is_true_where_cameras_are_off(planes: LightFie
     within = [(errors < result.uncertainty[INNER]).mean() for result in (before, after)]
     assert within[1] > max(0.85, within[0])  # of errors as a Gaussian has them, 0.68
     np.testing.assert_array_equal(after.disparity, before.disparity)
+
+
+@pytest.mark.parametrize("how", ["shift=0.5", "roll=0.7"])
+def test_over_many_arrays_it_falls_to_what_is_true(planes: LightField, how: str) -> None:
+    """One array can be lucky: its errors may cancel for the texture that there is."""
+    shares, claims, claims_after = [], [], []
+    for seed in range(1, 9):
+        wrong = disturb(planes, Misalignment.parse(how), seed=seed).light_field
+        before = estimated(wrong)
+        shares.append(right(before, planes))
+        claims.append(said(before))
+        claims_after.append(said(judged(wrong, before, device="cpu")))
+    share, claim, claim_after = (float(np.mean(values)) for values in (shares, claims, claims_after))
+    assert claim > share + 0.15
+    assert abs(claim_after - share) < 0.6 * (claim - share)
 
 
 @pytest.mark.parametrize("how", ["shift=0.5", "roll=0.7"])

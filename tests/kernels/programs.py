@@ -162,6 +162,7 @@ def program_inputs(make: MakeProgram, rng: np.random.Generator) -> dict[str, Val
         "offsets": offsets,
         "volume": rng.random((5, *shape), np.float32),
         "reduced": rng.random((5, *(side // REDUCTION for side in shape)), np.float32),
+        "shares": rng.random([side // REDUCTION for side in shape], np.float32),
         "nearest": rng.uniform(-1.5, 1.5, recorded.shape[:3]),
     }
 

@@ -9,7 +9,7 @@ import checks
 import numpy as np
 import programs
 import volume_checks
-from lfgpu.kernels.reference import confidence, cost_volume, semi_global
+from lfgpu.kernels.reference import confidence, cost_volume, edges, semi_global
 from single_faults import Check, Fault, single_fault_tests
 from volume_cases import VolumeCase, volume_inputs
 from ways_to_be_wrong import (
@@ -98,10 +98,10 @@ def text(old: str, new: str) -> Callable[..., Any]:
     return rewritten(cost_volume, old, new)
 
 
-AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, *CONFIDENCE = map(value_of, volume_checks.OPERATIONS)
+AVERAGE, SEMI_GLOBAL, ADD_REDUCED, EDGES, LEAST, LOWEST, *CONFIDENCE = map(value_of, volume_checks.OPERATIONS)
 EVIDENCE, LINE_MEAN, UNEVENNESS, JUDGE = CONFIDENCE
 
-FIRST_ROW = "reduced[:, :1].repeat(volume_inout.shape[1], 1)"
+FIRST_ROW = "(shares * reduced)[:, :1].repeat(volume_inout.shape[1], 1)"
 FAULTS = (
     Fault("weights beside their pixels", "nlm_average", argument(0, skewed), AVERAGE),
     Fault("a little wider", "nlm_average", argument(0, lambda w: 1.01 * w), AVERAGE),
@@ -117,14 +117,26 @@ FAULTS = (
     Fault("half a reduced pixel off", "add_reduced", text("REDUCTION - 0.5", "REDUCTION"), ADD_REDUCED),
     Fault("beyond the border", "add_reduced", text("0, small - 1)", "-1, small - 0.5)"), ADD_REDUCED),
     Fault("nearest", "add_reduced", text("(places - before)", "np.rint(places - before)"), ADD_REDUCED),
-    Fault("along rows only", "add_reduced", text("_between(reduced, places[0], 1)", FIRST_ROW), ADD_REDUCED),
+    Fault("along rows only", "add_reduced", text("_between(shares * reduced, places[0], 1)", FIRST_ROW), ADD_REDUCED),
     Fault("overwritten", "add_reduced", text("volume_inout += weight", "volume_inout[:] = weight"), ADD_REDUCED),
     Fault("twice", "add_reduced", text("volume_inout += weight", "volume_inout += 2 * weight"), ADD_REDUCED),
     Fault("taken away", "add_reduced", option("weight", lambda weight: -weight), ADD_REDUCED),
+    Fault("shares ignored", "add_reduced", argument(1, np.ones_like), ADD_REDUCED),
+    Fault("shares ignored, seen in a program", "add_reduced", argument(1, np.ones_like), PROGRAM),
+    Fault("shares of the pixel above", "add_reduced", argument(1, lambda shares: np.roll(shares, 1, 0)), ADD_REDUCED),
     Fault("slices in reverse", "add_reduced", argument(0, lambda reduced: reduced[::-1]), ADD_REDUCED),
     Fault("last slice skipped", "add_reduced", argument(0, without_last), ADD_REDUCED),
     Fault("one pixel off", "add_reduced", after(one_off, "volume_inout"), ADD_REDUCED),
     Fault("its input changes", "add_reduced", changing_its_input, ADD_REDUCED),
+    Fault("steps count a little less", "edge_weights", option("contrast", lambda c: 1.01 * c), EDGES),
+    Fault("a pixel farther", "edge_weights", option("reach", lambda reach: reach + 1), EDGES),
+    Fault("one channel only", "edge_weights", argument(0, lambda image: image[..., :1]), EDGES),
+    Fault("down the columns only", "edge_weights", rewritten(edges, "np.maximum(*steps)", "steps[1]"), EDGES),
+    Fault("along the rows only", "edge_weights", rewritten(edges, "np.maximum(*steps)", "steps[0]"), EDGES),
+    Fault("mirrored", "edge_weights", after(mirrored, "weights_out"), EDGES),
+    Fault("one pixel off", "edge_weights", after(one_off, "weights_out"), EDGES),
+    Fault("adds to its output", "edge_weights", accumulating("weights_out"), EDGES),
+    Fault("twice, seen in a program", "edge_weights", after(scaled(2.0), "weights_out"), PROGRAM),
     Fault("without diagonals", "semi_global", with_another(semi_global, "path_costs", without_diagonals), SEMI_GLOBAL),
     Fault("around the frame", "semi_global", with_another(semi_global, "path_costs", wrapping), SEMI_GLOBAL),
     Fault("edges let all pass", "semi_global", with_another(semi_global, "LEAST_SMALL", lambda _: 0.0), SEMI_GLOBAL),

@@ -101,6 +101,19 @@ def test_reduced_volume_is_added_linear_between_the_middles_of_its_pixels(
     height, width = case.size
     middles = [4 * np.arange(side // 4) + 1.5 for side in case.size]
     for volume, before, reduced in zip(got["volume"], i.volume, i.reduced, strict=True):
-        wide = np.array([np.interp(np.arange(width), middles[1], row) for row in reduced])
+        wide = np.array([np.interp(np.arange(width), middles[1], row) for row in i.shares.astype(np.float64) * reduced])
         whole = np.array([np.interp(np.arange(height), middles[0], column) for column in wide.T]).T
         np.testing.assert_allclose(volume, before + i.weight * whole, rtol=0, atol=1e-12 * np.abs(i.volume).max())
+
+
+@pytest.mark.parametrize("case", SMALL, ids=str)
+def test_edges_count_less_the_larger_the_steps_near_them(case: VolumeCase, rng: np.random.Generator) -> None:
+    i, got = run(volume_checks.EDGES, case, rng)
+    height, width = case.size
+    image = i.image.astype(np.float64)
+    for y, x in np.ndindex(height, width):
+        for name, reach in (("beside", 1), ("around", 3)):
+            near = [(v, u) for v, u in np.ndindex(height, width) if max(abs(v - y), abs(u - x)) <= reach]
+            pairs = [(p, q) for p, q in itertools.combinations(near, 2) if abs(p[0] - q[0]) + abs(p[1] - q[1]) == 1]
+            largest = max((np.abs(image[p] - image[q]).mean() for p, q in pairs), default=0.0)
+            assert got[name][y, x] == pytest.approx(1 / (1 + (largest / i.edge_contrast) ** 2), rel=1e-12)

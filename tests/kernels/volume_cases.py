@@ -80,7 +80,8 @@ def volume_inputs(case: VolumeCase, rng: np.random.Generator) -> SimpleNamespace
         rng.uniform(low, high, case.size).astype(np.float32) for low, high in JUDGED
     )
     i.reduced = rng.uniform(*case.costs, (case.count, *(side // REDUCTION for side in case.size))).astype(np.float32)
-    i.weight = 0.7
+    i.shares = rng.uniform(0.2, 1.0, i.reduced.shape[1:]).astype(np.float32)
+    i.weight, i.edge_contrast = 0.7, 0.4
     i.span = 3.3
     i.weights_of_judge = {
         "share": (0.5, -1.25, 0.75, -0.5, 0.25, 0.125),

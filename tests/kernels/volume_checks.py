@@ -29,8 +29,16 @@ def semi_global(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 def add_reduced(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = desk.held(i.volume)
-    desk.kernels.add_reduced(desk.field(i.reduced), weight=i.weight, volume_inout=out)
+    desk.kernels.add_reduced(desk.field(i.reduced), desk.field(i.shares), weight=i.weight, volume_inout=out)
     return {"volume": out}
+
+
+def edge_weights(desk: Desk, i: SimpleNamespace) -> Outputs:
+    """Beside edges, and farther around."""
+    out = {name: desk.out(i.volume.shape[1:]) for name in ("beside", "around")}
+    for name, reach in (("beside", 1), ("around", 3)):
+        desk.kernels.edge_weights(desk.image(i.image), contrast=i.edge_contrast, reach=reach, weights_out=out[name])
+    return out
 
 
 def least_costs(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -116,6 +124,7 @@ OPERATIONS = (
     Operation(nlm_average, "volume", relative_to_terms(average=lambda i: size(i.volume))),
     Operation(semi_global, "volume", relative_to_terms(sum=lambda i: size(i.volume))),
     Operation(add_reduced, "reduced", relative_to_terms(volume=lambda i: size(i.volume))),
+    Operation(edge_weights, "volume"),
     Operation(least_costs, "volume"),
     Operation(winner_takes_all, "volume", lowest_errors),
     Operation(
@@ -128,7 +137,7 @@ OPERATIONS = (
     Operation(unevenness, "volume"),
     Operation(judge, "volume"),
 )
-AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, EVIDENCE, LINE_MEAN, UNEVENNESS, JUDGE = OPERATIONS
+AVERAGE, SEMI_GLOBAL, ADD_REDUCED, EDGES, LEAST, LOWEST, EVIDENCE, LINE_MEAN, UNEVENNESS, JUDGE = OPERATIONS
 
 
 # --- a program of them, for devices that can do work as a whole ---
@@ -137,21 +146,22 @@ AVERAGE, SEMI_GLOBAL, ADD_REDUCED, LEAST, LOWEST, EVIDENCE, LINE_MEAN, UNEVENNES
 def finding_the_lowest(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
     """What becomes of a volume with the weights of an image and a reduced volume, and its lowest costs as they were."""
     image, volume = kernels.image(values["image"], device), kernels.field(values["volume"], device)
-    reduced = kernels.field(values["reduced"], device)
+    reduced, shares = (kernels.field(values[name], device) for name in ("reduced", "shares"))
     shape = values["volume"].shape
     options = {"window": WINDOW, "patch": 3, "sigma_color": 0.5, "sigma_gradient": 0.5, "floor": 1e-3}
     plan = kernels.nlm_weights(values["image"].shape, device, **options)
     weights = kernels.zeros((WINDOW * WINDOW // 2, *shape[1:]), device)
     average, total = (kernels.zeros(shape, device) for _ in range(2))
-    disparity, least = (kernels.zeros(shape[1:], device) for _ in range(2))
+    disparity, least, edges = (kernels.zeros(shape[1:], device) for _ in range(3))
 
     def work() -> None:
         plan(image, weights)
         kernels.nlm_average(weights, volume, window=WINDOW, average_out=average)
-        kernels.add_reduced(reduced, weight=0.5, volume_inout=average)
+        kernels.add_reduced(reduced, shares, weight=0.5, volume_inout=average)
         kernels.least_costs(average, least_out=least)
+        kernels.edge_weights(image, contrast=0.5, reach=1, weights_out=edges)
         kernels.semi_global(average, image, least, small=0.01, large=0.05, contrast=0.25, sum_out=total)
         kernels.winner_takes_all(volume, first=-1.0, step=0.5, disparity_out=disparity)
 
-    outputs = {"sum": total, "least": least, "disparity": disparity}
-    return Program({"image": image, "volume": volume, "reduced": reduced}, work, outputs)
+    outputs = {"sum": total, "least": least, "edges": edges, "disparity": disparity}
+    return Program({"image": image, "volume": volume, "reduced": reduced, "shares": shares}, work, outputs)

@@ -17,8 +17,8 @@ class SweepConfig(Section):
         "last step of the alignment; before, every other one of a grid, as the squares of one colour on a chessboard, "
         "if that leaves 40 or more, and in the sweeps between the first and the last those of every other row and "
         "column, if that leaves 25; so in all these steps if the chessboard leaves fewer. star: those in the "
-        "reference's row, column and diagonals. cross: those in its row and column. If fewer than four are left "
-        "beside the reference, all are used"
+        "reference's row, column and diagonals. cross: those in its row and column; before the last step of the "
+        "alignment every other one, if that leaves 9. If fewer than four are left beside the reference, all are used"
     )  # fmt: skip
     first_views: str = choice(
         "cross", ("all", "cross"), "views that the first sweep compares: all that are used, or of these those in the "
@@ -41,6 +41,10 @@ class SweepConfig(Section):
     reduced_weight: float = number(
         0.15, 0.0, 10.0, "weight of the costs of reduced views, a quarter as wide and as high, in the first sweep; 0 "
         "leaves them out"
+    )  # fmt: skip
+    reduced_contrast: float = number(
+        0.08, 1e-3, 1000.0, "difference of adjacent pixels of a reduced view that halves reduced_weight around, "
+        "intensity, if at most one more sweep follows; more of them mend what reduced views do to outlines"
     )  # fmt: skip
     truncation: float = number(0.1, 1e-3, 10.0, "larger differences in intensity count as this one")
     resweep_truncation: float = number(
@@ -71,8 +75,7 @@ class SweepConfig(Section):
     )  # fmt: skip
     ambiguity: float = number(
         0.3, 0.01, 1.0, "where a map is uneven and more than this share of the disparities is as good as the best one, "
-        "it was guessed: there only the farther surfaces hide what lies behind them, in the sweeps after the second; "
-        "1: no surface counts as guessed"
+        "it was guessed: there only the farther surfaces hide what lies behind them; 1: no surface counts as guessed"
     )  # fmt: skip
     min_share: float = number(
         0.02, 0.0, 1.0, "share of the views, but at least one, that must see a pixel in further sweeps"
@@ -80,8 +83,8 @@ class SweepConfig(Section):
 
     @property
     def kind(self) -> str:
-        """Which weights of the confidence (`trust.py`) belong to it: "again" if there are further sweeps, or "once"."""
-        return "again" if self.resweeps else "once"
+        """Which weights of the confidence (`trust.py`) it has: "again" if more than one sweep follows the first."""
+        return "again" if self.resweeps > 1 else "once"
 
 
 @dataclass(frozen=True)
@@ -194,10 +197,11 @@ class MatchingConfig(Config):
 PRESETS = {
     "accurate": MatchingConfig(),
     "fast": MatchingConfig(
-        sweep=SweepConfig(views="cross", resweeps=0, reduced_weight=0.0, step=0.4),
-        semi_global=SemiGlobalConfig(small_penalty=0.0005, large_penalty=0.003, resweep_factor=0.6),
-        alignment=AlignmentConfig(iterations=1, support=0.4, reach=2.0),
+        sweep=SweepConfig(views="cross", resweeps=1, reduced_weight=0.3),
+        semi_global=SemiGlobalConfig(large_penalty=0.003),
+        alignment=AlignmentConfig(iterations=1, support=0.4),
+        hole_filling=HoleFillingConfig(tolerance=1e-5),
     ),
 }
 """`accurate` matches the reference's row and column of views, and then three times the views that see a pixel: all, or
-of large grids of every other one. `fast` matches the reference's row and column of views, once."""
+of large grids of every other one. `fast` matches the reference's row and column of views, twice."""

@@ -104,7 +104,7 @@ class Matching(Method[MatchingConfig]):
         volume = 4 * labels(measured.disparity_range, lf.offsets, config.sweep)[2]
         volumes = (4 if on_gpu else 2) * volume
         if config.sweep.reduced_weight:
-            volumes += -(-volume // REDUCTION**2)
+            volumes += -(-(volume + 4) // REDUCTION**2)  # and what they count
         weights = 2 * 4 * ((config.prior.window**2 - 1) // 2) + 4 * 3 * channels
         if config.semi_global.window != config.prior.window:
             weights += 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels
@@ -114,7 +114,7 @@ class Matching(Method[MatchingConfig]):
         buffers = 1 + int(copied > 0) + min(config.sweep.resweeps, 2 + int(between > 0))
         workspaces = _STEP_COSTS if on_gpu else buffers * 4 * _SLICES
         weighed = 1 + int(copied > 0)  # how much gradients count, in each alignment
-        guessed = int(config.sweep.resweeps > 1)
+        guessed = 2 * int(config.sweep.resweeps > 0)  # also what the first sweep said
         fields = 4 * (26 + weighed + guessed + 2 * channels)
         per_pixel = host + views + swept + packed + hiding + volumes + weights + workspaces + fields + masks
         if not on_gpu:
@@ -131,7 +131,7 @@ class Matching(Method[MatchingConfig]):
         passes = 2 + 2 * self.config.sweep.resweeps + 2 * self.config.alignment.iterations
         windows = (self.config.prior.window // 2) * passes + self.config.prior.patch // 2 + 2 * (REACH + 1)
         windows += SMOOTHING_REACH + 1 + _REDUCED * REDUCTION
-        windows += GUESS_REACH * max(0, self.config.sweep.resweeps - 1)
+        windows += GUESS_REACH * self.config.sweep.resweeps
         return reach[1] + windows + _PATHS, reach[0] + windows + _PATHS
 
     def plan(self, lf: LightField, measured: Measured, kernels: KernelSet, device: str) -> MatchingPlan:

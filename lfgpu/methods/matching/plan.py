@@ -3,11 +3,11 @@
 Four stages. `sweep` compares a row and a column of views with the reference at a row of disparities and finds the best
 surface through these costs. What it compares is smoothed first, as far as the views have grain, and reduced views are
 compared as well: both show faint texture that noise hides from single pixels. Partial view sets see past occluders.
-`resweep` compares again, several times, each time with the views that see a pixel past the surface found so far. What
-lies beside an outline looks like a part of what is nearer: its image gradient and its smoothed value are. So the first
-surfaces are too large, and hide that place from itself. Later surfaces are nearly right, and what they hide is widened
-by a pixel; what is a mere guess hides less (`guesses.py`). Gradients count for less in the last sweep, and for nothing
-in those between.
+`resweep` compares again, once or several times, each time with the views that see a pixel past the surface found so
+far. What lies beside an outline looks like a part of what is nearer: its image gradient and its smoothed value are. So
+the first surfaces are too large, and hide that place from itself. Later surfaces are nearly right, and what they hide
+is widened by a pixel; what is a mere guess hides less (`guesses.py`). Gradients count for less in the last sweep, and
+for nothing in those between first and last.
 `align` makes the disparity continuous: Gauss-Newton steps on what the views that see a pixel have in common, and then
 the plane through similar pixels on one surface. `boundaries` gives each pixel at a depth edge to the side whose colour
 it has, and fills surfaces without texture from those around them.
@@ -153,7 +153,9 @@ class MatchingPlan:
         )
         self._reduced = None
         if config.sweep.reduced_weight > 0 and min(lf.size) >= _LEAST_REDUCED * REDUCTION:
-            self._reduced = ReducedSweep(few, place, config.sweep, kernels, device, scale=self._unit)
+            # More than one further sweep mends what reduced views do to outlines, and gains from all they show.
+            contrast = config.sweep.reduced_contrast if self._resweeps <= 1 else None
+            self._reduced = ReducedSweep(few, place, config.sweep, kernels, device, scale=self._unit, contrast=contrast)
         self._middle = self._resweep = None
         self._reach = _BESIDE if self._resweeps > 1 else 0  # the first surface is too large as it is
         if self._resweeps:
@@ -178,8 +180,9 @@ class MatchingPlan:
         # What earlier stages needed is free when the map is judged.
         free = self._curvature, self._certainty, self._slope, self._workspace, self._penalty_scale
         self._judged_by = *free, kernels.zeros(lf.size, device)
+        self._first_evidence = kernels.zeros(lf.size, device) if self._resweeps else None
         self._guesses = None
-        if self._resweeps > 1 and config.sweep.ambiguity < 1:
+        if self._resweeps and config.sweep.ambiguity < 1:
             self._guesses = GuessedSurfaces(
                 kernels,
                 share=config.sweep.ambiguity,
@@ -246,6 +249,9 @@ class MatchingPlan:
         if self._reduced is not None:
             self._reduced.add(self._volume)
         self._find_surface(self._swept)
+        if self._first_evidence is not None:
+            unused, too, *_ = self._judged_by
+            self._find_evidence(conflict_out=unused, evidence_out=self._first_evidence, cost_out=too)
 
     def _load(self, views: Array, *, first: bool = True) -> None:
         """Take the views of a frame [n, y, x, c]; the first sweep gets its share only if it is to come (`first`)."""
@@ -285,7 +291,7 @@ class MatchingPlan:
     def _compare_visible(self, _: Callback | None) -> None:
         assert self._resweep is not None  # there is no such stage otherwise
         middle, truncation = self._middle or self._resweep, self._config.sweep.resweep_truncation
-        surface, reach = self._swept, 0
+        surface, reach = self._hiding(self._swept), 0
         for _again in range(self._resweeps - 1):
             middle(surface, self._volume, reach=reach, truncation=truncation)
             self._find_surface(self._matched, again=True)
@@ -412,23 +418,18 @@ class MatchingPlan:
         how few disparities are as good as the best one. Both are means over a square, as what is wrong at an edge is
         wrong on a band along it. `bend` and `relief` say how far the map around a pixel is from a plane, and from one
         disparity. `wide`, the evidence farther around, says whether there is anything to go by, and
-        `cost` there whether the views show the same things at all.
+        `cost` there whether the views show the same things at all. `wide` is that of the first sweep: a later one takes
+        disparities behind the surface for bad, as no view sees them, whether there was any reason for that surface.
         """
         kernels = self._kernels
         weights = self._config.sweep.kind
         conflict, evidence, bend, relief, wide, cost = self._judged_by
         low, high = self._bounds
-        kernels.evidence(
-            self._smooth,
-            self._volume,
-            step=self._step,
-            unit=self._noise_cost,
-            conflict_out=evidence,
-            evidence_out=bend,
-            cost_out=wide,
-        )
+        self._find_evidence(conflict_out=evidence, evidence_out=bend, cost_out=wide)
         around = (evidence, _AROUND, conflict), (bend, _AROUND, evidence)
-        for values, reach, means in (*around, (wide, _WIDE, cost), (evidence, _WIDE, wide)):
+        unhidden = self._unhidden_evidence()
+        farther = evidence if unhidden is None else unhidden
+        for values, reach, means in (*around, (wide, _WIDE, cost), (farther, _WIDE, wide)):
             square_mean(kernels, values, reach=reach, workspace=relief, means_out=means)
         kernels.unevenness(self.disparity, bend_out=bend, relief_out=relief)
         kernels.judge(
@@ -448,6 +449,22 @@ class MatchingPlan:
         kernels.clamp(self._variance, 0.0, (high - low) ** 2 / 12, self._variance)
         if self._known is not None:
             kernels.multiply(self.confidence, self._known, self.confidence)
+
+    def _find_evidence(self, *, conflict_out: Array, evidence_out: Array, cost_out: Array) -> None:
+        """What the costs say from which the last surface was found."""
+        self._kernels.evidence(
+            self._smooth,
+            self._volume,
+            step=self._step,
+            unit=self._noise_cost,
+            conflict_out=conflict_out,
+            evidence_out=evidence_out,
+            cost_out=cost_out,
+        )
+
+    def _unhidden_evidence(self) -> Array | None:
+        """That of the sweep of this frame in which no surface hid anything, if another one followed."""
+        return self._first_evidence
 
     def features(self) -> dict[str, Float32Array]:
         """What the confidence of the last run was made of, float32 [y, x] by name; waits for the device."""

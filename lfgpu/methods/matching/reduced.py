@@ -10,6 +10,8 @@ from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.sweep import planned_sweep
 from lfgpu.methods.prior import UNLIKE_ANY
 
+_BESIDE = 1  # reduced pixels from an edge that are beside it
+
 
 class ReducedSweep:
     """A sweep over views that are reduced to one pixel for each REDUCTION x REDUCTION, at the same disparities.
@@ -22,6 +24,9 @@ class ReducedSweep:
         The disparities, as `labels` gives them.
     config
         The parameters of the sweep; `reduced_weight` is what its costs count against those of views as they are.
+    contrast
+        The difference between adjacent pixels, intensity, beside which they count half of that. Beside an outline
+        what is farther looks like a part of what is nearer, for many pixels around. None: they count everywhere.
     kernels, device
         Where it is computed.
     scale
@@ -37,11 +42,13 @@ class ReducedSweep:
         device: str,
         *,
         scale: float,
+        contrast: float | None,
     ) -> None:
         height, width = (side // REDUCTION for side in lf.size)
         shape = len(lf.views), height, width, lf.channels
         self._kernels, self._reference, self._scale = kernels, lf.reference_index, scale
-        self._weight = config.reduced_weight
+        self._weight, self._contrast = config.reduced_weight, contrast
+        self._shares = kernels.field(np.ones(shape[1:3]), device)
         self._views, self._image = kernels.zeros_image(shape, device, np.uint16), kernels.zeros_image(shape[1:], device)
         self._valid = kernels.zeros(shape[:3], device)
         self._volume = kernels.zeros((place[2], height, width), device)
@@ -63,8 +70,10 @@ class ReducedSweep:
         kernels.reduce_views(views, valid, scale=self._scale, views_out=self._views, valid_out=kept)
         kernels.intensities(self._views, self._reference, kept, scale=1 / WHITE, fill=UNLIKE_ANY, image_out=self._image)
         self._sweep.load(self._image, self._views, kept)
+        if self._contrast is not None:
+            kernels.edge_weights(self._image, contrast=self._contrast, reach=_BESIDE, weights_out=self._shares)
 
     def add(self, volume: Array) -> None:
         """Add the costs over view sets to a volume [l, y, x]."""
         self._sweep.by_view_sets(self._volume)
-        self._kernels.add_reduced(self._volume, weight=self._weight, volume_inout=volume)
+        self._kernels.add_reduced(self._volume, self._shares, weight=self._weight, volume_inout=volume)

@@ -16,7 +16,8 @@ _FEWEST = 4  # views beside the reference that a pattern must have
 _ON_LINE = 1e-3  # view steps
 _ON_BOUND = 1e-6  # steps: what is so near to a bound lies on it
 _FEWEST_LABELS = 3  # a minimum between two disparities is found from three
-_MANY, _ENOUGH = 40, 25  # views that must be left of a chessboard, and of every other row and column
+_MANY = {"alternate": 40, "cross": 9}  # views that must be left of a chessboard
+_ENOUGH = 25  # and of every other row and column
 
 
 def planned_sweep(
@@ -65,15 +66,15 @@ def used_views(lf: LightField, pattern: str) -> list[int]:
 def swept_views(offsets: Float64Array, pattern: str) -> list[int]:
     """Indices of those of the used views, `offsets` [n, 2] apart, which all steps before the alignment's last take.
 
-    These are all of them but for "alternate": then those of one colour, where the places of a grid are coloured as the
-    squares of a chessboard, the reference among them; where fewer than 40 would be left, those that `middle_views`
-    finds among all.
+    These are all of them but for "alternate" and "cross": then those of one colour, where the places of a grid are
+    coloured as the squares of a chessboard, the reference among them. Where fewer than 40 or 9 would be left, they are
+    those that `middle_views` finds among all.
     """
-    places = _places(offsets) if pattern == "alternate" else None
+    places = _places(offsets) if pattern in _MANY else None
     if places is None:
         return list(range(len(offsets)))
     alternate = np.flatnonzero(places.sum(1) % 2 == 0)
-    return [int(index) for index in alternate] if len(alternate) >= _MANY else middle_views(offsets, pattern)
+    return [int(index) for index in alternate] if len(alternate) >= _MANY[pattern] else middle_views(offsets, pattern)
 
 
 def middle_views(offsets: Float64Array, pattern: str) -> list[int]:

@@ -182,6 +182,9 @@ class TemporalMatching(MatchingPlan):
                 reach=self._temporal.reach,
             )
 
+    def _unhidden_evidence(self) -> Array | None:
+        return None if self._is_warm else super()._unhidden_evidence()
+
     def _judge(self) -> None:
         if self._is_warm and self._temporal.persistence > 0:
             support = self._temporal.support / self._farthest

@@ -6,8 +6,8 @@ noise.
 `MatchingPlan._judge` says what the weights belong to: 1, conflict, evidence, bend, relief, bend times relief.
 """
 
-SHARE = {"once": (-3.056, -0.99, 1.282, -0.574, 0.674, 0.116), "again": (-2.941, -0.971, 1.271, -0.539, 0.771, 0.13)}
+SHARE = {"once": (-3.085, -1.093, 1.25, -0.482, 0.694, 0.122), "again": (-2.784, -0.935, 1.208, -0.514, 0.776, 0.138)}
 """Of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `SweepConfig.kind`."""
 
-SPREAD = {"once": (3.377, 1.338, -2.549, 0.874, -0.798, -0.162), "again": (2.966, 0.96, -2.902, 1.112, -0.953, -0.125)}
+SPREAD = {"once": (2.749, 1.011, -2.732, 0.967, -0.982, -0.169), "again": (2.64, 0.947, -2.701, 1.019, -1.029, -0.164)}
 """Of the logarithm of the variance of the disparity, (pixels per view step)², by `SweepConfig.kind`."""
