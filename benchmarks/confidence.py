@@ -52,7 +52,7 @@ _RIDGE = 1e-3
 _HEAD = '''"""Weights of what the confidence and the uncertainty of matching are made of.
 
 {written}
-`MatchingPlan._judge` says what the weights belong to: 1, conflict, evidence, bend, relief, bend times relief.
+`Judging.run` says what the weights belong to: 1, conflict, evidence, bend, relief, bend times relief.
 """
 
 SHARE = {share}

@@ -29,16 +29,15 @@ from lfgpu.data.lightfield import LightField, farthest
 from lfgpu.data.windows import window_min
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Callback, Work
-from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.alignment_step import AlignmentStep
 from lfgpu.methods.matching.boundaries import Boundaries
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.guesses import GuessedSurfaces
 from lfgpu.methods.matching.hole_filling import HoleFilling
+from lfgpu.methods.matching.judging import Judging
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
 from lfgpu.methods.matching.reduced import ReducedSweep
 from lfgpu.methods.matching.some_views import SomeViews
-from lfgpu.methods.matching.square_mean import square_mean
 from lfgpu.methods.matching.sweep import (
     first_views,
     further_sweeps,
@@ -59,8 +58,6 @@ _LEAST_REDUCED = 2  # pixels, side of the smallest views that are worth comparin
 _STILL = 1e-2  # what a pixel without any texture weighs in the mean of its window
 _MOST_NOISY = 4.0  # in units of the noise: how much the least costs around a pixel raise the penalties there
 
-_AROUND = 4  # pixels on each side of one, whose costs are judged with its own
-_WIDE = 16  # pixels on each side of those, in which there may be something to go by
 _BESIDE = 1  # pixels beside an outline in another view that show what is nearer, too
 _CONVERGED = 0.02  # pixels per view step, rms of the last step
 
@@ -173,13 +170,22 @@ class MatchingPlan:
         self._matched = kernels.zeros(lf.size, device) if self._resweeps else self._swept
         self._hole_filling = HoleFilling(lf.size, self._prior, config.hole_filling)
         self._curvature, self._slope, self._certainty = (kernels.zeros(lf.size, device) for _ in range(3))
-        self._workspace, self._variance, self._penalty_scale = (kernels.zeros(lf.size, device) for _ in range(3))
+        self._workspace, self._penalty_scale = (kernels.zeros(lf.size, device) for _ in range(2))
         self._boundaries = Boundaries(
             kernels, config.boundaries, step=config.boundaries.step / self._farthest, workspace=self._workspace
         )
         # What earlier stages needed is free when the map is judged.
-        free = self._curvature, self._certainty, self._slope, self._workspace, self._penalty_scale
-        self._judged_by = *free, kernels.zeros(lf.size, device)
+        needed = self._curvature, self._certainty, self._slope, self._workspace, self._penalty_scale
+        free = (*needed, kernels.zeros(lf.size, device))
+        self._judging = Judging(
+            kernels,
+            kind=config.sweep.kind,
+            bounds=bounds,
+            step=self._step,
+            unit=self._noise_cost,
+            workspace=free,
+            variance=kernels.zeros(lf.size, device),
+        )
         self._first_evidence = kernels.zeros(lf.size, device) if self._resweeps else None
         self._guesses = None
         if self._resweeps and config.sweep.ambiguity < 1:
@@ -192,7 +198,7 @@ class MatchingPlan:
                 tolerance=config.sweep.tolerance / self._farthest,
                 ones=self._prior.ones,
                 zeros=kernels.zeros(lf.size, device),
-                workspace=self._judged_by,
+                workspace=free,
             )
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
         self._trust = kernels.scalar(0.0, device)
@@ -250,8 +256,7 @@ class MatchingPlan:
             self._reduced.add(self._volume)
         self._find_surface(self._swept)
         if self._first_evidence is not None:
-            unused, too, *_ = self._judged_by
-            self._find_evidence(conflict_out=unused, evidence_out=self._first_evidence, cost_out=too)
+            self._judging.evidence(self._smooth, self._volume, self._first_evidence)
 
     def _load(self, views: Array, *, first: bool = True) -> None:
         """Take the views of a frame [n, y, x, c]; the first sweep gets its share only if it is to come (`first`)."""
@@ -411,56 +416,9 @@ class MatchingPlan:
         """For those who know something about the surface beforehand: change the costs [l, y, x] of its disparities."""
 
     def _judge(self) -> None:
-        """Confidence and variance from six maps, all logarithms; `trust.py` has the weights that were fitted.
-
-        `conflict` says how much more the best surface through a pixel costs than the pixel's best disparity: beside
-        occlusions, and where a surface goes on past an edge, a pixel and what lies around it disagree. `evidence` says
-        how few disparities are as good as the best one. Both are means over a square, as what is wrong at an edge is
-        wrong on a band along it. `bend` and `relief` say how far the map around a pixel is from a plane, and from one
-        disparity. `wide`, the evidence farther around, says whether there is anything to go by, and
-        `cost` there whether the views show the same things at all. `wide` is that of the first sweep: a later one takes
-        disparities behind the surface for bad, as no view sees them, whether there was any reason for that surface.
-        """
-        kernels = self._kernels
-        weights = self._config.sweep.kind
-        conflict, evidence, bend, relief, wide, cost = self._judged_by
-        low, high = self._bounds
-        self._find_evidence(conflict_out=evidence, evidence_out=bend, cost_out=wide)
-        around = (evidence, _AROUND, conflict), (bend, _AROUND, evidence)
-        unhidden = self._unhidden_evidence()
-        farther = evidence if unhidden is None else unhidden
-        for values, reach, means in (*around, (wide, _WIDE, cost), (farther, _WIDE, wide)):
-            square_mean(kernels, values, reach=reach, workspace=relief, means_out=means)
-        kernels.unevenness(self.disparity, bend_out=bend, relief_out=relief)
-        kernels.judge(
-            conflict,
-            evidence,
-            bend,
-            relief,
-            wide,
-            cost,
-            span=high - low,
-            share=trust.SHARE[weights],
-            spread=trust.SPREAD[weights],
-            confidence_out=self.confidence,
-            variance_out=self._variance,
-        )
-        # Between the bounds nothing is more uncertain than anything.
-        kernels.clamp(self._variance, 0.0, (high - low) ** 2 / 12, self._variance)
+        self._judging.run(self._smooth, self._volume, self.disparity, self._unhidden_evidence(), self.confidence)
         if self._known is not None:
-            kernels.multiply(self.confidence, self._known, self.confidence)
-
-    def _find_evidence(self, *, conflict_out: Array, evidence_out: Array, cost_out: Array) -> None:
-        """What the costs say from which the last surface was found."""
-        self._kernels.evidence(
-            self._smooth,
-            self._volume,
-            step=self._step,
-            unit=self._noise_cost,
-            conflict_out=conflict_out,
-            evidence_out=evidence_out,
-            cost_out=cost_out,
-        )
+            self._kernels.multiply(self.confidence, self._known, self.confidence)
 
     def _unhidden_evidence(self) -> Array | None:
         """That of the sweep of this frame in which no surface hid anything, if another one followed."""
@@ -468,15 +426,11 @@ class MatchingPlan:
 
     def features(self) -> dict[str, Float32Array]:
         """What the confidence of the last run was made of, float32 [y, x] by name; waits for the device."""
-        names = ("conflict", "evidence", "bend", "relief", "wide", "cost")
-        return {
-            name: self._kernels.numpy(field).astype(np.float32)
-            for name, field in zip(names, self._judged_by, strict=True)
-        }
+        return self._judging.features()
 
     def uncertainty(self) -> Float32Array:
         """The standard deviation of the disparity, float32 [y, x], NaN where it is undefined; waits for the device."""
-        deviation = np.sqrt(self._kernels.numpy(self._variance)).astype(np.float32)
+        deviation = self._judging.deviation()
         if self._known is not None:
             deviation[self._kernels.numpy(self._known) <= 0] = np.nan
         return deviation

@@ -3,7 +3,7 @@
 Written by `python -m benchmarks confidence --fit`, on A_bust, B_device, C_fence, D_plant, E_clutter, F_cloth,
 G_corridor, H_far, I_dim, J_shelf, vinyl, cotton, kitchen, own boxes, own planes, own bars, own textureless, own
 noise.
-`MatchingPlan._judge` says what the weights belong to: 1, conflict, evidence, bend, relief, bend times relief.
+`Judging.run` says what the weights belong to: 1, conflict, evidence, bend, relief, bend times relief.
 """
 
 SHARE = {"once": (-3.085, -1.093, 1.25, -0.482, 0.694, 0.122), "again": (-2.784, -0.935, 1.208, -0.514, 0.776, 0.138)}
