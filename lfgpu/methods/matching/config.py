@@ -200,7 +200,6 @@ PRESETS = {
         sweep=SweepConfig(views="cross", resweeps=1, reduced_weight=0.3),
         semi_global=SemiGlobalConfig(large_penalty=0.003),
         alignment=AlignmentConfig(iterations=1, support=0.4),
-        hole_filling=HoleFillingConfig(tolerance=1e-5),
     ),
 }
 """`accurate` matches the reference's row and column of views, and then three times the views that see a pixel: all, or
