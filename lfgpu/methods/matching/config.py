@@ -43,8 +43,8 @@ class SweepConfig(Section):
         "leaves them out"
     )  # fmt: skip
     reduced_contrast: float = number(
-        0.08, 1e-3, 1000.0, "difference of adjacent pixels of a reduced view that halves reduced_weight around, "
-        "intensity, if at most one more sweep follows; more of them mend what reduced views do to outlines"
+        0.08, 1e-3, 1000.0, "beside adjacent pixels of a reduced view that differ by this, reduced_weight is half as "
+        "high, intensity. Only where at most one more sweep follows: several mend what reduced views do to outlines"
     )  # fmt: skip
     truncation: float = number(0.1, 1e-3, 10.0, "larger differences in intensity count as this one")
     resweep_truncation: float = number(

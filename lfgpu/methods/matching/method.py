@@ -104,7 +104,7 @@ class Matching(Method[MatchingConfig]):
         volume = 4 * labels(measured.disparity_range, lf.offsets, config.sweep)[2]
         volumes = (4 if on_gpu else 2) * volume
         if config.sweep.reduced_weight:
-            volumes += -(-(volume + 4) // REDUCTION**2)  # and what they count
+            volumes += -(-(volume + 4) // REDUCTION**2)  # and a weight for each pixel
         weights = 2 * 4 * ((config.prior.window**2 - 1) // 2) + 4 * 3 * channels
         if config.semi_global.window != config.prior.window:
             weights += 4 * ((config.semi_global.window**2 - 1) // 2) + 4 * 3 * channels
@@ -114,7 +114,7 @@ class Matching(Method[MatchingConfig]):
         buffers = 1 + int(copied > 0) + min(config.sweep.resweeps, 2 + int(between > 0))
         workspaces = _STEP_COSTS if on_gpu else buffers * 4 * _SLICES
         weighed = 1 + int(copied > 0)  # how much gradients count, in each alignment
-        guessed = 2 * int(config.sweep.resweeps > 0)  # also what the first sweep said
+        guessed = 2 * int(config.sweep.resweeps > 0)  # zeros, and the evidence of the first sweep
         fields = 4 * (26 + weighed + guessed + 2 * channels)
         per_pixel = host + views + swept + packed + hiding + volumes + weights + workspaces + fields + masks
         if not on_gpu:
