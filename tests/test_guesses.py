@@ -17,21 +17,23 @@ FAR, NEAR = -2.0, 2.0
 def hiding(surface: np.ndarray, costs: np.ndarray) -> np.ndarray:
     """What of a map hides anything, if its costs [l, y, x] and their paths say the same."""
     kernels = load("warp")
-    fields = [kernels.zeros(surface.shape, "cpu") for _ in range(8)]
+    fields = [kernels.zeros(surface.shape, "cpu") for _ in range(7)]
     kernels.fill(1.0, fields[0])
     guesses = GuessedSurfaces(
         kernels,
         share=0.3,
         step=STEP,
         count=COUNT,
-        unit=0.01,
         tolerance=0.3,
         ones=fields[0],
         zeros=fields[1],
         workspace=fields[2:],
     )
     out, volume = kernels.zeros(surface.shape, "cpu"), kernels.field(costs.astype(np.float32), "cpu")
-    guesses.run(volume, volume, kernels.field(surface.astype(np.float32), "cpu"), out)
+    evidence, *unused = (kernels.zeros(surface.shape, "cpu") for _ in range(3))
+    outputs = {"evidence_out": evidence, "conflict_out": unused[0], "cost_out": unused[1]}
+    kernels.evidence(volume, volume, step=STEP, unit=0.01, **outputs)
+    guesses.run(evidence, kernels.field(surface.astype(np.float32), "cpu"), out)
     return kernels.numpy(out)
 
 

@@ -35,15 +35,13 @@ class GuessedSurfaces:
         The disparity of a pixel is ambiguous if more than this share of the disparities is as good as the best one.
     step, count
         The distance of the disparities that are compared, pixels per view step, and their number.
-    unit
-        What a difference between views as large as the noise costs.
     tolerance
         A map is uneven where it differs by about this or more within 5 x 5 pixels, pixels per view step. Where most
         pixels around are both ambiguous and uneven, the map was guessed.
     ones, zeros
         Fields [y, x] of these numbers.
     workspace
-        Six fields [y, x]; nothing is kept in them between two runs.
+        Five fields [y, x]; nothing is kept in them between two runs.
     """
 
     def __init__(
@@ -53,40 +51,31 @@ class GuessedSurfaces:
         share: float,
         step: float,
         count: int,
-        unit: float,
         tolerance: float,
         ones: Array,
         zeros: Array,
         workspace: Sequence[Array],
     ) -> None:
-        self._kernels, self._step, self._unit, self._ones, self._zeros = kernels, step, unit, ones, zeros
+        self._kernels, self._ones, self._zeros = kernels, ones, zeros
         self._most_evidence, self._least_relief = -math.log(share * count * step), math.log(max(tolerance, _LEAST))
         self._line, *self._fields = workspace
 
-    def run(self, costs: Array, path_costs: Array, surface: Array, surface_out: Array) -> None:
-        """What of a map [y, x] hides anything; the costs [l, y, x] and the sums over paths are those of this map."""
-        guessed, farther, *others = self._fields
-        self._find(costs, path_costs, surface, guessed, *others)
-        self._push_back(surface, farther, *others)
-        self._kernels.select(guessed, farther, surface, surface_out)
+    def run(self, evidence: Array, surface: Array, surface_out: Array) -> None:
+        """What of a map [y, x] hides anything; `evidence` [y, x] is that of the costs from which it was found."""
+        guessed, *others = self._fields
+        self._find(evidence, surface, guessed, *others)
+        self._push_back(surface, surface_out, *others)
+        self._kernels.select(guessed, surface_out, surface, surface_out)
 
-    def _find(self, costs: Array, path_costs: Array, surface: Array, guessed_out: Array, *workspace: Array) -> None:
+    def _find(self, evidence: Array, surface: Array, guessed_out: Array, *workspace: Array) -> None:
         """Above 0 where the map was guessed."""
-        k, ones, (evidence, relief, unused) = self._kernels, self._ones, workspace
-        k.evidence(
-            costs,
-            path_costs,
-            step=self._step,
-            unit=self._unit,
-            conflict_out=unused,
-            evidence_out=evidence,
-            cost_out=relief,
-        )
-        k.unevenness(surface, bend_out=unused, relief_out=relief)
-        k.axpby(1.0, evidence, -self._most_evidence, ones, evidence)
+        k, ones, (clear, relief, _) = self._kernels, self._ones, workspace
+        k.unevenness(surface, bend_out=clear, relief_out=relief)
+        k.copy(evidence, clear)
+        k.axpby(-self._most_evidence, ones, 1.0, clear, clear)
         k.axpby(1.0, relief, -self._least_relief, ones, relief)
         k.select(relief, ones, self._zeros, relief)
-        k.select(evidence, self._zeros, relief, relief)
+        k.select(clear, self._zeros, relief, relief)
         self._mean(relief, _AROUND, guessed_out)
         k.axpby(1.0, guessed_out, -_MOST, ones, guessed_out)
 

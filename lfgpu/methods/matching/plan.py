@@ -187,6 +187,7 @@ class MatchingPlan:
             variance=kernels.zeros(lf.size, device),
         )
         self._first_evidence = kernels.zeros(lf.size, device) if self._resweeps else None
+        self._later_evidence = free[-1]
         self._guesses = None
         if self._resweeps and config.sweep.ambiguity < 1:
             self._guesses = GuessedSurfaces(
@@ -194,11 +195,10 @@ class MatchingPlan:
                 share=config.sweep.ambiguity,
                 step=self._step,
                 count=count,
-                unit=self._noise_cost,
                 tolerance=config.sweep.tolerance / self._farthest,
                 ones=self._prior.ones,
                 zeros=kernels.zeros(lf.size, device),
-                workspace=free,
+                workspace=free[:-1],
             )
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
         self._trust = kernels.scalar(0.0, device)
@@ -296,7 +296,7 @@ class MatchingPlan:
     def _compare_visible(self, _: Callback | None) -> None:
         assert self._resweep is not None  # there is no such stage otherwise
         middle, truncation = self._middle or self._resweep, self._config.sweep.resweep_truncation
-        surface, reach = self._hiding(self._swept), 0
+        surface, reach = self._hiding(self._swept, self._first_evidence), 0
         for _again in range(self._resweeps - 1):
             middle(surface, self._volume, reach=reach, truncation=truncation)
             self._find_surface(self._matched, again=True)
@@ -304,11 +304,14 @@ class MatchingPlan:
         self._resweep(surface, self._volume, reach=reach)
         self._find_surface(self._matched, again=True)
 
-    def _hiding(self, surface: Array) -> Array:
+    def _hiding(self, surface: Array, evidence: Array | None = None) -> Array:
         """What of the surface that was found last hides anything; the next call and the alignment overwrite it."""
         if self._guesses is None:
             return surface
-        self._guesses.run(self._smooth, self._volume, surface, self._aligned)
+        if evidence is None:
+            evidence = self._later_evidence
+            self._judging.evidence(self._smooth, self._volume, evidence)
+        self._guesses.run(evidence, surface, self._aligned)
         return self._aligned
 
     def _find_surface(self, disparity_out: Array, *, again: bool = False) -> None:
