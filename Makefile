@@ -2,13 +2,22 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint docs figures gpu-parity bench clean
+.PHONY: demo test test-all lint docs figures gpu-parity bench clean
 
 demo: .venv/use
 	$(BIN)/lfgpu demo
 
+# The longest tests come in the middle of the alphabet: workers that are done take over what others have before them.
+PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
+
 test: .venv/develop
-	$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+	$(PYTEST) -m "not thorough"
+
+# What `make test` leaves out: that checks can fail, that faults are noticed, wheels, kernels of a GPU on a CPU, load.
+test-all: test
+	$(PYTEST) -m thorough
+	$(BIN)/python -m tests.io.fuzz --examples 2000 --seed 1
+	$(BIN)/python tests/faults.py
 
 lint: .venv/develop
 	$(BIN)/ruff check .

@@ -43,6 +43,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "thorough: left out by `make test`, run by `make test-all`")
     config.addinivalue_line("markers", "data(folder): needs the real light field in that folder of $LFGPU_DATA")
     given = config.getoption("--seed")
     # By way of the environment, so that all workers of pytest-xdist have the same one.
@@ -120,8 +121,12 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
     return ["kernels:", *table, f"random inputs: --seed={os.environ[SEED]}", f"data: {data}"]
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """`target`: each backend x device that can be tried; `other`: those but the reference; `named`: all."""
+    """`target`: each backend x device that can be tried; `other`: those but the reference; `named`: all.
+
+    Comes last, so that what one case needs is computed once for all of them, and in one worker of pytest-xdist.
+    """
     targets = metafunc.config.stash[_TARGETS]
     there = [target for target in targets if target.kernels is not None]
     chosen = {

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.thorough
+
 pytest.importorskip("hatchling", reason="nothing can be built without hatchling: pip install 'lfgpu[test]'")
 
 ROOT = Path(__file__).parents[1]

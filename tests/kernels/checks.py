@@ -155,10 +155,12 @@ def check_value(
     inputs: SimpleNamespace,
     tolerance: float,
     want: dict[str, Values] | None = None,
+    *,
+    again: bool = False,
 ) -> dict[str, float]:
-    """The operation gives what the reference gives, into outputs that held garbage; returns the errors.
+    """Compare an operation, whose outputs held garbage, with the reference; return the errors.
 
-    `want` is what the reference gives, where that is known.
+    `want` is what the reference gives, where that is known. With `again` it is run twice and has to give the same bits.
     """
     want = want or compute(load("reference"), "cpu", operation, inputs)
     got = compute(kernels, device, operation, inputs)
@@ -169,13 +171,13 @@ def check_value(
     errors = operation.errors(got, want, inputs)
     for name, error in errors.items():
         assert error <= tolerance, f"{operation}: {name} is off by {error:.2e}, more than {tolerance:.0e}"
+    if again:
+        check_same_bits(operation, got, compute(kernels, device, operation, inputs))
     # Python's own numbers: workers of pytest-xdist end without a word where a report holds any of NumPy's.
     return {name: float(error) for name, error in errors.items()}
 
 
-def check_repeats(kernels: KernelSet, device: str, operation: Operation, inputs: SimpleNamespace) -> None:
-    """The operation gives the same bits when it is run again."""
-    first, second = (compute(kernels, device, operation, inputs) for _ in range(2))
+def check_same_bits(operation: Operation, first: dict[str, Values], second: dict[str, Values]) -> None:
     for name in first:
         np.testing.assert_array_equal(first[name], second[name], f"{operation}: {name} differs between runs")
 

@@ -23,6 +23,8 @@ from benchmarks import printed
 from lfgpu.contract import KernelSet
 from lfgpu.methods.synthesis import model
 
+pytestmark = pytest.mark.thorough
+
 CHOSEN = (
     r"data_term-(grey-uint8-masked|colour-float16-masked|partly-out|all-out|one-pixel-high|several-tiles|more-strips)",
     r"data_term-views-of-a-benchmark",
