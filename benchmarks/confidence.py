@@ -313,7 +313,7 @@ def _sample(lf: LightField, scene: str, preset: str, say: Say, bounds: tuple[flo
     if not isinstance(method.config, MatchingConfig):
         raise BenchmarkError(f"the preset {preset!r} has no calibrated confidence; take accurate or fast.")
     measured = method.measure(lf, kernels, device) if bounds is None else method.measured(lf, bounds, kernels, device)
-    plan = method.plan(lf, measured, kernels, device)
+    plan = method.plan(lf.layout, measured, kernels, device)
     assert isinstance(plan, MatchingPlan)  # whose configuration it is
     views = kernels.image(lf.views, device)
     for work in plan.stages(views).values():

@@ -141,10 +141,10 @@ def run(
         log: list[_Call] = []
         watched: Any = _Watched(kernels, log)
         method = method_of(preset)
-        used = lf.subset(method.used_views(lf))
+        used = lf.subset(method.used_views(lf.layout))
         measured = method.measure(lf, kernels, device, disparity_range=RANGE)
         streaming: Any = _Watched(kernels.streaming, log)
-        plan = method.live_plan(used, measured, watched, device, streaming=streaming, prior=TemporalPrior())
+        plan = method.live_plan(used.layout, measured, watched, device, streaming=streaming, prior=TemporalPrior())
         views = kernels.image(used.views, device)
         for warm, work in ((False, plan.levels[-1][1]), (True, plan.warm_levels[-1][1])):
             work(views)

@@ -12,7 +12,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.inputs import BYTE, CONFIG, INPUTS, LARGEST_DISPARITY, MATCHING
 from benchmarks.operation import PAIRS, Desk, Operation, Slot, Work
 from lfgpu.contract import Float64Array, PlaneSweep, StructureFilters
-from lfgpu.data.lightfield import farthest
+from lfgpu.data.layout import farthest
 from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.sweep import labels, view_sets
 from lfgpu.methods.structure_tensor import structure_filters

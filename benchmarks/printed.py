@@ -258,7 +258,7 @@ def errors(kernels: KernelSet, device: str) -> dict[str, float]:
     fill = Propagation(lf.size, (-1.0, 1.0), plan, replace(ours.propagation, solver="cg", tolerance=1e-7))
     fill.run(kernels.field(disparity, device), kernels.field(coherence, device))
 
-    model = ForwardModel(lf, ours.refinement, kernels, device)
+    model = ForwardModel(lf.layout, ours.refinement, kernels, device)
     model.load(kernels.image(lf.views, device), kernels.field(disparity, device))
     objective = Energy(model, plan, ours.refinement.smoothness)
     slope, value = kernels.zeros(lf.size, device), kernels.scalar(0.0, device)
@@ -309,7 +309,7 @@ def _gradient_error(
 def _local_errors(kernels: KernelSet, device: str) -> dict[str, float]:
     """Of the row and of the column, in a light field whose rows stand twice as far apart as its columns."""
     lf, bounds, config = wide_columns(), (-1.0, 1.0), exact_config().local
-    estimator = LocalEstimator(lf, bounds, config, kernels, device)
+    estimator = LocalEstimator(lf.layout, bounds, config, kernels, device)
     estimator.run(kernels.image(lf.views, device))
     found = {}
     for line, indices, axis, spacing in (("row", lf.row(), 0, 1.0), ("column", lf.column(), 1, 2.0)):

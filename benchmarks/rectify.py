@@ -105,7 +105,7 @@ def _measured(
 ) -> Row:
     kernels = load(backend)
     rectified = rectifier.rectified(pictures, kernels, device)
-    used = method_of(preset).used_views(rectified)
+    used = method_of(preset).used_views(rectified.layout)
 
     def timed(work: Callable[[], None]) -> float:
         stop, capture = clock.stopper(kernels, device), clock.capturer(kernels, device)

@@ -60,9 +60,9 @@ def _in_four(lf: LightField, preset: str) -> DepthResult:
     """The estimate with the most memory that needs 2 x 2 tiles."""
     method = method_of(preset)
     measured = method.measure(lf, load("warp"), "cpu", disparity_range=RANGE)
-    edge = method.halo(lf, measured)
+    edge = method.halo(lf.layout, measured)
     (_, height), (_, width) = (tiles._cuts(side, e)[1] for side, e in zip(lf.size, edge, strict=True))
-    memory = method.footprint(lf, measured, on_gpu=False).bytes(height, width)
+    memory = method.footprint(lf.layout, measured, on_gpu=False).bytes(height, width)
     memory += lf.views.nbytes + 4 * 8 * lf.size[0] * lf.size[1]  # what the process holds beside a tile
     result = estimate_depth(lf, config=named(preset), disparity_range=RANGE, device="cpu", max_memory=memory)
     if "4 tiles" not in result.status:

@@ -108,7 +108,7 @@ assert list(result.stages) == ["place"] and {"place", "total"} <= set(result.tim
 
 # tiles
 method = method_of("plane")
-needed = method.footprint(lf, Measured(bounds), on_gpu=False)
+needed = method.footprint(lf.layout, Measured(bounds), on_gpu=False)
 memory = needed.bytes(40, 40) + lf.views.nbytes + 4 * 8 * 40 * 48
 tiled = lfgpu.estimate_depth(lf, config="plane", disparity_range=bounds, max_memory=memory, device="cpu")
 assert tiled.status.startswith("2 tiles"), tiled.status

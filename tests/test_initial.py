@@ -36,7 +36,7 @@ class Local(NamedTuple):
 
 
 def estimated(lf: LightField, disparity_range: tuple[float, float] = RANGE, **config: float) -> Local:
-    return run(LocalEstimator(lf, disparity_range, LocalConfig(**config), WARP, "cpu"), lf.views)
+    return run(LocalEstimator(lf.layout, disparity_range, LocalConfig(**config), WARP, "cpu"), lf.views)
 
 
 def run(estimator: LocalEstimator, views: np.ndarray) -> Local:
@@ -173,7 +173,7 @@ def test_masked_pixels_of_the_row_do_not_count() -> None:
 def test_estimator_remembers_nothing_of_the_views_before() -> None:
     """Although it keeps the best so far of one line and shear after the other."""
     lf, other = relief(), relief(seed=1)
-    estimator = LocalEstimator(lf, RANGE, LocalConfig(), WARP, "cpu")
+    estimator = LocalEstimator(lf.layout, RANGE, LocalConfig(), WARP, "cpu")
     first, _, again = (run(estimator, views) for views in (lf.views, other.views, lf.views))
     np.testing.assert_array_equal(first.disparity, again.disparity)
     np.testing.assert_array_equal(first.coherence, again.coherence)

@@ -189,14 +189,14 @@ def test_a_reference_at_the_end_of_a_row_has_one_aperture() -> None:
 @pytest.mark.parametrize(("pattern", "count"), [("full", 25), ("star", 17), ("cross", 9)])
 def test_the_views_of_a_pattern_are_used(pattern: str, count: int) -> None:
     lf = scene("planes", size=32)
-    used = used_views(lf, pattern)
+    used = used_views(lf.layout, pattern)
     assert len(used) == count
     assert lf.reference_index in used
 
 
 def test_all_views_are_used_where_a_pattern_leaves_too_few() -> None:
     lf = scene("planes", views=3, size=32).subset([0, 2, 4, 6, 8])
-    assert used_views(lf, "cross") == [0, 1, 2, 3, 4]
+    assert used_views(lf.layout, "cross") == [0, 1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
@@ -466,7 +466,7 @@ def test_lengths_are_those_in_the_farthest_view(preset: str, monkeypatch: pytest
     again = estimate_depth(halved, config=config, disparity_range=(-0.6, 0.6), device="cpu")
     for stage, values in found.stages.items():
         assert np.array_equal(2 * again.stages[stage], values), stage
-    assert method_of(config).same_surface(halved) == method_of(config).same_surface(lf) / 2
+    assert method_of(config).same_surface(halved.layout) == method_of(config).same_surface(lf.layout) / 2
 
 
 def value_of(config: Config, name: str) -> float:

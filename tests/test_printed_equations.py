@@ -48,7 +48,7 @@ def value(
     kernels, where = target.kernels, (target.kernels, target.device)
     prior = planned_prior((*lf.size, lf.channels), config.prior, *where)
     prior.load(kernels.image(lf.image(lf.reference_index), target.device))
-    model = ForwardModel(lf, config.refinement, *where)
+    model = ForwardModel(lf.layout, config.refinement, *where)
     model.load(kernels.image(lf.views, target.device), kernels.field(start, target.device))
     smoothed = kernels.field(start, target.device) if config.refinement.smooths == "change" else None
     energy = Energy(model, prior, config.refinement.smoothness, smoothed)
@@ -132,7 +132,7 @@ def test_what_is_accepted_lies_between_both_maps(target: Any) -> None:
     config = preset("paper").with_values({"refinement.longest_change": 0.05})
     assert isinstance(config, SynthesisConfig)
     measured = method_of(config).measure(lf, *where, disparity_range=RANGE)
-    plan = SynthesisPlan(lf, measured, config, *where)
+    plan = SynthesisPlan(lf.layout, measured, config, *where)
     views = kernels.image(lf.views, target.device)
     for work in plan.stages(views).values():
         work(None)

@@ -109,7 +109,7 @@ def confirmed(
         tried.append(bounds)
         return np.clip(np.asarray([disparities], np.float32), *bounds)
 
-    doubt = confirm(lf, found, match(found), match)
+    doubt = confirm(lf.layout, found, match(found), match)
     assert (doubt is None) == sure
     if doubt is not None:
         assert f"from {found[0]:g} to {found[1]:g} px per view step" in doubt

@@ -55,16 +55,16 @@ def whole(scene: LightField, parameters: Config) -> DepthResult:
 
 
 def halo(lf: LightField, config: Config) -> tuple[int, int]:
-    return method_of(config).halo(lf, given(lf, config))
+    return method_of(config).halo(lf.layout, given(lf, config))
 
 
 def given(lf: LightField, config: Config) -> Measured:
-    return method_of(config).given(lf, RANGE) or Measured(RANGE)
+    return method_of(config).given(lf.layout, RANGE) or Measured(RANGE)
 
 
 def memory_for(lf: LightField, config: Config, height: int, width: int) -> int:
     """What makes tiles of that size the largest ones that fit."""
-    needed = method_of(config).footprint(lf, given(lf, config), on_gpu=False).bytes(height, width)
+    needed = method_of(config).footprint(lf.layout, given(lf, config), on_gpu=False).bytes(height, width)
     return needed + lf.views.nbytes + 4 * 8 * lf.size[0] * lf.size[1]
 
 
@@ -106,8 +106,10 @@ def test_tiles_are_doubted_together() -> None:
     """Their map, not that of the first one, lies at the end of its range."""
     lf, bounds = scenes.make("boxes", grid=(3, 3), size=(64, 380)), (0.5, 3.0)
     method = method_of("fast")
-    (_, width) = tiles._cuts(380, method.halo(lf, Measured(bounds))[1])[1]
-    memory = method.footprint(lf, Measured(bounds), on_gpu=False).bytes(64, width) + lf.views.nbytes + 32 * 64 * 380
+    (_, width) = tiles._cuts(380, method.halo(lf.layout, Measured(bounds))[1])[1]
+    memory = (
+        method.footprint(lf.layout, Measured(bounds), on_gpu=False).bytes(64, width) + lf.views.nbytes + 32 * 64 * 380
+    )
     found = estimate_depth(lf, config="fast", disparity_range=bounds, device="cpu", max_memory=memory)
     assert " tiles of " in found.status
     assert any("lies at its far end" in note for note in found.notes)
@@ -130,7 +132,7 @@ def test_the_halo_holds_what_is_looked_at_and_what_may_hide_it(config: str) -> N
     method = method_of(config)
 
     def found(low: float, high: float) -> tuple[int, int]:
-        return method.halo(lf, Measured((low, high)))
+        return method.halo(lf.layout, Measured((low, high)))
 
     (y, x), reach = found(-1, 2), np.array([1, 3])
     assert np.array_equal(np.subtract(found(0, 2), (y, x)), -1 * reach)  # the same shifts, with less between them
@@ -279,14 +281,14 @@ def run(height, width):
     lf = LightField.from_grid(views)
     method = method_of(name)
     measured = Measured((-1.5, 1.5), 0.01)
-    used = lf.subset(method.used_views(lf))
+    used = lf.subset(method.used_views(lf.layout))
     del lf, views
     pipeline = DepthPipeline(used, config=name, measured=measured, device=device)
     pipeline.estimate()
     pipeline.run()
     pipeline.run()
     pipeline.disparity()
-    return method.footprint(used, measured, on_gpu=on_gpu)
+    return method.footprint(used.layout, measured, on_gpu=on_gpu)
 
 if on_gpu:  # where others may use the GPU as well: without the context
     import warp

@@ -219,7 +219,7 @@ class _Resident:
         """A pipeline for a light field, and whether it is new, so that it already holds the views."""
         from lfgpu.pipelines.pipeline import DepthPipeline
 
-        measured = measured or method_of(settings.config).given(lf, settings.disparity_range)
+        measured = measured or method_of(settings.config).given(lf.layout, settings.disparity_range)
         key = (
             *(lf.views.shape, lf.views.dtype.str, lf.scale, lf.positions.tobytes(), lf.reference_index),
             *(None if lf.valid is None else lf.valid.tobytes(), measured, settings.config, settings.backend, device),

@@ -70,7 +70,7 @@ def judged(
         return replace(result, remarks=found.findings)
     from scipy.special import erf  # slow to import, and rarely needed
 
-    spread = spread_of(lf, found, method_of(result.config).used_views(lf))
+    spread = spread_of(lf, found, method_of(result.config).used_views(lf.layout))
     uncertainty = None if result.uncertainty is None else np.hypot(result.uncertainty, spread)
     share = erf(_WITHIN / (np.sqrt(2) * np.maximum(spread, 1e-9))).astype(np.float32)
     return replace(result, remarks=found.findings, confidence=result.confidence * share, uncertainty=uncertainty)

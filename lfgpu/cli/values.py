@@ -131,7 +131,7 @@ def configured(preset_name: str, settings: Sequence[str]) -> Config:
 
 def check_pattern(option: str, name: str) -> None:
     """LightFieldError if there is no pattern of views with this name."""
-    from lfgpu.data.lightfield import PATTERNS
+    from lfgpu.data.layout import PATTERNS
 
     if name not in PATTERNS:
         raise LightFieldError(f"{option} must be one of {', '.join(PATTERNS)}, not {name!r}.")

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.data import hooks, summary
 from lfgpu.data.geometry import Geometry
+from lfgpu.data.layout import ViewLayout
 from lfgpu.data.light_field_checks import (
     POSITION_TOLERANCE,
     array_of_numbers,
@@ -26,14 +27,6 @@ from lfgpu.data.mapping import each_view
 from lfgpu.errors import LightFieldError
 from lfgpu.printable import printable
 
-PATTERNS = ("full", "star", "cross", "row", "column")
-"""Names of view patterns for `LightField.subset`.
-
-full: all views. star: the row, the column and both diagonals through the reference view. cross: its row and its column.
-row and column: one of them.
-"""
-
-_LINE_TOLERANCE = 0.1  # view steps: measured cameras are not exactly in line
 _FARTHEST = 1e6  # view steps: the largest coordinate of a position
 _LONGEST_NAME = 300  # characters
 
@@ -215,6 +208,20 @@ class LightField:
         return self.reference
 
     @property
+    def layout(self) -> ViewLayout:
+        """The light field without its pixels: all that plans and view rules depend on."""
+        return ViewLayout(
+            offsets=self.offsets,
+            reference=self.reference_index,
+            size=self.size,
+            channels=self.channels,
+            dtype=self.views.dtype,
+            scale=self.scale,
+            masks=None if self.valid is None else tuple(self.valid),
+            name=self.name,
+        )
+
+    @property
     def offsets(self) -> NDArray[np.float64]:
         """[n, 2], (du, dv) of each view from the reference view, in view steps."""
         return self.positions - self.positions[self.reference_index]
@@ -271,28 +278,15 @@ class LightField:
 
     def row(self) -> NDArray[np.intp]:
         """Indices of the views in the reference view's row (same v within 0.1 view steps), from left to right."""
-        return self._line(axis=0)
+        return self.layout.row()
 
     def column(self) -> NDArray[np.intp]:
         """Indices of the views in the reference view's column (same u within 0.1 view steps), from top to bottom."""
-        return self._line(axis=1)
+        return self.layout.column()
 
     def pattern(self, name: str) -> NDArray[np.bool_]:
-        """bool [n]: which views belong to one of the `PATTERNS` through the reference view."""
-        du, dv = np.abs(self.offsets).T
-        in_row, in_column = dv < _LINE_TOLERANCE, du < _LINE_TOLERANCE
-        match name:
-            case "full":
-                return np.ones(len(self.views), np.bool_)
-            case "star":
-                return in_row | in_column | (np.abs(du - dv) < _LINE_TOLERANCE)
-            case "cross":
-                return in_row | in_column
-            case "row":
-                return in_row
-            case "column":
-                return in_column
-        raise LightFieldError(f"unknown view pattern {name!r}; use one of {', '.join(PATTERNS)}.")
+        """Membership of each view in one of the `PATTERNS` through the reference view, bool [n]."""
+        return self.layout.pattern(name)
 
     def epi_horizontal(self, y: int) -> NDArray[Any]:
         """The epipolar plane image [u, x, c] of image row `y`, from the reference view's row of views."""
@@ -338,12 +332,10 @@ class LightField:
         LightFieldError
             If fewer than two views remain, or an index or pattern is unknown.
         """
-        keep = self._chosen(which)
-        if keep.all():
+        kept = self.layout.chosen(which)
+        if len(kept) == len(self.views):
             return self
-        return self._with_views(
-            np.flatnonzero(keep), self.views[keep], None if self.valid is None else self.valid[keep]
-        )
+        return self._with_views(kept, self.views[kept], None if self.valid is None else self.valid[kept])
 
     def crop(self, y: slice, x: slice) -> LightField:
         """Crop every view to the same window; `y` and `x` are slices of pixel rows and columns, without a step."""
@@ -383,7 +375,7 @@ class LightField:
                 f"{factor}."
             )
         height, width = (side // factor for side in self.size)
-        chosen = np.flatnonzero(self._chosen(which))
+        chosen = self.layout.chosen(which)
         views = np.empty((len(chosen), height, width, self.channels), np.float32)
 
         def shrink(place: int, view: NDArray[Any]) -> None:
@@ -402,23 +394,6 @@ class LightField:
 
     # --- helpers ---
 
-    def _chosen(self, which: str | Sequence[int]) -> NDArray[np.bool_]:
-        """bool [n]: the views that `subset` keeps."""
-        if isinstance(which, str):
-            keep = self.pattern(which)
-        else:
-            wanted = np.asarray(which, np.int64)
-            if wanted.size and not (wanted.min() >= 0 and wanted.max() < len(self.views)):
-                raise LightFieldError(f"view indices must be from 0 to {len(self.views) - 1}; found {wanted.tolist()}.")
-            keep = np.zeros(len(self.views), np.bool_)
-            keep[wanted] = True
-        keep[self.reference_index] = True
-        if keep.sum() < 2:
-            raise LightFieldError(
-                f"{self.name}: the subset {which!r} leaves the reference view alone; choose more views."
-            )
-        return keep
-
     def _with_views(
         self, chosen: NDArray[np.intp], views: NDArray[Any], valid: NDArray[np.bool_] | None, **others: Any
     ) -> LightField:
@@ -434,10 +409,6 @@ class LightField:
         found = np.flatnonzero(np.abs(self.positions - (u, v)).max(1) < POSITION_TOLERANCE)
         return int(found[0]) if len(found) else None
 
-    def _line(self, axis: int) -> NDArray[np.intp]:
-        on_line = np.flatnonzero(np.abs(self.offsets[:, 1 - axis]) < _LINE_TOLERANCE)
-        return on_line[np.argsort(self.positions[on_line, axis])]
-
 
 def check_light_field(lf: object) -> None:
     """LightFieldError that says how to make one if `lf` is no `LightField`, but an array or a path."""
@@ -450,8 +421,3 @@ def check_light_field(lf: object) -> None:
     shape = getattr(lf, "shape", None)
     found = f"{type(lf).__name__}{'' if shape is None else f' of shape {tuple(shape)}'}"
     raise LightFieldError(f"lf must be a LightField, found {found}; {remedy}.")
-
-
-def farthest(offsets: NDArray[np.float64]) -> float:
-    """The largest distance of a view from the reference view, along u or v, in view steps."""
-    return float(np.abs(offsets).max())

@@ -12,10 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
-import numpy as np
-
 from lfgpu.config import Config
 from lfgpu.contract import Array, Float32Array, KernelSet, Scalar, Streaming
+from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
@@ -203,7 +202,7 @@ class Method(ABC, Generic[C]):
             If the given range is impossible for this light field, or none is found.
         """
         if disparity_range is not None:
-            bounds = checked_range(disparity_range, lf)
+            bounds = checked_range(disparity_range, lf.layout)
         else:
             bounds = find_disparity_range(lf, kernels, device, views=views)
         return self.measured(lf, bounds, kernels, device)
@@ -213,41 +212,40 @@ class Method(ABC, Generic[C]):
         return Measured(bounds)
 
     def given(
-        self, lf: LightField, disparity_range: tuple[float, float] | None, noise: float | None = None
+        self, layout: ViewLayout, disparity_range: tuple[float, float] | None, noise: float | None = None
     ) -> Measured | None:
         """The result of `measure` if it needs no views; None if it needs them.
 
         `noise` is used in place of a measured noise, if the parameters do not give one.
         """
-        return None if disparity_range is None else Measured(checked_range(disparity_range, lf))
+        return None if disparity_range is None else Measured(checked_range(disparity_range, layout))
 
     # --- what it uses ---
 
-    def used_views(self, lf: LightField) -> list[int]:
+    def used_views(self, layout: ViewLayout) -> list[int]:
         """Indices of the views that it reads, in order."""
-        return list(range(len(lf.views)))
+        return list(range(layout.count))
 
     @abstractmethod
-    def footprint(self, lf: LightField, measured: Measured, *, on_gpu: bool) -> Footprint:
+    def footprint(self, layout: ViewLayout, measured: Measured, *, on_gpu: bool) -> Footprint:
         """The memory of a pipeline for light fields of one kind, whose views are on disk.
 
-        It is the memory of a GPU if `on_gpu`, else that of the process. `lf` gives the cameras, channels, stored type,
-        and whether there are masks.
+        It is the memory of a GPU if `on_gpu`, else that of the process.
         """
 
     @abstractmethod
-    def halo(self, lf: LightField, measured: Measured) -> tuple[int, int]:
+    def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:
         """The halo (y, x) in pixels: how far around a pixel its disparity depends on others; tiles overlap so far."""
 
-    def same_surface(self, lf: LightField) -> float:
+    def same_surface(self, layout: ViewLayout) -> float:
         """Largest difference between disparities of the same surface, pixels per view step."""
-        return SAME_SURFACE / float(np.abs(lf.offsets).max())
+        return SAME_SURFACE / layout.farthest
 
     # --- running ---
 
     @abstractmethod
-    def plan(self, lf: LightField, measured: Measured, kernels: KernelSet, device: str) -> Plan:
-        """Allocate the method for light fields of the kind of `lf`, whose views are not used.
+    def plan(self, layout: ViewLayout, measured: Measured, kernels: KernelSet, device: str) -> Plan:
+        """Allocate the method for light fields of one layout.
 
         Raises
         ------
@@ -257,7 +255,7 @@ class Method(ABC, Generic[C]):
 
     def live_plan(
         self,
-        lf: LightField,
+        layout: ViewLayout,
         measured: Measured,
         kernels: KernelSet,
         device: str,
@@ -265,7 +263,7 @@ class Method(ABC, Generic[C]):
         streaming: Streaming,
         prior: TemporalPrior,
     ) -> LivePlan:
-        """Allocate the method for a stream of frames of the kind of `lf`, which holds the used views only.
+        """Allocate the method for a stream of frames of one layout, that of the used views.
 
         Raises
         ------

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.contract import Array, Float32Array, Float64Array, KernelSet
+from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LightFieldError
@@ -91,20 +92,20 @@ def find_disparity_range(
     LightFieldError
         If no pixel is evidence for any disparity.
     """
-    shorter, farthest = min(lf.size), float(np.abs(lf.offsets).max())
-    nearest = _nearest(lf)
+    shorter, farthest = min(lf.size), lf.layout.farthest
+    nearest = _nearest(lf.layout)
     fine = max(1, round(shorter / _SIDE))
     sizes = [1, *(2**k for k in range(1, _COARSER + 1) if shorter // (2**k * fine) >= _COARSEST)]
-    most = largest_disparity(lf)
+    most = largest_disparity(lf.layout)
     search = _Search(lf, kernels, device, views, fine)
     with kernels.asking(device):
-        found = search.compare(_sides(lf, nearest), (-most, most), sizes[:2][-1:])
+        found = search.compare(_sides(lf.layout, nearest), (-most, most), sizes[:2][-1:])
         low, high = _ends(lf, found)
         low, high = low - 2 * found[0].step, high + 2 * found[0].step
         for _ in range(_TRIES):
             reach = max(nearest, min(farthest, _SHIFT * shorter / max(abs(low), abs(high))))
             # The finest one sees thin things, coarser ones textures that are weaker than the noise.
-            found = search.compare(_sides(lf, reach), (low, high), sizes)
+            found = search.compare(_sides(lf.layout, reach), (low, high), sizes)
             first, last = _ends(lf, found)
             further, close = (high - low) / 2, 2.5 * max(evidence.step for evidence in found)
             if first >= low + close and last <= high - close:
@@ -115,9 +116,9 @@ def find_disparity_range(
     return first - margin, last + margin
 
 
-def largest_disparity(lf: LightField) -> float:
+def largest_disparity(layout: ViewLayout) -> float:
     """The largest disparity that is searched, pixels per view step."""
-    return min(_FARTHEST, _SHIFT * min(lf.size)) / _nearest(lf)
+    return min(_FARTHEST, _SHIFT * min(layout.size)) / _nearest(layout)
 
 
 def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
@@ -149,27 +150,27 @@ def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
     return float(together.min()), float(together.max())
 
 
-def _along(lf: LightField, *, horizontal: bool) -> tuple[NDArray[np.bool_], Float64Array]:
+def _along(layout: ViewLayout, *, horizontal: bool) -> tuple[NDArray[np.bool_], Float64Array]:
     """Which views stand to the left or right (above or below), and how far, [n]."""
-    line = lf.pattern("cross")
+    line = layout.pattern("cross")
     if line.sum() < 2:
-        line = lf.pattern("full")
-    along, across = lf.offsets.T if horizontal else lf.offsets.T[::-1]
+        line = layout.pattern("full")
+    along, across = layout.offsets.T if horizontal else layout.offsets.T[::-1]
     beside = line & (np.abs(along) >= np.abs(across)) & (np.abs(along) > 0)
     return beside, along
 
 
-def _nearest(lf: LightField) -> float:
+def _nearest(layout: ViewLayout) -> float:
     """How far away the nearest views are, horizontally or vertically, whichever is farther; view steps."""
-    lines = [_along(lf, horizontal=horizontal) for horizontal in (True, False)]
+    lines = [_along(layout, horizontal=horizontal) for horizontal in (True, False)]
     return float(max(np.abs(along[beside]).min() for beside, along in lines if beside.any()))
 
 
-def _sides(lf: LightField, reach: float) -> list[_Side]:
+def _sides(layout: ViewLayout, reach: float) -> list[_Side]:
     """The sides that have views, and `_VIEWS` evenly chosen of each within reach: the nearest one if none is."""
     sides = []
     for horizontal in (True, False):
-        beside, along = _along(lf, horizontal=horizontal)
+        beside, along = _along(layout, horizontal=horizontal)
         for sign in (-1, 1):
             some = np.flatnonzero(beside & (sign * along > 0))
             if len(some):

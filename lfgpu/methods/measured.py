@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
 
 
@@ -34,7 +34,7 @@ class Measured:
     spread: tuple[float, float] | None = None
 
 
-def checked_range(disparity_range: tuple[float, float], lf: LightField) -> tuple[float, float]:
+def checked_range(disparity_range: tuple[float, float], layout: ViewLayout) -> tuple[float, float]:
     """A range that the user gave, as two numbers; LightFieldError if this light field cannot have it."""
     try:
         low, high = (float(bound) for bound in disparity_range)
@@ -45,8 +45,8 @@ def checked_range(disparity_range: tuple[float, float], lf: LightField) -> tuple
             "disparity range must be two finite numbers, low < high, in pixels per view step; found "
             f"{disparity_range!r}."
         )
-    distances = np.abs(lf.offsets).max(1)
-    nearest, size = distances[distances > 0].min(), max(lf.size)
+    distances = np.abs(layout.offsets).max(1)
+    nearest, size = distances[distances > 0].min(), max(layout.size)
     if max(abs(low), abs(high)) * nearest >= size:
         raise LightFieldError(
             f"disparity range {low:g} to {high:g} is too large for views of {size} px: it shifts even the nearest view "

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lfgpu.contract import Float32Array
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.disparity_range import largest_disparity
 
 _AT_END = 0.03  # of the range: matched surfaces that are so near to an end may lie beyond it,
@@ -24,7 +24,7 @@ _FEW = 0.0025  # share of the pixels that lie at an end by chance
 
 
 def confirm(
-    lf: LightField,
+    layout: ViewLayout,
     found: tuple[float, float],
     matched: Float32Array,
     match: Callable[[tuple[float, float]], Float32Array],
@@ -36,8 +36,8 @@ def confirm(
 
     Parameters
     ----------
-    lf
-        The light field.
+    layout
+        The layout of the light field.
     found
         (low, high), pixels per view step.
     matched
@@ -49,7 +49,7 @@ def confirm(
     -------
     A sentence if surfaces may lie beyond the found range all the same; else None.
     """
-    bounds, most = found, largest_disparity(lf)
+    bounds, most = found, largest_disparity(layout)
     for tries in range(_TRIES + 1):
         piles = [share > _MANY and share > _MORE_THAN_BESIDE * beside for share, beside in _at_ends(bounds, matched)]
         if not any(piles):

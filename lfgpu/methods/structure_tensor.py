@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
 from lfgpu.contract import Array, Float64Array, KernelSet, StructureFilters
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.sections import LocalConfig
 
@@ -24,8 +24,8 @@ class LocalEstimator:
 
     Parameters
     ----------
-    lf
-        Gives the cameras, size, stored type, masks and reference view; its views are not used.
+    layout
+        The layout of the views.
     disparity_range
         (low, high) of the disparities that are searched, pixels per view step.
     config
@@ -40,23 +40,28 @@ class LocalEstimator:
     """
 
     def __init__(
-        self, lf: LightField, disparity_range: tuple[float, float], config: LocalConfig, kernels: KernelSet, device: str
+        self,
+        layout: ViewLayout,
+        disparity_range: tuple[float, float],
+        config: LocalConfig,
+        kernels: KernelSet,
+        device: str,
     ) -> None:
-        if max(len(lf.row()), len(lf.column())) < 2:
+        if max(len(layout.row()), len(layout.column())) < 2:
             raise LightFieldError(
-                f"{lf.name}: the local estimate needs a second view in the row or the column of the reference view "
+                f"{layout.name}: the local estimate needs a second view in the row or the column of the reference view "
                 "(within 0.1 view steps), but there is none; choose another reference view, or add views."
             )
         self._kernels, self._threshold = kernels, config.coherence_threshold
         self._lines = [
-            _Line(lf, vertical, disparity_range, config, kernels, device)
+            _Line(layout, vertical, disparity_range, config, kernels, device)
             for vertical in (False, True)
-            if len(lf.column() if vertical else lf.row()) > 1
+            if len(layout.column() if vertical else layout.row()) > 1
         ]
-        self.disparity, self.coherence = kernels.zeros(lf.size, device), kernels.zeros(lf.size, device)
+        self.disparity, self.coherence = kernels.zeros(layout.size, device), kernels.zeros(layout.size, device)
         """Fields [y, x]: the disparity, pixels per view step, and its coherence, 0 (undefined) to 1."""
         self.by_line = {
-            line.name: (kernels.zeros(lf.size, device), kernels.zeros(lf.size, device)) for line in self._lines
+            line.name: (kernels.zeros(layout.size, device), kernels.zeros(layout.size, device)) for line in self._lines
         }
         """The same of the row and of the column of views alone, by "row" and "column"; before the threshold."""
 
@@ -89,7 +94,7 @@ class _Line:
 
     def __init__(
         self,
-        lf: LightField,
+        layout: ViewLayout,
         vertical: bool,
         disparity_range: tuple[float, float],
         config: LocalConfig,
@@ -98,19 +103,19 @@ class _Line:
     ) -> None:
         self.name = "column" if vertical else "row"
         self._kernels, self._vertical, self._range = kernels, vertical, disparity_range
-        self._line = [int(index) for index in (lf.column() if vertical else lf.row())]
-        offsets = lf.offsets[self._line, int(vertical)]
+        self._line = [int(index) for index in (layout.column() if vertical else layout.row())]
+        offsets = layout.offsets[self._line, int(vertical)]
         self._spacing = _spacing(offsets)
         offsets = offsets / self._spacing
         filters = structure_filters(offsets, config)
-        height, width = reversed(lf.size) if vertical else lf.size
-        shape = (len(self._line), height, width, lf.channels)
-        self._epis = kernels.zeros_image(shape, device, lf.views.dtype)
+        height, width = reversed(layout.size) if vertical else layout.size
+        shape = (len(self._line), height, width, layout.channels)
+        self._epis = kernels.zeros_image(shape, device, layout.dtype)
         self._tensor = kernels.structure_tensor(
             shape,
             kernels.field(offsets, device),
             StructureFilters(*(kernels.field(f, device) for f in filters)),
-            scale=lf.scale,
+            scale=layout.scale,
             floor=config.gradient_floor,
         )
         self._disparity, self._coherence = (kernels.zeros((height, width), device) for _ in range(2))
@@ -119,8 +124,8 @@ class _Line:
         first, last = (np.round(bound * self._spacing / self._step) for bound in disparity_range)
         self._shears = [float(shear) for shear in np.arange(first, last + 1) * self._step]
         self._trusted: list[Array | None] = [None] * len(self._shears)
-        if lf.valid is not None:
-            valid = lf.valid[self._line]
+        if layout.masks is not None:
+            valid = np.stack([layout.masks[index] for index in self._line])
             valid = valid.swapaxes(1, 2) if vertical else valid
             used = (filters.along_value != 0).any(0)
             self._trusted = [

@@ -94,7 +94,7 @@ def estimate_all_views(
         None if lf.valid is None else lf.valid[chosen],
         kernels,
         place,
-        tolerance=method_of(config).same_surface(lf),
+        tolerance=method_of(config).same_surface(lf.layout),
     )
     disparities, confidences = (np.empty(lf.views.shape[:3], np.float32) for _ in range(2))
     for index, position in enumerate(lf.positions):

@@ -114,7 +114,7 @@ def export_pipeline(
     pictures = lf
     if rectifier is not None:
         lf = rectifier.rectified(pictures, kernels, device)
-    used = method.used_views(lf)
+    used = method.used_views(lf.layout)
     with limited_threads(1):  # the work of other threads would not be recorded
         with kernels.asking(device):
             measured, _ = measured_on(
@@ -128,7 +128,7 @@ def export_pipeline(
             else:
                 frames = views = kernels.image(some.views, device)
             plan = method.live_plan(
-                some, measured, kernels, device, streaming=streaming, prior=prior or TemporalPrior()
+                some.layout, measured, kernels, device, streaming=streaming, prior=prior or TemporalPrior()
             )
 
             def whole(work: Callable[[Array], None]) -> Callable[[], None]:

@@ -96,7 +96,7 @@ class DepthPipeline:
         self._is_found = measured is None and disparity_range is None  # and no map has confirmed that range
         self._notes: tuple[str, ...] = ()  # about that range
         self._unseen = False  # whether the views came from a GPU, where NaN is not looked for
-        used = self.method.used_views(lf)
+        used = self.method.used_views(lf.layout)
         self._used = used if len(used) < len(lf.views) else None
         some = lf if self._used is None else lf.subset(used)  # no others go to the device
         with self.kernels.asking(self.device):
@@ -121,7 +121,7 @@ class DepthPipeline:
                 Rehearsal(self.method, some, self.kernels, self.device).run(self.measured)
             with self._timed("measure"):
                 self._waited_for = self.kernels.scalar(0.0, self.device)  # who reads it waits for all that was asked
-                self._plan: Plan = self.method.plan(some, self.measured, self.kernels, self.device)
+                self._plan: Plan = self.method.plan(some.layout, self.measured, self.kernels, self.device)
 
     def upload(self, views: Any) -> None:
         """Replace the views.
@@ -328,14 +328,14 @@ class DepthPipeline:
 
         def match(bounds: tuple[float, float]) -> Float32Array:
             with self._timed("measure"), self.kernels.asking(self.device):
-                some = self._lf if self._used is None else self._lf.subset(self._used)
+                some = self._lf.layout if self._used is None else self._lf.layout.subset(self._used)
                 self.measured = self.method.measured(self._lf, bounds, self.kernels, self.device)
                 del self._plan  # its memory first
                 self._plan = self.method.plan(some, self.measured, self.kernels, self.device)
             self._do(stage, on_progress)
             return self._plan.maps()[stage]
 
-        doubt = confirm(self._lf, self.bounds, self._plan.maps()[stage], match)
+        doubt = confirm(self._lf.layout, self.bounds, self._plan.maps()[stage], match)
         self._notes = () if doubt is None else (doubt,)
 
     def _map(self, field: Array) -> Float32Array:

@@ -50,7 +50,9 @@ class Rehearsal:
         views = self._kernels.image(self._lf.views, self._device)
         waited_for = self._kernels.scalar(0.0, self._device)
         with suppress(LightFieldError):
-            for work in self._method.plan(self._lf, measured, self._kernels, self._device).stages(views).values():
+            for work in (
+                self._method.plan(self._lf.layout, measured, self._kernels, self._device).stages(views).values()
+            ):
                 work(None)
         self._kernels.number(waited_for)
 

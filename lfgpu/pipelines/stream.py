@@ -151,7 +151,7 @@ class DepthStream:
             lf = rectifier.rectified(pictures, kernels, self.device)
         self._kernels, self._rectifier = kernels, rectifier
         self.config, self.geometry, self.name = configured(config), lf.geometry, lf.name
-        self._used = method.used_views(lf)
+        self._used = method.used_views(lf.layout)
         self._intake = Intake(lf, self._used, self.device)
 
         with kernels.asking(self.device):
@@ -170,7 +170,7 @@ class DepthStream:
                 frames = self._views = kernels.image(lf.views, self.device)
             self._like = lf
             self._plan = method.live_plan(
-                lf, self.measured, kernels, self.device, streaming=streaming, prior=prior or TemporalPrior()
+                lf.layout, self.measured, kernels, self.device, streaming=streaming, prior=prior or TemporalPrior()
             )
             self._transport = streaming.transport(
                 frames,
@@ -246,7 +246,7 @@ class DepthStream:
         places = np.asarray(positions, np.float64)
         views = np.zeros((len(places), *size, channels), dtype)
         lf = LightField(views, places, reference=reference)
-        measured = method_of(config).given(lf, disparity_range, noise)
+        measured = method_of(config).given(lf.layout, disparity_range, noise)
         return cls(lf, config=config, measured=measured, **options)
 
     @property

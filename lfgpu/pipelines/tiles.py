@@ -127,12 +127,14 @@ def estimate_in_tiles(
         forget(lf.views)
         in_memory = 0 if on_gpu or is_mapped(lf.views) else lf.views.nbytes
         kept = 4 * 8 * lf.size[0] * lf.size[1]  # maps of all tiles, and the joined maps
-        needed = method.footprint(lf, measured, on_gpu=on_gpu)
+        needed = method.footprint(lf.layout, measured, on_gpu=on_gpu)
         taken = 0 if on_gpu else in_memory + kept
-        plan = plan_tiles(lf.size, method.halo(lf, measured), needed, max_memory, taken=taken, devices=len(devices))
+        plan = plan_tiles(
+            lf.size, method.halo(lf.layout, measured), needed, max_memory, taken=taken, devices=len(devices)
+        )
         options = {"config": config, "measured": measured, "backend": backend, "deterministic": deterministic}
         results = _estimate_all(lf, method, plan, devices, options, on_progress)
-        joined = _joined(lf, plan, results, method.same_surface(lf))
+        joined = _joined(lf, plan, results, method.same_surface(lf.layout))
         there = [result.timings for result in results if result is not None]
         timings = {name: sum(timings.get(name, 0.0) for timings in there) for name in joined.timings}
         done.append(replace(joined, timings=timings))
@@ -144,7 +146,7 @@ def estimate_in_tiles(
     estimate(method.measure(lf, kernels, first, disparity_range=disparity_range))
     doubt = None
     if disparity_range is None and method.MATCHED is not None:
-        doubt = confirm(lf, done[0].disparity_range, done[0].stages[method.MATCHED], match)
+        doubt = confirm(lf.layout, done[0].disparity_range, done[0].stages[method.MATCHED], match)
     notes = done[0].notes if doubt is None else (doubt, *done[0].notes)
     return replace(done[0], notes=notes, timings={**done[0].timings, "total": perf_counter() - start})
 
@@ -158,7 +160,7 @@ def _estimate_all(
     on_progress: Progress | None,
 ) -> list[DepthResult | None]:
     """The result of each tile; None if a tile has no estimate. Each device takes the next tile when it is free."""
-    used = method.used_views(lf)
+    used = method.used_views(lf.layout)
     results: list[DepthResult | None] = [None] * len(plan.starts)
     left: queue.SimpleQueue[int] = queue.SimpleQueue()
     for index in range(len(plan.starts)):

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.contract import Float32Array
-from lfgpu.data.lightfield import LightField, check_light_field, farthest
+from lfgpu.data.layout import farthest
+from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.viz.splines import CUBIC, LINEAR, colours, shifted, spline, valid_at

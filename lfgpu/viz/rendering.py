@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.filling import fill_unknown
-from lfgpu.data.lightfield import LightField, check_light_field, farthest
+from lfgpu.data.layout import farthest
+from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.all_views import Join

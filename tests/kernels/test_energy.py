@@ -117,7 +117,7 @@ def energy_of(kernels: KernelSet, device: str, i: SimpleNamespace) -> Evaluate:
     views = kernels.image(i.lf.views, device)
     prior = NonLocalMeans((*i.lf.size, i.lf.channels), i.prior, kernels, device)
     prior.load(reference_image(kernels, device, i.lf))
-    model = ForwardModel(i.lf, i.refinement, kernels, device)
+    model = ForwardModel(i.lf.layout, i.refinement, kernels, device)
     model.load(views, None if i.start is None else kernels.field(i.start, device))
     return at_maps(Energy(model, prior, i.refinement.smoothness), kernels, device)
 
@@ -157,7 +157,7 @@ def test_energy_of_another_light_field_is_that_of_a_fresh_one(target: Any, rng: 
     kernels, device = target.kernels, target.device
     first, second = (energy_inputs(EnergyCase("masked", masked=True, dtype="uint8"), rng) for _ in range(2))
     second.lf = replace(second.lf, valid=first.lf.valid)  # a mask is part of what a model is made for
-    model = ForwardModel(first.lf, first.refinement, kernels, device)
+    model = ForwardModel(first.lf.layout, first.refinement, kernels, device)
     prior = NonLocalMeans((*first.lf.size, first.lf.channels), first.prior, kernels, device)
     for i in (first, second):
         prior.load(reference_image(kernels, device, i.lf))

@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from lfgpu.contract import REACH, REDUCTION, SMOOTHING_REACH, KernelSet, Streaming
-from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.data.layout import ViewLayout
+from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
 from lfgpu.methods.matching.config import MatchingConfig
@@ -55,8 +56,8 @@ class Matching(Method[MatchingConfig]):
     def iterations(self, stage: str) -> int | None:
         return self.config.alignment.iterations if stage == "align" else None
 
-    def used_views(self, lf: LightField) -> list[int]:
-        return used_views(lf, self.config.sweep.views)
+    def used_views(self, layout: ViewLayout) -> list[int]:
+        return used_views(layout, self.config.sweep.views)
 
     def measured(self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str) -> Measured:
         config = self.config.sweep
@@ -67,24 +68,24 @@ class Matching(Method[MatchingConfig]):
         return Measured(bounds, measured_noise(lf, bounds, config, kernels, device, deviation=deviation), grain)
 
     def given(
-        self, lf: LightField, disparity_range: tuple[float, float] | None, noise: float | None = None
+        self, layout: ViewLayout, disparity_range: tuple[float, float] | None, noise: float | None = None
     ) -> Measured | None:
         known = self.config.sweep.noise or noise
         if disparity_range is None or known is None:
             return None
-        return Measured(checked_range(disparity_range, lf), *of_given_noise(known, self.config.sweep))
+        return Measured(checked_range(disparity_range, layout), *of_given_noise(known, self.config.sweep))
 
-    def same_surface(self, lf: LightField) -> float:
-        return self.config.alignment.support / farthest(lf.offsets)
+    def same_surface(self, layout: ViewLayout) -> float:
+        return self.config.alignment.support / layout.farthest
 
-    def footprint(self, lf: LightField, measured: Measured, *, on_gpu: bool) -> Footprint:
-        config, channels, stored = self.config, lf.channels, lf.views.dtype.itemsize
-        used = self.used_views(lf)
-        chosen = swept_views(lf.offsets[used], config.sweep.views)
-        some, in_first = len(chosen), set(first_views(lf, config.sweep.first_views))
+    def footprint(self, layout: ViewLayout, measured: Measured, *, on_gpu: bool) -> Footprint:
+        config, channels, stored = self.config, layout.channels, layout.dtype.itemsize
+        used = self.used_views(layout)
+        chosen = swept_views(layout.offsets[used], config.sweep.views)
+        some, in_first = len(chosen), set(first_views(layout, config.sweep.first_views))
         taken, copied = len(used), some if some < len(used) else 0
         views = (taken + copied) * channels * stored
-        masks = 0 if lf.valid is None else 5 * taken + 4 * copied
+        masks = 0 if layout.masks is None else 5 * taken + 4 * copied
         host = 0 if on_gpu else taken * channels * stored + masks  # the tile as it was cut out
         smoothed, compared = 0, stored
         if smoothing_deviation(measured.grain, config.sweep) is not None:
@@ -94,14 +95,14 @@ class Matching(Method[MatchingConfig]):
         copied_few = few * channels * compared if few < some else 0
         between = 0
         if config.sweep.resweeps > 1:
-            middle = len(middle_views(lf.offsets[used][chosen], config.sweep.views))
+            middle = len(middle_views(layout.offsets[used][chosen], config.sweep.views))
             between = middle if middle < some else 0
         copied_few += between * channels * compared
         compared *= (some if config.sweep.resweeps else 0) + between + few
         swept = (channels if not on_gpu else 4 if channels == 3 else 2) * compared + smoothed + copied_few
         if config.sweep.reduced_weight:
             swept += -(-(2 * 2 * few * channels + masks) // REDUCTION**2)
-        volume = 4 * labels(measured.disparity_range, lf.offsets, config.sweep)[2]
+        volume = 4 * labels(measured.disparity_range, layout.offsets, config.sweep)[2]
         volumes = (4 if on_gpu else 2) * volume
         if config.sweep.reduced_weight:
             volumes += -(-(volume + 4) // REDUCTION**2)  # and a weight for each pixel
@@ -121,12 +122,12 @@ class Matching(Method[MatchingConfig]):
             return Footprint(per_pixel, PROCESS)
         return Footprint(per_pixel, GPU_CONTEXT, _SPARE_VOLUMES * volume, _DIRECTIONS)
 
-    def halo(self, lf: LightField, measured: Measured) -> tuple[int, int]:
+    def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:
         low, high = measured.disparity_range
         # The largest shift in any view, and the largest difference of shifts: what may hide a pixel there.
         reach = [
             math.ceil(axis * max(abs(low), abs(high))) + math.ceil(axis * (high - low))
-            for axis in np.abs(lf.offsets).max(0)
+            for axis in np.abs(layout.offsets).max(0)
         ]
         passes = 2 + 2 * self.config.sweep.resweeps + 2 * self.config.alignment.iterations
         windows = (self.config.prior.window // 2) * passes + self.config.prior.patch // 2 + 2 * (REACH + 1)
@@ -134,12 +135,12 @@ class Matching(Method[MatchingConfig]):
         windows += GUESS_REACH * self.config.sweep.resweeps
         return reach[1] + windows + _PATHS, reach[0] + windows + _PATHS
 
-    def plan(self, lf: LightField, measured: Measured, kernels: KernelSet, device: str) -> MatchingPlan:
-        return MatchingPlan(lf, measured, self.config, kernels, device)
+    def plan(self, layout: ViewLayout, measured: Measured, kernels: KernelSet, device: str) -> MatchingPlan:
+        return MatchingPlan(layout, measured, self.config, kernels, device)
 
     def live_plan(
         self,
-        lf: LightField,
+        layout: ViewLayout,
         measured: Measured,
         kernels: KernelSet,
         device: str,
@@ -147,4 +148,4 @@ class Matching(Method[MatchingConfig]):
         streaming: Streaming,
         prior: TemporalPrior,
     ) -> TemporalMatching:
-        return TemporalMatching(lf, measured, self.config, kernels, device, streaming=streaming, prior=prior)
+        return TemporalMatching(layout, measured, self.config, kernels, device, streaming=streaming, prior=prior)

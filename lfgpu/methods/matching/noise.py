@@ -90,7 +90,7 @@ def measured_noise(
     has no texture agrees at all disparities.
     """
     lf = lf.crop(*(slice(max(0, (side - _SAMPLE) // 2), (side + _SAMPLE) // 2) for side in lf.size))
-    lf = lf.subset(used_views(lf, "cross"))
+    lf = lf.subset(used_views(lf.layout, "cross"))
     place = labels(bounds, lf.offsets, config)
     shape, scale = (len(lf.views), *lf.size, lf.channels), lf.scale if deviation is None else 1 / WHITE
     sweep = planned_sweep(

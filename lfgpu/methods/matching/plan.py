@@ -25,7 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from lfgpu.contract import REDUCTION, WHITE, Array, Float32Array, KernelSet
-from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.data.layout import ViewLayout
 from lfgpu.data.windows import window_min
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Callback, Work
@@ -67,8 +67,8 @@ class MatchingPlan:
 
     Parameters
     ----------
-    lf
-        A light field of that kind. Its cameras, size, stored type, masks and reference view count, its views do not.
+    layout
+        The layout of the views.
     measured
         The disparity range and the noise.
     config
@@ -82,62 +82,64 @@ class MatchingPlan:
     """Whether views may come with masks that the light field does not have."""
 
     def __init__(
-        self, lf: LightField, measured: Measured, config: MatchingConfig, kernels: KernelSet, device: str
+        self, layout: ViewLayout, measured: Measured, config: MatchingConfig, kernels: KernelSet, device: str
     ) -> None:
         assert measured.noise is not None  # this method measures it
         self._deviation = smoothing_deviation(measured.grain, config.sweep)
         self._noise = noise_of_views(measured.noise, measured.grain, config.sweep)
         config, bounds = in_units_of(measured.noise, config, grain=measured.grain), measured.disparity_range
-        self._kernels, self._device, self._size = kernels, device, lf.size
+        self._kernels, self._device, self._size = kernels, device, layout.size
         self._bounds, self._config, self._noise_cost = bounds, config, noise_cost(config.sweep)
-        self._used, self._chosen = used_views(lf, config.sweep.views), None
-        if len(self._used) < len(lf.views):
-            lf = lf.subset(self._used)
-            self._chosen = kernels.zeros_image(lf.views.shape, device, lf.views.dtype)
-        self._reference, self._scale, self._farthest = lf.reference_index, lf.scale, farthest(lf.offsets)
-        shape, image = (len(lf.views), *lf.size, lf.channels), (*lf.size, lf.channels)
-        self._offsets = kernels.field(lf.offsets, device)
-        self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
-        self._known = None if lf.valid is None else kernels.field(lf.valid[lf.reference_index], device)
+        self._used, self._chosen = used_views(layout, config.sweep.views), None
+        if len(self._used) < layout.count:
+            layout = layout.subset(self._used)
+            self._chosen = kernels.zeros_image(layout.shape, device, layout.dtype)
+        self._reference, self._scale, self._farthest = layout.reference, layout.scale, layout.farthest
+        shape, image = layout.shape, (*layout.size, layout.channels)
+        self._offsets = kernels.field(layout.offsets, device)
+        masks = layout.masks
+        self._valid = None if masks is None else kernels.field(np.stack(masks), device)
+        self._known = None if masks is None else kernels.field(masks[layout.reference], device)
         # Where a patch holds a pixel that the reference did not record, it is like no other patch.
         patch = config.prior.patch
-        alike = None if lf.valid is None else window_min(lf.valid[lf.reference_index], patch)
+        alike = None if masks is None else window_min(masks[layout.reference], patch)
         self._alike = None if alike is None else kernels.field(alike, device)
-        self._far = None if lf.valid is None else kernels.field(np.full(lf.size, bounds[0]), device)
-        self._unknown = None if lf.valid is None else kernels.field(np.full(lf.size, np.nan), device)
+        self._far = None if layout.masks is None else kernels.field(np.full(layout.size, bounds[0]), device)
+        self._unknown = None if layout.masks is None else kernels.field(np.full(layout.size, np.nan), device)
         held = config.hole_filling.stiffness * config.alignment.robust**2  # as strongly as one similar neighbour
-        self._held = None if lf.valid is None else kernels.field(np.full(lf.size, held), device)
+        self._held = None if layout.masks is None else kernels.field(np.full(layout.size, held), device)
         self._image = kernels.zeros_image(image, device)
         self._prior = NonLocalMeans(image, config.prior, kernels, device)
         # Costs of what is nearer reach as far into its corners as they are averaged; maps need more against noise.
         self._near = self._prior
         if config.semi_global.window != config.prior.window:
             self._near = NonLocalMeans(image, replace(config.prior, window=config.semi_global.window), kernels, device)
-        self._first, self._step, count = labels(bounds, lf.offsets, config.sweep)
-        self._volume, self._smooth = (kernels.zeros((count, *lf.size), device) for _ in range(2))
+        self._first, self._step, count = labels(bounds, layout.offsets, config.sweep)
+        self._volume, self._smooth = (kernels.zeros((count, *layout.size), device) for _ in range(2))
         # Every other view is enough for the first steps on large grids.
-        swept = swept_views(lf.offsets, config.sweep.views)
-        some, self._some = lf, None
+        swept = swept_views(layout.offsets, config.sweep.views)
+        some, self._some = layout, None
         self._swept_offsets, nearest = self._offsets, kernels.zeros(shape[:3], device)
         self._swept_nearest = nearest
-        if len(swept) < len(lf.views):
-            some, self._some = lf.subset(swept), SomeViews(lf, swept, kernels, device, masked=self.may_be_masked)
+        if len(swept) < layout.count:
+            some = layout.subset(swept)
+            self._some = SomeViews(layout, swept, kernels, device, masked=self.may_be_masked)
             self._swept_offsets = kernels.field(some.offsets, device)
-            self._swept_nearest = kernels.zeros((len(swept), *lf.size), device)
-        self._swept_shape, self._swept_reference = (len(some.views), *shape[1:]), some.reference_index
+            self._swept_nearest = kernels.zeros((len(swept), *layout.size), device)
+        self._swept_shape, self._swept_reference = (some.count, *shape[1:]), some.reference
         place = self._first, self._step, count
-        self._compared, self._unit = self._image, lf.scale
+        self._compared, self._unit = self._image, layout.scale
         if self._deviation is not None:
             self._compared, self._unit = kernels.zeros_image(image, device), 1 / WHITE
             self._smoothed = kernels.zeros_image(self._swept_shape, device, np.uint16)
         self._resweeps = further_sweeps(some.offsets, config.sweep)
         self._few, few = None, some
         chosen = first_views(some, config.sweep.first_views)
-        if len(chosen) < len(some.views):
+        if len(chosen) < some.count:
             stored = None if self._deviation is None else np.uint16
             self._few = SomeViews(some, chosen, kernels, device, stored=stored, masked=self.may_be_masked)
             few = some.subset(chosen)
-        self._few_shape, self._few_offsets = (len(few.views), *shape[1:]), few.offsets
+        self._few_shape, self._few_offsets = (few.count, *shape[1:]), few.offsets
         self._sweep = planned_sweep(
             self._few_shape,
             self._few_offsets,
@@ -149,7 +151,7 @@ class MatchingPlan:
             gradient_weight=config.sweep.gradient_weight,
         )
         self._reduced = None
-        if config.sweep.reduced_weight > 0 and min(lf.size) >= _LEAST_REDUCED * REDUCTION:
+        if config.sweep.reduced_weight > 0 and min(layout.size) >= _LEAST_REDUCED * REDUCTION:
             # More than one further sweep mends what reduced views do to outlines, and gains from all they show.
             contrast = config.sweep.reduced_contrast if self._resweeps <= 1 else None
             self._reduced = ReducedSweep(few, place, config.sweep, kernels, device, scale=self._unit, contrast=contrast)
@@ -157,7 +159,7 @@ class MatchingPlan:
         self._reach = _BESIDE if self._resweeps > 1 else 0  # the first surface is too large as it is
         if self._resweeps:
             middle = middle_views(some.offsets, config.sweep.views)
-            if self._resweeps > 1 and len(middle) < len(some.views):
+            if self._resweeps > 1 and len(middle) < some.count:
                 self._middle = self._visible_sweep(some, place, range(min(self._resweeps - 1, 2)), middle)
             reaches = (self._reach,) if self._middle is not None else range(min(self._resweeps, 2))
             self._resweep = self._visible_sweep(some, place, reaches)
@@ -165,18 +167,20 @@ class MatchingPlan:
         self._first_steps = self._last_step
         if self._some is not None:
             self._first_steps = self._planned_step(self._swept_shape, self._swept_offsets, self._swept_nearest)
-        self._swept, self._aligned, self.disparity, self.confidence = (kernels.zeros(lf.size, device) for _ in range(4))
+        self._swept, self._aligned, self.disparity, self.confidence = (
+            kernels.zeros(layout.size, device) for _ in range(4)
+        )
         """`disparity` and `confidence` are the results, fields [y, x]."""
-        self._matched = kernels.zeros(lf.size, device) if self._resweeps else self._swept
-        self._hole_filling = HoleFilling(lf.size, self._prior, config.hole_filling)
-        self._curvature, self._slope, self._certainty = (kernels.zeros(lf.size, device) for _ in range(3))
-        self._workspace, self._penalty_scale = (kernels.zeros(lf.size, device) for _ in range(2))
+        self._matched = kernels.zeros(layout.size, device) if self._resweeps else self._swept
+        self._hole_filling = HoleFilling(layout.size, self._prior, config.hole_filling)
+        self._curvature, self._slope, self._certainty = (kernels.zeros(layout.size, device) for _ in range(3))
+        self._workspace, self._penalty_scale = (kernels.zeros(layout.size, device) for _ in range(2))
         self._boundaries = Boundaries(
             kernels, config.boundaries, step=config.boundaries.step / self._farthest, workspace=self._workspace
         )
         # What earlier stages needed is free when the map is judged.
         needed = self._curvature, self._certainty, self._slope, self._workspace, self._penalty_scale
-        free = (*needed, kernels.zeros(lf.size, device))
+        free = (*needed, kernels.zeros(layout.size, device))
         self._judging = Judging(
             kernels,
             kind=config.sweep.kind,
@@ -184,9 +188,9 @@ class MatchingPlan:
             step=self._step,
             unit=self._noise_cost,
             workspace=free,
-            variance=kernels.zeros(lf.size, device),
+            variance=kernels.zeros(layout.size, device),
         )
-        self._first_evidence = kernels.zeros(lf.size, device) if self._resweeps else None
+        self._first_evidence = kernels.zeros(layout.size, device) if self._resweeps else None
         self._later_evidence = free[-1]
         self._guesses = None
         if self._resweeps and config.sweep.ambiguity < 1:
@@ -197,7 +201,7 @@ class MatchingPlan:
                 count=count,
                 tolerance=config.sweep.tolerance / self._farthest,
                 ones=self._prior.ones,
-                zeros=kernels.zeros(lf.size, device),
+                zeros=kernels.zeros(layout.size, device),
                 workspace=free[:-1],
             )
         self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
@@ -440,22 +444,22 @@ class MatchingPlan:
 
     def _visible_sweep(
         self,
-        lf: LightField,
+        layout: ViewLayout,
         place: tuple[float, float, int],
         reaches: Collection[int],
         chosen: Sequence[int] | None = None,
     ) -> VisibleSweep:
-        """A further sweep over the views of `lf`, or over those that are chosen."""
+        """A further sweep over the views of a layout, or over those that are chosen."""
         kernels, device, config = self._kernels, self._device, self._config.sweep
         some, nearest = None, self._swept_nearest
         if chosen is not None:
             stored = None if self._deviation is None else np.uint16
-            some = SomeViews(lf, chosen, kernels, device, stored=stored, masked=self.may_be_masked)
-            lf, nearest = lf.subset(chosen), kernels.zeros((len(chosen), *self._size), device)
-        shape = (len(lf.views), *self._swept_shape[1:])
+            some = SomeViews(layout, chosen, kernels, device, stored=stored, masked=self.may_be_masked)
+            layout, nearest = layout.subset(chosen), kernels.zeros((len(chosen), *self._size), device)
+        shape = (layout.count, *self._swept_shape[1:])
         sweep = planned_sweep(
             shape,
-            lf.offsets,
+            layout.offsets,
             place,
             config,
             kernels,
@@ -464,7 +468,7 @@ class MatchingPlan:
             gradient_weight=config.resweep_gradient_weight,
         )
         return VisibleSweep(
-            sweep, shape, kernels.field(lf.offsets, device), nearest, kernels, reaches=reaches, some=some
+            sweep, shape, kernels.field(layout.offsets, device), nearest, kernels, reaches=reaches, some=some
         )
 
     def _planned_step(self, shape: Sequence[int], offsets: Array, nearest: Array) -> AlignmentStep:

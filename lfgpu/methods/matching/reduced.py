@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lfgpu.contract import REDUCTION, WHITE, Array, KernelSet
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.sweep import planned_sweep
 from lfgpu.methods.prior import UNLIKE_ANY
@@ -18,8 +18,8 @@ class ReducedSweep:
 
     Parameters
     ----------
-    lf
-        A light field of the kind; its views do not matter.
+    layout
+        The layout of the views.
     place
         The disparities, as `labels` gives them.
     config
@@ -35,7 +35,7 @@ class ReducedSweep:
 
     def __init__(
         self,
-        lf: LightField,
+        layout: ViewLayout,
         place: tuple[float, float, int],
         config: SweepConfig,
         kernels: KernelSet,
@@ -44,9 +44,9 @@ class ReducedSweep:
         scale: float,
         contrast: float | None,
     ) -> None:
-        height, width = (side // REDUCTION for side in lf.size)
-        shape = len(lf.views), height, width, lf.channels
-        self._kernels, self._reference, self._scale = kernels, lf.reference_index, scale
+        height, width = (side // REDUCTION for side in layout.size)
+        shape = layout.count, height, width, layout.channels
+        self._kernels, self._reference, self._scale = kernels, layout.reference, scale
         self._weight, self._contrast = config.reduced_weight, contrast
         self._shares = kernels.field(np.ones(shape[1:3]), device)
         self._views, self._image = kernels.zeros_image(shape, device, np.uint16), kernels.zeros_image(shape[1:], device)
@@ -55,7 +55,7 @@ class ReducedSweep:
         # A disparity moves what is seen in a reduced view by so many of its pixels less.
         self._sweep = planned_sweep(
             shape,
-            lf.offsets / REDUCTION,
+            layout.offsets / REDUCTION,
             place,
             config,
             kernels,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from numpy.typing import DTypeLike
 
 from lfgpu.contract import Array, KernelSet
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.layout import ViewLayout
 
 
 class SomeViews:
@@ -15,21 +15,21 @@ class SomeViews:
 
     Parameters
     ----------
-    lf
-        A light field of the kind; its views do not matter.
+    layout
+        The layout of the views.
     chosen
         Their indices, in order, the reference among them.
     kernels, device
         Where they are.
     stored
-        How the views' values are stored. Default None: as those of `lf`.
+        How the views' values are stored. Default None: as those of `layout`.
     masked
-        Whether masks may come even if `lf` has none.
+        Whether masks may come even if `layout` has none.
     """
 
     def __init__(
         self,
-        lf: LightField,
+        layout: ViewLayout,
         chosen: Sequence[int],
         kernels: KernelSet,
         device: str,
@@ -38,9 +38,9 @@ class SomeViews:
         masked: bool = False,
     ) -> None:
         self._kernels, self._chosen = kernels, list(chosen)
-        shape = (len(chosen), *lf.size, lf.channels)
-        self._views = kernels.zeros_image(shape, device, lf.views.dtype if stored is None else stored)
-        self._valid = kernels.zeros(shape[:3], device) if masked or lf.valid is not None else None
+        shape = (len(chosen), *layout.size, layout.channels)
+        self._views = kernels.zeros_image(shape, device, layout.dtype if stored is None else stored)
+        self._valid = kernels.zeros(shape[:3], device) if masked or layout.masks is not None else None
 
     def of(self, views: Array, valid: Array | None) -> tuple[Array, Array | None]:
         """The chosen ones of all views [n, y, x, c] and of their masks [n, y, x]; the next call overwrites them."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lfgpu.contract import Float64Array, KernelSet, PlaneSweep
-from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.data.layout import ViewLayout, farthest
 from lfgpu.methods.matching.config import SweepConfig
 
 _DIRECTIONS = 8  # in which some of the views lie
@@ -57,10 +57,10 @@ def noise_cost(config: SweepConfig) -> float:
     return 2 * softness * config.noise * (math.sqrt(1 + 1 / softness) - 1) if softness else config.noise
 
 
-def used_views(lf: LightField, pattern: str) -> list[int]:
+def used_views(layout: ViewLayout, pattern: str) -> list[int]:
     """Indices of the views of a pattern, in order, or of all if fewer than four beside the reference are in it."""
-    used = [int(index) for index in np.flatnonzero(lf.pattern("full" if pattern == "alternate" else pattern))]
-    return used if len(used) > _FEWEST else list(range(len(lf.views)))
+    used = [int(index) for index in np.flatnonzero(layout.pattern("full" if pattern == "alternate" else pattern))]
+    return used if len(used) > _FEWEST else list(range(layout.count))
 
 
 def swept_views(offsets: Float64Array, pattern: str) -> list[int]:
@@ -98,9 +98,9 @@ def _places(offsets: Float64Array) -> Float64Array | None:
     return places if np.abs(offsets - places).max() < _ON_LINE else None
 
 
-def first_views(lf: LightField, pattern: str) -> list[int]:
+def first_views(layout: ViewLayout, pattern: str) -> list[int]:
     """Indices of the views that the first sweep compares, in order, of all [n] that are swept."""
-    return used_views(lf, "full" if pattern == "all" else pattern)
+    return used_views(layout, "full" if pattern == "all" else pattern)
 
 
 def further_sweeps(offsets: Float64Array, config: SweepConfig) -> int:

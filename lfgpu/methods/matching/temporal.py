@@ -24,7 +24,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lfgpu.contract import Array, KernelSet, Scalar, Streaming
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.matching.visible_sweep import VisibleSweep
@@ -45,7 +45,7 @@ class TemporalMatching(MatchingPlan):
 
     Parameters
     ----------
-    lf, measured, config, kernels, device
+    layout, measured, config, kernels, device
         As for `MatchingPlan`; `alignment.iterations` is the most steps that a frame may take.
     streaming
         The kernels that only streams need.
@@ -57,7 +57,7 @@ class TemporalMatching(MatchingPlan):
 
     def __init__(
         self,
-        lf: LightField,
+        layout: ViewLayout,
         measured: Measured,
         config: MatchingConfig,
         kernels: KernelSet,
@@ -66,18 +66,18 @@ class TemporalMatching(MatchingPlan):
         streaming: Streaming,
         prior: TemporalPrior,
     ) -> None:
-        super().__init__(lf, measured, config, kernels, device)
+        super().__init__(layout, measured, config, kernels, device)
         past = self._resweep
         if past is None:
             offsets, nearest = kernels.field(self._few_offsets, device), kernels.zeros(self._few_shape[:3], device)
             past = VisibleSweep(self._sweep, self._few_shape, offsets, nearest, kernels, reaches=(self._reach,))
         self._sweep_past = past
         self._temporal, self._streaming, self._is_warm = prior, streaming, False
-        self._past, self._frames, self._rate = (kernels.zeros(lf.size, device) for _ in range(3))
-        self._expected, self._frames_before, self._rate_before = (kernels.zeros(lf.size, device) for _ in range(3))
-        self._same, self._believed = (kernels.zeros(lf.size, device) for _ in range(2))
-        self._farthest_surface = kernels.field(np.full(lf.size, self._bounds[0]), device)
-        self._last_image = kernels.zeros_image((*lf.size, lf.channels), device)
+        self._past, self._frames, self._rate = (kernels.zeros(layout.size, device) for _ in range(3))
+        self._expected, self._frames_before, self._rate_before = (kernels.zeros(layout.size, device) for _ in range(3))
+        self._same, self._believed = (kernels.zeros(layout.size, device) for _ in range(2))
+        self._farthest_surface = kernels.field(np.full(layout.size, self._bounds[0]), device)
+        self._last_image = kernels.zeros_image((*layout.size, layout.channels), device)
         self._motion = streaming.motion(self._last_image)
 
     @property

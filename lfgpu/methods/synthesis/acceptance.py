@@ -10,7 +10,7 @@ wrong surface would go anywhere. Where most views disagree with the mean at the 
 from __future__ import annotations
 
 from lfgpu.contract import Array, KernelSet
-from lfgpu.data.lightfield import LightField, farthest
+from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.prior import NonLocalMeans
 
 _GRADIENT_WEIGHT = 2.0  # of image gradients against intensities
@@ -28,8 +28,8 @@ class Acceptance:
 
     Parameters
     ----------
-    lf
-        Gives the cameras, size, masks and reference view; its views are not used.
+    layout
+        The layout of the views.
     prior
         Its weights: the views' agreement is that of the pixels around that look alike.
     longest
@@ -41,29 +41,29 @@ class Acceptance:
     """
 
     def __init__(
-        self, lf: LightField, prior: NonLocalMeans, longest: float, noise: float, kernels: KernelSet, device: str
+        self, layout: ViewLayout, prior: NonLocalMeans, longest: float, noise: float, kernels: KernelSet, device: str
     ) -> None:
         self._kernels, self._prior = kernels, prior
-        shape, offsets, reach = (len(lf.views), *lf.size, lf.channels), kernels.field(lf.offsets, device), _REACH
-        self._longest = longest / farthest(lf.offsets)
+        shape, offsets, reach = layout.shape, kernels.field(layout.offsets, device), _REACH
+        self._longest = longest / layout.farthest
         self._no_texture = _STIFFNESS * (_ROBUST * noise) ** 2
-        self._apart = 2.0 * float(farthest(lf.offsets)) ** 2
+        self._apart = 2.0 * layout.farthest**2
         self._nearest = kernels.zeros(shape[:3], device)
         self._hiding = kernels.z_buffer(shape, offsets, reach=reach)
         self._align, self._align_all = (
             kernels.alignment(
                 shape,
                 offsets,
-                scale=lf.scale,
+                scale=layout.scale,
                 gradient_weight=_GRADIENT_WEIGHT,
                 contrast=_CONTRAST * noise,
                 robust=robust,
-                tolerance=_TOLERANCE / farthest(lf.offsets),
+                tolerance=_TOLERANCE / layout.farthest,
             )
             for robust in (_ROBUST * noise, _UNLIMITED)
         )
         self._change, self._slope, self._curvature, self._gain, self._loss, self._agreeing = (
-            kernels.zeros(lf.size, device) for _ in range(6)
+            kernels.zeros(layout.size, device) for _ in range(6)
         )
 
     def run(self, image: Array, views: Array, valid: Array | None, start: Array, disparity: Array) -> None:

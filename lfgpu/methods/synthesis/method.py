@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from lfgpu.contract import KernelSet
+from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
@@ -55,21 +56,21 @@ class Synthesis(Method[SynthesisConfig]):
         )
 
     def given(
-        self, lf: LightField, disparity_range: tuple[float, float] | None, noise: float | None = None
+        self, layout: ViewLayout, disparity_range: tuple[float, float] | None, noise: float | None = None
     ) -> Measured | None:
         unit = self.config.prior.sigma_unit
         if disparity_range is None or unit == "image" or (unit == "noise" and noise is None):
             return None
-        return Measured(checked_range(disparity_range, lf), noise)
+        return Measured(checked_range(disparity_range, layout), noise)
 
-    def footprint(self, lf: LightField, measured: Measured, *, on_gpu: bool) -> Footprint:
-        channels, stored, count = lf.channels, lf.views.dtype.itemsize, len(lf.views)
+    def footprint(self, layout: ViewLayout, measured: Measured, *, on_gpu: bool) -> Footprint:
+        channels, stored, count = layout.channels, layout.dtype.itemsize, layout.count
         views = count * channels * stored
-        masks = 0 if lf.valid is None else 5 * count
+        masks = 0 if layout.masks is None else 5 * count
         host = 0 if on_gpu else views + masks  # the copy of the tile
         weights = 2 * 4 * ((self.config.prior.window**2 - 1) // 2) + 4 * 3 * channels
         solvers = 4 * 64 if on_gpu else 4 * 40  # the history of L-BFGS and its workspace
-        line = len(lf.row()) + len(lf.column())
+        line = len(layout.row()) + len(layout.column())
         if on_gpu:
             size = np.dtype(compared_as(self.config.refinement, on_gpu=True)).itemsize
             details = count * size * (channels + (4 if channels == 3 else 2))  # plain and packed
@@ -85,14 +86,14 @@ class Synthesis(Method[SynthesisConfig]):
         per_pixel = host + views + details + 8 * count + batch + lines + weights + solvers + masks
         return Footprint(per_pixel, GPU_CONTEXT if on_gpu else PROCESS)
 
-    def halo(self, lf: LightField, measured: Measured) -> tuple[int, int]:
+    def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:
         low, high = measured.disparity_range
         reach = [
             math.ceil(axis * max(abs(low), abs(high))) + math.ceil(axis * (high - low))
-            for axis in np.abs(lf.offsets).max(0)
+            for axis in np.abs(layout.offsets).max(0)
         ]
         windows = (self.config.prior.window // 2) * _NEIGHBOURHOODS + self.config.prior.patch // 2
         return reach[1] + windows + _EDGE, reach[0] + windows + _EDGE
 
-    def plan(self, lf: LightField, measured: Measured, kernels: KernelSet, device: str) -> SynthesisPlan:
-        return SynthesisPlan(lf, measured, self.config, kernels, device)
+    def plan(self, layout: ViewLayout, measured: Measured, kernels: KernelSet, device: str) -> SynthesisPlan:
+        return SynthesisPlan(layout, measured, self.config, kernels, device)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lfgpu.contract import Array, Float32Array, KernelSet, Scalar
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.synthesis import data_terms
 from lfgpu.methods.synthesis.config import RefinementConfig
 
@@ -29,8 +29,8 @@ class ForwardModel:
 
     Parameters
     ----------
-    lf
-        Gives the cameras, size, masks and reference view; its views are not used. The reference view is splatted. It
+    layout
+        The layout of the views. The reference view is splatted. It
         predicts itself without error, whatever the disparity.
     config
         `data_term`, and `softness` of its triangle kernel; `detail_scale` and `contrast_floor` of the normalisation;
@@ -39,23 +39,23 @@ class ForwardModel:
         Where the views live.
     """
 
-    def __init__(self, lf: LightField, config: RefinementConfig, kernels: KernelSet, device: str) -> None:
+    def __init__(self, layout: ViewLayout, config: RefinementConfig, kernels: KernelSet, device: str) -> None:
         self._kernels, self._device, self._softness = kernels, device, config.softness
-        self._reference, self.size, self._scale = lf.reference_index, lf.size, lf.scale
-        self.mean = 1.0 / (max(len(lf.views) - 1, 1) * lf.channels) if config.error == "mean" else 1.0
+        self._reference, self.size, self._scale = layout.reference, layout.size, layout.scale
+        self.mean = 1.0 / (max(layout.count - 1, 1) * layout.channels) if config.error == "mean" else 1.0
         """The factor of the squared error: 1, or what turns a sum into a mean over the predicted views and channels."""
         self._masks_rim = config.rim == "masked"
-        self._shape = shape = (len(lf.views), *lf.size, lf.channels)
-        self._offsets = kernels.field(lf.offsets, device)
+        self._shape = shape = layout.shape
+        self._offsets = kernels.field(layout.offsets, device)
         self._detail = kernels.zeros_image(shape, device, compared_as(config, on_gpu=device != "cpu"))
-        self._image, self._raw = (kernels.zeros_image((*lf.size, lf.channels), device) for _ in range(2))
+        self._image, self._raw = (kernels.zeros_image((*layout.size, layout.channels), device) for _ in range(2))
         self._seen = kernels.zeros(shape[:3], device)
         self._valid, self._known = None, None
-        if lf.valid is not None:
-            self._valid = kernels.field(lf.valid, device)
-            self._known = kernels.field(lf.valid[lf.reference_index], device)
+        if layout.masks is not None:
+            self._valid = kernels.field(np.stack(layout.masks), device)
+            self._known = kernels.field(layout.masks[layout.reference], device)
         self._normalize = kernels.normalization(
-            shape, device, scale=lf.scale, sigma=config.detail_scale, floor=config.contrast_floor
+            shape, device, scale=layout.scale, sigma=config.detail_scale, floor=config.contrast_floor
         )
         self._data_term = data_terms.planned(
             config.data_term, shape, self._offsets, softness=config.softness, kernels=kernels

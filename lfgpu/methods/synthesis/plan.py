@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 
 from lfgpu.contract import Array, Float32Array, KernelSet, OverPatch, PatchGradients
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Callback, Work
 from lfgpu.methods.measured import Measured
@@ -45,8 +45,8 @@ class SynthesisPlan:
 
     Parameters
     ----------
-    lf
-        Gives the cameras, size, stored type, masks and reference view; its views are not used.
+    layout
+        The layout of the views.
     measured
         The disparity range, and the noise or the spread that the parameters are in units of.
     config
@@ -63,29 +63,30 @@ class SynthesisPlan:
     decided = "propagate"
 
     def __init__(
-        self, lf: LightField, measured: Measured, config: SynthesisConfig, kernels: KernelSet, device: str
+        self, layout: ViewLayout, measured: Measured, config: SynthesisConfig, kernels: KernelSet, device: str
     ) -> None:
         config, bounds = in_units_of(measured, config), measured.disparity_range
-        where, shape = (kernels, device), (*lf.size, lf.channels)
-        self._kernels, self._reference, self._scale = kernels, lf.reference_index, lf.scale
-        self._valid = None if lf.valid is None else kernels.field(lf.valid, device)
-        self._known = None if lf.valid is None else kernels.field(lf.valid[lf.reference_index], device)
-        self._unknown = None if lf.valid is None else kernels.field(np.full(lf.size, np.nan), device)
+        where, shape = (kernels, device), (*layout.size, layout.channels)
+        self._kernels, self._reference, self._scale = kernels, layout.reference, layout.scale
+        masks = layout.masks
+        self._valid = None if masks is None else kernels.field(np.stack(masks), device)
+        self._known = None if masks is None else kernels.field(masks[layout.reference], device)
+        self._unknown = None if layout.masks is None else kernels.field(np.full(layout.size, np.nan), device)
         self._image = kernels.zeros_image(shape, device)
-        self._local = LocalEstimator(lf, bounds, config.local, *where)
+        self._local = LocalEstimator(layout, bounds, config.local, *where)
         self._prior = planned_prior(shape, config.prior, *where)
-        self._propagation = Propagation(lf.size, bounds, self._prior, config.propagation)
-        self.disparity, self.confidence = (kernels.zeros(lf.size, device) for _ in range(2))
+        self._propagation = Propagation(layout.size, bounds, self._prior, config.propagation)
+        self.disparity, self.confidence = (kernels.zeros(layout.size, device) for _ in range(2))
         """The results, fields [y, x]."""
-        self._model = ForwardModel(lf, config.refinement, *where)
+        self._model = ForwardModel(layout, config.refinement, *where)
         start = self._propagation.filled if config.refinement.smooths == "change" else None
         self._energy = Energy(self._model, self._prior, config.refinement.smoothness, start)
         self._acceptance = None
         if config.refinement.acceptance == "by-pixel":
             longest, noise = config.refinement.longest_change, noise_in_units(measured)
-            self._acceptance = Acceptance(lf, self._prior, longest, noise, *where)
+            self._acceptance = Acceptance(layout, self._prior, longest, noise, *where)
         self._refinement = _SOLVERS[config.refinement.solver](
-            lf.size,
+            layout.size,
             bounds,
             *where,
             tolerance=config.refinement.tolerance,

@@ -1,0 +1,146 @@
+"""The layout of views: where their cameras stand and how they are stored, without their pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.errors import LightFieldError
+
+PATTERNS = ("full", "star", "cross", "row", "column")
+"""Names of view patterns for `LightField.subset`.
+
+full: all views. star: the row, the column and both diagonals through the reference view. cross: its row and its column.
+row and column: one of them.
+"""
+
+_LINE_TOLERANCE = 0.1  # view steps: measured cameras are not exactly in line
+
+
+@dataclass(frozen=True, eq=False)
+class ViewLayout:
+    """Views [n, y, x, c] of one scene without their pixels; `LightField.layout` gives that of a light field.
+
+    Plans, view rules and the memory of an estimate depend on the layout alone. A subset copies nothing.
+
+    Parameters
+    ----------
+    offsets
+        float64 [n, 2], (du, dv) of each view from the reference view, in view steps.
+    reference
+        Index of the reference view.
+    size
+        (height, width) of each view in pixels.
+    channels
+        1 for grey, 3 for colour.
+    dtype
+        Type of the stored values: uint8, uint16 or float32.
+    scale
+        Factor from stored values to intensities in [0, 1].
+    masks
+        bool [y, x] for each view, False at unusable pixels. Default None: all pixels are valid.
+    name
+        Name of the scene in messages.
+    """
+
+    offsets: NDArray[np.float64]
+    reference: int
+    size: tuple[int, int]
+    channels: int
+    dtype: np.dtype[Any]
+    scale: float
+    masks: tuple[NDArray[np.bool_], ...] | None = None
+    name: str = "light field"
+
+    @property
+    def count(self) -> int:
+        """The number of views."""
+        return len(self.offsets)
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """The shape [n, y, x, c] of the views."""
+        return (self.count, *self.size, self.channels)
+
+    @property
+    def farthest(self) -> float:
+        """The largest distance of a view from the reference view, along u or v, in view steps."""
+        return farthest(self.offsets)
+
+    def row(self) -> NDArray[np.intp]:
+        """Indices of the views in the reference view's row (same v within 0.1 view steps), from left to right."""
+        return self._line(axis=0)
+
+    def column(self) -> NDArray[np.intp]:
+        """Indices of the views in the reference view's column (same u within 0.1 view steps), from top to bottom."""
+        return self._line(axis=1)
+
+    def pattern(self, name: str) -> NDArray[np.bool_]:
+        """Membership of each view in one of the `PATTERNS` through the reference view, bool [n]."""
+        du, dv = np.abs(self.offsets).T
+        in_row, in_column = dv < _LINE_TOLERANCE, du < _LINE_TOLERANCE
+        match name:
+            case "full":
+                return np.ones(self.count, np.bool_)
+            case "star":
+                return in_row | in_column | (np.abs(du - dv) < _LINE_TOLERANCE)
+            case "cross":
+                return in_row | in_column
+            case "row":
+                return in_row
+            case "column":
+                return in_column
+        raise LightFieldError(f"unknown view pattern {name!r}; use one of {', '.join(PATTERNS)}.")
+
+    def chosen(self, which: str | Sequence[int]) -> NDArray[np.intp]:
+        """Find the indices of the views that a subset keeps, in order.
+
+        Parameters
+        ----------
+        which
+            One of the `PATTERNS` through the reference view, or indices of views. The reference view is always kept.
+
+        Raises
+        ------
+        LightFieldError
+            If fewer than two views remain, or an index or pattern is unknown.
+        """
+        if isinstance(which, str):
+            keep = self.pattern(which)
+        else:
+            wanted = np.asarray(which, np.int64)
+            if wanted.size and not (wanted.min() >= 0 and wanted.max() < self.count):
+                raise LightFieldError(f"view indices must be from 0 to {self.count - 1}; found {wanted.tolist()}.")
+            keep = np.zeros(self.count, np.bool_)
+            keep[wanted] = True
+        keep[self.reference] = True
+        if keep.sum() < 2:
+            raise LightFieldError(
+                f"{self.name}: the subset {which!r} leaves the reference view alone; choose more views."
+            )
+        return np.flatnonzero(keep)
+
+    def subset(self, which: str | Sequence[int]) -> ViewLayout:
+        """The layout of some of the views; `which`, and what is raised, as for `chosen`."""
+        kept = self.chosen(which)
+        if len(kept) == self.count:
+            return self
+        return replace(
+            self,
+            offsets=self.offsets[kept],
+            reference=int(np.searchsorted(kept, self.reference)),
+            masks=None if self.masks is None else tuple(self.masks[index] for index in kept),
+        )
+
+    def _line(self, axis: int) -> NDArray[np.intp]:
+        on_line = np.flatnonzero(np.abs(self.offsets[:, 1 - axis]) < _LINE_TOLERANCE)
+        return on_line[np.argsort(self.offsets[on_line, axis])]
+
+
+def farthest(offsets: NDArray[np.float64]) -> float:
+    """The largest distance of views from the reference view, along u or v; offsets [n, 2] and result in view steps."""
+    return float(np.abs(offsets).max())
