@@ -13,7 +13,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 test: .venv/develop
 	$(PYTEST) -m "not thorough"
 
-# What `make test` leaves out: that checks can fail, that faults are noticed, wheels, kernels of a GPU on a CPU, load.
+# What `make test` leaves out: faults that tests must notice, benchmarks, wheels, kernels of a GPU on a CPU, kills, load.
 test-all: test
 	$(PYTEST) -m thorough
 	$(BIN)/python -m tests.io.fuzz --examples 2000 --seed 1

@@ -23,6 +23,8 @@ from lfgpu.methods import PRESETS
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.noise import in_units_of
 
+pytestmark = pytest.mark.thorough
+
 ROOT = Path(__file__).parents[1]
 SIZE = 48
 SCALED = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shutil
@@ -16,8 +17,9 @@ from batch_runs import COUNT, FAST, QUICK, RANGE, assert_nothing_left_over, jobs
 
 from lfgpu import DepthPipeline, LightFieldError, estimate_depth
 from lfgpu._backends import load
+from lfgpu.batch.cluster import BatchError, Cluster
 from lfgpu.batch.items import find_items, fingerprint
-from lfgpu.batch.manifest import DONE, FAILED, read_manifest
+from lfgpu.batch.manifest import DONE, FAILED, Manifest, read_manifest
 from lfgpu.batch.names import MANIFEST_FILE
 from lfgpu.batch.report import write_report
 from lfgpu.batch.run import Batch, _jobs
@@ -267,3 +269,57 @@ def test_depth_of_a_name_that_is_not_utf_8_is_saved(recorded: Path, tmp_path: Pa
     done = lfgpu("depth", folder, "-o", tmp_path / "out", "--report", "--preset=fast", "--disparity-range=-1.2,1.2")
     assert done.exit_code == 0, done.output
     assert read_result(tmp_path / "out" / "result.npz").name == "bad\\udcff"
+
+
+# --- batches on real processes ---
+
+
+def test_only_what_is_missing_failed_or_stale_is_done_again(recorded: Path, tmp_path: Path) -> None:
+    folder, out = tmp_path / "in", tmp_path / "out"
+    shutil.copytree(recorded, folder)
+    items = find_items([str(folder)], sequence=False)[0]
+    first = Batch(items, out, FAST).run(local())
+    assert (first.computed, first.kept, len(first.failed)) == (4, 0, 1)
+    shutil.copy(recorded / "scene_1" / "input_Cam004.png", folder / "scene_2")  # repaired
+    os.utime(folder / "scene_0" / "input_Cam000.png")  # changed
+    (out / "scene_1" / "result.npz").unlink()  # missing
+    (out / "scene_1" / ".lfgpu-half").mkdir()  # of a process that was killed
+    second = Batch(items, out, FAST).run(local())
+    assert (second.computed, second.kept, len(second.failed)) == (3, 2, 0)
+    assert_nothing_left_over(out)
+    third = Batch(items, out, FAST).run(local())
+    assert (third.computed, third.kept) == (0, 5)
+
+
+def test_a_scheduler_that_is_not_there_is_one_sentence(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lfgpu.batch.cluster._CONNECTING", 0.5)
+    outcome = lfgpu("batch", recorded, "-o", tmp_path, "--scheduler", "tcp://127.0.0.1:9")
+    assert outcome.exit_code == 1
+    assert re.fullmatch(
+        r"lfgpu: the scheduler tcp://127\.0\.0\.1:9 does not answer \(.*\); check the address, and that it is "
+        r"running\.\n",
+        outcome.stderr,
+    )
+
+
+def test_frames_of_a_sequence_stay_in_order(recorded: Path, tmp_path: Path) -> None:
+    frames = tmp_path / "frames"
+    for number in range(6):
+        shutil.copytree(recorded / "scene_0", frames / f"frame_{number}")
+    items = find_items([str(frames), str(recorded)], sequence=True)[0]
+    with contextlib.suppress(BatchError):
+        Batch(items, tmp_path / "out", FAST).run(Cluster(workers=2, devices=("cpu",), threads=1))
+    entries = [e for e in read_manifest(tmp_path / "out").values() if e["item"].startswith("frame")]
+    assert [entry["item"] for entry in entries] == [f"frame_{number}" for number in range(6)]
+    assert len({entry["worker"] for entry in entries}) == 1
+
+
+def test_remnants_go_also_where_nothing_is_left_to_do(recorded: Path, tmp_path: Path) -> None:
+    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+    with Manifest(tmp_path) as manifest:
+        manifest.add(work(job, "cpu") for job in _jobs(items, tmp_path, FAST))
+    (tmp_path / ".lfgpu-0123").mkdir()
+    assert Batch(items, tmp_path, FAST).run(local()).kept == 1
+    assert_nothing_left_over(tmp_path)

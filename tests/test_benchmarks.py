@@ -39,6 +39,8 @@ from benchmarks.jobs import Job
 from benchmarks.results import Record, Run, Skipped, Spread
 from lfgpu import PRESETS, DepthPipeline, scenes
 
+pytestmark = pytest.mark.thorough
+
 ROOT = Path(__file__).parents[1]
 
 TINY = CASES[0]

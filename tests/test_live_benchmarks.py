@@ -19,6 +19,8 @@ from lfgpu.io.ring import RingReader, RingWriter
 from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.stream import DepthStream
 
+pytestmark = pytest.mark.thorough
+
 FILM = moving.Film((3, 3), (64, 72), 4, period=40)
 SOAK = 2000
 """Frames: some seconds where there is nothing else to do, as most are dropped."""

@@ -17,6 +17,8 @@ from lfgpu._backends import load
 from lfgpu.contract.matching import Matching, PlaneSweep
 from lfgpu.contract.prior import Prior
 
+pytestmark = pytest.mark.thorough
+
 ROOT = Path(__file__).parents[1]
 TINY = CASES[0]
 

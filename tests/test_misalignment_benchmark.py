@@ -17,6 +17,8 @@ from lfgpu.calibration import Misalignment, disturb
 from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.data.lightfield import LightField
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(scope="module")
 def planes() -> LightField:

@@ -15,6 +15,8 @@ from benchmarks.results import Record, Run
 from lfgpu import estimate_depth, evaluate
 from tests.io.fields import SAMPLES, scene
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture
 def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

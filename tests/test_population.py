@@ -20,6 +20,8 @@ from benchmarks.results import Record, Run
 from lfgpu import estimate_depth, evaluate, read, scenes
 from lfgpu.io.hci import write_hci
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

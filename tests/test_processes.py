@@ -20,6 +20,8 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu.data.lightfield import LightField
 
+pytestmark = pytest.mark.thorough
+
 RANGE = (-1.0, 1.0)
 OPTIONS: dict[str, Any] = {"config": "fast", "disparity_range": RANGE, "device": "cpu"}
 LONG = 600.0  # seconds: nothing takes that long unless it hangs

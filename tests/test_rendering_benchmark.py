@@ -12,6 +12,8 @@ from benchmarks.errors import BenchmarkError
 from lfgpu import scenes
 from lfgpu.io import write_hci
 
+pytestmark = pytest.mark.thorough
+
 
 def test_every_second_row_and_column_is_left_out() -> None:
     lf = scenes.make("relief", grid=(5, 5), size=(32, 32))

@@ -13,6 +13,8 @@ from benchmarks import scaling, tiles
 from benchmarks.cases import CASES, Case
 from benchmarks.errors import BenchmarkError
 
+pytestmark = pytest.mark.thorough
+
 
 @pytest.mark.parametrize(("kind", "counts"), [("processes", (2,)), ("threads", (1, 2))])
 def test_every_mode_and_count_is_measured(kind: str, counts: tuple[int, ...], tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from stream_runs import FRAMES, LONG, adds_up, alone, frames, held, made, until
 
 import lfgpu
 
+pytestmark = pytest.mark.thorough
+
 
 def test_latest_drops_what_waits() -> None:
     with made(policy="latest") as stream:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from benchmarks.cases import parse
 from benchmarks.cli import app
 from benchmarks.viewer import made, pictures
 from lfgpu.viewer.answers import DATA
+
+pytestmark = pytest.mark.thorough
 
 
 def test_all_kinds_of_pictures_are_asked_for(tmp_path: Path) -> None:

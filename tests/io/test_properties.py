@@ -60,6 +60,7 @@ def read_or_refused(path: Path, **options: Any) -> LightField | None:
 # --- damage ---
 
 
+@pytest.mark.thorough
 @ON_LINUX
 def test_damaged_light_fields_of_all_formats_are_read_or_refused() -> None:
     """The first few of what `python -m tests.io.fuzz --examples 30000` tries."""
@@ -70,6 +71,7 @@ def test_damaged_light_fields_of_all_formats_are_read_or_refused() -> None:
     assert tally.most_memory < fuzz.MEMORY
 
 
+@pytest.mark.thorough
 @ON_LINUX
 def test_the_fuzzer_finds_a_broken_reader(monkeypatch: pytest.MonkeyPatch) -> None:
     def one(name: str, source: Path, seed: int, within: Path) -> str:
@@ -84,6 +86,7 @@ def test_the_fuzzer_finds_a_broken_reader(monkeypatch: pytest.MonkeyPatch) -> No
     assert tally.refused == 598
 
 
+@pytest.mark.thorough
 @ON_LINUX
 def test_what_was_tried_counts_when_the_fuzzer_is_told_to_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     under_way = tmp_path / "under way"
@@ -109,6 +112,7 @@ def test_what_was_tried_counts_when_the_fuzzer_is_told_to_end(monkeypatch: pytes
     assert seen == [fuzz.BATCH, fuzz.BATCH + 7]
 
 
+@pytest.mark.thorough
 @ON_LINUX
 def test_the_fuzzer_leaves_out_what_needs_a_library_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
@@ -118,6 +122,7 @@ def test_the_fuzzer_leaves_out_what_needs_a_library_that_is_missing(monkeypatch:
     assert tally.inputs == {"npy": 4}
 
 
+@pytest.mark.thorough
 @ON_LINUX
 @pytest.mark.parametrize("name", TARGETS)
 def test_damage_that_knows_a_format_changes_its_files(name: str, tmp_path: Path) -> None:
