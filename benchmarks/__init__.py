@@ -1,1 +1,1 @@
-"""How long each backend takes on each device, how much memory, and how near it comes to the truth meanwhile."""
+"""Time, memory and error of every backend on every device."""

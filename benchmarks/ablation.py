@@ -1,52 +1,43 @@
-"""What each ingredient of matching is worth: the preset `accurate` without it, on scenes whose truth is known.
+"""Worth of each ingredient of matching: the preset `accurate` without it, on scenes whose truth is known.
 
 An ingredient is left out by parameters alone, one at a time. `fast` and `paper` stand beside it.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from datetime import UTC, datetime
-from functools import cache
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import mean
+from typing import Annotated
 
-import numpy as np
+import typer
 
-from benchmarks import clock, machine
+from benchmarks import clock, runs, scoring
 from benchmarks.errors import BenchmarkError
-from benchmarks.pipelines import METRICS
+from benchmarks.options import DATA, Data, Out, check_out, listed, say
 from benchmarks.results import Record, Run
+from benchmarks.runs import WHOLE
 from lfgpu import LightField, estimate_depth, evaluate, read, scenes
 from lfgpu.config import Config
 from lfgpu.errors import LfgpuError
 from lfgpu.methods import preset
 from lfgpu.metrics import Metrics
-from lfgpu.threads import get_threads
 
 KIND = "ablation"
-ALL = "accurate"
-DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
 GRID = (9, 9)
-_MARGIN = 0.1  # pixels per view step on either side of the true range
-_WARM_UP = (48, 48)  # pixels
-_WARM_UP_RANGE = (-1.5, 1.5)  # that of the package's scenes
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A preset with some parameters changed, and what is missing then."""
+    """A preset with some parameters changed, named by the ingredient that is missing then."""
 
     name: str
     values: Mapping[str, float | str] = field(default_factory=dict)
-    preset: str = ALL
+    preset: str = WHOLE
 
     def config(self) -> Config:
-        """All parameters."""
+        """Return all parameters."""
         return preset(self.preset).with_values(self.values)
 
 
@@ -62,20 +53,6 @@ class Scene:
     """Whether no parameter was ever chosen by it."""
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What is asked for: scenes, pixels along each side of those that are made, how many of each, folder of the real.
-
-    The seeds of those that are made are 0, 1, ...; their errors are means over them.
-    """
-
-    scenes: tuple[Scene, ...]
-    size: int
-    seeds: int
-    data: Path
-    variants: tuple[Variant, ...]
-
-
 SCENES = (
     *(Scene(name, name) for name in ("boxes", "planes", "bars", "textureless", "relief")),
     Scene("noisy_boxes", "boxes", noise=0.02),
@@ -86,7 +63,7 @@ SCENES = (
 # What is not to matter is 2 and not more: differences of intensity are multiplied by up to 5 where there is noise, and
 # must stay within the parameters' ranges.
 VARIANTS = (
-    Variant(ALL),
+    Variant(WHOLE),
     Variant("fast", preset="fast"),
     Variant("paper", preset="paper"),
     Variant("all views in all steps", {"sweep.views": "full"}),
@@ -147,55 +124,63 @@ VARIANTS = (
 )
 
 
+def command(
+    scene_names: Annotated[
+        str, typer.Option("--scenes", metavar="NAME,...", help=f"{', '.join(s.name for s in SCENES)}.")
+    ] = "",
+    size: Annotated[int, typer.Option(min=48, help="Pixels along each side of the ray-cast scenes.")] = 256,
+    seeds: Annotated[int, typer.Option(min=1, help="How many of each ray-cast scene; errors are means over them.")] = 1,
+    data: Data = DATA,
+    out: Out = None,
+) -> None:
+    """Leave out each ingredient of the preset `accurate`, one at a time, and print what that does to the errors."""
+    chosen = tuple(find(name) for name in listed(scene_names)) or SCENES
+    check_out(out)
+    runs.finish(run(chosen, VARIANTS, size=size, seeds=seeds, data=data), out)
+
+
 def find(name: str) -> Scene:
-    """The scene of that name; BenchmarkError if there is none."""
+    """Return the scene of that name; BenchmarkError if there is none."""
     for scene in SCENES:
         if scene.name == name:
             return scene
     raise BenchmarkError(f"unknown scene {name!r}; there are {', '.join(scene.name for scene in SCENES)}.")
 
 
-def run(plan: Plan, say: Say) -> Run:
-    """Estimate every scene with every variant; `say` is told what is being estimated.
+def run(chosen: Sequence[Scene], variants: Sequence[Variant], *, size: int, seeds: int, data: Path) -> Run:
+    """Estimate every scene with every variant.
 
-    The disparity range is the true one and a little more, so that finding it is no part of it. The commit is not
-    recorded: the parameters are.
+    Scenes of the package have `size` pixels along each side; their errors are means over the seeds 0 to `seeds` - 1.
+    `data` is the folder of the real ones. The disparity range is the true one and a little more, so that finding it is
+    no part of it. The commit is not recorded: the parameters are.
     """
-    load, date = machine.load_average(), datetime.now(UTC).isoformat(timespec="seconds")
     records: list[Record] = []
-    for scene in plan.scenes:
+    begun = Run.begun()
+    for scene in chosen:
         try:
-            light_fields = _light_fields(scene, plan)
+            light_fields = _light_fields(scene, size, seeds, data)
         except LfgpuError as error:
             records.append(Record(KIND, "", "", scene.name, "all variants", failed=str(error)))
             continue
-        for variant in plan.variants:
+        for variant in variants:
             say(f"{scene.name}: {variant.name}")
             records.append(_measured(scene, variant, light_fields))
-    return Run(date, machine.describe(), machine.versions(), None, get_threads(), load, records, [])
+    return replace(begun, commit=None, records=records)
 
 
-def _light_fields(scene: Scene, plan: Plan) -> list[LightField]:
+def _light_fields(scene: Scene, size: int, seeds: int, data: Path) -> list[LightField]:
     if scene.made:
-        size = (plan.size, plan.size)
-        return [scenes.make(scene.made, seed=s, grid=GRID, size=size, noise=scene.noise) for s in range(plan.seeds)]
-    folder = plan.data / scene.name
+        options = {"grid": GRID, "size": (size, size), "noise": scene.noise}
+        return [scenes.make(scene.made, seed=seed, **options) for seed in range(seeds)]  # type: ignore[arg-type]
+    folder = data / scene.name
     if not folder.is_dir():
         raise BenchmarkError(f"{folder} is not there; --data names the folder of the real light fields")
-    lf = read(folder)
-    if lf.reference_truth() is None:
-        raise BenchmarkError(f"{folder} has no truth to score by")
-    return [lf]
-
-
-@cache
-def _load_kernels(config: Config) -> None:
-    """What a process does once, before anything is timed."""
-    estimate_depth(scenes.make("boxes", grid=GRID, size=_WARM_UP), config=config, disparity_range=_WARM_UP_RANGE)
+    return [read(folder)]
 
 
 def _measured(scene: Scene, variant: Variant, light_fields: Sequence[LightField]) -> Record:
-    _load_kernels(variant.config())
+    config = variant.config()
+    scoring.load_kernels(config)
     seconds: list[float] = []
     found: list[Metrics] = []
     place = "", ""
@@ -203,30 +188,29 @@ def _measured(scene: Scene, variant: Variant, light_fields: Sequence[LightField]
     if scene.made:
         case += f", seeds 0 to {len(light_fields) - 1}" if len(light_fields) > 1 else ", seed 0"
     for lf in light_fields:
-        truth = lf.reference_truth()
-        assert truth is not None
-        low, high = float(np.nanmin(truth.disparity)), float(np.nanmax(truth.disparity))
         try:
-            result = estimate_depth(lf, config=variant.config(), disparity_range=(low - _MARGIN, high + _MARGIN))
+            truth = scoring.truth_of(lf)
+            result = estimate_depth(lf, config=config, disparity_range=scoring.true_range(lf))
         except LfgpuError as error:
             return Record(KIND, *place, case, variant.name, failed=str(error))
         place = result.backend, result.device
         seconds.append(result.timings["total"])
         found.append(evaluate(result.disparity, truth.disparity, mask=truth.mask))
     count = sum(metrics.count for metrics in found)
+    each = [scoring.errors(metrics) for metrics in found]
     return Record(
         KIND,
         *place,
         case,
         variant.name,
         clock.spread(seconds),
-        errors={name: mean(getattr(metrics, name) for metrics in found) for name in METRICS},
-        compared=f"exact truth, {count} pixels" if scene.made else f"truth of the data set, {count} pixels",
+        errors={name: mean(one[name] for one in each) for name in scoring.METRICS},
+        compared=f"{'exact truth' if scene.made else 'truth of the data set'}, {count} pixels",
         details={
             "preset": variant.preset,
             "values": dict(variant.values),
-            **({} if variant.values else {"config": asdict(variant.config())}),
+            **({} if variant.values else {"config": asdict(config)}),
             "judging": scene.judging,
-            "each": [{name: getattr(metrics, name) for name in METRICS} for metrics in found],
+            "each": each,
         },
     )

@@ -1,8 +1,7 @@
-"""How fast memory is: the limit that operations are held against."""
+"""Bandwidth of memory: the limit of operations."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -10,45 +9,35 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks import clock
-from benchmarks.jobs import Job
+from benchmarks.job import Job
 from benchmarks.results import Record
-from lfgpu.contract import KernelSet
+from lfgpu._backends import load, pick_device
 
-NAMES = ("copy", "axpby")
 _LENGTH = 1 << 26  # elements: 256 MiB of float32, more than caches hold
 _BUDGET = 2.0  # seconds
 
 
-def measure(job: Job, kernels: KernelSet, device: str) -> Iterator[Record]:
-    """A backend's own `copy` (one array read, one written) and `axpby` (two read, one written) of long vectors."""
-    item = np.dtype(kernels.dtype).itemsize
+def measure(job: Job) -> Iterator[Record]:
+    """Time a backend's `copy` (one array read, one written) and `axpby` (two read, one written) of long vectors."""
+    kernels = load(job.backend)
+    device = pick_device(kernels, job.device)
     stop, capture = clock.stopper(kernels, device), clock.capturer(kernels, device)
     # Not zeros: memory that was never written is no memory yet.
     ones = np.ones((_LENGTH // 8192, 8192), np.float32)
     x, y = kernels.field(ones, device), kernels.field(ones, device)
     del ones
-    calls = {
-        "copy": (2, lambda: kernels.copy(x, y)),
-        "axpby": (3, lambda: kernels.axpby(0.5, x, 0.5, y, y)),
-    }
-    for name in job.names:
-        arrays, call = calls[name]
+    for name, arrays, call in (
+        ("copy", 2, lambda: kernels.copy(x, y)),
+        ("axpby", 3, lambda: kernels.axpby(0.5, x, 0.5, y, y)),
+    ):
         timed = clock.measure(call, stop, repeats=job.repeats, budget=_BUDGET, capture=capture)
-        yield Record(
-            "bandwidth",
-            job.backend,
-            job.device,
-            "",
-            name,
-            seconds=timed.seconds,
-            calls=timed.calls,
-            bytes=arrays * _LENGTH * item,
-            details={"captured": timed.captured},
-        )
+        size = arrays * _LENGTH * np.dtype(kernels.dtype).itemsize
+        details = {"captured": timed.captured}
+        yield job.record(name, seconds=timed.seconds, calls=timed.calls, bytes=size, details=details)
 
 
 def numpy_copy(threads: int, repeats: int) -> Record:
-    """NumPy's copy, each thread a part of the array: what the CPU's memory does without any backend."""
+    """Time NumPy's copy, each thread a part of the array: the CPU's memory without any backend."""
     source, target = np.ones(_LENGTH, np.float32), np.ones(_LENGTH, np.float32)
     parts = list(zip(np.array_split(source, threads), np.array_split(target, threads), strict=True))
     with ThreadPoolExecutor(threads) as pool:
@@ -58,35 +47,27 @@ def numpy_copy(threads: int, repeats: int) -> Record:
                 copied.result()
 
         timed = clock.measure(call, lambda: None, repeats=repeats, budget=_BUDGET)
-    return Record(
-        "bandwidth",
-        "numpy",
-        "cpu",
-        "",
-        "copy",
-        seconds=timed.seconds,
-        calls=timed.calls,
-        bytes=source.nbytes + target.nbytes,
-        details={"threads": threads},
-    )
+    size, details = source.nbytes + target.nbytes, {"threads": threads}
+    job = Job("bandwidth", "numpy", "cpu", "", "copy", repeats)
+    return job.record(seconds=timed.seconds, calls=timed.calls, bytes=size, details=details)
 
 
 def of(record: Record) -> float:
-    """Bytes per second that a bandwidth record found."""
+    """Return the bytes per second of a bandwidth record."""
     assert record.seconds is not None
     assert record.bytes is not None
     return record.bytes / record.seconds.median
 
 
 def with_limits(records: list[Record]) -> list[Record]:
-    """Give each record with traffic its limit: the best bandwidth that any backend reached on the same device."""
+    """Give each record with bytes its limit: their time at the best bandwidth of any backend on the same device."""
     best: dict[str, float] = {}
     for record in records:
         if record.kind == "bandwidth" and record.seconds is not None:
             best[record.device] = max(of(record), best.get(record.device, 0.0))
     return [
         record
-        if record.kind == "bandwidth" or record.bytes is None or not math.isfinite(best.get(record.device, math.inf))
+        if record.kind == "bandwidth" or record.bytes is None or record.device not in best
         else replace(record, limit=record.bytes / best[record.device])
         for record in records
     ]

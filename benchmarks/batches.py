@@ -1,4 +1,4 @@
-"""Items in a second of `lfgpu batch` on several GPUs of one host, and where its workers spend their time.
+"""Items in a second of `lfgpu batch` on several GPUs of one host, and the time of its workers.
 
 The items are links to one light field, which the system keeps in memory: no disk has a say. What counts is the time
 from when every worker is warm to when the first has nothing left to do. A worker is busy while it has an item; the rest
@@ -18,14 +18,18 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from PIL import Image
 
-from benchmarks import scene
+from benchmarks import cases
 from benchmarks.cases import Case
 from benchmarks.errors import BenchmarkError
+from benchmarks.options import CaseName, Out, Preset, check_known, collected, listed, say
+from benchmarks.scaling import devices_here, gpu_counts
+from benchmarks.tables import Table
 
 KINDS = ("npy", "png")
 """One array of all views, or a folder of pictures."""
@@ -35,7 +39,7 @@ _WARM_UP = 3  # items of each worker
 
 @dataclass(frozen=True)
 class Row:
-    """What so many GPUs did together."""
+    """Rate of so many GPUs together."""
 
     case: str
     preset: str
@@ -52,60 +56,77 @@ class Row:
     """Of the parts of an item, medians."""
 
 
+COLUMNS: dict[str, Callable[[Any], str]] = {
+    "light field": lambda row: row.case,
+    "preset": lambda row: row.preset,
+    "items": lambda row: row.kind,
+    "GPUs": lambda row: str(row.gpus),
+    "workers": lambda row: str(row.workers),
+    "items / s": lambda row: f"{row.rate:.1f}",
+    "efficiency": lambda row: f"{100 * row.efficiency:.0f} %",
+    "busy": lambda row: f"{100 * row.busy:.0f} %",
+    **{
+        f"{part}, ms": lambda row, part=part: f"{1e3 * row.seconds.get(part, 0.0):.0f}"  # type: ignore[misc]
+        for part in ("read", "estimate", "judge", "write")
+    },
+}
+
+
+def command(
+    case_name: CaseName = "9x9x512x512",
+    preset: Preset = "fast",
+    kinds: Annotated[str, typer.Option(metavar="KIND,...", help="What the items are.")] = ",".join(KINDS),
+    counts: Annotated[str, typer.Option(metavar="N,...", help="On how many GPUs; default: 1, 2, 4 and all.")] = "",
+    items: Annotated[int, typer.Option(min=10, help="For each worker.")] = 100,
+    per_gpu: Annotated[str, typer.Option(metavar="N,...", help="Workers for each GPU.")] = "1",
+    threads: Annotated[int, typer.Option(min=1, help="CPU threads of each worker.")] = 4,
+    disparity_range: Annotated[
+        str | None, typer.Option(metavar="LOW,HIGH", help="Of all items.", show_default="found for each")
+    ] = None,
+    out: Out = None,
+) -> None:
+    """Measure the items in a second that `lfgpu batch` does on 1, 2, 4 .. GPUs of this machine, and where they wait."""
+    check_known(listed(kinds), "kind", KINDS)
+    wanted = gpu_counts(counts, len(devices_here()))
+    options = ["--preset", preset, "--threads", str(threads)]
+    options += [] if disparity_range is None else [f"--disparity-range={disparity_range}"]
+    pairs = [(gpus, int(each)) for each in listed(per_gpu) for gpus in wanted]
+    rows = run(cases.find(case_name), preset, listed(kinds), pairs, items, options)
+    Table.of("", 3, collected(rows, out), COLUMNS).show()
+
+
 def run(
     case: Case,
     preset: str,
     kinds: Sequence[str],
     counts: Sequence[tuple[int, int]],
-    *,
     items: int,
-    threads: int,
-    disparity_range: str | None,
-    say: Callable[[str], None],
+    options: Sequence[str],
 ) -> Iterator[Row]:
     """Measure each kind of item on each number of (GPUs, workers for each), row by row; `items` are for each worker.
 
-    The range of each item is found anew unless one is given, as text. BenchmarkError if a batch fails.
+    `options` are those of `lfgpu batch`. BenchmarkError if a batch fails.
     """
-    if unknown := [kind for kind in kinds if kind not in KINDS]:
-        raise BenchmarkError(f"--kinds must be some of {', '.join(KINDS)}, not {unknown[0]!r}.")
     with tempfile.TemporaryDirectory(prefix="lfgpu-benchmarks-") as name:
         folder = Path(name)
         say(f"casting {case.name}")
-        scene.make(case, folder / "scene.npz")
-        views = scene.load(folder / "scene.npz").views
+        cases.cast(case, folder / "scene.npz")
+        views = cases.load(folder / "scene.npz").views
         for kind in kinds:
             one = _write(views, case, folder / f"one.{kind}", kind)
             alone: dict[int, float] = {}
             for gpus, each in counts:
                 say(f"{kind} on {gpus} GPUs with {each} workers each")
                 workers = gpus * each
-                options = ["--preset", preset, "--workers", str(workers), "--threads", str(threads)]
-                options += [] if disparity_range is None else [f"--disparity-range={disparity_range}"]
-                entries = _batch(one, folder / f"{kind}-{gpus}-{each}", gpus, items * workers, options)
+                given = [*options, "--workers", str(workers)]
+                entries = _batch(one, folder / f"{kind}-{gpus}-{each}", gpus, items * workers, given)
                 rate, busy, seconds = _measured(entries)
                 share = rate / (gpus * alone.setdefault(each, rate / gpus))
                 yield Row(case.name, preset, kind, gpus, workers, rate, share, busy, seconds)
 
 
-def table(rows: Sequence[Row]) -> str:
-    """As Markdown."""
-    lines = [
-        "| light field | preset | items | GPUs | workers | items / s | efficiency | busy | ms: read | estimate | judge "
-        "| write |",
-        "|---|---|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
-    ]
-    for row in rows:
-        parts = " | ".join(f"{1e3 * row.seconds.get(part, 0.0):.0f}" for part in ("read", "estimate", "judge", "write"))
-        lines.append(
-            f"| {row.case} | {row.preset} | {row.kind} | {row.gpus} | {row.workers} | {row.rate:.1f} | "
-            f"{100 * row.efficiency:.0f} % | {100 * row.busy:.0f} % | {parts} |"
-        )
-    return "\n".join(lines) + "\n"
-
-
 def _write(views: Any, case: Case, path: Path, kind: str) -> Path:
-    """One item [v, u, y, x, c]: an array, or pictures by row and column."""
+    """Write one item [v, u, y, x, c]: an array, or pictures by row and column."""
     grid = np.asarray(views).reshape(*case.grid, *views.shape[1:])
     if kind == "npy":
         np.save(path, grid)
@@ -117,7 +138,7 @@ def _write(views: Any, case: Case, path: Path, kind: str) -> Path:
 
 
 def _batch(one: Path, folder: Path, gpus: int, count: int, options: Sequence[str]) -> list[dict[str, Any]]:
-    """The manifest's entries of a batch of `count` links to `one`."""
+    """Run a batch of `count` links to `one`, and return the entries of its manifest."""
     inputs, out = folder / "in", folder / "out"
     inputs.mkdir(parents=True)
     for i in range(count):
@@ -135,7 +156,7 @@ def _batch(one: Path, folder: Path, gpus: int, count: int, options: Sequence[str
 
 
 def _measured(entries: Sequence[dict[str, Any]]) -> tuple[float, float, dict[str, float]]:
-    """Items in a second, the share of time that workers are busy, and the medians of an item's parts."""
+    """Compute items in a second, the share of time that workers are busy, and the medians of an item's parts."""
     of_worker: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for entry in sorted(entries, key=lambda entry: float(entry["began"])):
         of_worker[entry["worker"]].append(entry)

@@ -1,12 +1,16 @@
-"""The cases, as data: sizes of light fields."""
+"""Sizes of light fields, and files that hold ray-cast light fields of these sizes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
 
 from benchmarks.errors import BenchmarkError
+from lfgpu import GroundTruth, LightField, scenes
 
-CHANNELS = 3
+_SCENE = "boxes"
 
 
 @dataclass(frozen=True)
@@ -16,19 +20,14 @@ class Case:
     grid: tuple[int, int]
     size: tuple[int, int]
     default: bool = True
-    """Measured unless other cases are asked for."""
+    """Whether it is measured if no cases are named."""
     tiny: bool = False
-    """Small enough for the reference backend: float64 NumPy, written to be read."""
+    """Whether it is small enough for the reference backend (float64 NumPy, written to be read)."""
 
     @property
     def name(self) -> str:
         """Rows x columns x height x width."""
         return "x".join(map(str, (*self.grid, *self.size)))
-
-    @property
-    def samples(self) -> int:
-        """Pixels of all views."""
-        return self.grid[0] * self.grid[1] * self.size[0] * self.size[1]
 
 
 CASES = (
@@ -42,11 +41,11 @@ CASES = (
 )
 
 STARTUP_CASE = CASES[1]
-"""What the time to the first result is measured with: small, so that start-up is most of it."""
+"""The case of the first result of a process: so small that start-up is most of the time."""
 
 
 def find(name: str) -> Case:
-    """The case of that name; BenchmarkError if there is none."""
+    """Return the case of that name; BenchmarkError if there is none."""
     for case in CASES:
         if case.name == name:
             return case
@@ -54,9 +53,25 @@ def find(name: str) -> Case:
 
 
 def parse(name: str) -> Case:
-    """The case "7x7x375x375", listed here or not; BenchmarkError for anything else."""
+    """Return the case "7x7x375x375", listed in `CASES` or not; BenchmarkError for anything else."""
     try:
         rows, columns, height, width = (int(part) for part in name.split("x"))
     except ValueError:
         raise BenchmarkError(f"{name!r} is no case: it must be ROWSxCOLUMNSxHEIGHTxWIDTH.") from None
     return Case((rows, columns), (height, width))
+
+
+def cast(case: Case, path: Path) -> None:
+    """Cast the light field of a case and write it to `path` (.npz)."""
+    lf = scenes.make(_SCENE, grid=case.grid, size=case.size)
+    assert lf.truth is not None
+    np.savez(path, views=lf.views.reshape(*case.grid, *lf.views.shape[1:]), truth=lf.truth.disparity)
+
+
+def load(path: Path) -> LightField:
+    """Read the light field in such a file; the truth is that of its reference view."""
+    with np.load(path) as arrays:
+        views, truth = arrays["views"], arrays["truth"]
+    lf = LightField.from_grid(views, name=_SCENE)
+    u, v = lf.positions[lf.reference_index]
+    return LightField.from_grid(views, name=_SCENE, truth=GroundTruth(truth, (float(u), float(v))))

@@ -44,13 +44,13 @@ class Timed:
 
 
 def stopper(kernels: KernelSet, device: str) -> Callable[[], object]:
-    """What waits until the device is done."""
+    """Make a function that waits until the device is done."""
     number = kernels.scalar(0.0, device)
     return lambda: kernels.number(number)
 
 
 def capturer(kernels: KernelSet, device: str) -> Capture:
-    """What makes work that the device does as a whole, or None where it cannot."""
+    """Make a function that makes work of the device as a whole, or None where it cannot."""
     return lambda work: kernels.capture(work, device)
 
 
@@ -79,7 +79,7 @@ def measure(
 
 
 def singly(call: Callable[[], object], *, least: int, most: int, budget: float) -> list[float]:
-    """Seconds of calls that wait for the device themselves: `most` or what fits into `budget`, but at least `least`."""
+    """Time calls that wait for the device themselves: `most` or as many as fit into `budget`, but at least `least`."""
     seconds: list[float] = []
     end = perf_counter() + budget
     while len(seconds) < least or (len(seconds) < most and perf_counter() < end):
@@ -90,13 +90,13 @@ def singly(call: Callable[[], object], *, least: int, most: int, budget: float) 
 
 
 def spread(seconds: list[float]) -> Spread:
-    """Median, quartiles and 99 % quantile."""
+    """Compute median, quartiles and 99 % quantile."""
     q1, middle, q3, p99 = (float(q) for q in np.quantile(seconds, (0.25, 0.5, 0.75, 0.99)))
     return Spread(middle, q1, q3, len(seconds), p99)
 
 
 def _captured(call: Work, stop: Callable[[], object], shortest: float, capture: Capture) -> tuple[Work | None, int]:
-    """Many calls as one piece of work, and how many; (None, 1) where there is no such thing.
+    """Capture many calls as one piece of work, with their number; (None, 1) where there is no such thing.
 
     They are an even number, since an operation may go to and fro.
     """

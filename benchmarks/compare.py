@@ -1,12 +1,15 @@
-"""Two runs held against each other: what got slower or faster beyond chance, what errs more, what is in one only."""
+"""Comparison of two runs: measurements that got slower or faster beyond chance, larger errors, missing measurements."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
-from benchmarks.merge import machine_of
-from benchmarks.results import Record, Run
+import typer
+
+from benchmarks.results import Record, Run, load
 from benchmarks.tables import duration
 
 _ALLOWED_ERRORS = {
@@ -41,7 +44,7 @@ class Comparison:
 
 
 def compare(old: Run, new: Run, threshold: float) -> Comparison:
-    """Times differ where the medians do by more than `threshold` (0.1 is 10 %) and the quartiles do not overlap."""
+    """Compare; times differ if the medians do by more than `threshold` (0.1 is 10 %) and no quartiles overlap."""
     before, after = ({record.key: record for record in run.records} for run in (old, new))
     both = [(before[key], after[key]) for key in before if key in after]
     slower, faster = [], []
@@ -81,7 +84,7 @@ def _differences(old: Run, new: Run) -> Iterator[str]:
         pairs = [(name, old.machine.get(name), new.machine.get(name)) for name in named]
         pairs.append(("threads", old.threads, new.threads))
         what = "; ".join(f"{name} {a} and {b}" for name, a, b in pairs if a != b)
-        if machine_of(old) != machine_of(new):
+        if old.place != new.place:
             yield f"these runs are from different machines or settings, so their times say little: {what}."
         else:
             yield f"the software of the machine changed: {what}."
@@ -91,11 +94,21 @@ def _name(record: Record) -> str:
     return " ".join(filter(None, (record.backend, record.device, record.kind, record.case, record.name)))
 
 
-def sections(comparison: Comparison) -> Sequence[tuple[str, list[str]]]:
-    """What to show, with a heading each."""
-    return (
-        ("slower", comparison.slower),
-        ("faster", comparison.faster),
-        ("worse", comparison.worse),
-        ("not in both", comparison.only),
+def command(
+    old: Annotated[Path, typer.Argument(metavar="OLD.json")],
+    new: Annotated[Path, typer.Argument(metavar="NEW.json")],
+    threshold: Annotated[float, typer.Option(min=0, help="Percent.")] = 10,
+) -> None:
+    """Say what got slower, faster or worse; exit with 1 if something got slower or worse."""
+    found = compare(load(old), load(new), threshold / 100)
+    for warning in found.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    lists = {"slower": found.slower, "faster": found.faster, "worse": found.worse, "not in both": found.only}
+    for title, lines in lists.items():
+        for line in lines:
+            typer.echo(f"{title}: {line}")
+    typer.echo(
+        f"{found.compared} compared, {len(found.slower)} slower, {len(found.faster)} faster, {len(found.worse)} worse."
     )
+    if found.fails:
+        raise typer.Exit(1)

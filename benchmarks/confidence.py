@@ -1,4 +1,4 @@
-"""What the confidence of matching says against what is true, with weights that were fitted on other scenes.
+"""Calibration of the confidence: its weights, and shares of right pixels with weights fitted on other scenes.
 
 The features of each pixel come from the method (`MatchingPlan.features`), the form from the reference's `judge`.
 """
@@ -7,20 +7,23 @@ from __future__ import annotations
 
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import minimize
 
+from benchmarks import machine, scoring
 from benchmarks.errors import BenchmarkError
-from benchmarks.population import light_fields
+from benchmarks.options import Out, Presets, check_out, listed, save, say
 from benchmarks.tables import NONE, Table
 from lfgpu import LightField, read, scenes
 from lfgpu._backends import DEFAULT, load, pick_device
@@ -34,7 +37,7 @@ from lfgpu.metrics import BORDER
 
 RIGHT = 0.07  # pixels per view step: errors up to this are right
 EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0)
-"""Of the confidences that are looked at together."""
+"""Bounds of the confidences that are counted together."""
 LEAST_SHARE = 0.005
 """Of the pixels of a map: bins that hold fewer are not shown."""
 _KINDS = (
@@ -63,12 +66,11 @@ SPREAD = {spread}
 '''
 
 Vector = NDArray[np.float64]
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Some pixels of one map: what their confidence is made of, and their error."""
+    """Some pixels of one map: the features of their confidence, and their error."""
 
     scene: str
     preset: str
@@ -99,7 +101,7 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """What is said of a sample with some weights."""
+    """Confidence and deviation of a sample with some weights."""
 
     sample: Sample
     confidence: Vector
@@ -122,7 +124,7 @@ class Bin:
 
 @dataclass(frozen=True)
 class Row:
-    """What was found on one map, or on all."""
+    """Confidence and errors of one map, or of all."""
 
     scene: str
     preset: str
@@ -138,7 +140,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Weights:
-    """What `lfgpu/methods/matching/trust.py` holds."""
+    """The content of `lfgpu/methods/matching/trust.py`."""
 
     share: Mapping[str, tuple[float, ...]]
     spread: Mapping[str, tuple[float, ...]]
@@ -147,23 +149,53 @@ class Weights:
 NOW = Weights(trust.SHARE, trust.SPREAD)
 
 
-def samples(folders: Sequence[Path], presets: Sequence[str], say: Say) -> list[Sample]:
-    """Pixels of the light fields in folders, with each preset."""
-    found = light_fields(folders)
-    return [_sample(read(path), name, preset, say) for name, path in found.items() for preset in presets]
+def command(
+    folders: Annotated[list[Path], typer.Argument(metavar="FOLDER...", help="Light fields with truth, or folders.")],
+    fitted: Annotated[
+        bool,
+        typer.Option("--fit", help="Fit the weights, also on the package's own scenes, and write them to the method."),
+    ] = False,
+    presets: Presets = "fast,accurate",
+    diagram: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Where the reliability diagram goes.")
+    ] = None,
+    out: Out = None,
+) -> None:
+    """Compare the confidence with the truth; with `--fit`, weights for each scene are those of the others."""
+    check_out(diagram, out)
+    about = {**machine.about(), "presets": listed(presets), "fitted": fitted}
+    found = samples(folders, listed(presets))
+    all_ = [*found, *own_samples(listed(presets))] if fitted else []
+    weights = fit(all_) if fitted else NOW
+    with_all = [sample.judged(weights) for sample in found]
+    judged = by_the_others(all_) if fitted else with_all
+    save(out, {**about, "rows": [asdict(row) for row in rows(judged)]})
+    for table in tables(rows(judged)):
+        table.show()
+    if diagram is not None:
+        others = {"fitted on other scenes": judged, "fitted on all": with_all}
+        draw(others if fitted else {"present weights": judged}, diagram)
+    if fitted:
+        typer.echo(f"written: {write(weights, all_)}: {weights.share}, {weights.spread}")
 
 
-def own_samples(presets: Sequence[str], say: Say) -> list[Sample]:
-    """Pixels of `OWN`."""
+def samples(folders: Sequence[Path], presets: Sequence[str]) -> list[Sample]:
+    """Take pixels of the light fields in folders, with each preset."""
+    found = scoring.light_fields(folders)
+    return [_sample(read(path), name, preset) for name, path in found.items() for preset in presets]
+
+
+def own_samples(presets: Sequence[str]) -> list[Sample]:
+    """Take pixels of `OWN`, and of noise."""
     found = []
     for name, seed, noise, views, side in OWN:
         lf = scenes.make(name, seed=seed, noise=noise, grid=(views, views), size=(side, side))
-        found += [replace(_sample(lf, f"own {name}", preset, say), own=True) for preset in presets]
-    return [*found, *(_of_nothing(blur, seed, preset, say) for blur in _BLURS for seed in _SEEDS for preset in presets)]
+        found += [replace(_sample(lf, f"own {name}", preset), own=True) for preset in presets]
+    return [*found, *(_of_nothing(blur, seed, preset) for blur in _BLURS for seed in _SEEDS for preset in presets)]
 
 
-def by_the_others(fitted: Sequence[Sample], say: Say) -> list[Judged]:
-    """Each sample that is not the package's own, judged with weights that were fitted without its scene."""
+def by_the_others(fitted: Sequence[Sample]) -> list[Judged]:
+    """Judge each sample that is not the package's own with weights that were fitted without its scene."""
     found = []
     for scene in dict.fromkeys(sample.scene for sample in fitted if not sample.own):
         say(f"without {scene}")
@@ -173,7 +205,7 @@ def by_the_others(fitted: Sequence[Sample], say: Say) -> list[Judged]:
 
 
 def fit(fitted: Sequence[Sample]) -> Weights:
-    """Weights by maximum likelihood; kinds that are not among the samples keep theirs."""
+    """Fit weights by maximum likelihood; kinds that are not among the samples keep theirs."""
     share, spread = dict(NOW.share), dict(NOW.spread)
     for kind in dict.fromkeys(sample.kind for sample in fitted):
         share[kind], spread[kind] = _fit([sample for sample in fitted if sample.kind == kind])
@@ -181,10 +213,10 @@ def fit(fitted: Sequence[Sample]) -> Weights:
 
 
 def _fit(fitted: Sequence[Sample]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Of right and wrong pixels, and of their errors as Laplace's: a few large ones say little about the others.
+    """Fit the weights of right and wrong pixels, and of their errors as Laplace's: a few large ones say little.
 
-    What the package makes has a share of `_OWN_SHARE` together, `_OWN_SPREAD` where errors are fitted, and each scene
-    of it counts as much as another.
+    Scenes of the package have a share of `_OWN_SHARE` together, `_OWN_SPREAD` where errors are fitted; each of
+    them counts as much as another.
     """
     each, each_spread = (_counts(fitted, own) for own in (_OWN_SHARE, _OWN_SPREAD))
     known = np.concatenate([1 - _unknown(sample) for sample in fitted])
@@ -218,7 +250,7 @@ def _fit(fitted: Sequence[Sample]) -> tuple[tuple[float, ...], tuple[float, ...]
 
 
 def _counts(fitted: Sequence[Sample], of_own: float) -> Vector:
-    """How much each pixel counts; 1 together."""
+    """Weigh each pixel; 1 together."""
     count = Counter(sample.own for sample in fitted)
     of_scene = {own: (of_own if own else 1 - of_own) / count[own] for own in count}
     each = np.concatenate([np.full(len(sample.error), of_scene[sample.own] / len(sample.error)) for sample in fitted])
@@ -238,7 +270,7 @@ def write(weights: Weights, fitted: Sequence[Sample]) -> Path:
 
 
 def rows(judged: Sequence[Judged]) -> list[Row]:
-    """How often pixels of each confidence are right and how large errors are: of all maps together, then of each."""
+    """Count the right pixels of each confidence and measure errors: of all maps together, then of each."""
     confidence, deviation, error = (
         np.concatenate(maps)
         for maps in zip(*((one.confidence, one.deviation, one.sample.error) for one in judged), strict=True)
@@ -256,36 +288,56 @@ def _row(scene: str, preset: str, confidence: Vector, deviation: Vector, error: 
 
 
 def tables(found: Sequence[Row]) -> list[Table]:
-    """The confidences and the uncertainties of all rows."""
-    shares, spreads = [], []
-    for row in found:
-        name = ", ".join(dict.fromkeys((row.scene, row.preset)))
-        cells = {
-            b.low: f"{100 * b.said:.0f} → {100 * b.right:.0f} ({100 * b.share:.0f})"
-            for b in row.bins
-            if b.share >= LEAST_SHARE
-        }
-        shares.append((name, *(cells.get(low, NONE) for low in EDGES[:-1])))
-        within = (f"{100 * share:.0f} %" for share in (row.within_1, row.within_2))
-        spreads.append((name, f"{row.said_rms:.3f}", f"{row.error_rms:.3f}", *within))
+    """Make the tables of the confidences and the uncertainties of all rows."""
+
+    def name(row: Row) -> str:
+        return ", ".join(dict.fromkeys((row.scene, row.preset)))
+
+    def cell(row: Row, low: float) -> str:
+        bins = (b for b in row.bins if b.low == low and b.share >= LEAST_SHARE)
+        return next((f"{100 * b.said:.0f} → {100 * b.right:.0f} ({100 * b.share:.0f})" for b in bins), NONE)
+
+    shares: dict[str, Any] = {
+        "scene": name,
+        **{f"{low:g} to {high:g}": lambda row, low=low: cell(row, low) for low, high in pairwise(EDGES)},
+    }
+    spreads = {
+        "scene": name,
+        "said, rms": lambda row: f"{row.said_rms:.3f}",
+        "error, rms": lambda row: f"{row.error_rms:.3f}",
+        "within 1": lambda row: f"{100 * row.within_1:.0f} %",
+        "within 2 deviations": lambda row: f"{100 * row.within_2:.0f} %",
+    }
+    title = "Percent said to be right → percent right (percent of the pixels)"
     return [
-        Table(
-            "Percent said to be right → percent right (percent of the pixels)",
-            ("scene", *(f"{low:g} to {high:g}" for low, high in pairwise(EDGES))),
-            1,
-            shares,
-        ),
-        Table(
-            "Uncertainty, pixels per view step",
-            ("scene", "said, rms", "error, rms", "within 1", "within 2 deviations"),
-            1,
-            spreads,
-        ),
+        Table.of(title, 1, found, shares),
+        Table.of("Uncertainty, pixels per view step", 1, found, spreads),
     ]
 
 
+def by_confidence(found: Sequence[Mapping[str, Any]]) -> Table:
+    """Make the table of the shares that are right by confidence, from the rows of a file: on all maps, and at worst."""
+    columns = ("confidence", "share of pixels", "stated", "right", "right on the worst map")
+    whole, *maps = found
+    cells = []
+    for low, high in pairwise(EDGES):
+        together, *each = (_shown_bin(row, low) for row in (whole, *maps))
+        if together is not None:
+            there = [(one["right"], row) for one, row in zip(each, maps, strict=True) if one is not None]
+            right, worst = min(there, key=lambda one: one[0])
+            shares = (f"{100 * together[name]:.0f} %" for name in ("share", "said", "right"))
+            on_worst = f"{100 * right:.0f} % (`{worst['scene']}`, `{worst['preset']}`)"
+            cells.append((f"{low:g} to {high:g}", *shares, on_worst))
+    return Table("", columns, 1, cells[::-1])
+
+
+def _shown_bin(row: Mapping[str, Any], low: float) -> Mapping[str, float] | None:
+    """Return the bin of a row that begins there, if it holds enough pixels to be shown."""
+    return next((b for b in row["bins"] if b["low"] == low and b["share"] >= LEAST_SHARE), None)
+
+
 def draw(groups: Mapping[str, Sequence[Judged]], out: Path) -> None:
-    """The reliability diagram of groups of maps as a PNG: share right over share said."""
+    """Draw the reliability diagram of groups of maps as a PNG: share right over share said."""
     figure = Figure((5.5, 4.2), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
@@ -302,11 +354,9 @@ def draw(groups: Mapping[str, Sequence[Judged]], out: Path) -> None:
         figure.savefig(temporary, format="png")
 
 
-def _sample(lf: LightField, scene: str, preset: str, say: Say, bounds: tuple[float, float] | None = None) -> Sample:
+def _sample(lf: LightField, scene: str, preset: str, bounds: tuple[float, float] | None = None) -> Sample:
     say(f"{scene}, {preset}")
-    truth = lf.reference_truth()
-    if truth is None:
-        raise BenchmarkError(f"{lf.name} has no truth of its reference view to score by.")
+    truth = scoring.truth_of(lf)
     kernels = load(DEFAULT)
     device = pick_device(kernels, None)
     method = method_of(preset)
@@ -331,8 +381,8 @@ def _sample(lf: LightField, scene: str, preset: str, say: Say, bounds: tuple[flo
     return Sample(scene, preset, method.config.sweep.kind, features, error.ravel()[scored], high - low)
 
 
-def _of_nothing(blur: float, seed: int, preset: str, say: Say) -> Sample:
-    """Of views of blurred noise that have nothing in common: no disparity is right."""
+def _of_nothing(blur: float, seed: int, preset: str) -> Sample:
+    """Take pixels of views of blurred noise that have nothing in common: no disparity is right."""
     random = np.random.default_rng(seed).normal(size=(_NOISY, *_NOISE_SIZE, 3))
     noise = gaussian_filter(random, (0, blur, blur, 0))
     views = np.clip(128 + 40 * noise / noise.std(), 0, 255).astype(np.uint8)
@@ -340,17 +390,17 @@ def _of_nothing(blur: float, seed: int, preset: str, say: Say) -> Sample:
     # A truth so far away that all errors are about those of a guess.
     truth = GroundTruth(np.full(_NOISE_SIZE, high + (high - low) / 2, np.float32), position=(0.0, 0.0))
     lf = LightField(views, np.stack([np.arange(_NOISY) - _NOISY // 2, np.zeros(_NOISY)], axis=1), truth=truth)
-    return replace(_sample(lf, "own noise", preset, say, _NOISE_RANGE), own=True)
+    return replace(_sample(lf, "own noise", preset, _NOISE_RANGE), own=True)
 
 
 def _inputs(sample: Sample) -> Vector:
-    """[p, 6]: what the weights belong to."""
+    """Stack the inputs of the weights, [p, 6]."""
     conflict, evidence, bend, relief = (sample.features[name] for name in ("conflict", "evidence", "bend", "relief"))
     return np.stack([np.ones_like(conflict), conflict, evidence, bend, relief, bend * relief], axis=1)
 
 
 def _unknown(sample: Sample) -> Vector:
-    """[p]: how likely it is that nothing is known, which no weights change."""
+    """Return the probability that nothing is known, [p], which no weights change."""
     sure = Weights({sample.kind: (50.0, 0, 0, 0, 0, 0)}, {sample.kind: (0.0, 0, 0, 0, 0, 0)})
     return 1 - sample.judged(sure).confidence
 

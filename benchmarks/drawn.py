@@ -1,6 +1,6 @@
 """Light fields of the package drawn at random: scene, cameras, reference, size, range, noise and light.
 
-Nobody chose them. So they show what spoils maps under conditions that nobody thought of.
+Nobody chose them, so they show conditions that spoil maps and that nobody thought of.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _DIMMED = (0.1, 0.5)  # to this share of their light
 
 
 def drawn(first: int, count: int) -> dict[str, Callable[[], LightField]]:
-    """Light fields of the seeds `first`, `first` + 1 and so on, by name, made when they are asked for."""
+    """Return light fields of the seeds `first`, `first` + 1 and so on, by name, made when they are asked for."""
     return dict(_one(seed) for seed in range(first, first + count))
 
 

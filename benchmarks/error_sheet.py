@@ -3,19 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from benchmarks.population import Picture
 from lfgpu.io.atomic import atomic_write
 
 _REACH = 0.21  # pixels per view step at the ends of the colours: three times what makes a pixel bad
 _CELL = 2.2  # inches
 _DPI = 110
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """The error of one map, for drawing."""
+
+    scene: str
+    title: str
+    """Preset and range, "fast, range found" for example."""
+    view: NDArray[np.uint8]
+    """The reference view, [y, x, 3]."""
+    error: NDArray[np.float32]
+    """Estimate less truth, [y, x], pixels per view step; NaN where it is not scored."""
+    badpix_07: float
+    """Percent."""
 
 
 def write(pictures: Sequence[Picture], out: Path) -> None:

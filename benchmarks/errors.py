@@ -1,7 +1,7 @@
-"""What goes wrong, said in one sentence."""
+"""Errors of benchmarks."""
 
 from lfgpu.errors import LfgpuError
 
 
 class BenchmarkError(LfgpuError):
-    """A case, a backend, a file or an option is not what it has to be."""
+    """A case, a backend, a file or an option that cannot be used."""

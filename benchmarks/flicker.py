@@ -1,18 +1,20 @@
-"""How quiet maps of a moving scene are, with and without the last map, beside how right they are."""
+"""Flicker of maps of a moving scene, with and without the last map, beside their errors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from statistics import fmean, geometric_mean, median
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks import cases
 from benchmarks.moving import RANGE, Film
+from benchmarks.options import CaseName, Device, Out, Presets, check_known, collected, listed, say
+from benchmarks.tables import Table
 from lfgpu import DepthStream, TemporalPrior, evaluate
 from lfgpu.contract import Float32Array
 
@@ -42,6 +44,18 @@ class Row:
     work_ms: float
 
 
+_TITLES = {
+    "mse_100": "MSE x100",
+    "badpix_07": "BadPix 0.07",
+    "badpix_03": "0.03",
+    "badpix_01": "0.01",
+    "unknown": "unknown, %",
+    "flicker": "flicker",
+    "flicker_median": "median",
+    "flicker_still": "still",
+    "flicker_moving": "moving",
+    "work_ms": "ms",
+}
 _COMPARED = "mse_100", "badpix_07", "badpix_01", "flicker", "flicker_still", "flicker_moving"
 
 PASTS = {
@@ -52,9 +66,27 @@ PASTS = {
 }
 
 
-def run(
-    film: Film, presets: tuple[str, ...], pasts: tuple[str, ...], device: str | None, say: Callable[[str], None]
-) -> Iterator[Row]:
+def command(
+    case_name: CaseName = "5x5x128x128",
+    frames: Annotated[int, typer.Option(min=6)] = 24,
+    period: Annotated[int, typer.Option(min=1, help="Frames in which things go round; fewer is faster.")] = 240,
+    noise: Annotated[float, typer.Option(help="Noise of the views; intensities are 0 to 1.")] = 0.01,
+    seeds: Annotated[str, typer.Option(metavar="N,...", help="Seeds of the scenes; one film for each.")] = "0,1,2,3",
+    presets: Presets = "accurate,fast",
+    pasts: Annotated[str, typer.Option(metavar="NAME,...", help="How the last map is used.")] = ",".join(PASTS),
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Measure the flicker of maps of moving scenes, with and without the last map, and their errors."""
+    check_known(listed(pasts), "past", PASTS)
+    case = cases.parse(case_name)
+    film = Film(case.grid, case.size, frames, period, noise)
+    films = (replace(film, seed=int(seed)) for seed in listed(seeds))
+    rows = (row for film in films for row in run(film, listed(presets), listed(pasts), device))
+    show(collected(rows, out, about={"film": asdict(film)}))
+
+
+def run(film: Film, presets: Sequence[str], pasts: Sequence[str], device: str | None) -> Iterator[Row]:
     """Take the film in each way."""
     say(f"seed {film.seed}: casting {film.count} frames")
     frames, motions = film.frames(), list(film.motions())
@@ -102,29 +134,27 @@ def _row(
 
 
 def _mean(frames: list[NDArray[np.float64]]) -> float:
-    """Of the means of those frames that have pixels of the kind; NaN if none has."""
+    """Average the means of those frames that have pixels of the kind; NaN if none has."""
     means = [float(values.mean()) for values in frames if values.size]
     return fmean(means) if means else float("nan")
 
 
 def show(rows: list[Row]) -> None:
-    """A table; all numbers are the lower the better. Over several films, what the past changes is said in ratios."""
-    table = Table("seed", "preset", "past", "MSE x100", "BadPix 0.07", "0.03", "0.01", "unknown, %")
-    for name in ("flicker", "median", "still", "moving", "ms"):
-        table.add_column(name)
-    for row in rows:
-        numbers = list(asdict(row).values())[3:]
-        table.add_row(str(row.seed), row.preset, row.past, *(f"{number:.2f}" for number in numbers))
-    console = Console(highlight=False)
-    console.width = max(console.width, 110)
-    console.print(table)
-    console.print(
+    """Print a table; all numbers are the lower the better. Over several films, ratios say what the past changes."""
+    words: dict[str, Callable[[Any], str]] = {
+        "seed": lambda row: str(row.seed),
+        "preset": lambda row: row.preset,
+        "past": lambda row: row.past,
+    }
+    numbers = {title: lambda row, name=name: f"{getattr(row, name):.2f}" for name, title in _TITLES.items()}
+    Table.of("", 3, rows, {**words, **numbers}).show()
+    typer.echo(
         "Flicker: mean |change of the map along the true motion, less the true change|, 1/1000 px per view step, where "
         "a surface is seen before and after; its median; its mean where nothing moves, and on what moves."
     )
     for preset, past, ratios in against_none(rows):
         said = ", ".join(f"{name} {mean:.3f} (worst {worst:.3f})" for name, (mean, worst) in ratios.items())
-        console.print(f"{preset}, past {past} to none, geometric means over films: {said}.")
+        typer.echo(f"{preset}, past {past} to none, geometric means over films: {said}.")
 
 
 def against_none(rows: list[Row]) -> Iterator[tuple[str, str, dict[str, tuple[float, float]]]]:

@@ -1,16 +1,18 @@
-"""The picture of the site's first page: three scenes of the package, what is found in them, and how wrong it is."""
+"""The picture of the site's first page: three scenes of the package, their maps, errors and points in space."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
+from benchmarks.options import check_out
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.io.atomic import atomic_write
@@ -23,6 +25,7 @@ from lfgpu.viz.figures import error_reach, scale_limits
 
 SCENES = ("boxes", "planes", "relief")
 GRID, SIZE = (9, 9), (384, 512)
+OUT = Path("docs/gallery.png")
 
 _COLUMNS = ("one view of 81", "disparity", "error", "points in space")
 _CELL = 2.7  # inches, the width of a panel
@@ -34,8 +37,17 @@ _ZOOM = 0.86  # share of the picture that the cloud fills
 _FINER = 2  # pixels of the drawing for one of the picture, each way
 
 
+def command(
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.png", help="Where the picture goes.")] = OUT,
+) -> None:
+    """Draw the picture of the site's first page: three scenes, their disparity, its error, and points in space."""
+    check_out(out)
+    for line in write(out):
+        typer.echo(line)
+
+
 def write(out: Path, *, grid: tuple[int, int] = GRID, size: tuple[int, int] = SIZE) -> list[str]:
-    """Make, estimate and draw all of it; what there is to say about each scene."""
+    """Make, estimate and draw all scenes; return a line about each."""
     solved = []
     for name in SCENES:
         lf = make(name, grid=grid, size=size)
@@ -50,7 +62,7 @@ def write(out: Path, *, grid: tuple[int, int] = GRID, size: tuple[int, int] = SI
 
 
 def render(cloud: Cloud, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """A cloud from the side, [y, x, 3]: nearer points hide farther ones, the background is white."""
+    """Render a cloud from the side, [y, x, 3]: nearer points hide farther ones, the background is white."""
     height, width = (side * _FINER for side in size)
     centre = cloud.centre
     turned = (cloud.points - centre) @ (_about_y(_YAW) @ _about_x(_PITCH))

@@ -6,21 +6,23 @@ L-BFGS, the sums over windows) is tested by the same matrix on a machine with a 
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from benchmarks import machine
 from benchmarks.errors import BenchmarkError
-from lfgpu.io.atomic import atomic_write
+from benchmarks.options import check_out, known_backend, say
+from benchmarks.results import FOLDER, write_json
 
 ROOT = Path(__file__).parents[1]
 FILES = (
@@ -35,10 +37,26 @@ FILES = (
 """Tests of what a device computes; the other files of tests/kernels are about the reference, the checks or the CPU."""
 
 _RAN = (0, 1, 5)  # what pytest exits with: all passed, some failed, a file had no tests for the device
-RESULT = Path(__file__).with_name("results") / "gpu-parity.json"
+RESULT = FOLDER / "gpu-parity.json"
 
 
-def run(backend: str, device: str, say: Callable[[str], None]) -> Iterator[dict[str, Any]]:
+def command(
+    backend: Annotated[str, typer.Option(metavar="NAME")] = "warp",
+    device: Annotated[str, typer.Option(metavar="DEVICE")] = "cuda:0",
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = RESULT,
+) -> None:
+    """Test every operation on a GPU against the reference; the file names the commit. Exits with 1 on failures."""
+    check_out(out)
+    for found in run(known_backend(backend), device):
+        write_json(out, found)  # as far as it is
+    if not found["passed"]:
+        raise BenchmarkError(f"nothing could be tested on {backend} {device}: is the device there?")
+    typer.echo(f"{found['passed']} passed, {found['skipped']} skipped, {len(found['failed'])} failed: {out}")
+    if found["failed"]:
+        raise typer.Exit(1)
+
+
+def run(backend: str, device: str) -> Iterator[dict[str, Any]]:
     """Run the tests on a device, a file after the other.
 
     Yields after each file what was found until then: what passed, failed and was skipped, and the largest error of each
@@ -73,7 +91,7 @@ def run(backend: str, device: str, say: Callable[[str], None]) -> Iterator[dict[
 
 
 def _cases(file: str, backend: str, device: str) -> list[ET.Element]:
-    """The outcome of each test of a file."""
+    """Run a file of tests, and return the outcome of each."""
     with TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"
         command = [sys.executable, "-m", "pytest", "-q", f"--backend={backend}", f"--device={device}", file]
@@ -89,11 +107,5 @@ def _cases(file: str, backend: str, device: str) -> list[ET.Element]:
 
 
 def _paths() -> list[str]:
-    """Folders of PYTHONPATH, absolute: the tests run in another folder."""
+    """List the folders of PYTHONPATH, absolute: the tests run in another folder."""
     return [str(Path(path).resolve()) for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
-
-
-def save(found: dict[str, Any], path: Path) -> None:
-    """Write the result file whole or not at all."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -1,24 +1,27 @@
-"""Whether the judge finds a view that was moved, and in which direction; and whether it is silent where all is well."""
+"""Share of moved views that the judge of cameras finds, with their direction; and false alarms where all is well."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+import typer
 from scipy import ndimage
 
+from benchmarks import machine
 from benchmarks.errors import BenchmarkError
 from benchmarks.misalignment import recording
+from benchmarks.options import Device, Out, Preset, Scenes, check_out, save, say
+from benchmarks.tables import Table
 from lfgpu import LightField, estimate_depth, explain, read
 from lfgpu.calibration import judged
 
-Say = Callable[[str], None]
 _TURN = 22.5  # degrees by which the direction that is found may differ: half the way between two of eight directions
 _NOISE = 0.005, 0.03  # standard deviation that is added, at least and at most
 _NAMED = re.compile(r"the view at row (\d+), column (\d+) is [^;:]* where it should be")
@@ -43,7 +46,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Draw:
-    """One view moved, and what was said before and after.
+    """One moved view, and the findings before and after.
 
     `corner` is the first row and column of the part of the views; `moved` and `found` are (x, y) in pixels, right and
     down. `quick` says the same of the quick look that `lfgpu depth` takes.
@@ -79,7 +82,41 @@ class Silence:
     quick: tuple[str, ...]
 
 
-def undisturbed(plan: Plan, say: Say) -> Iterator[Silence]:
+def command(
+    scene_names: Scenes,
+    draws: Annotated[int, typer.Option(min=1, help="Draws over all scenes.")] = 100,
+    first: Annotated[int, typer.Option(min=0, help="Seed of the first draw.")] = 0,
+    undisturbed: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LIGHT_FIELD", help="Also look at this one, with nothing moved; may be repeated."),
+    ] = None,
+    noises: Annotated[int, typer.Option(min=0, help="How often noise is added to each of these.")] = 3,
+    shift: Annotated[float, typer.Option(min=0.01, help="By how many pixels a view is moved.")] = 0.2,
+    crop: Annotated[int, typer.Option(min=64, help="Side of the part of the views that is used.")] = 192,
+    preset: Preset = "fast",
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Move one view in a random direction: is it found, and is nothing said without that?"""
+    check_out(out)
+    plan = Plan(tuple(scene_names), draws, first, tuple(undisturbed or ()), noises, shift, crop, preset, device)
+    about = {**machine.about(), "plan": named(plan)}
+    found: list[Draw] = []
+    silences: list[Silence] = []
+    for one in chain[Draw | Silence](_silences(plan), _draws(plan)):
+        (found if isinstance(one, Draw) else silences).append(one)  # type: ignore[arg-type]
+        rows = {"draws": [asdict(one) for one in found], "undisturbed": [asdict(one) for one in silences]}
+        save(out, {**about, "summary": {**(summary(found) if found else {}), **alarms(silences)}, **rows})
+    table([asdict(draw) for draw in found]).show()
+    if silences:
+        said = alarms(silences)
+        typer.echo(
+            f"{said['undisturbed']} light fields with nothing moved, {said['with_noise']} of them with noise added: "
+            f"{said['alarms']} false alarms of the check, {said['alarms_quickly']} of the quick look."
+        )
+
+
+def _silences(plan: Plan) -> Iterator[Silence]:
     """Look at light fields in which nothing was moved, as they are and with noise."""
     for scene in plan.undisturbed:
         lf = light_field(scene)
@@ -89,7 +126,7 @@ def undisturbed(plan: Plan, say: Say) -> Iterator[Silence]:
 
 
 def light_field(scene: str) -> LightField:
-    """Any light field that lfgpu reads, or a scene of the package by name and seed, "boxes-11"."""
+    """Read any light field, or make a scene of the package by name and seed, "boxes-11"."""
     return read(Path(scene), allow_missing=True) if Path(scene).exists() else recording(scene)(None)
 
 
@@ -111,8 +148,8 @@ def _left_alone(scene: str, lf: LightField, seed: int, plan: Plan) -> Silence:
     )
 
 
-def run(plan: Plan, say: Say) -> Iterator[Draw]:
-    """All draws, one after the other: a part of the views, one of them, and a direction, each at random."""
+def _draws(plan: Plan) -> Iterator[Draw]:
+    """Draw a part of the views, one of them and a direction, and see whether it is found; one after the other."""
     scenes = [recording(scene)(None) for scene in plan.scenes]
     for seed in range(plan.first, plan.first + plan.draws):
         place = seed % len(scenes)
@@ -156,7 +193,7 @@ def _drawn(scene: str, lf: LightField, seed: int, plan: Plan) -> Draw:
 
 
 def shifted(lf: LightField, index: int, by: np.ndarray) -> np.ndarray:
-    """A view [y, x, c] as it is stored that shows everything by (x, y) pixels farther right and down."""
+    """Move a view, [y, x, c] as it is stored, by (x, y) pixels to the right and down."""
     image = lf.image(index)
     planes = [
         ndimage.shift(image[..., c], by[::-1], order=5, mode="mirror", output=np.float32) for c in range(lf.channels)
@@ -166,20 +203,20 @@ def shifted(lf: LightField, index: int, by: np.ndarray) -> np.ndarray:
 
 
 def names(findings: tuple[str, ...], view: tuple[int, int]) -> bool:
-    """Whether one finding is said, and says of that view, and of no other, that it is moved."""
+    """Return whether one finding is said, and says of that view, and of no other, that it is moved."""
     if len(findings) != 1:
         return False
     return [tuple(map(int, found)) for found in _NAMED.findall(findings[0])] == [view] and "more" not in findings[0]
 
 
 def named(plan: Plan) -> dict[str, Any]:
-    """The plan with the names of scenes instead of their folders, for JSON."""
+    """Return the plan with the names of scenes instead of their folders, for JSON."""
     scenes, still = (tuple(Path(scene).name for scene in some) for some in (plan.scenes, plan.undisturbed))
     return asdict(replace(plan, scenes=scenes, undisturbed=still))
 
 
 def alarms(silences: list[Silence]) -> dict[str, int]:
-    """How often something was said where nothing was moved."""
+    """Count how often something was said where nothing was moved."""
     return {
         "undisturbed": len(silences),
         "with_noise": sum(s.noise > 0 for s in silences),
@@ -188,8 +225,8 @@ def alarms(silences: list[Silence]) -> dict[str, int]:
     }
 
 
-def summary(draws: list[Draw]) -> dict[str, int | float]:
-    """Counts, and the largest distance of a shift found from the true one, pixels."""
+def summary(draws: Sequence[Draw]) -> dict[str, int | float]:
+    """Count, and measure the largest distance of a shift found from the true one, pixels."""
     off = [float(np.hypot(d.found[0] - d.moved[0], d.found[1] - d.moved[1])) for d in draws]
     return {
         "draws": len(draws),
@@ -201,20 +238,19 @@ def summary(draws: list[Draw]) -> dict[str, int | float]:
     }
 
 
-def show(draws: list[Draw], silences: list[Silence]) -> None:
-    """A table with a row for each scene, and how often something was said where nothing was moved."""
-    table = Table()
-    for name in ("scene", "draws", "found", "by the quick look", "false alarms", "shift off by, px", "at most"):
-        table.add_column(name, justify="left" if name == "scene" else "right")
-    groups = {scene: [d for d in draws if d.scene == scene] for scene in dict.fromkeys(d.scene for d in draws)}
-    for scene, some in {**groups, "all": draws}.items():
-        found = summary(some)
-        counts = (str(found[k]) for k in ("draws", "found", "found_quickly", "false_alarms"))
-        table.add_row(scene, *counts, *(f"{found[k]:.3f}" for k in ("median_px", "farthest_px")))
-    Console(width=120).print(table)
-    if silences:
-        said = alarms(silences)
-        print(
-            f"{said['undisturbed']} light fields with nothing moved, {said['with_noise']} of them with noise added: "
-            f"{said['alarms']} false alarms of the check, {said['alarms_quickly']} of the quick look."
-        )
+def table(draws: Sequence[Mapping[str, Any]]) -> Table:
+    """Make a table from the draws of a file, with a row for each scene."""
+    groups = [(f"`{d['scene']}`", [e for e in draws if e["scene"] == d["scene"]]) for d in draws]
+
+    def count(key: str) -> Callable[[Any], str]:
+        return lambda group: str(sum(bool(draw[key]) for draw in group[1]))
+
+    columns: dict[str, Callable[[Any], str]] = {
+        "scene": lambda group: group[0],
+        "draws": lambda group: str(len(group[1])),
+        "found by `check`": count("is_found"),
+        "by the quick look": count("is_found_quickly"),
+        "false alarms": count("false_alarms"),
+        "shift off by at most, px": lambda group: f"{max(math.dist(d['found'], d['moved']) for d in group[1]):.3f}",
+    }
+    return Table.of("", 1, [*dict(groups).items(), *([("all", draws)] if draws else [])], columns)

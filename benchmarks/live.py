@@ -1,27 +1,24 @@
-"""How many frames a second a stream takes, how late its maps are, and how right they are."""
+"""Maps a second of a stream, their latency and their errors."""
 
 from __future__ import annotations
 
-import json
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+import typer
 
 from benchmarks import cases
 from benchmarks.moving import RANGE, Film, to_and_fro
+from benchmarks.options import Cases, Device, Out, Presets, collected, listed, say
+from benchmarks.tables import Table
 from lfgpu import DepthPipeline, DepthStream, LightField, StreamResult, TemporalPrior, evaluate
-from lfgpu.io.atomic import atomic_write
 
-Say = Callable[[str], None]
 _WARM_UP = 5  # frames
 _PACE = 0.8  # of the rate that it can do, at which latency is measured: a camera leaves room
 _SCORED = 3  # times through the film, whose last is scored
@@ -29,7 +26,7 @@ _SCORED = 3  # times through the film, whose last is scored
 
 @dataclass(frozen=True)
 class Plan:
-    """What is measured: cases and presets by name, frames that are cast, seconds of each run, budget and device."""
+    """The measurements to make: cases and presets by name, cast frames, seconds of each run, budget and device."""
 
     cases: tuple[str, ...]
     presets: tuple[str, ...]
@@ -65,14 +62,53 @@ class Row:
     bad_ratio: float
 
 
-def save(out: Path | None, found: dict[str, Any]) -> None:
-    """Write what was found as JSON, if it goes anywhere."""
-    if out is not None:
-        with atomic_write(out) as temporary:
-            temporary.write_text(json.dumps(found, indent=1), encoding="utf-8")
+COLUMNS: dict[str, Callable[[Any], str]] = {
+    "case": lambda row: row.case,
+    "preset": lambda row: row.preset,
+    "start": lambda row: "warm" if row.warm else "cold",
+    "maps/s": lambda row: f"{row.rate:.1f}",
+    "paced at": lambda row: f"{row.pace:.1f}",
+    "latency, ms": lambda row: " / ".join(f"{ms:.2f}" for ms in (row.latency_p50, row.latency_p95, row.latency_p99)),
+    "device, ms": lambda row: f"{row.work_p50:.2f}",
+    "dropped": lambda row: str(row.dropped),
+    "MSE x100": lambda row: f"{row.mse_100:.3f}",
+    "BadPix 0.07": lambda row: f"{row.badpix_07:.2f}",
+    "both to cold accurate": lambda row: f"{row.mse_ratio:.3f} / {row.bad_ratio:.3f}",
+}
 
 
-def run(plan: Plan, say: Say) -> Iterator[Row]:
+def command(
+    case_names: Cases = "7x7x375x375,9x9x512x512",
+    presets: Presets = "accurate,fast",
+    frames: Annotated[int, typer.Option(min=2, help="Number of rendered frames; they are played to and fro.")] = 8,
+    seconds: Annotated[float, typer.Option(min=0.1, help="How long each way is measured.")] = 10.0,
+    budget: Annotated[float | None, typer.Option(metavar="MS", help="Largest time of the device for a frame.")] = None,
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Measure frames a second, the latency from a frame on the host to its map there, and errors of warm maps."""
+    plan = Plan(tuple(listed(case_names)), tuple(listed(presets)), frames, seconds, budget, device)
+    found = collected(run(plan), out)
+    Table.of("", 3, found, COLUMNS).show()
+    typer.echo(
+        f"On {found[0].device}, from a uint8 frame on the host to its float32 map there; latency is the median, 95 and "
+        "99 % of frames that come at a pace."
+    )
+
+
+def table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Make the table of a page from the rows of a file: rate, latency and errors, warm and cold."""
+    columns = {
+        "preset": lambda r: f"`{r['preset']}`, {'warm' if r['warm'] else 'cold'}",
+        "size": lambda r: r["case"].replace("x", " × "),
+        "maps / s": lambda r: f"{r['rate']:.0f}",
+        "latency, ms: median, 95 %, 99 %": lambda r: ", ".join(f"{r[f'latency_p{q}']:.1f}" for q in (50, 95, 99)),
+        "MSE, BadPix(0.07) to a cold `accurate`": lambda r: f"{r['mse_ratio']:.2f}, {r['bad_ratio']:.2f}",
+    }
+    return Table.of("", 2, rows, columns)
+
+
+def run(plan: Plan) -> Iterator[Row]:
     """Measure all presets, cold and warm, on all cases."""
     for case in plan.cases:
         say(f"{case}: casting {plan.frames} frames")
@@ -123,7 +159,7 @@ def _measured(
 
 
 def _maps(stream: DepthStream, frames: list[LightField]) -> list[Any]:
-    """Maps of the frames after the stream has gone through them to and fro a few times."""
+    """Take the maps of the frames after the stream has gone through them to and fro a few times."""
     there = list(range(len(frames)))
     path = list(islice(to_and_fro(there), _SCORED * (2 * len(frames) - 2) + len(frames)))
     results = [(index, stream.push(frames[index].views)) for index in path[: -len(frames)]]
@@ -147,7 +183,7 @@ def _errors(frames: Sequence[LightField], maps: Sequence[Any]) -> tuple[float, f
 
 
 def _rate(stream: DepthStream, views: list[Any], seconds: float) -> float:
-    """Maps a second, as fast as frames are taken."""
+    """Measure maps a second, as fast as frames are taken."""
     coming = to_and_fro(views)
     for frame in islice(coming, _WARM_UP):
         result = stream.push(frame)
@@ -161,7 +197,7 @@ def _rate(stream: DepthStream, views: list[Any], seconds: float) -> float:
 
 
 def _paced(stream: DepthStream, views: list[Any], pace: float, seconds: float) -> tuple[list[tuple[float, float]], int]:
-    """Latency and work of frames that come at that rate, and how many were dropped; each map is let go once it is seen.
+    """Measure latency and work of frames that come at that rate, and count those dropped; each map is let go once seen.
 
     Results that are held keep their memory, and the stream would take more for each frame.
     """
@@ -182,34 +218,3 @@ def _paced(stream: DepthStream, views: list[Any], pace: float, seconds: float) -
             else:
                 seen.append((result.latency, result.work))
     return seen, dropped
-
-
-def show(rows: list[Row]) -> None:
-    """A table."""
-    table = Table()
-    for name in ("case", "preset", "start", "maps/s", "paced at", "latency, ms", "device, ms", "dropped", "MSE x100"):
-        table.add_column(name, no_wrap=True)
-    table.add_column("BadPix 0.07")
-    table.add_column("both to cold accurate", no_wrap=True)
-    for row in rows:
-        table.add_row(
-            row.case,
-            row.preset,
-            "warm" if row.warm else "cold",
-            f"{row.rate:.1f}",
-            f"{row.pace:.1f}",
-            " / ".join(f"{value:.2f}" for value in (row.latency_p50, row.latency_p95, row.latency_p99)),
-            f"{row.work_p50:.2f}",
-            str(row.dropped),
-            f"{row.mse_100:.3f}",
-            f"{row.badpix_07:.2f}",
-            f"{row.mse_ratio:.3f} / {row.bad_ratio:.3f}",
-        )
-    console = Console(highlight=False)
-    console.width = max(console.width, 150)
-    console.print(table)
-    if rows:
-        console.print(
-            f"On {rows[0].device}, from a uint8 frame on the host to its float32 map there; latency is the median, 95 "
-            "and 99 % of frames that come at a pace."
-        )

@@ -1,4 +1,4 @@
-"""What a run was measured on and with."""
+"""The machine, the versions and the commit of a measurement."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _PACKAGES = ("lfgpu", "warp-lang", "taichi", "numpy", "scipy")
 
 
 def about() -> dict[str, Any]:
-    """What a result file says about where it comes from: machine, versions, commit."""
+    """Say where a result file comes from: machine, versions, commit."""
     return {"machine": describe(), "versions": versions(), "commit": commit()}
 
 
 def describe() -> dict[str, Any]:
-    """CPU model, cores that may be used, memory, GPUs and their driver, system, Python."""
+    """Name the CPU, the cores that may be used, the memory, the GPUs and their driver, the system, Python."""
     gpus = nvidia_smi("name") or []
     drivers = nvidia_smi("driver_version") or []
     return {
@@ -36,7 +36,7 @@ def describe() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str | None]:
-    """Versions of lfgpu and what computes for it; None where it is not installed."""
+    """List the versions of lfgpu and the packages that compute for it; None where one is not installed."""
     found: dict[str, str | None] = {}
     for name in _PACKAGES:
         try:
@@ -47,18 +47,18 @@ def versions() -> dict[str, str | None]:
 
 
 def commit() -> str | None:
-    """The commit that is checked out, with "+" if files differ from it; None without git or a repository."""
+    """Name the commit that is checked out, with "+" if files differ from it; None without git or a repository."""
     head, changes = _said("git", "rev-parse", "HEAD"), _said("git", "status", "--porcelain")
     return None if head is None else head.strip() + ("+" if changes else "")
 
 
 def load_average() -> float | None:
-    """How many processes wanted to run in the last minute; None where the system does not tell."""
+    """Count the processes that wanted to run in the last minute; None where the system does not tell."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 def nvidia_smi(query: str) -> list[str] | None:
-    """What nvidia-smi answers, a line for each GPU; None where it is not there or fails."""
+    """Ask nvidia-smi, which answers a line for each GPU; None where it is not there or fails."""
     said = _said("nvidia-smi", f"--query-gpu={query}", "--format=csv,noheader,nounits")
     return None if said is None else [line.strip() for line in said.splitlines() if line.strip()]
 

@@ -1,27 +1,24 @@
-"""What it takes to measure a light field before its estimate: its disparity range, and its noise."""
+"""Time to find the disparity range and the noise of a light field before its estimate."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks import clock
+from benchmarks import cases, clock
 from benchmarks.cases import Case
+from benchmarks.options import Backends, Cases, Device, Out, Preset, Seconds, collected, listed, places, say
+from benchmarks.tables import Table
 from lfgpu import LightField, scenes
-from lfgpu._backends import load, pick_device
+from lfgpu._backends import load
 from lfgpu.contract import KernelSet
-from lfgpu.errors import BackendError
 from lfgpu.methods import method_of
 from lfgpu.methods.disparity_range import find_disparity_range
-
-Say = Callable[[str], None]
 
 _WAITS = ("numpy", "number")
 """Operations for which the host waits."""
@@ -48,6 +45,18 @@ class Row:
     true: tuple[float, float]
 
 
+COLUMNS: dict[str, Callable[[Any], str]] = {
+    "case": lambda row: row.case,
+    "backend": lambda row: f"{row.backend} {row.device}",
+    "range, ms": lambda row: f"{row.range_ms:.1f}",
+    "resident, ms": lambda row: f"{row.resident_ms:.1f}",
+    "noise, ms": lambda row: f"{row.noise_ms:.1f}",
+    "first, ms": lambda row: f"{row.first_ms:.1f}",
+    "waits": lambda row: str(row.waits),
+    "found / true span": lambda row: f"{float(np.ptp(row.found) / np.ptp(row.true)):.2f}",
+}
+
+
 class _Counting:
     """A backend that counts how often the host waits for it."""
 
@@ -59,24 +68,29 @@ class _Counting:
         return getattr(self._kernels, name)
 
 
+def command(
+    case_names: Cases = "9x9x512x512",
+    preset: Preset = "accurate",
+    backends: Backends = "warp",
+    seconds: Seconds = 5.0,
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Time the search for the disparity range and the noise before an estimate, from host to host."""
+    rows = run([cases.find(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
+    Table.of("", 2, collected(rows, out), COLUMNS).show()
+
+
 def run(
-    cases: tuple[Case, ...], preset: str, backends: tuple[str, ...], device: str | None, say: Say, *, seconds: float
-) -> list[Row]:
+    chosen: Sequence[Case], preset: str, backends: Sequence[str], device: str | None, seconds: float
+) -> Iterator[Row]:
     """Measure all cases on all backends that have the device, each time for so many seconds at most."""
-    rows = []
-    for case in cases:
+    for case in chosen:
         say(f"{case.name}: casting a scene")
         lf = scenes.make("boxes", grid=case.grid, size=case.size, seed=0, noise=0.005)
-        for backend in backends:
-            try:
-                kernels = load(backend)
-                place = pick_device(kernels, device)
-            except BackendError as error:
-                say(f"{case.name} {backend}: {error}")
-                continue
+        for backend, place in places(backends, device):
             say(f"{case.name} {backend} {place}")
-            rows.append(_measured(case, lf, preset, kernels, place, seconds))
-    return rows
+            yield _measured(case, lf, preset, load(backend), place, seconds)
 
 
 def _measured(case: Case, lf: LightField, preset: str, kernels: KernelSet, device: str, seconds: float) -> Row:
@@ -104,24 +118,3 @@ def _measured(case: Case, lf: LightField, preset: str, kernels: KernelSet, devic
         found,
         (float(lf.truth.disparity.min()), float(lf.truth.disparity.max())),
     )
-
-
-def show(rows: list[Row]) -> None:
-    """A table."""
-    table = Table()
-    for name in (
-        "case",
-        "backend",
-        "range, ms",
-        "resident, ms",
-        "noise, ms",
-        "first, ms",
-        "waits",
-        "found / true span",
-    ):
-        table.add_column(name, justify="right")
-    for row in rows:
-        times = (f"{ms:.1f}" for ms in (row.range_ms, row.resident_ms, row.noise_ms, row.first_ms))
-        share = float(np.ptp(row.found) / np.ptp(row.true))
-        table.add_row(row.case, f"{row.backend} {row.device}", *times, str(row.waits), f"{share:.2f}")
-    Console().print(table)

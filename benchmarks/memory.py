@@ -1,4 +1,4 @@
-"""Peak memory: of this process on the host, and of the GPUs."""
+"""Memory of this process on the host, and of the GPUs."""
 
 from __future__ import annotations
 
@@ -21,11 +21,9 @@ def reset_host_peak() -> None:
 
 
 def host_peak() -> int | None:
-    """Largest resident memory of this process in bytes; None where the system does not tell."""
-    with suppress(OSError):
-        for line in _STATUS.read_text().splitlines():
-            if line.startswith("VmHWM:"):
-                return 1024 * int(line.split()[1])
+    """Return the largest resident memory of this process in bytes; None where the system does not tell."""
+    if (peak := _status("VmHWM")) is not None:
+        return peak
     try:
         import resource
     except ImportError:  # Windows
@@ -33,8 +31,21 @@ def host_peak() -> int | None:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
+def resident() -> int | None:
+    """Return the resident memory of this process in bytes now; None where the system does not tell."""
+    return _status("VmRSS")
+
+
+def _status(name: str) -> int | None:
+    with suppress(OSError):
+        for line in _STATUS.read_text().splitlines():
+            if line.startswith(f"{name}:"):
+                return 1024 * int(line.split()[1])
+    return None
+
+
 def gpu_used() -> int | None:
-    """Used memory of all GPUs together in bytes, whoever uses it; None where none can be asked."""
+    """Return the used memory of all GPUs together in bytes, whoever uses it; None where none can be asked."""
     lines = nvidia_smi("memory.used")
     try:
         return None if lines is None else sum(int(line) << 20 for line in lines)

@@ -1,4 +1,4 @@
-"""What cameras that are misaligned do to a map, and how much of it self-calibration undoes."""
+"""Errors of maps with misaligned cameras, before and after self-calibration."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
+from benchmarks import scoring
 from benchmarks.errors import BenchmarkError
-from benchmarks.population import light_fields
+from benchmarks.options import Device, Out, Preset, Scenes, check_out, collected, listed, say
+from benchmarks.tables import NONE, Table
 from lfgpu import DepthResult, LightField, estimate_depth, evaluate, read, scenes
 from lfgpu.calibration import Camera, Misalignment, consensus, disturb, refine
 from lfgpu.calibration.misalign import displacements
@@ -21,7 +23,6 @@ from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.calibration.resample import through
 from lfgpu.errors import LightFieldError
 
-Say = Callable[[str], None]
 ARRAYS = ("9x9", "5x5", "star", "row", "irregular")
 """Which views of a light field are used: a middle part of its grid, lines of it, or 12 cameras in no grid."""
 
@@ -29,12 +30,11 @@ DISTURBANCES = ("shift=1", "gain=0.1", "roll=0.1", "scale=0.002", "shift=1,gain=
 """As of `lfgpu scene --misalign`; "position=..." only on scenes of the package, which are rendered from there."""
 
 _IRREGULAR = 12
-_MARGIN = 0.1  # pixels per view step on either side of the true range
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Of a map: MSE x 100 and BadPix in percent.
+    """Scores of a map: MSE x 100 and BadPix in percent.
 
     `level_03` is BadPix(0.03) less the median error: a shift of all views in proportion to their offsets is another
     plane of disparity 0, which no view tells.
@@ -70,9 +70,45 @@ class Row:
     status: str
 
 
+COLUMNS: dict[str, Callable[[Any], str]] = {
+    "scene": lambda row: row.scene,
+    "array": lambda row: row.array,
+    "disturbance": lambda row: row.disturbance,
+    "BadPix(.03): right": lambda row: f"{row.right.badpix_03:.1f}",
+    "wrong": lambda row: f"{row.wrong.badpix_03:.1f}",
+    "refined": lambda row: f"{row.refined.badpix_03:.1f}",
+    "level: right": lambda row: f"{row.right.level_03:.1f}",
+    "level: refined": lambda row: f"{row.refined.level_03:.1f}",
+    "off, px": lambda row: _pixels(row.off_px),
+    "left, px": lambda row: _pixels(row.left_px),
+}
+
+
+def _pixels(shift: float | None) -> str:
+    return NONE if shift is None else f"{shift:.3f}"
+
+
+def table(rows: Sequence[Row]) -> Table:
+    """Make the table: BadPix(0.03) less the median error with right, wrong and lined up cameras, and the shifts."""
+    arrays = {"star": "star of {}", "row": "row of {}", "irregular": "{} in no grid"}
+    columns: dict[str, Callable[[Any], str]] = {
+        "scene, views, px": lambda r: (
+            f"`{r.scene}`, {arrays.get(r.array, r.array.replace('x', ' × ')).format(r.views)}, {r.crop}"
+        ),
+        "disturbance": lambda r: "all five" if r.disturbance.count(",") == 4 else r.disturbance.replace("=", " "),
+        "undisturbed": lambda r: f"{r.right.level_03:.1f}",
+        "disturbed": lambda r: f"{r.wrong.level_03:.1f}",
+        "lined up": lambda r: f"{r.refined.level_03:.1f}",
+        "shifts before": lambda r: _pixels(r.off_px),
+        "after": lambda r: _pixels(r.left_px),
+    }
+    made = Table.of("", 2, rows, columns)
+    return Table("", made.columns, 2, sorted(made.rows))
+
+
 @dataclass(frozen=True)
 class Plan:
-    """What is measured; `crop` is the longest side of the middle part of views that maps are made of, pixels."""
+    """The measurements to make; `crop` is the longest side of the middle of views that maps are made of, pixels."""
 
     scenes: tuple[str, ...]
     arrays: tuple[str, ...]
@@ -83,7 +119,29 @@ class Plan:
     device: str | None
 
 
-def run(plan: Plan, say: Say) -> Iterator[Row]:
+def command(
+    scene_names: Scenes,
+    arrays: Annotated[str, typer.Option(metavar="NAME,...", help="Which views are used.")] = ",".join(ARRAYS),
+    disturbances: Annotated[
+        list[str] | None,
+        typer.Option("--misalign", metavar="WHAT", help="As of `lfgpu scene`; may be repeated. Default: five of them."),
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Draws of each disturbance.")] = 1,
+    crop: Annotated[int, typer.Option(min=64, help="Longest side of the middle of the views that is used.")] = 512,
+    preset: Preset = "accurate",
+    device: Device = None,
+    append: Annotated[bool, typer.Option("--append", help="Add to the rows that the output has.")] = False,
+    out: Out = None,
+) -> None:
+    """Score maps with cameras as they should be, misaligned, and lined up by `refine`, with the true range."""
+    check_out(out)
+    chosen = tuple(disturbances or DISTURBANCES)
+    plan = Plan(tuple(scene_names), tuple(listed(arrays)), chosen, seeds, crop, preset, device)
+    before = load(out) if append and out is not None and out.exists() else []
+    Table.of("", 3, collected(run(plan), out, before=before), COLUMNS).show()
+
+
+def run(plan: Plan) -> Iterator[Row]:
     """Measure all disturbances of all arrays of all scenes, one after the other."""
     for array in plan.arrays:
         if array not in ARRAYS and not _grid(array):
@@ -159,15 +217,17 @@ def _measured(
 
 
 def recording(scene: str) -> Callable[[NDArray[np.float64] | None], LightField]:
-    """A light field in a folder, or a scene of the package by name and seed, "boxes-11", rendered from displaced
-    cameras if asked."""
+    """Return a source of a light field: a folder, or a scene of the package by name and seed, "boxes-11".
+
+    A scene of the package is rendered from displaced cameras if asked.
+    """
     name, _, seed = scene.partition("-")
     if name in scenes.NAMES and not Path(scene).exists():
         if not (seed or "7").isdecimal():
             raise BenchmarkError(f"unknown scene {scene!r}; write NAME-SEED, as boxes-11.")
         number = int(seed or "7")
         return lambda moved: scenes.make(name, grid=(9, 9), size=(256, 256), seed=number, noise=0.004, displaced=moved)
-    ((_, path),) = light_fields([Path(scene)]).items()
+    ((_, path),) = scoring.light_fields([Path(scene)]).items()
     lf = read(path)
 
     def recorded(moved: NDArray[np.float64] | None) -> LightField:
@@ -187,7 +247,7 @@ def _grid(array: str) -> tuple[int, int] | None:
 
 
 def _chosen(lf: LightField, array: str, indices: list[int] | None = None) -> LightField | None:
-    """The views of an array, and their indices; None where the light field does not have them."""
+    """Choose the views of an array, and append their indices; None where the light field does not have them."""
     offsets = np.round(lf.offsets)
     size = _grid(array)
     if size is not None:
@@ -217,22 +277,15 @@ def _cropped(lf: LightField, crop: int) -> LightField:
     return lf.crop(slice(top, top + height), slice(left, left + width))
 
 
-def _range(lf: LightField, level: float = 0.0) -> tuple[float, float]:
-    """The true range of disparities, all of which are higher by `level`."""
-    truth = lf.reference_truth()
-    if truth is None:
-        raise BenchmarkError(f"{lf.name} has no truth of its reference view to score by.")
-    return (
-        float(np.nanmin(truth.disparity)) - _MARGIN + level,
-        float(np.nanmax(truth.disparity)) + _MARGIN + level,
-    )
+def _range(lf: LightField, level: float) -> tuple[float, float]:
+    """Return the true range of disparities, all of which are higher by `level`."""
+    low, high = scoring.true_range(lf)
+    return low + level, high + level
 
 
 def _scored(lf: LightField, plan: Plan, level: float = 0.0) -> Scores:
-    """Scores of a map with the true range, moved by `level`."""
-    truth = lf.reference_truth()
-    assert truth is not None
-    bounds = _range(lf, level)
+    """Score a map with the true range, moved by `level`."""
+    truth, bounds = scoring.truth_of(lf), _range(lf, level)
     result: DepthResult = estimate_depth(
         lf,
         config=plan.preset,  # type: ignore[arg-type]
@@ -252,7 +305,7 @@ def _left(
     homographies: NDArray[np.float64] | None,
     moved: NDArray[np.float64] | None,
 ) -> float | None:
-    """Shift of the views, rms along each axis, of where pixels are looked up against where they should be."""
+    """Measure the shift of the views, rms along each axis: where pixels are looked up, less where they should be."""
     if moved is not None and moved.any():
         return None  # what parallax does of it differs from pixel to pixel
     rest = consensus.without_gauge(_shifts(lf, cameras, homographies), lf.offsets)
@@ -260,12 +313,12 @@ def _left(
 
 
 def _level(lf: LightField, cameras: Sequence[Camera]) -> float:
-    """By how much the shifts of the cameras raise all disparities, pixels per view step."""
+    """Measure how far the shifts of the cameras raise all disparities, pixels per view step."""
     return float((_shifts(lf, cameras, None) * lf.offsets).sum() / (lf.offsets**2).sum())
 
 
 def _shifts(lf: LightField, cameras: Sequence[Camera], homographies: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """[n, 2], pixels to the right and down from where things should be to where they are looked up, on average."""
+    """Measure the mean way from where things should be to where they are looked up, [n, 2], pixels right and down."""
     height, width = lf.size
     y, x = np.mgrid[: height - 1 : 7j, : width - 1 : 7j]
     pixels = np.stack([x, y], axis=-1)
@@ -278,30 +331,10 @@ def _shifts(lf: LightField, cameras: Sequence[Camera], homographies: NDArray[np.
 
 
 def load(path: Path) -> list[Row]:
-    """The rows of a file; BenchmarkError if it is none of these."""
+    """Read the rows of a file; BenchmarkError if it has none."""
     scores = ("right", "wrong", "refined")
     try:
         rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
         return [Row(**{**row, **{name: Scores(**row[name]) for name in scores}}) for row in rows]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BenchmarkError(f"{path} holds no rows of `benchmarks misalignment`.") from error
-
-
-def show(rows: list[Row]) -> None:
-    """A table."""
-    table = Table()
-    for name in ("scene", "array", "disturbance", "BadPix(.03): right", "wrong", "refined", "level: right", "refined"):
-        table.add_column(name, justify="left" if name in ("scene", "array", "disturbance") else "right")
-    table.add_column("off, px", justify="right")
-    table.add_column("left, px", justify="right")
-    for row in rows:
-        numbers = (row.right.badpix_03, row.wrong.badpix_03, row.refined.badpix_03)
-        levels = (row.right.level_03, row.refined.level_03)
-        table.add_row(
-            row.scene,
-            row.array,
-            row.disturbance,
-            *(f"{number:.1f}" for number in (*numbers, *levels)),
-            *("–" if shift is None else f"{shift:.3f}" for shift in (row.off_px, row.left_px)),
-        )
-    Console(width=150).print(table)

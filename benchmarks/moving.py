@@ -1,4 +1,4 @@
-"""Frames of the moving scene, in parallel, with their truth: what everything about streams is measured with."""
+"""Films of the moving scene with their truth and their true motion, for all benchmarks of streams."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ class Film:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Those that all functions of `scenes` take."""
+        """The options that all functions of `scenes` take."""
         return {"seed": self.seed, "grid": self.grid, "size": self.size, "disparity_range": RANGE}
 
     def frames(self) -> list[LightField]:
-        """All of them; each process makes some."""
+        """Cast all frames; each process makes some."""
         indices = range(self.count)
         with ProcessPoolExecutor(min(get_threads(), self.count), mp_context=get_context("spawn")) as pool:
             return list(pool.map(_frame, [self] * self.count, indices))
 
     def motions(self) -> Iterator[Motion]:
-        """From each frame to the next."""
+        """Yield the motion from each frame to the next."""
         middle = self.grid[0] // 2, self.grid[1] // 2
         ends = [
             scenes.true_motion(*middle, (i / self.period, (i + 1) / self.period), **self.options)
@@ -56,14 +56,14 @@ class Film:
 
 
 class Motion(NamedTuple):
-    """Where pixels go, and which of them are worth asking."""
+    """Motion of the pixels, and which of them count."""
 
     moves: NDArray[np.float64]  # [3, y, x]: right, down, disparity
     counts: NDArray[np.bool_]  # [y, x]: the same surface before and after, with all of its neighbours
 
     @classmethod
     def between(cls, moves: NDArray[np.float64], owner: NDArray[np.intp], later: NDArray[np.intp]) -> Motion:
-        """Where the pixel and its eight neighbours show one thing, and so do the 4 x 4 around where it goes."""
+        """Count a pixel if it and its neighbours show one thing, and so do the 4 x 4 pixels around its later place."""
         height, width = owner.shape
         y, x = np.mgrid[:height, :width]
         left, top = (np.floor(place).astype(int) for place in (x + moves[0], y + moves[1]))
@@ -79,7 +79,7 @@ class Motion(NamedTuple):
         return cls(moves, counts)
 
     def flicker(self, before: Float32Array, after: Float32Array) -> NDArray[np.float64]:
-        """|change of the map along the true motion, less the true change| of those that count, pixels per view step."""
+        """Measure |change of the map along the true motion, less the true change| where pixels count, px per step."""
         y, x = np.nonzero(self.counts)
         dx, dy, dd = self.moves[:, y, x]
         left, top = np.floor(x + dx).astype(int), np.floor(y + dy).astype(int)
@@ -89,12 +89,12 @@ class Motion(NamedTuple):
         return np.abs((1 - ay) * upper + ay * lower - before[y, x] - dd)
 
     def still(self) -> NDArray[np.bool_]:
-        """Of those that count, which do not move."""
+        """Tell which of the pixels that count do not move."""
         return np.asarray((self.moves == 0).all(0)[self.counts])
 
 
 def to_and_fro(frames: Sequence[Any]) -> Iterator[Any]:
-    """For ever, without a jump."""
+    """Yield frames forwards and backwards for ever, without a jump."""
     while True:
         yield from frames
         yield from frames[-2:0:-1]

@@ -1,42 +1,42 @@
-"""The experiments of Sajjadi et al. 2016: Lytro's raw captures, old HCI scenes, the time at 7 x 7 views of 375 x 375.
+"""The experiments of Sajjadi et al. 2016, and differences of every backend's kernels from the printed equations.
 
-And how far the kernels of every backend are from the printed equations (`benchmarks/printed.py`).
+The experiments are raw captures of Lytro's, scenes of the old HCI set, and the time at 7 x 7 views of 375 x 375 pixels.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from dataclasses import dataclass, replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.ndimage import median_filter
 
-from benchmarks import clock, machine, printed
+from benchmarks import clock, results
+from benchmarks.options import DATA, Data, Out, Presets, check_known, check_out, listed, say
 from benchmarks.results import Record, Run, Skipped
+from benchmarks.tables import NONE, Table
 from lfgpu import LightField, estimate_depth, evaluate, read, scenes
 from lfgpu._backends import list_backends, load
 from lfgpu.errors import LfgpuError
 from lfgpu.io.atomic import atomic_write
 from lfgpu.methods import preset as named
-from lfgpu.threads import get_threads
+from tests import printed
 
 KIND, FORMS = "paper", "forms"
-PRESETS = ("paper-exact", "paper", "accurate")
 _SPECKLE = 0.1  # pixels per view step from the median of 5 x 5: a speck
 _COLOURS = 128  # of a picture
 _WIDTH = 170  # pixels of a picture of a map
 _OLD_HCI = ("buddha", "buddha2", "horses", "medieval", "monasRoom", "papillon", "stillLife")
 _WHOLE = "-9x9x768x768"  # after the name of a whole scene of the old HCI set
-
-Say = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -74,13 +74,30 @@ EXPERIMENTS = (
 )
 
 
-def run(data: Path, names: Sequence[str], pictures: Path | None, say: Say, presets: Sequence[str] = PRESETS) -> Run:
-    """Run the experiments whose light fields lie in `data`; what cannot be read is skipped, with the reason.
+def command(
+    names: Annotated[str, typer.Option("--experiments", metavar="NAME,...", help="Default: all.")] = "",
+    presets: Presets = "paper-exact,paper,accurate",
+    data: Data = DATA,
+    pictures: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where pictures go: docs/paper.")] = None,
+    out: Out = None,
+) -> None:
+    """Repeat the paper's experiments, and compare the kernels with its printed equations."""
+    known = tuple(sorted(experiment.name for experiment in EXPERIMENTS))
+    check_known(listed(names), "experiment", known)
+    check_out(out)
+    found = run(data, listed(names) or known, pictures, listed(presets))
+    if out is not None:
+        results.save(found, out)
+    for table in (forms(found), experiments(found)):
+        table.show()
+
+
+def run(data: Path, names: Sequence[str], pictures: Path | None, presets: Sequence[str]) -> Run:
+    """Run the experiments whose light fields lie in `data`; the others are skipped, with the reason.
 
     `pictures` is the folder that gets a picture for each, or None.
     """
-    load_average, date = machine.load_average(), datetime.now(UTC).isoformat(timespec="seconds")
-    records, skipped = [], []
+    begun, records, skipped = Run.begun(), list[Record](), []
     for backend in list_backends():
         say(f"printed equations: {backend}")
         try:
@@ -89,23 +106,17 @@ def run(data: Path, names: Sequence[str], pictures: Path | None, say: Say, prese
             skipped.append(Skipped(backend, "cpu", str(error)))
             continue
         records += [Record(FORMS, backend, "cpu", "", name, errors={"relative": e}) for name, e in found.items()]
-    for experiment in EXPERIMENTS:
-        if names and experiment.name not in names:
-            continue
+    for experiment in (experiment for experiment in EXPERIMENTS if experiment.name in names):
         try:
             lf = experiment.load(data)
         except LfgpuError as error:
             say(f"{experiment.name}: skipped: {error}")
             continue
-        records += _measured(experiment, lf, presets, pictures, say)
-    return Run(
-        date, machine.describe(), machine.versions(), machine.commit(), get_threads(), load_average, records, skipped
-    )
+        records += _measured(experiment, lf, presets, pictures)
+    return replace(begun, records=records, skipped=skipped)
 
 
-def _measured(
-    experiment: Experiment, lf: LightField, presets: Sequence[str], pictures: Path | None, say: Say
-) -> list[Record]:
+def _measured(experiment: Experiment, lf: LightField, presets: Sequence[str], pictures: Path | None) -> list[Record]:
     truth, records, maps = lf.reference_truth(), [], {}
     for preset in presets:
         say(f"{experiment.name}: {preset}")
@@ -141,7 +152,7 @@ def _measured(
 
 
 def speckle(disparity: NDArray[np.floating]) -> float:
-    """Percentage of the known pixels that are more than 0.1 px from the median of the 5 x 5 around them."""
+    """Compute the percentage of known pixels that are more than 0.1 px from the median of the 5 x 5 around them."""
     known = np.isfinite(disparity)
     filled = np.where(known, disparity, np.nanmedian(disparity) if known.any() else 0.0)
     apart = np.abs(filled - median_filter(filled, 5)) > _SPECKLE
@@ -149,7 +160,7 @@ def speckle(disparity: NDArray[np.floating]) -> float:
 
 
 def _draw(lf: LightField, maps: dict[str, NDArray[np.float32]], path: Path) -> None:
-    """The reference view and the maps side by side, on one scale."""
+    """Draw the reference view and the maps side by side, on one scale."""
     low, high = np.nanquantile(maps["paper"], (0.01, 0.99))
     height, width = lf.size
     figure = Figure(figsize=((len(maps) + 1) * _WIDTH / 100, (_WIDTH * height / width + 18) / 100), dpi=100)
@@ -170,28 +181,29 @@ def _draw(lf: LightField, maps: dict[str, NDArray[np.float32]], path: Path) -> N
         Image.open(drawn).convert("RGB").quantize(_COLOURS).save(temporary, format="PNG", optimize=True)
 
 
-def forms(run: Run) -> list[tuple[str, ...]]:
-    """Rows of the table of exact forms: what is printed, then the error of each backend."""
+def forms(run: Run) -> Table:
+    """Make the table of exact forms: each equation, and the error of each backend."""
     found = [r for r in run.records if r.kind == FORMS]
     backends = list(dict.fromkeys(r.backend for r in found))
     errors = {(r.name, r.backend): f"{r.errors['relative']:.1g}" for r in found}
     names = dict.fromkeys(r.name for r in found)
-    return [("printed", *backends), *((name, *(errors.get((name, b), "–") for b in backends)) for name in names)]
+    rows = [(name, *(errors.get((name, b), NONE) for b in backends)) for name in names]
+    return Table("", ("printed", *backends), 1, rows)
 
 
-def experiments(run: Run) -> list[tuple[str, ...]]:
-    """Rows of the table of experiments: scene and preset, time, specks and RMSE of each stage.
+def experiments(run: Run) -> Table:
+    """Make the table of experiments: scene and preset, time, specks and RMSE of each stage.
 
     Where all scenes of the old HCI set were there, rows with the means of their RMSE follow: the paper has 0.063.
     """
-    rows: list[tuple[str, ...]] = [("light field", "preset", "time", "specks, %: stages", "RMSE, px: stages")]
+    rows: list[tuple[str, ...]] = []
     found = [r for r in run.records if r.kind == KIND]
     for r in found:
         if r.failed:
-            rows.append((r.case, r.name, "–", r.failed.replace("|", "/"), "–"))
+            rows.append((r.case, r.name, NONE, r.failed.replace("|", "/"), NONE))
         elif r.seconds is not None:
             cells = [
-                " → ".join(f"{e:.{digits}f}" for name, e in r.errors.items() if name.startswith(kind)) or "–"
+                " → ".join(f"{e:.{digits}f}" for name, e in r.errors.items() if name.startswith(kind)) or NONE
                 for kind, digits in (("speckle", 1), ("rmse", 3))
             ]
             rows.append((f"`{r.case}`", f"`{r.name}`", f"{r.seconds.median:.0f} s", *cells))
@@ -199,5 +211,5 @@ def experiments(run: Run) -> list[tuple[str, ...]]:
         whole = [r for r in found if r.name == preset and r.case.endswith(_WHOLE) and not r.failed]
         if len(whole) == len(_OLD_HCI):
             last = [[e for name, e in r.errors.items() if name.startswith("rmse")][-1] for r in whole]
-            rows.append(("mean of the old HCI set", f"`{preset}`", "–", "–", f"{np.mean(last):.3f}"))
-    return rows
+            rows.append(("mean of the old HCI set", f"`{preset}`", NONE, NONE, f"{np.mean(last):.3f}"))
+    return Table("", ("light field", "preset", "time", "specks, %: stages", "RMSE, px: stages"), 2, rows)

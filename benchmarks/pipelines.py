@@ -8,14 +8,14 @@ in the paper: how low an energy a solver should reach. `accurate` and `fast` are
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any, TypeVar
 
-from benchmarks import clock, memory, scene, stages
-from benchmarks.jobs import Job
+from benchmarks import cases, clock, memory, scoring, stages
+from benchmarks.job import Job
 from benchmarks.results import Record, Spread
 from lfgpu import PRESETS, DepthPipeline, DepthResult, LightField, estimate_depth, evaluate
 from lfgpu._backends import backend_named
@@ -25,7 +25,6 @@ from lfgpu.methods import configured, method_of
 SCRATCH, RESIDENT, SCIPY = "paper", "resident", "scipy"
 MATCHING = "accurate", "fast"
 NAMES = SCRATCH, RESIDENT, SCIPY, *MATCHING
-METRICS = ("mse_100", "badpix_07", "badpix_03", "badpix_01", "q25")
 _BUDGET = 30.0  # seconds for the repeats, of which there are at least 2
 _WARM_UP = 3  # runs: the second one captures the work of a GPU, the third is the first of what was captured
 _WARM_UP_BUDGET = 10.0  # seconds; on a CPU, where nothing is captured, fewer runs will do
@@ -39,49 +38,43 @@ class _Measured:
     result: DepthResult
     stages: dict[str, float]
     gpu_peak: int | None
-    details: dict[str, Any]
+    details: dict[str, Any] = field(default_factory=dict)
 
 
-def measure(job: Job, gpu_before: int | None) -> Iterator[Record]:
-    """Estimate depth in each way that is named, the range found from the views.
+def measure(job: Job) -> Iterator[Record]:
+    """Estimate depth in the way that the job names, the range found from the views.
 
     The first runs are when a GPU is asked for its memory; they are not timed.
     """
-    lf = scene.load(Path(job.scene))
+    gpu_before = memory.gpu_used() if job.device != "cpu" else None
+    lf = cases.load(Path(job.scene))
     assert lf.truth is not None
-    for name in job.names:
-        memory.reset_host_peak()
-        done = (_from_scratch if name == SCRATCH else _resident)(job, name, lf, look=gpu_before is not None)
-        metrics = evaluate(done.result.disparity, lf.truth.disparity)
-        yield Record(
-            "pipeline",
-            job.backend,
-            job.device,
-            job.case,
-            name,
-            seconds=done.seconds,
-            errors={
-                **{m: getattr(metrics, m) for m in METRICS},
-                **({} if name in MATCHING else {"energy": done.result.trace[-1]}),
-            },
-            compared=f"exact truth, {metrics.count} pixels",
-            host_bytes=memory.host_peak(),
-            gpu_bytes=None if done.gpu_peak is None or gpu_before is None else done.gpu_peak - gpu_before,
-            details={
-                "stages": done.stages,
-                "iterations": len(done.result.trace) - method_of(done.result.config).traced.has_start,
-                "converged": done.result.converged,
-                "status": done.result.status,
-                "disparity_range": list(done.result.disparity_range),
-                **done.details,
-            },
-        )
+    memory.reset_host_peak()
+    done = (_from_scratch if job.name == SCRATCH else _resident)(job, lf, look=gpu_before is not None)
+    metrics = evaluate(done.result.disparity, lf.truth.disparity)
+    energy = {} if job.name in MATCHING else {"energy": done.result.trace[-1]}
+    yield job.record(
+        seconds=done.seconds,
+        errors={**scoring.errors(metrics), **energy},
+        compared=f"exact truth, {metrics.count} pixels",
+        host_bytes=memory.host_peak(),
+        gpu_bytes=None if done.gpu_peak is None or gpu_before is None else done.gpu_peak - gpu_before,
+        details={
+            "stages": done.stages,
+            "iterations": len(done.result.trace) - method_of(done.result.config).traced.has_start,
+            "converged": done.result.converged,
+            "status": done.result.status,
+            "disparity_range": list(done.result.disparity_range),
+            **done.details,
+        },
+    )
 
 
-def _from_scratch(job: Job, name: str, lf: LightField, *, look: bool) -> _Measured:
-    run = partial(estimate_depth, lf, config=configured(name), backend=backend_named(job.backend), device=job.device)
+def _from_scratch(job: Job, lf: LightField, *, look: bool) -> _Measured:
+    backend = backend_named(job.backend)
+    run = partial(estimate_depth, lf, config=configured(job.name), backend=backend, device=job.device)
     result, peak = _with_peak(run, look)
-    times: dict[str, list[float]] = {stage.name: [] for stage in method_of(name).stages}
+    times: dict[str, list[float]] = {stage.name: [] for stage in method_of(job.name).stages}
 
     def timed() -> None:
         nonlocal result
@@ -90,12 +83,12 @@ def _from_scratch(job: Job, name: str, lf: LightField, *, look: bool) -> _Measur
             seconds.append(result.timings[stage])
 
     seconds = clock.singly(timed, least=min(2, job.repeats), most=job.repeats, budget=_BUDGET)
-    return _Measured(clock.spread(seconds), result, {stage: median(t) for stage, t in times.items()}, peak, {})
+    return _Measured(clock.spread(seconds), result, {stage: median(t) for stage, t in times.items()}, peak)
 
 
-def _resident(job: Job, name: str, lf: LightField, *, look: bool) -> _Measured:
-    config = PRESETS[name if name in MATCHING else "paper"]
-    if name == SCIPY:
+def _resident(job: Job, lf: LightField, *, look: bool) -> _Measured:
+    config = PRESETS[job.name if job.name in MATCHING else "paper"]
+    if job.name == SCIPY:
         config = config.with_values({"refinement.solver": "lbfgsb"})
     on_gpu = job.device != "cpu"
 
@@ -107,7 +100,7 @@ def _resident(job: Job, name: str, lf: LightField, *, look: bool) -> _Measured:
         return pipeline
 
     pipeline, peak = _with_peak(made, look)
-    least = job.repeats if on_gpu and name != SCIPY else min(2, job.repeats)
+    least = job.repeats if on_gpu and job.name != SCIPY else min(2, job.repeats)
     seconds = clock.singly(partial(_frame, pipeline, lf), least=least, most=job.repeats, budget=_BUDGET)
     result = pipeline.result()
     times, captured = stages.measure(pipeline, lf.views, repeats=job.repeats)
@@ -121,7 +114,7 @@ def _frame(pipeline: DepthPipeline, lf: LightField) -> Float32Array:
 
 
 def _with_peak(run: Callable[[], Done], look: bool) -> tuple[Done, int | None]:
-    """What `run` returns, and the peak of the GPUs' used memory meanwhile if it is to be looked at."""
+    """Return what `run` returns, and the peak of the GPUs' used memory meanwhile if it is to be looked at."""
     if not look:
         return run(), None
     with memory.GpuPeak() as peak:

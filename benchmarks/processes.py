@@ -1,79 +1,101 @@
-"""Worker processes: started, waited for, and what became of them."""
+"""Processes of their own: memory counted from the start, and a crash that costs one measurement only."""
 
 from __future__ import annotations
 
-import json
+import math
 import os
 import signal
-import subprocess
 import sys
-import tempfile
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from time import monotonic
+from typing import Any, TypeVar
 
-from benchmarks.jobs import Job, read_records, write_job
-from benchmarks.machine import ROOT
-from benchmarks.results import Record
+from lfgpu.errors import LfgpuError
+
+T = TypeVar("T")
 
 _THREADS = ("LFGPU_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_LONGEST = 200  # characters of a reason
 
 
-def environment(threads: int) -> dict[str, str]:
-    """Environment of processes that use so many threads of the CPU."""
-    return {**os.environ, **dict.fromkeys(_THREADS, str(threads))}
+def threads_in(threads: int) -> dict[str, str]:
+    """Return the variables of an environment whose processes use so many threads of the CPU."""
+    return dict.fromkeys(_THREADS, str(threads))
 
 
-def probe(backend: str, env: Mapping[str, str], timeout: float) -> tuple[tuple[str, ...], str]:
-    """The devices that a backend sees; where it cannot be loaded none, and the reason."""
-    with tempfile.TemporaryDirectory(prefix="lfgpu-benchmarks-") as folder:
-        out = Path(folder, "found.json")
-        failure, _ = _finish(["benchmarks.probe", backend, str(out)], env, timeout)
-        found = json.loads(out.read_text()) if not failure else {"reason": failure}
-    return tuple(found.get("devices", ())), found.get("reason", "")
+def collect(
+    function: Callable[..., Iterable[T]], *arguments: Any, variables: Mapping[str, str], timeout: float
+) -> tuple[list[T], str]:
+    """Run a generator in a fresh process.
+
+    Returns what it yielded, and the reason why it did not come to its end ("" if it did). `variables` are added to the
+    environment of the process; after `timeout` seconds it is killed.
+    """
+    context = get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_send, args=(sender, function, arguments))
+    with _added(variables):
+        process.start()
+    sender.close()
+    found: list[T] = []
+    end = monotonic() + timeout
+    try:
+        while receiver.poll(None if end == math.inf else max(0.0, end - monotonic())):
+            is_value, content = receiver.recv()
+            if not is_value:
+                return found, content
+            found.append(content)
+        process.kill()
+        return found, f"took longer than {timeout:g} s"
+    except EOFError:
+        process.join()
+        return found, ended(process.exitcode or 0)
+    finally:
+        receiver.close()
+        process.join()
 
 
-def run(job: Job, env: Mapping[str, str], timeout: float) -> list[Record]:
-    """Measure a job. A process that fails or dies costs what it was at; another one goes on with the rest."""
-    results: list[Record] = []
-    with tempfile.TemporaryDirectory(prefix="lfgpu-benchmarks-") as folder:
-        description, out = Path(folder, "job.json"), Path(folder, "records.jsonl")
-        while (left := job.without({record.name for record in results})).names:
-            out.unlink(missing_ok=True)
-            write_job(left, description)
-            failure, timed_out = _finish(["benchmarks.worker", str(description), str(out)], env, timeout)
-            records = list(read_records(out))
-            results += records
-            missing = left.names[len(records) :]
-            if timed_out:
-                reasons = [failure, *["not reached: what came before took too long"] * len(missing)]
-                results += [job.failed(name, why) for name, why in zip(missing, reasons, strict=False)]
-            elif missing and not any(record.failed for record in records):
-                results.append(job.failed(missing[0], failure or "ended without a result"))
-    return results
+def ended(code: int) -> str:
+    """Say what the exit code of a process that ended without a word means."""
+    if code >= 0:
+        return f"ended with exit code {code}"
+    name = signal.Signals(-code).name
+    return f"ended by {name}" + (", as when memory runs out" if name == "SIGKILL" else "")
 
 
-def reason(code: int, errors: str) -> str:
-    """What an exit code and what was written to stderr say about the end of a process."""
-    if code < 0:
-        name = signal.Signals(-code).name
-        return f"ended by {name}" + (", as when memory runs out" if name == "SIGKILL" else "")
-    lines = errors.strip().splitlines()
-    return lines[-1][:200] if lines else f"ended with exit code {code}"
+def sentence(error: Exception) -> str:
+    """Say in one line what went wrong."""
+    if isinstance(error, MemoryError):
+        return "the memory does not suffice"
+    text = " ".join(str(error).split()) or "no reason given"
+    return text if isinstance(error, LfgpuError) else f"{type(error).__name__}: {text[:_LONGEST]}"
 
 
-def _finish(arguments: list[str], env: Mapping[str, str], timeout: float) -> tuple[str, bool]:
-    """Run a module: why it failed ("" if it did not), and whether that is that it took too long."""
-    with tempfile.TemporaryFile("w+", errors="replace") as errors:
-        try:
-            done = subprocess.run(
-                [sys.executable, "-m", *arguments],
-                cwd=ROOT,
-                env=env,
-                stdout=subprocess.DEVNULL,
-                stderr=errors,
-                timeout=timeout,
-            )
-        except subprocess.TimeoutExpired:
-            return f"took longer than {timeout:g} s", True
-        errors.seek(0)
-        return (reason(done.returncode, errors.read()) if done.returncode else ""), False
+def _send(sender: Connection, function: Callable[..., Iterable[Any]], arguments: tuple[Any, ...]) -> None:
+    """Send (True, value) for each value, and at the end (False, reason)."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno() if sys.__stdout__ else 1)  # backends talk
+    try:
+        for value in function(*arguments):
+            sender.send((True, value))
+    except Exception as error:  # whatever a backend raises: it is listed, and the rest goes on
+        sender.send((False, sentence(error)))
+    else:
+        sender.send((False, ""))
+
+
+@contextmanager
+def _added(variables: Mapping[str, str]) -> Iterator[None]:
+    """Add variables to the environment for a while."""
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

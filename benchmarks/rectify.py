@@ -1,27 +1,26 @@
-"""What rectifying raw frames on the device costs, by itself and within a frame of a stream's method."""
+"""Time to rectify raw frames on the device, by itself and within a frame of a stream's method."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
-from benchmarks import clock
+from benchmarks import cases, clock
 from benchmarks.cases import Case
+from benchmarks.options import Backends, Cases, Device, Out, Preset, Seconds, collected, listed, places, say
+from benchmarks.tables import Table
 from lfgpu import DepthPipeline, LightField, Rectifier, scenes
-from lfgpu._backends import backend_named, load, pick_device
+from lfgpu._backends import backend_named, load
 from lfgpu.calibration import Calibration, Misalignment, disturb, rectify
-from lfgpu.errors import BackendError
 from lfgpu.methods import method_of
 from lfgpu.pipelines.rectifier import Rectification
 
-Say = Callable[[str], None]
 RIG = Misalignment(shift=1.0, roll=0.1, scale=0.002, distortion=0.02, gain=0.05, vignetting=0.05)
-"""What is wrong with the cameras that are rectified."""
+"""The misalignment of the cameras that are rectified."""
 
 _RANGE = (-2.0, 2.0)
 _REPEATS = 25
@@ -52,36 +51,52 @@ class Row:
 
     @property
     def added_ms(self) -> float:
-        """What rectification adds to a frame, all views of which are rectified."""
+        """Time that rectification of all views adds to a frame."""
         return self.rectified_ms - self.frame_ms
 
 
+COLUMNS: dict[str, Callable[[Any], str]] = {
+    "case": lambda row: row.case,
+    "backend": lambda row: f"{row.backend} {row.device}",
+    "all views, ms": lambda row: f"{row.all_ms:.3f}",
+    "used views, ms": lambda row: f"{row.used}: {row.used_ms:.3f}",
+    "frame, ms": lambda row: f"{row.frame_ms:.2f}",
+    "added, ms": lambda row: f"{row.added_ms:.3f}",
+    "host, ms": lambda row: f"{row.host_ms:.0f}",
+    "error": lambda row: f"{row.error:.2f}",
+}
+
+
+def command(
+    case_names: Cases = "7x7x375x375,9x9x512x512",
+    preset: Preset = "accurate",
+    backends: Backends = "warp",
+    seconds: Seconds = 5.0,
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Time the rectification of raw frames on the device, by itself and as a part of a frame."""
+    rows = run([cases.find(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
+    about = {"rig": asdict(RIG)}
+    found = collected(rows, out, about=about, as_json=lambda row: {**asdict(row), "added_ms": row.added_ms})
+    Table.of("", 2, found, COLUMNS).show()
+
+
 def run(
-    cases: tuple[Case, ...],
-    preset: str,
-    backends: tuple[str, ...],
-    device: str | None,
-    say: Say,
-    *,
-    seconds: float = 5.0,
+    chosen: Sequence[Case], preset: str, backends: Sequence[str], device: str | None, seconds: float
 ) -> Iterator[Row]:
     """Measure all cases on all backends that have the device, each time for so many seconds at most."""
-    for case in cases:
+    for case in chosen:
         say(f"{case.name}: casting a scene and disturbing its cameras")
         scene = scenes.make("boxes", grid=case.grid, size=case.size, seed=0, noise=0.005)
         pictures, rectifier, host_ms = raw(scene)
-        for backend in backends:
-            try:
-                place = pick_device(load(backend), device)
-            except BackendError as error:
-                say(f"{case.name} {backend}: {error}")
-                continue
+        for backend, place in places(backends, device):
             say(f"{case.name} {backend} {place}")
             yield _measured(case, preset, backend, place, pictures, rectifier, host_ms, seconds)
 
 
 def raw(lf: LightField) -> tuple[LightField, Rectifier, float]:
-    """Pictures that `RIG` takes of a scene, their rectifier, and milliseconds that the host takes to rectify them."""
+    """Take pictures of a scene with `RIG`; return them, their rectifier, and the milliseconds of a host to rectify."""
     wrong = disturb(lf, RIG)
     made = rectify(wrong.light_field, calibration=Calibration(wrong.cameras, "rig", "lfgpu"))
     assert made.rig is not None
@@ -139,26 +154,8 @@ def _measured(
 
 
 def _error(pictures: LightField, rectifier: Rectifier, rectified: LightField) -> float:
-    """Against the reference in the last view."""
+    """Compare with the reference in the last view."""
     reference = load("reference")
     found = Rectification(rectifier, pictures, reference, "cpu", used=[len(pictures.views) - 1])
     found.work()
     return float(np.abs(reference.numpy(found.views)[0] - rectified.views[-1]).max())
-
-
-def show(rows: list[Row]) -> None:
-    """A table."""
-    table = Table()
-    for name in ("case", "backend", "all views, ms", "used views, ms", "frame, ms", "added, ms", "host, ms", "error"):
-        table.add_column(name, justify="right")
-    for row in rows:
-        numbers = [
-            f"{row.all_ms:.3f}",
-            f"{row.used}: {row.used_ms:.3f}",
-            f"{row.frame_ms:.2f}",
-            f"{row.added_ms:.3f}",
-            f"{row.host_ms:.0f}",
-            f"{row.error:.2f}",
-        ]
-        table.add_row(row.case, f"{row.backend} {row.device}", *numbers)
-    Console().print(table)

@@ -1,17 +1,22 @@
-"""What was measured, as data, and its JSON file."""
+"""Measurements as data, their JSON files, and runs put together from several files."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field, fields, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
+from benchmarks import machine
 from benchmarks.errors import BenchmarkError
 from lfgpu.errors import LfgpuError
 from lfgpu.io.atomic import atomic_write
+from lfgpu.threads import get_threads
 
 SCHEMA = 2
+FOLDER = Path(__file__).with_name("results")
 
 Kind = TypeVar("Kind")
 
@@ -29,36 +34,36 @@ class Spread:
 
 @dataclass(frozen=True)
 class Record:
-    """One thing that was measured, or the reason why it could not be."""
+    """One measurement, or the reason why there is none."""
 
     kind: str
-    """operation, pipeline, bandwidth, startup or ablation."""
+    """operation, pipeline, bandwidth, startup, accuracy, ablation, paper or forms."""
     backend: str
     device: str
     case: str
     name: str
-    """Of the operation, of the pipeline, of what is started, or of what is left out."""
+    """Name of the operation, of the pipeline, of the preset, of the variant."""
     seconds: Spread | None = None
     calls: int = 1
     """Calls between two synchronisations; `seconds` are of one."""
     bytes: int | None = None
-    """Compulsory traffic of one call."""
+    """Bytes that one call has to read and to write."""
     limit: float | None = None
-    """Seconds that the traffic takes at the best bandwidth measured on this device in this run."""
+    """Seconds that these bytes take at the best bandwidth measured on this device in this run."""
     errors: dict[str, float] = field(default_factory=dict)
-    """What came out, in measures of which less is better."""
+    """Measures of the output of which less is better."""
     compared: str = ""
-    """What of the output the errors are about."""
+    """The truth that the errors are about, and how many pixels count."""
     host_bytes: int | None = None
     """Peak resident memory of the process."""
     gpu_bytes: int | None = None
-    """Growth of the GPU's used memory since the process began."""
+    """Growth of the used memory of the GPUs since the process began."""
     details: dict[str, Any] = field(default_factory=dict)
     failed: str = ""
 
     @property
     def key(self) -> tuple[str, str, str, str, str]:
-        """What makes it the same measurement in another file."""
+        """Kind, case, name, backend and device: equal for the same measurement in another file."""
         return self.kind, self.case, self.name, self.backend, self.device
 
 
@@ -73,7 +78,7 @@ class Skipped:
 
 @dataclass(frozen=True)
 class Run:
-    """All that one run of the benchmark found, and where."""
+    """All measurements of one run, and where they were made."""
 
     date: str
     machine: dict[str, Any]
@@ -86,6 +91,12 @@ class Run:
     skipped: list[Skipped]
     schema: int = SCHEMA
 
+    @classmethod
+    def begun(cls, threads: int | None = None) -> Run:
+        """A run without records that begins now on this machine, with so many threads of the CPU."""
+        date, threads = datetime.now(UTC).isoformat(timespec="seconds"), threads or get_threads()
+        return cls(date, **machine.about(), threads=threads, load=machine.load_average(), records=[], skipped=[])
+
     @property
     def where(self) -> str:
         """The machine in a few words."""
@@ -93,15 +104,25 @@ class Run:
         gpus = "".join(f", {gpu}" for gpu in dict.fromkeys(m.get("gpus") or ()))
         return f"{m.get('cpu')}, {m.get('cores')} cores{gpus}"
 
+    @property
+    def place(self) -> str:
+        """A text that is equal where times can be compared: the same hardware with the same number of threads."""
+        return json.dumps([*(self.machine.get(name) for name in ("cpu", "cores", "gpus")), self.threads])
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON file whole or not at all."""
+    with atomic_write(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
 
 def save(run: Run, path: Path) -> None:
-    """Write the JSON file whole or not at all."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(asdict(run), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    """Write the file of a run."""
+    write_json(path, asdict(run))
 
 
 def load(path: Path) -> Run:
-    """Read a JSON file; BenchmarkError says what is wrong with it."""
+    """Read the file of a run; BenchmarkError says why it cannot be read."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -113,15 +134,28 @@ def load(path: Path) -> Run:
     if content["schema"] != SCHEMA:
         raise BenchmarkError(f"{path} has schema {content['schema']!r}, but only {SCHEMA} can be read: measure again.")
     try:
-        content["records"] = [record(values) for values in content["records"]]
+        content["records"] = [_record(values) for values in content["records"]]
         content["skipped"] = [_checked(Skipped, values) for values in content["skipped"]]
         return _checked(Run, content)
     except (TypeError, KeyError, LfgpuError) as error:
         raise BenchmarkError(f"{path} is not a whole file of a benchmark run ({error}).") from error
 
 
-def record(values: dict[str, Any]) -> Record:
-    """A record from what `asdict` made of it."""
+def merged(runs: Iterable[Run]) -> list[Run]:
+    """Put runs of one state of the code on one machine together, with the newest of each measurement; oldest first."""
+    groups: dict[str, list[Run]] = {}
+    for run in sorted(runs, key=lambda run: run.date):
+        groups.setdefault(json.dumps([run.place, run.commit, run.versions]), []).append(run)
+    return [_one(group) for group in groups.values()]
+
+
+def _one(runs: list[Run]) -> Run:
+    records = {record.key: record for run in runs for record in run.records}
+    skipped: dict[Skipped, None] = {entry: None for run in runs for entry in run.skipped}
+    return replace(runs[-1], records=list(records.values()), skipped=list(skipped))
+
+
+def _record(values: dict[str, Any]) -> Record:
     seconds = values.get("seconds")
     return _checked(Record, {**values, "seconds": None if seconds is None else _checked(Spread, seconds)})
 

@@ -1,4 +1,4 @@
-"""Light fields in a second on several GPUs of one host: one process (or thread) for each, as `lfgpu batch` has it.
+"""Light fields in a second on several GPUs of one host, one process (or thread) for each, as in `lfgpu batch`.
 
 Each has a pipeline that is there, and goes through the same views again and again: up to the device, estimated, and the
 map back (`frames`); or estimated only (`resident`), which leaves the host out. All begin at the same moment and go on
@@ -7,25 +7,28 @@ for the same time. Where `frames` scales worse than `resident`, the host is the 
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from statistics import median
-from time import perf_counter, time
-from typing import Any
+from time import perf_counter
+from typing import Annotated, Any
 
-from benchmarks import machine, scene
+import typer
+
+from benchmarks import cases
 from benchmarks.cases import Case
 from benchmarks.errors import BenchmarkError
+from benchmarks.options import Cases, Out, Presets, collected, listed, say
+from benchmarks.tables import Table
 from lfgpu import DepthPipeline, LightField, get_threads, set_threads
 from lfgpu._backends import load
-from lfgpu.io.atomic import atomic_write
 from lfgpu.methods import configured
 
 MODES = ("frames", "resident")
@@ -37,7 +40,7 @@ _WARM_UP = 4
 
 @dataclass(frozen=True)
 class Plan:
-    """What is measured: every case with every preset on the first so many devices."""
+    """The measurements to make: every case with every preset on the first so many devices."""
 
     cases: tuple[Case, ...]
     presets: tuple[str, ...]
@@ -49,7 +52,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Row:
-    """What so many devices did together."""
+    """Rate of so many devices together."""
 
     case: str
     preset: str
@@ -66,68 +69,67 @@ class Row:
     """Of the CPU for each device."""
 
 
+COLUMNS: dict[str, Callable[[Any], str]] = {
+    "light field": lambda row: row.case,
+    "preset": lambda row: row.preset,
+    "mode": lambda row: row.mode,
+    "devices": lambda row: str(row.devices),
+    "light fields / s": lambda row: f"{row.rate:.1f}",
+    "efficiency": lambda row: f"{100 * row.efficiency:.0f} %",
+    "ms each": lambda row: f"{row.milliseconds:.2f}",
+}
+
+
+def command(
+    case_names: Cases = "7x7x375x375,9x9x512x512",
+    presets: Presets = "fast,accurate",
+    devices: Annotated[str, typer.Option(metavar="NAME,...", help="Default: all GPUs, or the CPU.")] = "",
+    counts: Annotated[str, typer.Option(metavar="N,...", help="On how many of them; default: 1, 2, 4 and all.")] = "",
+    how: Annotated[str, typer.Option(metavar="KIND", help=f"{' or '.join(KINDS)}, one for each device.")] = KINDS[0],
+    seconds: Annotated[float, typer.Option(min=0, help="For each measurement.")] = 5,
+    out: Out = None,
+) -> None:
+    """Measure light fields in a second on 1, 2, 4 .. GPUs of this machine."""
+    names = tuple("cuda:0" if n == "cuda" else n for n in listed(devices)) or devices_here()
+    chosen = tuple(cases.find(n) for n in listed(case_names))
+    plan = Plan(chosen, tuple(listed(presets)), names, gpu_counts(counts, len(names)), how, seconds)
+    Table.of("", 3, collected(run(plan), out), COLUMNS).show()
+
+
 def devices_here() -> tuple[str, ...]:
-    """All GPUs, or the CPU."""
+    """Name all GPUs, or the CPU."""
     found = load("warp").devices()
     return tuple(name for name in found if name != "cpu") or ("cpu",)
 
 
-def run(plan: Plan, say: Callable[[str], None]) -> Iterator[Row]:
+def gpu_counts(text: str, there: int) -> tuple[int, ...]:
+    """Return the numbers in a text; of an empty one 1, 2, 4 and all."""
+    return tuple(int(n) for n in listed(text)) or tuple(sorted({1, *(n for n in (2, 4) if n <= there), there}))
+
+
+def run(plan: Plan) -> Iterator[Row]:
     """Measure, row by row. BenchmarkError if more devices are asked for than there are."""
     if max(plan.counts) > len(plan.devices):
         raise BenchmarkError(f"there are {len(plan.devices)} devices, not {max(plan.counts)}; give fewer as --counts.")
     if plan.kind not in KINDS:
         raise BenchmarkError(f"--how must be one of {', '.join(KINDS)}, not {plan.kind!r}.")
-    return _rows(plan, say)
-
-
-def _rows(plan: Plan, say: Callable[[str], None]) -> Iterator[Row]:
     with tempfile.TemporaryDirectory(prefix="lfgpu-benchmarks-") as folder:
         for case in plan.cases:
             path = Path(folder, f"{case.name}.npz")
             say(f"casting {case.name}")
-            scene.make(case, path)
-            for preset in plan.presets:
-                for mode in MODES:
-                    alone: float | None = None
-                    for count in plan.counts:
-                        say(f"{case.name} {preset} {mode} on {count}")
-                        rate, each, threads = _together(plan, path, preset, mode, count)
-                        alone = rate / count if alone is None else alone
-                        share = rate / (count * alone)
-                        yield Row(case.name, preset, mode, plan.kind, count, rate, share, 1e3 * each, threads)
-
-
-def table(rows: list[Row]) -> str:
-    """As Markdown."""
-    lines = [
-        "| light field | preset | what | devices | light fields / s | efficiency | ms each |",
-        "|---|---|---|---:|---:|---:|---:|",
-    ]
-    lines += [
-        f"| {row.case} | {row.preset} | {row.mode} | {row.devices} | {row.rate:.1f} | {100 * row.efficiency:.0f} % | "
-        f"{row.milliseconds:.2f} |"
-        for row in rows
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def save(rows: Sequence[Any], path: Path) -> None:
-    """Write them as JSON with the machine that they are of; whole or not at all."""
-    content: dict[str, Any] = {
-        "date": time(),
-        "machine": machine.describe(),
-        "versions": machine.versions(),
-        "commit": machine.commit(),
-        "load": machine.load_average(),
-        "rows": [asdict(row) for row in rows],
-    }
-    with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            cases.cast(case, path)
+            for preset, mode in product(plan.presets, MODES):
+                alone: float | None = None
+                for count in plan.counts:
+                    say(f"{case.name} {preset} {mode} on {count}")
+                    rate, each, threads = _together(plan, path, preset, mode, count)
+                    alone = rate / count if alone is None else alone
+                    share = rate / (count * alone)
+                    yield Row(case.name, preset, mode, plan.kind, count, rate, share, 1e3 * each, threads)
 
 
 def _together(plan: Plan, path: Path, preset: str, mode: str, count: int) -> tuple[float, float, int]:
-    """Light fields in a second of `count` devices, the median seconds of one, and the threads of each."""
+    """Measure light fields in a second of `count` devices, the median seconds of one, and the threads of each."""
     threads = max(1, get_threads() // count)
     executor: Executor
     if plan.kind == "processes":
@@ -156,9 +158,9 @@ def _prepare(barrier: Any, threads: int) -> None:
 
 
 def _measure(path: str, preset: str, mode: str, seconds: float, device: str) -> list[float]:
-    """Seconds of one light field after the other on one device, while the others are at work."""
+    """Time one light field after the other on one device, while the others are at work; seconds."""
     with _ALONE:  # to capture work concerns all threads of a process
-        frame = _ready(scene.load(Path(path)), preset, mode, device)
+        frame = _ready(cases.load(Path(path)), preset, mode, device)
     _BARRIER.wait()
     times, begin = [], perf_counter()
     while perf_counter() - begin < seconds:
@@ -169,7 +171,7 @@ def _measure(path: str, preset: str, mode: str, seconds: float, device: str) -> 
 
 
 def _ready(lf: LightField, preset: str, mode: str, device: str) -> Callable[[], None]:
-    """What takes one light field through a pipeline that is warm."""
+    """Make a pipeline, warm it up, and return the work of one light field."""
     pipeline = DepthPipeline(lf, config=configured(preset), disparity_range=_RANGE, device=device)
     stop = pipeline.kernels.scalar(0.0, pipeline.device)
 

@@ -1,23 +1,22 @@
-"""A long time of frames with drop-outs, cuts and errors: nothing may grow, nothing may be lost."""
+"""A long stream of frames with drop-outs, cuts and errors, in which no memory may grow and no frame be lost."""
 
 from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
-from benchmarks import rectify
-from benchmarks.memory import gpu_used
+from benchmarks import cases, machine, rectify
+from benchmarks.memory import gpu_used, resident
+from benchmarks.options import CaseName, Device, Out, Preset, check_out, save, say
 from lfgpu import DepthStream, LightField, LightFieldError, Rectifier, StreamResult, scenes
 
-Say = Callable[[str], None]
 RANGE = (-1.0, 1.0)
 _THREADS = 2  # that push
 _LOOKS = 20  # at memory, evenly
@@ -30,8 +29,9 @@ _UNKNOWN = 0.05  # share of a map that rectification may leave without views, at
 
 @dataclass(frozen=True)
 class Plan:
-    """How many frames of which size, the preset, the seed and the device; whether frames are raw pictures of a rig that
-    are rectified; and how many come at once in the mean.
+    """Number and size of the frames, the preset, the seed and the device.
+
+    If `rectified`, frames are raw pictures of a rig that are rectified; `burst` of them come at once in the mean.
     """
 
     frames: int
@@ -46,7 +46,7 @@ class Plan:
 
 @dataclass
 class Found:
-    """What happened: `stats` of the stream, bytes of the host and the GPUs at each look, and what should not be."""
+    """Statistics of the stream, bytes of the host and the GPUs at each look, and problems."""
 
     stats: dict[str, Any] = field(default_factory=dict)
     host_bytes: list[int] = field(default_factory=list)
@@ -55,7 +55,7 @@ class Found:
     problems: list[str] = field(default_factory=list)
 
     def lines(self) -> list[str]:
-        """What to say about it."""
+        """Say what happened, in lines."""
         s = self.stats
         lines = [
             f"{s['frames_pushed']} frames: {s['frames_done']} maps, {s['frames_dropped']} dropped, "
@@ -71,7 +71,31 @@ class Found:
         return lines + (self.problems or ["Nothing grew, nothing was lost."])
 
 
-def run(plan: Plan, say: Say) -> Iterator[Found]:
+def command(
+    frames: Annotated[int, typer.Option(min=1)] = 20_000,
+    case_name: CaseName = "5x5x128x128",
+    preset: Preset = "accurate",
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    rectified: Annotated[
+        bool, typer.Option("--rectify", help="Frames are raw pictures of a rig, rectified on the device.")
+    ] = False,
+    device: Device = None,
+    out: Out = None,
+) -> None:
+    """Push frames with random drop-outs, cuts and errors; exit with 1 if memory grows or a frame is lost."""
+    check_out(out)
+    case = cases.parse(case_name)
+    plan = Plan(frames, case.grid, case.size, preset, seed, device, rectified)
+    about = {**machine.about(), "plan": asdict(plan)}
+    for found in run(plan):
+        save(out, {**about, **asdict(found)})  # as far as it is
+    for line in found.lines():
+        typer.echo(line)
+    if found.problems:
+        raise typer.Exit(1)
+
+
+def run(plan: Plan) -> Iterator[Found]:
     """Push the frames from several threads, look at memory and counts, and at the end at a map.
 
     Yields what was found so far after each look; the last one is the whole.
@@ -119,7 +143,7 @@ def run(plan: Plan, say: Say) -> Iterator[Found]:
 
 
 def _films(plan: Plan) -> tuple[list[list[LightField]], Rectifier | None]:
-    """Two scenes, each seen twice, and what their pictures are rectified with."""
+    """Make two scenes, each seen twice, and the rectifier of their pictures."""
     options: dict[str, Any] = {"grid": plan.grid, "size": plan.size, "disparity_range": RANGE}
     films = [[scenes.make(name, noise=noise, **options) for noise in (0.004, 0.005)] for name in ("boxes", "planes")]
     if not plan.rectified:
@@ -131,7 +155,7 @@ def _films(plan: Plan) -> tuple[list[list[LightField]], Rectifier | None]:
 def _push(
     stream: DepthStream, films: list[list[LightField]], random: np.random.Generator, count: int, burst: int
 ) -> list[str]:
-    """Push some frames, in bursts, and wait for them; what should not be."""
+    """Push some frames, in bursts, and wait for them; return the problems."""
     pending: list[tuple[StreamResult, bool]] = []
     film, problems = 0, list[str]()
     allowed = 0.0 if stream.rectifier is None else _UNKNOWN
@@ -190,21 +214,12 @@ def _look(found: Found) -> None:
         found.gpu_bytes.append(gpu)
 
 
-def resident() -> int | None:
-    """Resident memory of this process in bytes now; None where the system does not tell."""
-    with suppress(OSError):
-        for line in Path("/proc/self/status").read_text().splitlines():
-            if line.startswith("VmRSS:"):
-                return 1024 * int(line.split()[1])
-    return None
-
-
 def _judge(found: Found) -> None:
     found.problems += grown("host", found.host_bytes) + grown("device", found.gpu_bytes, _DEVICE_SLACK)
 
 
 def grown(name: str, looks: list[int], slack: int = _SLACK) -> list[str]:
-    """A sentence if memory grew by more than `slack` after the first looks at it."""
+    """Return a sentence if memory grew by more than `slack` after the first looks at it."""
     settled = looks[int(_SETTLED * len(looks)) :]
     if not settled or settled[-1] - settled[0] <= slack:
         return []

@@ -1,4 +1,4 @@
-"""How long each part of a run of a resident pipeline takes by itself."""
+"""Time of each part of a run of a resident pipeline by itself."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MOST, _BUDGET = 10, 1.0  # repeats of each part, and seconds for them
 def measure(
     pipeline: DepthPipeline, views: NDArray[np.generic], *, repeats: int = _MOST
 ) -> tuple[dict[str, float], bool]:
-    """Medians in seconds, the device waited for after each part, and whether the stages were captured as in a run.
+    """Return medians in seconds, the device waited for after each part, and whether stages were captured as in a run.
 
     The parts are done in their order, as often as given, but no more than `_MOST` times and than fit into `_BUDGET`: a
     stage may change what an earlier one left, so that none can be repeated by itself.

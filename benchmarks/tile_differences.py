@@ -1,16 +1,16 @@
-"""How far maps in 2 x 2 tiles are from those in one piece, after each stage."""
+"""Differences of maps in 2 x 2 tiles from those in one piece, after each stage."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
 
-from benchmarks import machine
 from benchmarks.errors import BenchmarkError
+from benchmarks.options import Out, Presets, collected, listed, say
+from benchmarks.tables import Table
 from lfgpu import LightField, estimate_depth, scenes
 from lfgpu._backends import load
 from lfgpu.data.result import DepthResult
@@ -37,12 +37,17 @@ SCENES = (
 )
 
 
-def run(presets: Sequence[str], chosen: Sequence[Scene] = SCENES) -> list[dict[str, Any]]:
-    """A row for each scene, preset and stage: largest difference, shares above thresholds."""
-    rows: list[dict[str, Any]] = []
+def command(presets: Presets = "fast,accurate", out: Out = None) -> None:
+    """Compare maps in 2 x 2 tiles with those in one piece, after each stage."""
+    table(collected(run(listed(presets)), out, as_json=dict)).show()
+
+
+def run(presets: Sequence[str], chosen: Sequence[Scene] = SCENES) -> Iterator[dict[str, Any]]:
+    """Yield for each scene, preset and stage the largest difference and shares above thresholds, in per cent."""
     for scene in chosen:
         lf = scenes.make(scene.name, grid=(5, 5), size=scene.size, noise=scene.noise)
         for preset in presets:
+            say(f"{scene.name} {scene.size} {preset}")
             whole = estimate_depth(lf, config=named(preset), disparity_range=RANGE, device="cpu")
             cut = _in_four(lf, preset)
             for stage, values in whole.disparity_stages.items():
@@ -52,12 +57,25 @@ def run(presets: Sequence[str], chosen: Sequence[Scene] = SCENES) -> list[dict[s
                     f"above {limit:g}": round(float(100 * (apart > limit).mean()), 6) for limit in (1e-6, 1e-3, 1e-2)
                 }
                 what = {"scene": scene.name, "size": scene.size, "preset": preset, "stage": stage}
-                rows.append({**what, "largest": round(float(apart.max()), 6), **shares})
-    return rows
+                yield {**what, "largest": round(float(apart.max()), 6), **shares}
+
+
+def table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Make the table."""
+    columns = {
+        "scene": lambda r: f"`{r['scene']}`",
+        "size": lambda r: "{} × {}".format(*r["size"]),
+        "preset": lambda r: f"`{r['preset']}`",
+        "stage": lambda r: r["stage"],
+        "largest, px": lambda r: f"{r['largest']:.2g}",
+        "share above 0.001 px": lambda r: f"{r['above 0.001']:.2f} %",
+        "share above 0.01 px": lambda r: f"{r['above 0.01']:.2f} %",
+    }
+    return Table.of("", 4, rows, columns)
 
 
 def _in_four(lf: LightField, preset: str) -> DepthResult:
-    """The estimate with the most memory that needs 2 x 2 tiles."""
+    """Estimate with the most memory that needs 2 x 2 tiles."""
     method = method_of(preset)
     measured = method.measure(lf, load("warp"), "cpu", disparity_range=RANGE)
     edge = method.halo(lf.layout, measured)
@@ -68,13 +86,3 @@ def _in_four(lf: LightField, preset: str) -> DepthResult:
     if "4 tiles" not in result.status:
         raise BenchmarkError(f"{lf.name} with {preset} was not cut into 4 tiles: {result.status}")
     return result
-
-
-def about() -> dict[str, object]:
-    """When, where and with what."""
-    return {
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "commit": machine.commit(),
-        "machine": machine.describe(),
-        "versions": machine.versions(),
-    }

@@ -5,20 +5,22 @@ The scene is three textured planes before each other, painted from back to front
 
 from __future__ import annotations
 
-import multiprocessing
+import math
 import tempfile
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from benchmarks import memory
+from benchmarks import cases, memory, processes
 from benchmarks.cases import Case
+from benchmarks.errors import BenchmarkError
+from benchmarks.options import CaseName, Preset, listed
 from lfgpu import estimate_depth, evaluate, read
 from lfgpu.methods import configured
 from lfgpu.threads import in_threads
@@ -28,28 +30,45 @@ _PLANES = ((-1.2, None), (0.3, (0.15, 0.75, 0.10, 0.45)), (1.6, (0.40, 0.90, 0.5
 _GRAIN = (1.2, 3.0, 8.0)  # pixels
 
 
+def command(
+    case_name: CaseName = "17x17x960x1280",
+    preset: Preset = "accurate",
+    device: Annotated[str | None, typer.Option(metavar="NAME", help="Default: all GPUs, or the CPU.")] = None,
+    max_memory: Annotated[
+        str, typer.Option(metavar="SIZE,...", help='One estimate for each; "none" for no limit and no tiles.')
+    ] = "8GiB",
+) -> None:
+    """Estimate a light field of planes within a given memory; print the time and the memory that it took."""
+    limits = [None if name == "none" else name for name in listed(max_memory)]
+    for found in measure(cases.find(case_name), preset, device, limits):
+        for name, value in found.items():
+            typer.echo(f"{name:<12} {value}")
+
+
 def measure(case: Case, preset: str, device: str | None, limits: Sequence[str | None]) -> Iterator[dict[str, Any]]:
-    """Paint the scene into a file, and say what it took to estimate it from there within each limit; None is none."""
+    """Paint the scene into a file, and estimate it from there within each limit; None is none."""
     with tempfile.TemporaryDirectory(prefix="lfgpu-benchmarks-") as folder:
         path = Path(folder, "views.npy")
         truth = paint(case, path)
         for limit in limits:
             # A process for each, so that no memory is left from the one before.
-            with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
-                found = process.submit(_measured, path, truth, preset, device, limit).result()
-            yield {"case": case.name, "preset": preset, "max_memory": limit, **found}
+            arguments = path, truth, preset, device, limit
+            found, failure = processes.collect(_measured, *arguments, variables={}, timeout=math.inf)
+            if failure:
+                raise BenchmarkError(f"{case.name} {preset} within {limit}: {failure}")
+            yield {"case": case.name, "preset": preset, "max_memory": limit, **found[0]}
 
 
 def _measured(
     path: Path, truth: NDArray[np.float32], preset: str, device: str | None, limit: str | None
-) -> dict[str, Any]:
+) -> Iterator[dict[str, Any]]:
     used = memory.gpu_used()
     with memory.GpuPeak() as peak:
         start = perf_counter()
         lf = read(path, lazy=limit is not None)
         result = estimate_depth(lf, config=configured(preset), device=device, max_memory=limit)
         seconds = perf_counter() - start
-    return {
+    yield {
         "device": result.device,
         "status": result.status,
         "seconds": seconds,
@@ -61,7 +80,7 @@ def _measured(
 
 
 def paint(case: Case, path: Path, seed: int = 0) -> NDArray[np.float32]:
-    """Write the views [v, u, y, x, c] to an .npy file; the true disparity of the middle one, [y, x]."""
+    """Write the views [v, u, y, x, c] to an .npy file; return the true disparity of the middle one, [y, x]."""
     (rows, columns), (height, width) = case.grid, case.size
     edge = int(np.ceil(max(abs(d) for d, _ in _PLANES) * (max(rows, columns) // 2))) + 2
     rng = np.random.default_rng(seed)
@@ -100,7 +119,7 @@ def _mask(height: int, width: int, edge: int, place: tuple[float, float, float, 
 
 
 def _window(image: NDArray[np.float32], shift: tuple[float, float], size: tuple[int, int]) -> NDArray[np.float32]:
-    """What lies `shift` (y, x) pixels into an image, interpolated."""
+    """Cut a window that lies `shift` (y, x) pixels into an image, interpolated."""
     (y, x), (height, width) = (int(np.floor(s)) for s in shift), size
     ay, ax = shift[0] - y, shift[1] - x
     part = image[y : y + height + 1, x : x + width + 1]

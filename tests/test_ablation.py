@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import ablation, results, show
-from benchmarks.ablation import ALL, SCENES, VARIANTS, Plan, Scene, Variant
+from benchmarks import ablation, results, runs
+from benchmarks.ablation import SCENES, VARIANTS, Scene, Variant
 from benchmarks.cli import app
 from benchmarks.clock import spread
 from benchmarks.results import Record, Run
-from benchmarks.tables import NONE, tables
+from benchmarks.runs import WHOLE, tables
+from benchmarks.tables import NONE
 from lfgpu import GroundTruth, estimate_depth, evaluate, scenes
 from lfgpu.config import Config, parameters
 from lfgpu.io import write_hci
@@ -35,12 +36,8 @@ SCALED = {
 FEW = (VARIANTS[0], next(v for v in VARIANTS if v.values.get("sweep.views") == "cross"))
 
 
-def quiet(_: str) -> None:
-    pass
-
-
-def plan_of(*chosen: Scene, data: Path = ROOT, seeds: int = 1, variants: tuple[Variant, ...] = FEW) -> Plan:
-    return Plan(chosen, SIZE, seeds, data, variants)
+def run_of(*chosen: Scene, data: Path = ROOT, seeds: int = 1, variants: tuple[Variant, ...] = FEW) -> Run:
+    return ablation.run(chosen, variants, size=SIZE, seeds=seeds, data=data)
 
 
 def record_of(case: str, name: str, mse: float, badpix: float = 1.0, *, judging: bool = False) -> Record:
@@ -81,7 +78,7 @@ def test_variants_stay_within_the_ranges_whatever_the_noise(noise: float) -> Non
 
 
 def test_every_parameter_that_goes_with_the_noise_is_looked_at() -> None:
-    before, after = (dict(_values(config)) for config in (PRESETS[ALL], in_units_of(1.0, PRESETS[ALL])))
+    before, after = (dict(_values(config)) for config in (PRESETS[WHOLE], in_units_of(1.0, PRESETS[WHOLE])))
     assert {name for name in before if before[name] != after[name]} == {*SCALED, "sweep.noise"}
 
 
@@ -92,7 +89,7 @@ def _values(config: Config) -> Iterator[tuple[str, object]]:
 
 
 def test_what_is_not_robust_is_as_stiff_as_what_is() -> None:
-    configs = next(v for v in VARIANTS if "alignment.robust" in v.values).config(), PRESETS[ALL]
+    configs = next(v for v in VARIANTS if "alignment.robust" in v.values).config(), PRESETS[WHOLE]
     assert configs[0].alignment.robust == 100 * configs[1].alignment.robust
     for stage in ("alignment", "hole_filling"):
         loose, whole = (getattr(config, stage).stiffness * config.alignment.robust**2 for config in configs)
@@ -103,7 +100,7 @@ def test_what_is_not_robust_is_as_stiff_as_what_is() -> None:
 
 
 def test_errors_are_those_of_the_maps_and_means_over_seeds() -> None:
-    run = ablation.run(plan_of(SCENES[0], seeds=2), quiet)
+    run = run_of(SCENES[0], seeds=2)
     assert [record.name for record in run.records] == [variant.name for variant in FEW]
     for record, variant in zip(run.records, FEW, strict=True):
         found = []
@@ -128,23 +125,23 @@ def test_a_real_scene_is_scored_in_its_mask(tmp_path: Path) -> None:
     mask = np.zeros((SIZE, SIZE), bool)
     mask[:20, 20:] = True
     write_hci(replace(lf, truth=GroundTruth(lf.truth.disparity, lf.truth.position, mask)), tmp_path / "real")
-    (record,) = ablation.run(plan_of(Scene("real", judging=True), data=tmp_path, variants=FEW[:1]), quiet).records
+    (record,) = run_of(Scene("real", judging=True), data=tmp_path, variants=FEW[:1]).records
     assert record.compared == f"truth of the data set, {5 * 13} pixels"  # rows 15 to 19, columns 20 to 32
     assert record.details["judging"]
     assert record.details["config"]["sweep"]["resweeps"] == 3
 
 
 def test_what_fails_is_listed_and_the_rest_goes_on(tmp_path: Path) -> None:
-    run = ablation.run(plan_of(Scene("nosuch"), Scene("small", "relief"), data=tmp_path), quiet)
+    run = run_of(Scene("nosuch"), Scene("small", "relief"), data=tmp_path)
     missing, *found = run.records
     assert "nosuch is not there" in missing.failed
     assert [bool(record.failed) for record in found] == [False, False]
-    assert "not measured" not in show.markdown(replace(run, records=found)).lower()
-    assert "nosuch is not there" in show.markdown(run)
+    assert "not measured" not in runs.markdown(replace(run, records=found)).lower()
+    assert "nosuch is not there" in runs.markdown(run)
 
 
 def test_a_run_comes_back_from_its_file(tmp_path: Path) -> None:
-    run = ablation.run(plan_of(SCENES[0], variants=FEW[:1]), quiet)
+    run = run_of(SCENES[0], variants=FEW[:1])
     results.save(run, tmp_path / "run.json")
     assert results.load(tmp_path / "run.json") == run
     assert run.commit is None

@@ -19,33 +19,32 @@ from typer.testing import CliRunner
 
 from benchmarks import (
     bandwidth,
+    cases,
     clock,
     machine,
     memory,
-    merge,
+    operations,
     pipelines,
-    plot,
     processes,
     results,
-    show,
+    runs,
     stages,
     suite,
-    tables,
 )
-from benchmarks.cases import CASES
+from benchmarks.cases import CASES, Case
 from benchmarks.cli import app
 from benchmarks.compare import compare
-from benchmarks.jobs import Job
+from benchmarks.job import Job
 from benchmarks.results import Record, Run, Skipped, Spread
 from lfgpu import PRESETS, DepthPipeline, scenes
+from tests import ends
 
 pytestmark = pytest.mark.thorough
 
 ROOT = Path(__file__).parents[1]
 
 TINY = CASES[0]
-
-MEASURED = ("data_term", "nlm_laplacian", "dot")
+WAYS = ("paper", "resident", "scipy", "fast")
 
 
 def benchmarks(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -63,11 +62,11 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of the tiny case, with a device that is not there."""
     out = tmp_path_factory.mktemp("benchmarks") / "run.json"
     done = benchmarks(
-        *("--cases", TINY.name, "--operations", ",".join(MEASURED), "--backends", "warp,reference"),
-        *("--devices", "cpu,cuda:99", "--repeats", "1", "--threads", "1", "--no-startup", "--out", out),
+        *("--cases", TINY.name, "--operations", "fast", "--backends", "warp", "--devices", "cpu,cuda:99"),
+        *("--pipelines", ",".join(WAYS), "--repeats", "1", "--threads", "1", "--no-startup", "--out", out),
     )
     assert done.returncode == 0, done.stderr
-    assert "data_term" in done.stdout
+    assert "semi_global" in done.stdout
     assert "BadPix" in done.stdout
     assert "not measured: warp cuda:99" in done.stdout
     return out
@@ -81,11 +80,7 @@ def run_of(*records: Record, **fields: object) -> Run:
 
 def record_of(median: float = 1.0, *, half_spread: float = 0.01, error: float = 1e-6) -> Record:
     spread = Spread(median, median - half_spread, median + half_spread, 9, median + half_spread)
-    errors = {"relative": error}
-    details = {"stop": 1e-5, "captured": False, "tolerance": 1e-4}
-    return Record(
-        "operation", "warp", "cpu", CASES[1].name, "splat", spread, bytes=10**6, errors=errors, details=details
-    )
+    return Record("startup", "warp", "cpu", CASES[1].name, "cold", spread, bytes=10**6, errors={"relative": error})
 
 
 # --- a run ---
@@ -96,20 +91,15 @@ def test_a_run_has_times_errors_and_memory(measured: Path) -> None:
     assert run.threads == 1
     assert run.machine["cpu"]
     assert run.versions["numpy"] == np.__version__
-    found = {(r.kind, r.backend, r.name) for r in run.records}
+    found = {(r.kind, r.backend, r.name) for r in run.records if r.kind != "operation"}
     assert found == {
-        *(("operation", backend, name) for backend in ("warp", "reference") for name in MEASURED),
-        *(("pipeline", backend, name) for backend in ("warp", "reference") for name in pipelines.NAMES),
+        *(("pipeline", "warp", name) for name in WAYS),
         *(("bandwidth", *pair) for pair in (("numpy", "copy"), ("warp", "copy"), ("warp", "axpby"))),
     }
     for record in run.records:
         assert not record.failed
         assert record.seconds is not None
         assert 0 < record.seconds.q1 <= record.seconds.median <= record.seconds.q3 <= record.seconds.p99
-        if record.kind == "operation":
-            assert record.errors["relative"] <= record.details["tolerance"]
-            assert not record.details["captured"]
-            assert record.limit is not None
         if record.kind == "pipeline":
             energy = set() if record.name in pipelines.MATCHING else {"energy"}
             assert record.errors.keys() == {"mse_100", "badpix_07", "badpix_03", "badpix_01", "q25"} | energy
@@ -118,45 +108,73 @@ def test_a_run_has_times_errors_and_memory(measured: Path) -> None:
             matched = record.name in pipelines.MATCHING
             expected = {"sweep", "resweep", "align", "boundaries"} if matched else {"local", "propagate", "refine"}
             assert set(record.details["stages"]) == {*expected, *transfers}
-        if record.kind != "bandwidth":
             assert record.host_bytes is not None
             assert record.host_bytes > 10**7
 
 
+def test_operations_are_those_of_a_frame_with_their_bytes(measured: Path) -> None:
+    found = {r.name: r for r in results.load(measured).records if r.kind == "operation"}
+    cold, warm = ({name.partition(": ")[2] for name in found if name.startswith(f)} for f in ("fast: ", "fast, warm: "))
+    assert warm - cold >= {"motion.find", "motion.carry", "bias", "blend"}
+    assert cold >= {"plane_sweep.by_view_sets", "plane_sweep.by_visibility", "semi_global", "alignment"}
+    assert found["fast, warm: motion.carry"].bytes == 8 * 4 * 48 * 48  # four fields before, and four carried along
+    assert all(record.limit for record in found.values())
+
+
+@pytest.mark.parametrize(("backend", "operation"), [("reference", "lbfgs.learn"), ("taichi", "data_term")])
+def test_operations_of_other_backends_and_methods_are_found(
+    backend: str, operation: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("taichi")
+    monkeypatch.setattr(clock, "_SHORTEST_BATCH", 0.0)
+    monkeypatch.setattr(operations, "_BUDGET", 0.0)
+    cases.cast(Case((3, 3), (32, 32)), tmp_path / "scene.npz")
+    job = Job("operation", backend, "cpu", "", "paper", 1, str(tmp_path / "scene.npz"))
+    found = {record.details["operation"]: record for record in operations.measure(job)}
+    assert operation in found
+    assert all(record.bytes and record.seconds for record in found.values())
+
+
 def test_a_device_that_is_not_there_is_listed(measured: Path) -> None:
     skipped = {(s.backend, s.device): s.reason for s in results.load(measured).skipped}
-    assert skipped.keys() == {("warp", "cuda:99"), ("reference", "cuda:99")}
-    assert "there is" in skipped["reference", "cuda:99"]
+    assert skipped.keys() == {("warp", "cuda:99")}
+    assert "there is cpu" in skipped["warp", "cuda:99"]
 
 
 def test_a_backend_that_cannot_be_loaded_is_listed() -> None:
-    plan = suite.Plan((TINY,), (), ("nosuch",), None, (), False, 1, 1, 1, 60.0)
-    run = suite.run(plan, lambda _: None)
+    run = suite.run(suite.Plan((TINY,), ("nosuch",), startup=False))
     assert run.records == []
     assert [(s.backend, s.device) for s in run.skipped] == [("nosuch", "any device")]
     assert "unknown backend" in run.skipped[0].reason
 
 
-def test_what_fails_is_listed_and_the_rest_goes_on() -> None:
-    job = Job("operation", "reference", "cpu", TINY.name, ("dot", "nosuch", "axpby"), 1)
-    records = processes.run(job, processes.environment(1), 60.0)
-    assert [(r.name, bool(r.failed)) for r in records] == [("dot", False), ("nosuch", True), ("axpby", False)]
-    assert "unknown operation" in records[1].failed
+def test_a_job_that_fails_is_a_record_that_says_why(tmp_path: Path) -> None:
+    job = Job("pipeline", "reference", "cpu", TINY.name, "fast", 1, str(tmp_path / "nothing.npz"))
+    (record,) = suite.done(job, suite.Plan((TINY,), ("reference",)))
+    assert (record.kind, record.name, record.seconds) == ("pipeline", "fast", None)
+    assert "FileNotFoundError" in record.failed
 
 
-def test_what_takes_too_long_is_listed() -> None:
-    job = Job("operation", "reference", "cpu", TINY.name, ("dot", "axpby"), 1)
-    records = processes.run(job, processes.environment(1), 0.01)
-    assert [r.failed for r in records] == [
-        "took longer than 0.01 s",
-        "not reached: what came before took too long",
-    ]
+@pytest.mark.parametrize(
+    ("end", "reason"),
+    [
+        ("", ""),
+        ("raise", "ValueError: no more"),
+        ("kill", "ended by SIGKILL, as when memory runs out"),
+        ("sleep", "took longer than 5 s"),
+    ],
+)
+def test_a_process_that_ends_early_keeps_what_it_found(end: str, reason: str) -> None:
+    timeout = 5.0 if end == "sleep" else 100.0
+    found, why = processes.collect(ends.count_then, end, variables={}, timeout=timeout)
+    assert why == reason
+    assert found == [1, 2] or (end == "sleep" and not found)  # where it had no time to begin
 
 
-def test_how_a_process_ended_is_said() -> None:
-    assert processes.reason(-9, "") == "ended by SIGKILL, as when memory runs out"
-    assert processes.reason(1, "Traceback\nValueError: no\n") == "ValueError: no"
-    assert processes.reason(3, "") == "ended with exit code 3"
+def test_a_process_has_the_threads_that_it_is_given() -> None:
+    before = os.environ.get("LFGPU_THREADS")
+    assert processes.collect(ends.threads_there, variables=processes.threads_in(3), timeout=100)[0] == ["3"]
+    assert os.environ.get("LFGPU_THREADS") == before
 
 
 # --- clocks, memory and its limit ---
@@ -271,7 +289,7 @@ def test_broken_files_get_a_sentence(content: str | None, sentence: str, tmp_pat
     ("arguments", "sentence"),
     [
         (("--cases", "9x9"), "unknown case '9x9'; there are 3x3x48x48"),
-        (("--operations", "splash"), "unknown operation 'splash'"),
+        (("--operations", "splash"), "unknown preset 'splash'"),
         (("--pipelines", "slow"), "unknown pipeline 'slow'; there are paper, resident, scipy, accurate, fast"),
         (("--backends", "cuda"), "unknown backend 'cuda'; there are warp"),
         (("--out", "."), "it is a folder"),
@@ -286,74 +304,44 @@ def test_mistakes_get_one_sentence(arguments: tuple[str, ...], sentence: str) ->
 
 
 def test_files_of_one_state_on_one_machine_are_one_run() -> None:
-    other = replace(record_of(2.0), name="dot")
+    other = replace(record_of(2.0), name="warm")
     later = run_of(record_of(3.0), other, date="2030-02-01T00:00:00+00:00")
-    (run,) = merge.merged([later, run_of(record_of())])
+    (run,) = results.merged([later, run_of(record_of())])
     assert run.date == later.date
-    assert {r.name: r.seconds.median for r in run.records if r.seconds} == {"splat": 3.0, "dot": 2.0}
+    assert {r.name: r.seconds.median for r in run.records if r.seconds} == {"cold": 3.0, "warm": 2.0}
     changed = [run_of(record_of()), run_of(record_of(), commit="decade"), run_of(record_of(), threads=1)]
-    assert len(merge.merged(changed)) == 3
-    assert len({place("cpu") for place in merge.places(merge.merged(changed))}) == 3
-    assert [place("cpu") for place in merge.places([run])] == ["cpu"]
+    assert len(results.merged(changed)) == 3
 
 
-# --- tables and plots ---
+# --- tables ---
 
 
 def test_the_table_is_markdown(measured: Path) -> None:
     done = told("table", measured)
     assert done.exit_code == 0, done.stderr
     assert f"**Operations, {TINY.name}**" in done.stdout
-    assert re.search(r"^\| data_term \| warp \| cpu \| [\d.]+ [mµ]?s \|", done.stdout, re.MULTILINE)
+    assert re.search(r"^\| fast \| `semi_global` \| warp \| cpu \| 2 \| [\d.]+ [mµ]?s \|", done.stdout, re.MULTILINE)
     assert "- warp cuda:99: no such device here" in done.stdout
-    rows = [line.count("|") for line in done.stdout.splitlines() if line.startswith("| data_term")]
+    rows = [line.count("|") for line in done.stdout.splitlines() if line.startswith("| fast |")]
     assert len(set(rows)) == 1
-    presets = [f"The resident method, a light field after the other; preset {name}" for name in ("paper", "accurate")]
+    presets = [f"The resident method, a light field after the other; preset {name}" for name in ("paper", "fast")]
     for title in ("The whole method from scratch", *presets, "The solver of the refinement"):
         assert f"**{title}" in done.stdout
     assert re.search(r"\| lbfgs \| .* \| [+-][\d.]+ % \|", done.stdout)
-
-
-def test_what_is_wrong_is_said_to_be_wrong() -> None:
-    assert "Wrong" not in show.markdown(run_of(record_of()))
-    wrong = "Wrong:\n\n- warp cpu 5x5x128x128 splat: error 0.01, more than 0.0001"
-    assert wrong in show.markdown(run_of(record_of(error=1e-2)))
-    assert "Wrong" in show.markdown(run_of(record_of(error=float("nan"))))
 
 
 def test_the_99_percent_quantile_needs_many_repeats(measured: Path) -> None:
     records = [r for r in results.load(measured).records if r.name == "resident"]
     many = [replace(r, seconds=replace(r.seconds, n=50)) for r in records if r.seconds]
     for rows, there in ((records, False), (many, True)):
-        (table,) = tables.tables(rows)
+        (table,) = runs.tables(rows)
         assert ("p99" in table.columns) == there
         assert all(len(row) == len(table.columns) for row in table.rows)
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg"])
-def test_a_plot_is_drawn(suffix: str, measured: Path, tmp_path: Path) -> None:
-    plot.write([results.load(measured)], tmp_path / f"plot.{suffix}")
-    assert (tmp_path / f"plot.{suffix}").stat().st_size > 5000
-
-
-def test_plots_of_several_machines_name_them(measured: Path) -> None:
-    run = results.load(measured)
-    figure = plot.draw([run, replace(run, machine={**run.machine, "cpu": "another CPU"})])
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels[:2] == ["warp", "reference"]
-    assert labels[3] == "cpu (another CPU, 1 threads)"
-
-
-def test_what_cannot_be_drawn_gets_a_sentence(tmp_path: Path) -> None:
-    with pytest.raises(results.BenchmarkError, match="must end in"):
-        plot.write([run_of()], tmp_path / "plot.bmp")
-    with pytest.raises(results.BenchmarkError, match="nothing to draw"):
-        plot.write([run_of()], tmp_path / "plot.png")
-
-
 def test_a_busy_machine_is_said_to_be_busy() -> None:
-    assert "not idle" not in show.markdown(run_of(record_of()))
-    assert "not idle: its load average was 1.5" in show.markdown(run_of(record_of(), load=1.5))
+    assert "not idle" not in runs.markdown(run_of(record_of()))
+    assert "not idle: its load average was 1.5" in runs.markdown(run_of(record_of(), load=1.5))
 
 
 # --- comparison ---
@@ -361,7 +349,7 @@ def test_a_busy_machine_is_said_to_be_busy() -> None:
 
 def test_what_got_slower_or_faster_is_found() -> None:
     slower = compare(run_of(record_of(1.0)), run_of(record_of(1.2)), 0.1)
-    assert slower.slower == ["warp cpu operation 5x5x128x128 splat: 1 s → 1.2 s (+20 %)"]
+    assert slower.slower == ["warp cpu startup 5x5x128x128 cold: 1 s → 1.2 s (+20 %)"]
     assert slower.fails
     faster = compare(run_of(record_of(1.2)), run_of(record_of(1.0)), 0.1)
     assert len(faster.faster) == 1
@@ -385,7 +373,7 @@ def test_chance_is_not_a_finding(new: Record, why: str) -> None:
 
 def test_a_larger_error_and_a_failure_are_found() -> None:
     assert compare(run_of(record_of()), run_of(record_of(error=1e-5)), 0.1).worse == [
-        "warp cpu operation 5x5x128x128 splat: error relative 1e-06 → 1e-05"
+        "warp cpu startup 5x5x128x128 cold: error relative 1e-06 → 1e-05"
     ]
     assert compare(run_of(record_of()), run_of(record_of(error=float("nan"))), 0.1).fails
     low, high = (replace(record_of(), errors={"energy": energy}) for energy in (100.0, 102.0))
@@ -411,8 +399,8 @@ def test_the_comparison_exits_with_what_it_found(tmp_path: Path) -> None:
     old, new = tmp_path / "old.json", tmp_path / "new.json"
     results.save(run_of(record_of()), old)
     results.save(run_of(record_of(1.2), threads=1), new)
-    done = benchmarks("compare", old, new)
-    assert done.returncode == 1
+    done = told("compare", old, new)
+    assert done.exit_code == 1
     assert "slower: warp cpu" in done.stdout
     assert done.stderr.startswith("warning: ")
-    assert benchmarks("compare", old, new, "--threshold", "25").returncode == 0
+    assert told("compare", old, new, "--threshold", "25").exit_code == 0

@@ -144,7 +144,7 @@ def test_no_scene_judges_itself() -> None:
     odd = replace(made_up(Weights({"once": (-2.0, 0, 0, 0, 0, 0)}, WEIGHTS.spread), 20_000), scene="odd")
     usual = [replace(made_up(WEIGHTS, 20_000, seed), scene=f"usual {seed}") for seed in (1, 2)]
     own = replace(made_up(WEIGHTS, 20_000, 3), scene="own", own=True)
-    judged = benchmark.by_the_others([odd, *usual, own], lambda _: None)
+    judged = benchmark.by_the_others([odd, *usual, own])
     assert [one.sample.scene for one in judged] == ["odd", "usual 1", "usual 2"]
     want = odd.judged(benchmark.fit([*usual, own]))
     np.testing.assert_array_equal(judged[0].confidence, want.confidence)

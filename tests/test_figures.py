@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import figures
+from benchmarks import figures, pages
 from benchmarks.cli import app
 from benchmarks.errors import BenchmarkError
+from benchmarks.results import FOLDER
 
 CONTENT = {
     "date": "2026-01-02T03:04",
@@ -49,20 +50,21 @@ def test_every_figure_of_the_pages_is_that_of_its_file() -> None:
 def test_every_result_file_is_on_some_page() -> None:
     text = "".join(page.read_text(encoding="utf-8") for page in figures.pages())
     sources = " ".join(mark.source for page in figures.pages() for mark in figures.marks(page))
-    assert [path.name for path in figures.RESULTS.glob("*.json") if path.name not in text + sources] == []
+    assert [path.name for path in FOLDER.glob("*.json") if path.name not in text + sources] == []
 
 
 def test_the_accuracy_is_that_of_the_newest_version() -> None:
     names = ["accuracy-0.2.json", "accuracy-0.10.json", "accuracy-0.1.json"]
-    assert figures.newest(names) == "accuracy-0.10.json"
-    assert figures.newest(path.name for path in figures.RESULTS.glob("accuracy-*.json")) == figures.ACCURACY
+    assert pages.newest(names) == "accuracy-0.10.json"
+    assert pages.newest(path.name for path in FOLDER.glob("accuracy-*.json")) == pages.ACCURACY
 
 
 def test_methods_stand_beside_each_other_and_the_machine_below() -> None:
-    table = figures.TABLES["compared"].make(figures.RESULTS)
-    run = json.loads((figures.RESULTS / figures.ACCURACY).read_text(encoding="utf-8"))
+    files, make = pages.TABLES["compared"]
+    table = make(*(FOLDER / name for name in files))
+    run = json.loads((FOLDER / pages.ACCURACY).read_text(encoding="utf-8"))
     ours = {r["details"]["preset"] for r in run["records"]}
-    others = json.loads((figures.RESULTS / figures.PUBLISHED).read_text(encoding="utf-8"))["methods"]
+    others = json.loads((FOLDER / pages.PUBLISHED).read_text(encoding="utf-8"))["methods"]
     assert len(re.findall(r"^\| ", table, re.MULTILINE)) == 2 + len(ours) + len(others)
     assert all(method["source"] and f"| {method['name']} |" in table for method in others)
     assert f"{run['machine']['cores']} cores" in table.splitlines()[-1]
@@ -82,7 +84,7 @@ def test_a_figure_is_found_scaled_and_written(folder: Path) -> None:
 
 
 def test_a_table_is_written(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    table = figures.Table(("run.json",), lambda where: f"| {figures.value(where, 'run.json', 'date')} |")
+    table = ("run.json",), lambda path: f"| {figures.value(path.parent, path.name, 'date')} |"
     monkeypatch.setattr(figures, "TABLES", {"dates": table})
     page = page_of(folder, "text\n\n<!-- table: dates -->\nold\n<!-- /table -->\n\nmore\n")
     figures.write(folder, folder)
@@ -138,7 +140,7 @@ def test_examples_of_marks_are_none(folder: Path) -> None:
 def test_the_command_checks_and_lists(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     page = page_of(folder, MARKED.format("123.4"))
     monkeypatch.setattr(figures, "pages", lambda: [page])
-    monkeypatch.setattr(figures, "RESULTS", folder)
+    monkeypatch.setattr(figures, "FOLDER", folder)
     monkeypatch.setattr(figures, "listing", lambda found: [f"{mark.found} < {mark.source}" for mark in found])
     monkeypatch.setattr(figures, "marks", lambda page, marks=figures.marks: marks(page, folder))
     runner = CliRunner()

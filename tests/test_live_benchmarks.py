@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import clock, flicker, gpu_parity, live_stages, moving, native, ring, soak
+from benchmarks import flicker, gpu_parity, moving, soak
 from benchmarks.cli import app
 from lfgpu import scenes
-from lfgpu.calibration import RigWatch
-from lfgpu.io.ring import RingReader, RingWriter
 from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.stream import DepthStream
 
@@ -24,10 +22,6 @@ pytestmark = pytest.mark.thorough
 FILM = moving.Film((3, 3), (64, 72), 4, period=40)
 SOAK = 2000
 """Frames: some seconds where there is nothing else to do, as most are dropped."""
-
-
-def quiet(_: str) -> None:
-    pass
 
 
 @pytest.fixture(scope="module")
@@ -100,47 +94,6 @@ def test_live_command(tmp_path: Path) -> None:
         assert np.isfinite(row["mse_ratio"])
 
 
-def test_operations_beside_their_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("_BUDGET", 0.0), ("_REPEATS", 1), ("_LENGTH", 1 << 16), ("_CHAINS", 1 << 8)):
-        monkeypatch.setattr(live_stages, name, value)
-    monkeypatch.setattr(clock, "_SHORTEST_BATCH", 0.0)
-    out = tmp_path / "stages.json"
-    arguments = ["live", "--stages", "--cases=3x3x32x32", "--presets=fast", "--device=cpu", f"--out={out}"]
-    outcome = CliRunner().invoke(app, arguments)
-    assert outcome.exit_code == 0, outcome.output
-    rows = json.loads(out.read_text())["operations"]
-    cold, warm = ({row["operation"]: row for row in rows if row["warm"] is is_warm} for is_warm in (False, True))
-    only_warm = {"motion.find", "motion.carry", "bias", "blend"}
-    assert only_warm == warm.keys() - cold.keys()
-    assert "plane_sweep.by_view_sets" in cold
-    assert "plane_sweep.by_visibility" in cold
-    assert warm["motion.carry"]["bytes"] == 8 * 4 * 32 * 32  # four fields before, and four carried along
-    for row in rows:
-        assert row["seconds"] > 0
-        assert row["limit"] == max(row["memory"], row["arithmetic"]) >= 0
-    assert "limit, ms" in outcome.stdout
-
-
-def test_frames_of_another_process(tmp_path: Path) -> None:
-    arguments = ["ring", "--case=3x3x24x24", "--rate=200", "--seconds=0.2", "-o", str(tmp_path / "ring.json")]
-    outcome = CliRunner().invoke(app, arguments)
-    assert outcome.exit_code == 0, outcome.output
-    found = json.loads((tmp_path / "ring.json").read_text())
-    assert found["torn"] == 0
-    assert 0 < found["read"] + found["passed"] <= 40
-
-
-def test_a_torn_frame_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    views = np.ones((4, 8, 8, 3), np.uint8)
-    views[2:] = 2
-    with RingWriter(tmp_path / "ring", [(0, 0), (1, 0), (0, 1), (1, 1)], (8, 8)) as writer:
-        writer.write(views)
-        reader = RingReader(tmp_path / "ring")
-        writer.close()
-        monkeypatch.setattr(ring, "RingReader", lambda path: reader)
-        assert ring._read(tmp_path / "ring", 60.0, 1.0).torn == 1
-
-
 def test_cases_that_are_none() -> None:
     outcome = CliRunner().invoke(app, ["live", "--cases=7x7x375"])
     assert outcome.exit_code == 1
@@ -179,7 +132,7 @@ def plan(frames: int) -> soak.Plan:
 
 
 def soaked(frames: int) -> soak.Found:
-    *_, found = soak.run(plan(frames), quiet)
+    *_, found = soak.run(plan(frames))
     return found
 
 
@@ -222,7 +175,7 @@ def test_soak_notices_a_bad_frame_that_is_taken(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(Intake, "checked_valid", lambda self, valid: np.ones(9, bool))
     monkeypatch.setattr(soak, "_BAD", 0.5)
     one_by_one = replace(plan(40), burst=1)  # none is dropped
-    *_, found = soak.run(one_by_one, quiet)
+    *_, found = soak.run(one_by_one)
     assert any("was taken" in problem for problem in found.problems)
 
 
@@ -264,45 +217,3 @@ def test_what_is_measured_before_an_estimate_is_timed(tmp_path: Path) -> None:
     assert min(row["range_ms"], row["resident_ms"], row["noise_ms"], row["first_ms"]) > 0
     assert 2 <= row["waits"] <= 7
     assert row["found"][0] < row["true"][0] < row["true"][1] < row["found"][1]
-
-
-def test_a_program_whose_maps_differ_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whose maps are all 0, and which says the times that it likes; `test_export` has the real one."""
-    program = tmp_path / "replay"
-    said = "4 frames, 1 without the map before; 1.50 ms each in the median, 2.50 ms for 99 %"
-    size = 2 * 2 * 4 * 32 * 32
-    program.write_text(f'#!/bin/sh\nhead -c {size} /dev/zero > "$3"\necho "{said}" >&2\n')
-    program.chmod(0o755)
-    monkeypatch.setattr(native, "_built", lambda sources, build: program)
-    out = tmp_path / "native.json"
-    options = ["--cases=3x3x32x32", "--presets=fast", "--threads=2", "--frames=2", "--repeats=2", f"--out={out}"]
-    outcome = CliRunner().invoke(app, ["native", *options])
-    assert outcome.exit_code == 1, outcome.output
-    (row,) = json.loads(out.read_text())["rows"]
-    assert (row["threads"], row["native_p50"], row["native_p99"], row["same_bits"]) == (2, 1.5, 2.5, False)
-    assert 0 < row["python_p50"] <= row["python_p99"]
-
-
-# --- hours of drifting gains ---
-
-DRIFT = ["drift", "--hours=0.04", "--every=10", "--amplitude=0.3", "--case=3x3x48x48", "--device=cpu"]
-
-
-def test_tones_follow_gains_that_drift(tmp_path: Path) -> None:
-    out = tmp_path / "drift.json"
-    outcome = CliRunner().invoke(app, [*DRIFT, f"--out={out}"])
-    assert outcome.exit_code == 0, outcome.output
-    found = json.loads(out.read_text())
-    assert found["count"] == 14
-    assert found["problems"] == []
-    last = found["looks"][-1]
-    assert last["drifted"] > 0.02
-    assert last["left"] < 0.5 * last["drifted"]
-    assert found["left_rms_most"] < 0.03
-
-
-def test_tones_that_do_not_follow_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(RigWatch, "_equalise", lambda self, found: None)
-    outcome = CliRunner().invoke(app, DRIFT)
-    assert outcome.exit_code == 1
-    assert "% of their brightness" in " ".join(outcome.stdout.split())

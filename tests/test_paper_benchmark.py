@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import paper, printed, results
+from benchmarks import paper, results
 from benchmarks.cli import app
 from benchmarks.clock import spread
 from benchmarks.results import Record, Run
 from lfgpu import estimate_depth, evaluate
+from tests import printed
 from tests.io.fields import SAMPLES, scene
 
 pytestmark = pytest.mark.thorough
@@ -50,8 +51,8 @@ def test_the_mean_of_the_old_hci_set_is_that_of_last_stages() -> None:
         for n, e in enumerate(e for e in paper.EXPERIMENTS if e.name.endswith("-9x9x768x768"))
     ]
     run = Run("", {}, {}, "", 1, 0.0, records, [])
-    assert paper.experiments(run)[-1] == ("mean of the old HCI set", "`paper`", "–", "–", "3.000")
-    assert "mean" not in paper.experiments(Run("", {}, {}, "", 1, 0.0, records[1:], []))[-1][0]
+    assert paper.experiments(run).rows[-1] == ("mean of the old HCI set", "`paper`", "–", "–", "3.000")
+    assert "mean" not in paper.experiments(Run("", {}, {}, "", 1, 0.0, records[1:], [])).rows[-1][0]
 
 
 def test_specks_are_counted() -> None:

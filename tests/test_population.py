@@ -11,11 +11,11 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from benchmarks import drawn, error_sheet, population, results, tables
+from benchmarks import drawn, error_sheet, population, results, runs, scoring
 from benchmarks.cli import app
 from benchmarks.clock import spread
+from benchmarks.error_sheet import Picture
 from benchmarks.errors import BenchmarkError
-from benchmarks.population import Picture
 from benchmarks.results import Record, Run
 from lfgpu import estimate_depth, evaluate, read, scenes
 from lfgpu.io.hci import write_hci
@@ -79,7 +79,7 @@ def test_light_fields_that_are_drawn_stand_beside_folders(tmp_path: Path) -> Non
 
 def test_scenes_of_the_package_stand_beside_folders() -> None:
     name = "planes-5x5x64x72"
-    found = population.run([], ["fast"], ["true"], lambda _: None, lambda _: None, {name: population.made(name)})
+    found = population.run({name: population.made(name)}, ["fast"], ["true"], lambda _: None)
     lf = scenes.make("planes", grid=(5, 5), size=(64, 72))
     assert lf.truth is not None
     (scored,) = found.records
@@ -96,7 +96,7 @@ def test_scenes_that_there_are_not_are_refused(name: str) -> None:
 
 def test_scores_are_those_of_the_map_with_the_range_that_is_said(folder: Path) -> None:
     pictures: list[Picture] = []
-    found = population.run([folder / "first"], ["fast"], ["true"], lambda _: None, pictures.append)
+    found = population.run({"first": lambda: read(folder / "first")}, ["fast"], ["true"], pictures.append)
     (scored,) = found.records
     lf = read(folder / "first")
     truth = lf.reference_truth()
@@ -113,37 +113,37 @@ def test_scores_are_those_of_the_map_with_the_range_that_is_said(folder: Path) -
 
 
 def test_a_folder_is_a_light_field_or_holds_some(folder: Path, tmp_path: Path) -> None:
-    assert list(population.light_fields([folder])) == ["first", "second"]
-    assert population.light_fields([folder / "second"]) == {"second": folder / "second"}
+    assert list(scoring.light_fields([folder])) == ["first", "second"]
+    assert scoring.light_fields([folder / "second"]) == {"second": folder / "second"}
     with pytest.raises(BenchmarkError, match="holds no light field"):
-        population.light_fields([tmp_path])
+        scoring.light_fields([tmp_path])
     with pytest.raises(BenchmarkError, match="is no folder"):
-        population.light_fields([tmp_path / "nosuch"])
+        scoring.light_fields([tmp_path / "nosuch"])
 
 
 def test_what_fails_is_a_record_that_says_why(folder: Path, tmp_path: Path) -> None:
     broken = tmp_path / "broken"
     broken.mkdir()
     (broken / "gt_disp_lowres.pfm").write_bytes((folder / "first" / "gt_disp_lowres.pfm").read_bytes())
-    (scored,) = population.run([broken], ["fast"], ["true"], lambda _: None, lambda _: None).records
+    (scored,) = population.run({"broken": lambda: read(broken)}, ["fast"], ["true"], lambda _: None).records
     assert "broken" in scored.failed
 
 
 def test_ratios_are_geometric_means_and_the_worst_is_named() -> None:
     old = run_of(record("a", "found", 4.0), record("b", "found", 4.0), record("gone", "found", 1.0))
     new = run_of(record("a", "found", 1.0), record("b", "found", 8.0), record("new", "found", 9.0))
-    (row,) = tables.against(new, old).rows
+    (row,) = runs.against(new, old).rows
     assert row[:5] == ("fast, range found", "2", "1.00", "0.71", "1.00")
     assert row[6] == "b 2.00"
 
 
 def test_a_failed_scene_is_in_no_mean() -> None:
     failed = replace(record("a", "found", 4.0), seconds=None, errors={}, failed="no")
-    assert tables.against(run_of(failed), run_of(record("a", "found", 4.0))).rows == []
+    assert runs.against(run_of(failed), run_of(record("a", "found", 4.0))).rows == []
 
 
 def test_the_found_range_is_held_against_the_true_one() -> None:
-    *_, compared = tables.tables([record("a", "found", 6.0), record("a", "true", 4.0)])
+    *_, compared = runs.tables([record("a", "found", 6.0), record("a", "true", 4.0)])
     (row,) = compared.rows
     assert (row[0], row[3]) == ("fast, range found", "1.50")
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import lfgpu
-from benchmarks import printed
 from lfgpu import scenes
 from lfgpu.methods import method_of, preset
 from lfgpu.methods.synthesis.config import SynthesisConfig
@@ -17,6 +16,7 @@ from lfgpu.methods.synthesis.energy import Energy
 from lfgpu.methods.synthesis.model import ForwardModel
 from lfgpu.methods.synthesis.plan import SynthesisPlan, planned_prior
 from lfgpu.methods.synthesis.units import in_units_of, noise_in_units, spread
+from tests import printed
 
 RANGE = (-1.5, 1.6)
 

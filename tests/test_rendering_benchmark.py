@@ -26,15 +26,16 @@ def test_psnr_by_hand() -> None:
     assert rendering.psnr(np.full((2, 2), 0.6, np.float32), np.full((2, 2), 0.5, np.float32)) == pytest.approx(20)
 
 
-def test_rendered_views_win_on_a_scene_and_the_table_says_so(tmp_path: Path) -> None:
+def test_rendered_views_win_on_a_scene_and_the_table_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write_hci(scenes.make("relief", grid=(5, 5), size=(48, 48)), tmp_path / "relief")
-    said: list[str] = []
-    rows = list(rendering.run(["relief", "nothing"], tmp_path, preset="fast", every=6, say=said.append))
-    assert any("nothing" in line and "not there" in line for line in said)
+    rows = list(rendering.run(["relief", "nothing"], tmp_path, preset="fast", every=6))
+    assert "nothing is not there, left out" in capsys.readouterr().err
     (row,) = rows
     assert (row.scene, row.kept, row.rendered) == ("relief", 9, 3)
     for values in (row.whole, row.inner):
         assert values["rendered"] > values["mean of neighbours"] > values["nearest view"]
-    assert f"**{row.whole['rendered']:.1f} / {row.inner['rendered']:.1f}**" in rendering.markdown(rows)
+    assert f"**{row.whole['rendered']:.1f} / {row.inner['rendered']:.1f}**" in rendering.table(rows).markdown
     with pytest.raises(BenchmarkError, match="LFGPU_DATA"):
-        list(rendering.run(["nothing"], tmp_path, preset="fast", every=1, say=said.append))
+        list(rendering.run(["nothing"], tmp_path, preset="fast", every=1))

@@ -21,7 +21,7 @@ PAGES = {
     "benchmarks/README.md": "benchmarks",
     "benchmarks/ablation.md": "ablation",
     "benchmarks/measuring.md": "measuring",
-    "benchmarks/recorded.md": "recorded",
+    "benchmarks/tried.md": "tried",
     "kernels/README.md": "backend",
     "benchmarks/results/README.md": "measured",
 }

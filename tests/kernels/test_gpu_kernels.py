@@ -19,9 +19,9 @@ import pytest
 import warp as wp
 from test_matrix import CELLS, MAKERS, cell
 
-from benchmarks import printed
 from lfgpu.contract import KernelSet
 from lfgpu.methods.synthesis import model
+from tests import printed
 
 pytestmark = pytest.mark.thorough
 

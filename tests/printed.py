@@ -1,6 +1,6 @@
-"""The printed equations of Sajjadi et al. 2016 as plain loops in float64, and how far the kernels are from them.
+"""The printed equations of Sajjadi et al. 2016 as plain loops in float64, and the errors of kernels against them.
 
-Nothing here comes from the package's own code: it is what that is held against. The paper's slope is m = -d.
+Nothing of the equations comes from the package's own code, which is compared with them. The paper's slope is m = -d.
 """
 
 from __future__ import annotations

@@ -1,0 +1,199 @@
+"""Tables of the pages, each made from committed result files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from benchmarks import (
+    confidence,
+    judge,
+    live,
+    misalignment,
+    paper,
+    pipelines,
+    rendering,
+    results,
+    runs,
+    tile_differences,
+)
+from benchmarks.errors import BenchmarkError
+from benchmarks.results import FOLDER, Record, Run
+from benchmarks.tables import NONE, Table, duration
+
+_ERRORS = {"mse_100": ".3g", "badpix_07": ".1f", "badpix_03": ".1f", "badpix_01": ".1f"}
+_COMPARED = ("cotton", "kitchen", "vinyl")  # scenes of the HCI benchmark that other methods are published on
+_NAMES = {"fast": "fast", "accurate": "accurate", "paper": pipelines.RESIDENT}  # of the pipelines of presets
+
+
+def content(path: Path) -> Any:
+    """Read a result file; BenchmarkError if it cannot be read."""
+    if not path.is_file():
+        raise BenchmarkError(f"{path} is not there: a figure is to come from it.")
+    return _read(path, path.stat().st_mtime_ns)
+
+
+def newest(names: Iterable[str]) -> str:
+    """Return the file of the newest version among `accuracy-VERSION.json`."""
+    return max(names, key=lambda name: [int(number) for number in _version(name).split(".")])
+
+
+@cache
+def _read(path: Path, _: int) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise BenchmarkError(f"{path} is not a JSON file.") from error
+
+
+def _version(name: str) -> str:
+    return name.removeprefix("accuracy-").removesuffix(".json")
+
+
+def _rows(path: Path) -> Sequence[dict[str, Any]]:
+    return content(path)["rows"]
+
+
+# --- accuracy ---
+
+
+def _accuracy(path: Path) -> str:
+    """Write MSE x 100 and the three BadPix of each scene and preset; the best of a row is bold."""
+    run = results.load(path)
+    return f"{_errors_by_preset(_range_found(run))}\n\n{_where(run, path)}\n"
+
+
+def _errors_by_preset(found: Sequence[Record]) -> str:
+    presets = list(dict.fromkeys(r.details["preset"] for r in found))
+    rows = []
+    for scene in dict.fromkeys(r.case for r in found):
+        of = {r.details["preset"]: r.errors for r in found if r.case == scene}
+        cells = {name: [f"{errors[m]:{how}}" for m, how in _ERRORS.items()] for name, errors in of.items()}
+        best = [min(float(cell[place]) for cell in cells.values()) for place in range(len(_ERRORS))]
+        rows.append((f"`{scene}`", *(_bold(cells[name], best) if name in cells else NONE for name in presets)))
+    return Table("", ("scene", *(f"`{name}`" for name in presets)), len(presets) + 1, rows).markdown
+
+
+def _bold(cells: Sequence[str], best: Sequence[float]) -> str:
+    return " / ".join(f"**{c}**" if float(c) == b else c for c, b in zip(cells, best, strict=True))
+
+
+def _compared(accuracy: Path, published: Path) -> str:
+    """Write MSE x 100 and BadPix(0.07) of the presets and of published methods, and the time where it is known."""
+    run = results.load(accuracy)
+    ours = [
+        (f"**lfgpu {_version(accuracy.name)}, `{preset}`**", "no", {r.case: r.errors for r in of}, _seconds(of))
+        for preset in dict.fromkeys(r.details["preset"] for r in _range_found(run))
+        for of in [[r for r in _range_found(run) if r.details["preset"] == preset]]
+    ]
+    others = [
+        (method["name"], "yes" if method["trained"] else "no", method["errors"], method.get("seconds"))
+        for method in content(published)["methods"]
+    ]
+    rows = [
+        (name, trained, *(_scene(errors.get(scene)) for scene in _COMPARED), f"{time:.1f} s" if time else NONE)
+        for name, trained, errors, time in sorted(ours + others, key=lambda row: row[1])
+    ]
+    columns = ("method", "trained", *(f"`{scene}`" for scene in _COMPARED), f"time, `{_COMPARED[0]}`")
+    return f"{Table('', columns, 2, rows).markdown}\n\n{_where(run, accuracy)}\n"
+
+
+def _where(run: Run, path: Path) -> str:
+    used = "the GPU" if run.records[0].device.startswith("cuda") else "the CPU"
+    return f"lfgpu {_version(path.name)}, measured on {run.date[:10]} with {used} of: {run.where}."
+
+
+def _range_found(run: Run) -> list[Record]:
+    return [r for r in run.records if not r.failed and r.details["range"] == "found"]
+
+
+def _seconds(found: Sequence[Record]) -> float | None:
+    return next((r.seconds.median for r in found if r.case == _COMPARED[0] and r.seconds is not None), None)
+
+
+def _scene(errors: Mapping[str, float] | None) -> str:
+    return f"{errors['mse_100']:.2f} / {errors['badpix_07']:.1f} %" if errors else NONE
+
+
+# --- times ---
+
+
+def _pipelines(path: Path) -> str:
+    """Write the time of a light field in a pipeline that is there; in brackets upload, stages, download and memory."""
+    found = _resident(path)
+    columns = list(dict.fromkeys(r.case for r in found))
+    rows = [(f"`{preset}`", *(_cell(found, preset, case, parts=True) for case in columns)) for preset in _NAMES]
+    return Table("", ("preset", *columns), len(columns) + 1, rows).markdown
+
+
+def _times(path: Path) -> str:
+    """Write the same, a row for each size, without the stages."""
+    found = _resident(path)
+    sizes = list(dict.fromkeys(r.case for r in found))
+    rows = [(case.replace("x", " × "), *(_cell(found, preset, case) for preset in _NAMES)) for case in sizes]
+    return Table("", ("", *(f"`{name}`" for name in _NAMES)), len(_NAMES) + 1, rows).markdown
+
+
+def _resident(path: Path) -> list[Record]:
+    records = results.load(path).records
+    return [r for r in records if r.kind == "pipeline" and r.name in _NAMES.values() and not r.failed]
+
+
+def _cell(found: Sequence[Record], preset: str, case: str, *, parts: bool = False) -> str:
+    for r in found:
+        if (r.name, r.case) == (_NAMES[preset], case) and r.seconds is not None:
+            first, *stages, last = (duration(seconds) for seconds in r.details["stages"].values())
+            memory = f"; {r.gpu_bytes / 1e9:.1f} GB" if r.gpu_bytes else ""
+            rest = f" ({first}, {' / '.join(stages)}, {last}{memory})" if parts else ""
+            return duration(r.seconds.median) + rest
+    return NONE
+
+
+# --- others ---
+
+
+def _runs(*paths: Path) -> str:
+    return "\n".join(runs.markdown(run) for run in results.merged(map(results.load, paths)))
+
+
+def _rendered(path: Path) -> list[rendering.Row]:
+    return [rendering.Row(**row) for row in _rows(path)]
+
+
+def _new_views(path: Path) -> str:
+    """Write the PSNR of whole views, rendered and as the mean of the neighbours."""
+    names = ("rendered", "mean of neighbours")
+    rows = [(f"`{row.scene}`", *(f"{row.whole[name]:.1f} dB" for name in names)) for row in _rendered(path)]
+    return Table("", ("scene", *names), 1, rows).markdown
+
+
+ACCURACY = newest(path.name for path in FOLDER.glob("accuracy-*.json"))
+"""The accuracy of the newest version that was measured."""
+PUBLISHED = "published.json"
+"""What others publish about their methods, each with its source."""
+TIMES = "h200-pipelines.json"
+RUNS = (TIMES, "ablation.json")
+TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
+    "ablation": (("ablation.json",), lambda path: runs.tables(results.load(path).records)[0].markdown),
+    "accuracy": ((ACCURACY,), _accuracy),
+    "compared": ((ACCURACY, PUBLISHED), _compared),
+    "confidence": (("confidence.json",), lambda path: confidence.by_confidence(_rows(path)).markdown),
+    "experiments": (("paper.json",), lambda path: paper.experiments(results.load(path)).markdown),
+    "forms": (("paper.json",), lambda path: paper.forms(results.load(path)).markdown),
+    "judge": (("judge.json",), lambda path: judge.table(content(path)["draws"]).markdown),
+    "live": (("h200-live.json",), lambda path: live.table(_rows(path)).markdown),
+    "misalignment": (("misalignment.json",), lambda path: misalignment.table(misalignment.load(path)).markdown),
+    "new-views": (("rendering.json",), _new_views),
+    "paper": (
+        ("paper-accuracy.json",),
+        lambda path: _errors_by_preset([r for r in results.load(path).records if not r.failed]),
+    ),
+    "pipelines": ((TIMES,), _pipelines),
+    "runs": (RUNS, _runs),
+    "tiles": (("tiles.json",), lambda path: tile_differences.table(_rows(path)).markdown),
+    "times": ((TIMES,), _times),
+}
+"""By name of the table: the result files that it needs, and how it is made of their paths."""
