@@ -26,7 +26,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.options import Out, Presets, check_out, listed, save, say
 from benchmarks.tables import NONE, Table
 from lfgpu import LightField, read, scenes
-from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu._backends import DEFAULT, load, open_device
 from lfgpu.data.lightfield import GroundTruth
 from lfgpu.io.atomic import atomic_write
 from lfgpu.methods import method_of
@@ -357,20 +357,19 @@ def draw(groups: Mapping[str, Sequence[Judged]], out: Path) -> None:
 def _sample(lf: LightField, scene: str, preset: str, bounds: tuple[float, float] | None = None) -> Sample:
     say(f"{scene}, {preset}")
     truth = scoring.truth_of(lf)
-    kernels = load(DEFAULT)
-    device = pick_device(kernels, None)
+    place = open_device(DEFAULT)
     method = method_of(preset)
     if not isinstance(method.config, MatchingConfig):
         raise BenchmarkError(f"the preset {preset!r} has no calibrated confidence; take accurate or fast.")
-    measured = method.measure(lf, kernels, device) if bounds is None else method.measured(lf, bounds, kernels, device)
-    plan = method.plan(lf.layout, measured, kernels, device)
+    measured = method.measure(lf, place) if bounds is None else method.measured(lf, bounds, place)
+    plan = method.plan(lf.layout, measured, place)
     assert isinstance(plan, MatchingPlan)  # whose configuration it is
-    views = kernels.image(lf.views, device)
+    views = place.image(lf.views)
     for work in plan.stages(views).values():
         work(None)
     error = np.full(lf.size, np.nan)
     inside = np.s_[BORDER:-BORDER, BORDER:-BORDER]
-    error[inside] = (kernels.numpy(plan.disparity) - truth.disparity)[inside]
+    error[inside] = (place.kernels.numpy(plan.disparity) - truth.disparity)[inside]
     if truth.mask is not None:
         error[~truth.mask] = np.nan
     scored = np.flatnonzero(np.isfinite(error))

@@ -14,7 +14,7 @@ from benchmarks import cases, clock
 from benchmarks.cases import Case
 from benchmarks.options import Backends, Cases, Device, Out, Preset, Seconds, collected, listed, places, say
 from benchmarks.tables import Table
-from lfgpu import LightField, scenes
+from lfgpu import LightField, contract, scenes
 from lfgpu._backends import load
 from lfgpu.contract import KernelSet
 from lfgpu.methods import method_of
@@ -96,11 +96,11 @@ def run(
 def _measured(case: Case, lf: LightField, preset: str, kernels: KernelSet, device: str, seconds: float) -> Row:
     assert lf.truth is not None
     start = time.perf_counter()
-    found = find_disparity_range(lf, kernels, device)
+    found = find_disparity_range(lf, contract.Device(kernels, device))
     first = time.perf_counter() - start
     views, method = kernels.image(lf.views, device), method_of(preset)
     counting: Any = _Counting(kernels)
-    find_disparity_range(lf, counting, device, views=views)
+    find_disparity_range(lf, contract.Device(counting, device), views=views)
 
     def timed(work: Callable[[], object]) -> float:
         work()
@@ -110,9 +110,9 @@ def _measured(case: Case, lf: LightField, preset: str, kernels: KernelSet, devic
         case.name,
         kernels.name,
         device,
-        timed(lambda: find_disparity_range(lf, kernels, device)),
-        timed(lambda: find_disparity_range(lf, kernels, device, views=views)),
-        timed(lambda: method.measured(lf, found, kernels, device)),
+        timed(lambda: find_disparity_range(lf, contract.Device(kernels, device))),
+        timed(lambda: find_disparity_range(lf, contract.Device(kernels, device), views=views)),
+        timed(lambda: method.measured(lf, found, contract.Device(kernels, device))),
         1000 * first,
         counting.waits,
         found,

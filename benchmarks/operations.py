@@ -19,7 +19,7 @@ from benchmarks.job import Job
 from benchmarks.results import Record
 from lfgpu import LightField, TemporalPrior
 from lfgpu._backends import load, pick_device
-from lfgpu.contract import KernelSet
+from lfgpu.contract import Device, KernelSet
 from lfgpu.methods import method_of
 from lfgpu.methods.measured import Measured
 
@@ -84,7 +84,7 @@ def measure(job: Job) -> Iterator[Record]:
     lf, kernels = cases.load(Path(job.scene)), load(job.backend)
     device, method = pick_device(kernels, job.device), method_of(job.name)
     arrays = tuple({type(kernels.zeros((2, 2), device)), type(kernels.scalar(0.0, device))})
-    measured = method.measure(lf, kernels, device, disparity_range=RANGE)
+    measured = method.measure(lf, Device(kernels, device), disparity_range=RANGE)
     for name, calls in _frames(job.name, lf, measured, kernels, device, arrays):
         for operation in dict.fromkeys(call.name for call in calls):
             some = [call for call in calls if call.name == operation]
@@ -117,7 +117,7 @@ def _frames(
     results = (*arrays, np.ndarray, int, float, str, bool, tuple)
     noting: Any = _Noting(kernels, log, results)
     views = kernels.image(lf.views, device)
-    stages = method.plan(lf.layout, measured, noting, device).stages(views)
+    stages = method.plan(lf.layout, measured, Device(noting, device)).stages(views)
     log.clear()
     for work in stages.values():
         work(None)
@@ -125,7 +125,8 @@ def _frames(
     if method.is_live and kernels.streaming is not None:
         used = lf.subset(method.used_views(lf.layout))
         streaming: Any = _Noting(kernels.streaming, log, results)
-        plan = method.live_plan(used.layout, measured, noting, device, streaming=streaming, prior=TemporalPrior())
+        place = Device(noting, device)
+        plan = method.live_plan(used.layout, measured, place, streaming=streaming, prior=TemporalPrior())
         views = kernels.image(used.views, device)
         for levels in (plan.levels, plan.warm_levels):
             log.clear()

@@ -13,7 +13,7 @@ from benchmarks import cases, clock
 from benchmarks.cases import Case
 from benchmarks.options import Backends, Cases, Device, Out, Preset, Seconds, collected, listed, places, say
 from benchmarks.tables import Table
-from lfgpu import DepthPipeline, LightField, Rectifier, scenes
+from lfgpu import DepthPipeline, LightField, Rectifier, contract, scenes
 from lfgpu._backends import backend_named, load
 from lfgpu.calibration import Calibration, Misalignment, disturb, rectify
 from lfgpu.methods import method_of
@@ -119,7 +119,7 @@ def _measured(
     seconds: float,
 ) -> Row:
     kernels = load(backend)
-    rectified = rectifier.rectified(pictures, kernels, device)
+    rectified = rectifier.rectified(pictures, contract.Device(kernels, device))
     used = method_of(preset).used_views(rectified.layout)
 
     def timed(work: Callable[[], None]) -> float:
@@ -144,8 +144,8 @@ def _measured(
         device,
         len(pictures.views),
         len(used),
-        timed(Rectification(rectifier, pictures, kernels, device).work),
-        timed(Rectification(rectifier, pictures, kernels, device, used=used).work),
+        timed(Rectification(rectifier, pictures, contract.Device(kernels, device)).work),
+        timed(Rectification(rectifier, pictures, contract.Device(kernels, device), used=used).work),
         frame(plain),
         frame(whole),
         host_ms,
@@ -156,6 +156,6 @@ def _measured(
 def _error(pictures: LightField, rectifier: Rectifier, rectified: LightField) -> float:
     """Compare with the reference in the last view."""
     reference = load("reference")
-    found = Rectification(rectifier, pictures, reference, "cpu", used=[len(pictures.views) - 1])
+    found = Rectification(rectifier, pictures, contract.Device(reference, "cpu"), used=[len(pictures.views) - 1])
     found.work()
     return float(np.abs(reference.numpy(found.views)[0] - rectified.views[-1]).max())

@@ -13,6 +13,7 @@ from benchmarks.options import Out, Presets, collected, listed, say
 from benchmarks.tables import Table
 from lfgpu import LightField, estimate_depth, scenes
 from lfgpu._backends import load
+from lfgpu.contract import Device
 from lfgpu.data.result import DepthResult
 from lfgpu.methods import method_of
 from lfgpu.methods import preset as named
@@ -77,7 +78,7 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
 def _in_four(lf: LightField, preset: str) -> DepthResult:
     """Estimate with the most memory that needs 2 x 2 tiles."""
     method = method_of(preset)
-    measured = method.measure(lf, load("warp"), "cpu", disparity_range=RANGE)
+    measured = method.measure(lf, Device(load("warp"), "cpu"), disparity_range=RANGE)
     edge = method.halo(lf.layout, measured)
     (_, height), (_, width) = (tiles._cuts(side, e)[1] for side, e in zip(lf.size, edge, strict=True))
     memory = method.footprint(lf.layout, measured, on_gpu=False).bytes(height, width)

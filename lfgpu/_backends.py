@@ -10,7 +10,7 @@ from lfgpu.errors import BackendError
 from lfgpu.machine import version_of
 
 if TYPE_CHECKING:
-    from lfgpu.contract import KernelSet
+    from lfgpu.contract import Device, KernelSet
 
 _PACKAGES = {"warp": "warp-lang", "taichi": "taichi", "reference": "numpy"}  # backend -> the package that it needs
 
@@ -89,6 +89,14 @@ def pick_device(kernels: KernelSet, device: str | None) -> str:
     if wanted not in devices:
         raise BackendError(f"backend {kernels.name!r} finds no device {device!r}; use one of {', '.join(devices)}.")
     return wanted
+
+
+def open_device(backend: str = DEFAULT, device: str | None = None) -> Device:
+    """A device of a backend, by name; None and errors as for `load` and `pick_device`."""
+    from lfgpu.contract import Device  # needs NumPy, which listing backends does not
+
+    kernels = load(backend)
+    return Device(kernels, pick_device(kernels, device))
 
 
 def _describe(backend: str) -> BackendInfo:

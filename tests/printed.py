@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu import LightField
-from lfgpu.contract import KernelSet
+from lfgpu.contract import Device, KernelSet
 from lfgpu.methods import preset
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.prior import NonLocalMeans
@@ -245,7 +245,7 @@ def errors(kernels: KernelSet, device: str) -> dict[str, float]:
 
     sigma_colour, sigma_gradient = measured = spread(lf, config.prior.patch)
     ours = in_units_of(Measured((-1.0, 1.0), spread=measured), config)
-    plan = planned_prior((*lf.size, lf.channels), ours.prior, kernels, device)
+    plan = planned_prior((*lf.size, lf.channels), ours.prior, Device(kernels, device))
     plan.load(kernels.image(lf.image(lf.reference_index), device))
     columns = []
     for unit in np.eye(image[..., 0].size):
@@ -258,7 +258,7 @@ def errors(kernels: KernelSet, device: str) -> dict[str, float]:
     fill = Propagation(lf.size, (-1.0, 1.0), plan, replace(ours.propagation, solver="cg", tolerance=1e-7))
     fill.run(kernels.field(disparity, device), kernels.field(coherence, device))
 
-    model = ForwardModel(lf.layout, ours.refinement, kernels, device)
+    model = ForwardModel(lf.layout, ours.refinement, Device(kernels, device))
     model.load(kernels.image(lf.views, device), kernels.field(disparity, device))
     objective = Energy(model, plan, ours.refinement.smoothness)
     slope, value = kernels.zeros(lf.size, device), kernels.scalar(0.0, device)
@@ -309,7 +309,7 @@ def _gradient_error(
 def _local_errors(kernels: KernelSet, device: str) -> dict[str, float]:
     """Of the row and of the column, in a light field whose rows stand twice as far apart as its columns."""
     lf, bounds, config = wide_columns(), (-1.0, 1.0), exact_config().local
-    estimator = LocalEstimator(lf.layout, bounds, config, kernels, device)
+    estimator = LocalEstimator(lf.layout, bounds, config, Device(kernels, device))
     estimator.run(kernels.image(lf.views, device))
     found = {}
     for line, indices, axis, spacing in (("row", lf.row(), 0, 1.0), ("column", lf.column(), 1, 2.0)):

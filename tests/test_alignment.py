@@ -6,6 +6,7 @@ import numpy as np
 
 from lfgpu import scenes
 from lfgpu._backends import load
+from lfgpu.contract import Device
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.measured import Measured
@@ -15,7 +16,7 @@ from lfgpu.pipelines.estimate import estimate_depth
 def test_what_the_alignment_moved_too_far_is_put_back() -> None:
     """With a reach of 0.4 px: pixels that moved less stay where they are, all others return."""
     lf, kernels = scenes.make("boxes", grid=(5, 5), size=(48, 48)), load("warp")
-    matching = MatchingPlan(lf.layout, Measured((-1.0, 1.0), 0.004, None), MatchingConfig(), kernels, "cpu")
+    matching = MatchingPlan(lf.layout, Measured((-1.0, 1.0), 0.004, None), MatchingConfig(), Device(kernels, "cpu"))
     moved = np.linspace(-0.8, 0.8, 48 * 48, dtype=np.float32).reshape(48, 48)
     map_ = kernels.field(0.1 + moved, "cpu")
     kernels.copy(kernels.field(np.full((48, 48), 0.1), "cpu"), matching._matched)

@@ -11,6 +11,7 @@ import pytest
 
 from lfgpu import scenes
 from lfgpu._backends import load
+from lfgpu.contract import Device
 from lfgpu.data.filling import fill_unknown
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.views_result import ViewsResult
@@ -208,7 +209,7 @@ def joined(
         )
         for position, row in maps.items()
     ]
-    disparity, confidence = Join(estimates, valid, load("reference"), "cpu", tolerance=0.1)(np.array(at))
+    disparity, confidence = Join(estimates, valid, Device(load("reference"), "cpu"), tolerance=0.1)(np.array(at))
     return disparity[1].tolist(), confidence[1].tolist()
 
 

@@ -24,6 +24,7 @@ from lfgpu.batch.names import MANIFEST_FILE
 from lfgpu.batch.report import write_report
 from lfgpu.batch.run import Batch, _jobs
 from lfgpu.batch.work import Settings, work
+from lfgpu.contract import Device
 from lfgpu.io import read, read_result
 from lfgpu.methods import method_of, preset
 
@@ -174,7 +175,7 @@ def test_frames_have_range_and_noise_of_the_first_that_can_be_read(recorded: Pat
     settings = Settings(preset("fast"))
     todo = jobs(frames, tmp_path / "out", settings, sequence=True)
     first = read(frames / "frame_1")
-    measured = method_of("fast").measure(first, load("warp"), "cpu")
+    measured = method_of("fast").measure(first, Device(load("warp"), "cpu"))
     pipeline = DepthPipeline(first, config="fast", measured=measured, device="cpu")
     entries = [work(job, "cpu") for job in (todo[0], todo[2], todo[1])]  # in whatever order
     assert [entry["status"] for entry in entries] == [FAILED, DONE, DONE]

@@ -12,6 +12,7 @@ import pytest
 
 from lfgpu import read, scenes
 from lfgpu._backends import load
+from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import disparity_range
@@ -22,7 +23,7 @@ DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared"
 
 def find_disparity_range(lf: LightField) -> tuple[float, float]:
     """With the default backend on the CPU."""
-    return disparity_range.find_disparity_range(lf, KERNELS, "cpu")
+    return disparity_range.find_disparity_range(lf, Device(KERNELS, "cpu"))
 
 
 def spans(lf: LightField, *, missing: float = 0.0, times: float = 1.3, more: float = 0.3) -> None:
@@ -122,7 +123,7 @@ def test_it_does_not_depend_on_the_backend(backend: str) -> None:
     lf = scenes.make("boxes", grid=(3, 3), size=(64, 72))
     valid = np.random.default_rng(0).uniform(size=lf.views.shape[:3]) > 0.001
     for some in (lf, replace(lf, valid=valid)):
-        found = disparity_range.find_disparity_range(some, load(backend), "cpu")
+        found = disparity_range.find_disparity_range(some, Device(load(backend), "cpu"))
         np.testing.assert_allclose(found, find_disparity_range(some), atol=1e-4)
 
 
@@ -132,7 +133,7 @@ def test_it_does_not_depend_on_how_views_reach_the_device(monkeypatch: pytest.Mo
     for some in (lf, replace(lf, valid=valid)):
         found = find_disparity_range(some)
         views = KERNELS.image(some.views, "cpu")
-        assert disparity_range.find_disparity_range(some, KERNELS, "cpu", views=views) == found
+        assert disparity_range.find_disparity_range(some, Device(KERNELS, "cpu"), views=views) == found
         with monkeypatch.context() as patch:
             patch.setattr(disparity_range, "_AT_ONCE", 2 * some.views[0].nbytes)
             assert find_disparity_range(some) == found

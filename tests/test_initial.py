@@ -12,6 +12,7 @@ import pytest
 import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
+from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
@@ -36,7 +37,7 @@ class Local(NamedTuple):
 
 
 def estimated(lf: LightField, disparity_range: tuple[float, float] = RANGE, **config: float) -> Local:
-    return run(LocalEstimator(lf.layout, disparity_range, LocalConfig(**config), WARP, "cpu"), lf.views)
+    return run(LocalEstimator(lf.layout, disparity_range, LocalConfig(**config), Device(WARP, "cpu")), lf.views)
 
 
 def run(estimator: LocalEstimator, views: np.ndarray) -> Local:
@@ -173,7 +174,7 @@ def test_masked_pixels_of_the_row_do_not_count() -> None:
 def test_estimator_remembers_nothing_of_the_views_before() -> None:
     """Although it keeps the best so far of one line and shear after the other."""
     lf, other = relief(), relief(seed=1)
-    estimator = LocalEstimator(lf.layout, RANGE, LocalConfig(), WARP, "cpu")
+    estimator = LocalEstimator(lf.layout, RANGE, LocalConfig(), Device(WARP, "cpu"))
     first, _, again = (run(estimator, views) for views in (lf.views, other.views, lf.views))
     np.testing.assert_array_equal(first.disparity, again.disparity)
     np.testing.assert_array_equal(first.coherence, again.coherence)
@@ -256,5 +257,5 @@ def test_the_range_is_in_units_of_the_positions() -> None:
     """Positions counted in steps half as long: disparities half as large, margin included."""
     lf = scenes.make("boxes", grid=(3, 3), size=(64, 72), disparity_range=(-2.0, 3.0))
     halved = replace(lf, positions=2 * lf.positions, truth=None, grid_shape=None)
-    where = load("warp"), "cpu"
-    assert np.allclose(2 * np.array(find_disparity_range(halved, *where)), find_disparity_range(lf, *where))
+    device = Device(load("warp"), "cpu")
+    assert np.allclose(2 * np.array(find_disparity_range(halved, device)), find_disparity_range(lf, device))

@@ -12,6 +12,7 @@ import pytest
 from lfgpu import scenes
 from lfgpu._backends import BackendName, load
 from lfgpu.config import Config
+from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
@@ -337,8 +338,8 @@ def test_noise_is_measured_and_borne() -> None:
     noisy = LightField(
         views=np.clip(lf.views + noise, 0, 255).astype(np.uint8), positions=lf.positions, reference=lf.reference
     )
-    kernels, sweep = load("reference"), PRESETS["accurate"].sweep
-    assert measured_noise(noisy, RANGE, sweep, kernels, "cpu") > 2 * measured_noise(lf, RANGE, sweep, kernels, "cpu")
+    device, sweep = Device(load("reference"), "cpu"), PRESETS["accurate"].sweep
+    assert measured_noise(noisy, RANGE, sweep, device) > 2 * measured_noise(lf, RANGE, sweep, device)
     assert lf.truth is not None
     matching, synthesis = (
         evaluate(estimate_depth(noisy, disparity_range=RANGE, config=name).disparity, lf.truth.disparity)

@@ -15,7 +15,7 @@ import pytest
 
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.contract import DataTerm
+from lfgpu.contract import DataTerm, Device
 from lfgpu.solvers.lbfgs import BoundedLbfgs
 
 KERNELS, DEVICE = load("warp"), "cpu"
@@ -81,7 +81,7 @@ def value_and_gradient(term: Callable[[Any, Any, Any], None], disparity: np.ndar
 
 def after_lbfgs(term: Callable[[Any, Any, Any], None], start: np.ndarray) -> np.ndarray:
     """30 iterations, or fewer if the line search finds nothing lower."""
-    solver = BoundedLbfgs(SIZE, BOUNDS, KERNELS, DEVICE, tolerance=0.0, max_iterations=30)
+    solver = BoundedLbfgs(SIZE, BOUNDS, Device(KERNELS, DEVICE), tolerance=0.0, max_iterations=30)
     found = KERNELS.field(start, DEVICE)
     solver.minimize(term, found)
     return KERNELS.numpy(found)

@@ -10,6 +10,7 @@ import pytest
 
 import lfgpu
 from lfgpu import scenes
+from lfgpu.contract import Device
 from lfgpu.methods import method_of, preset
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.methods.synthesis.energy import Energy
@@ -45,10 +46,10 @@ def test_the_spread_counts_no_masked_pixels() -> None:
 def value(
     lf: lfgpu.LightField, config: SynthesisConfig, disparity: np.ndarray, start: np.ndarray, target: Any
 ) -> float:
-    kernels, where = target.kernels, (target.kernels, target.device)
-    prior = planned_prior((*lf.size, lf.channels), config.prior, *where)
+    kernels, device = target.kernels, Device(target.kernels, target.device)
+    prior = planned_prior((*lf.size, lf.channels), config.prior, device)
     prior.load(kernels.image(lf.image(lf.reference_index), target.device))
-    model = ForwardModel(lf.layout, config.refinement, *where)
+    model = ForwardModel(lf.layout, config.refinement, device)
     model.load(kernels.image(lf.views, target.device), kernels.field(start, target.device))
     smoothed = kernels.field(start, target.device) if config.refinement.smooths == "change" else None
     energy = Energy(model, prior, config.refinement.smoothness, smoothed)
@@ -65,7 +66,7 @@ def test_the_prior_counts_lambda_times_and_the_error_as_it_says(smooths: str, er
     image = lf.image(lf.reference_index).astype(np.float64)
     changed = {"refinement.smooths": smooths, "refinement.error": error, "refinement.smoothness": 0.37}
     config = in_units_of(
-        method_of("paper-exact").measure(lf, target.kernels, target.device, disparity_range=(-1, 1)),
+        method_of("paper-exact").measure(lf, Device(target.kernels, target.device), disparity_range=(-1, 1)),
         printed.exact_config().with_values(changed),
     )
     w = printed.weights(image, printed.WINDOW, 3, *printed.variances(image, 3))
@@ -128,11 +129,11 @@ def test_without_acceptance_it_does() -> None:
 
 def test_what_is_accepted_lies_between_both_maps(target: Any) -> None:
     lf = scenes.make("boxes", grid=(5, 5), size=(40, 48))
-    kernels, where = target.kernels, (target.kernels, target.device)
+    kernels, device = target.kernels, Device(target.kernels, target.device)
     config = preset("paper").with_values({"refinement.longest_change": 0.05})
     assert isinstance(config, SynthesisConfig)
-    measured = method_of(config).measure(lf, *where, disparity_range=RANGE)
-    plan = SynthesisPlan(lf.layout, measured, config, *where)
+    measured = method_of(config).measure(lf, device, disparity_range=RANGE)
+    plan = SynthesisPlan(lf.layout, measured, config, device)
     views = kernels.image(lf.views, target.device)
     for work in plan.stages(views).values():
         work(None)

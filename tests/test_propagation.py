@@ -10,6 +10,7 @@ import pytest
 from solver_runs import Found
 
 from lfgpu._backends import load
+from lfgpu.contract import Device
 from lfgpu.methods.prior import NonLocalMeans
 from lfgpu.methods.sections import PriorConfig
 from lfgpu.methods.synthesis.config import PropagationConfig
@@ -32,7 +33,7 @@ def gappy(rng: np.random.Generator, size: tuple[int, int]) -> Local:
 
 
 def propagation_of(image: np.ndarray, kernels: Any, device: str, **options: Any) -> Propagation:
-    prior = NonLocalMeans(image.shape, PRIOR, kernels, device)
+    prior = NonLocalMeans(image.shape, PRIOR, Device(kernels, device))
     prior.load(kernels.image(image, device))
     return Propagation(image.shape[:2], (-1.0, 1.0), prior, PropagationConfig(**options))
 
@@ -61,7 +62,7 @@ def energy_minimum(local: Local, weights: np.ndarray) -> np.ndarray:
 def test_propagation_is_the_minimum_of_its_energy(target: Any, rng: np.random.Generator) -> None:
     size = (6, 7)
     image, local = rng.random((*size, 3), np.float32), gappy(rng, size)
-    prior = NonLocalMeans(image.shape, PRIOR, REFERENCE, "cpu")
+    prior = NonLocalMeans(image.shape, PRIOR, Device(REFERENCE, "cpu"))
     prior.load(REFERENCE.image(image, "cpu"))
     columns = []
     for unit in np.eye(size[0] * size[1]):

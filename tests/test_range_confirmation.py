@@ -10,6 +10,7 @@ import pytest
 
 from lfgpu import DepthPipeline, DepthStream, estimate_depth, export_pipeline, scenes
 from lfgpu._backends import load
+from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.methods.range_confirmation import confirm
@@ -22,7 +23,7 @@ def left_out(seed: int) -> LightField:
     options = {"size": (160, 200), "disparity_range": (-2.274, 0.726), "noise": 0.02, "reference": (5, 0)}
     lf = scenes.make("textureless", seed=seed, grid=(9, 1), channels=1, **options)  # type: ignore[arg-type]
     assert lf.truth is not None
-    assert (lf.truth.disparity > find_disparity_range(lf, KERNELS, "cpu")[1]).mean() > 0.1
+    assert (lf.truth.disparity > find_disparity_range(lf, Device(KERNELS, "cpu"))[1]).mean() > 0.1
     return lf
 
 
@@ -35,7 +36,7 @@ def test_where_wider_ranges_leave_it_open_that_is_said() -> None:
     """In the wider range a few noisy pixels lie at its end by chance."""
     lf = left_out(8982)
     result = estimate_depth(lf, config="fast", device="cpu", check_cameras=False)
-    assert result.disparity_range == find_disparity_range(lf, KERNELS, "cpu")
+    assert result.disparity_range == find_disparity_range(lf, Device(KERNELS, "cpu"))
     assert any("Surfaces may lie beyond" in note for note in result.notes)
 
 
@@ -61,7 +62,7 @@ def test_it_is_widened_where_surfaces_lie_at_its_ends(beyond: LightField, preset
 
 
 def test_a_given_range_is_kept(beyond: LightField) -> None:
-    given = find_disparity_range(beyond, KERNELS, "cpu")
+    given = find_disparity_range(beyond, Device(KERNELS, "cpu"))
     assert estimate_depth(beyond, config="fast", device="cpu", disparity_range=given).disparity_range == given
     pipeline = DepthPipeline(beyond, config="fast", device="cpu", disparity_range=given)
     assert pipeline.estimate().disparity_range == given
@@ -143,7 +144,7 @@ def test_estimates_and_streams_say_so(caplog: pytest.LogCaptureFixture) -> None:
     """Noise spreads over any range, so wider ones are not believed."""
     options = {"size": (200, 360), "disparity_range": (-2.787, 4.213), "noise": 0.02, "reference": (0, 5)}
     lf = scenes.make("textureless", seed=1031, grid=(3, 7), channels=1, **options)  # type: ignore[arg-type]
-    found = find_disparity_range(lf, KERNELS, "cpu")
+    found = find_disparity_range(lf, Device(KERNELS, "cpu"))
     for max_memory in (None, "8GiB"):
         result = estimate_depth(lf, config="fast", device="cpu", check_cameras=False, max_memory=max_memory)
         assert result.disparity_range == found

@@ -10,6 +10,7 @@ import pytest
 from solver_runs import Found, Solver, assert_sentence
 
 from lfgpu import scenes
+from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.prior import NonLocalMeans
 from lfgpu.methods.structure_tensor import LocalEstimator
@@ -55,15 +56,15 @@ class Problem(NamedTuple):
 @cache
 def problem(scene: str, target: Any) -> Problem:
     lf = scenes.make(scene, grid=(5, 5), size=(52, 56))
-    kernels, where = target.kernels, (target.kernels, target.device)
+    kernels, device = target.kernels, Device(target.kernels, target.device)
     views = kernels.image(lf.views, target.device)
-    local = LocalEstimator(lf.layout, RANGE, PARAMETERS.local, *where)
+    local = LocalEstimator(lf.layout, RANGE, PARAMETERS.local, device)
     local.run(views)
-    prior = NonLocalMeans((*lf.size, lf.channels), PARAMETERS.prior, *where)
+    prior = NonLocalMeans((*lf.size, lf.channels), PARAMETERS.prior, device)
     prior.load(kernels.image(lf.image(lf.reference_index), target.device))
     propagation = Propagation(lf.size, RANGE, prior, PARAMETERS.propagation)
     propagation.run(local.disparity, local.coherence)
-    model = ForwardModel(lf.layout, PARAMETERS.refinement, *where)
+    model = ForwardModel(lf.layout, PARAMETERS.refinement, device)
     model.load(views, propagation.filled)
     energy = Energy(model, prior, PARAMETERS.refinement.smoothness)
     energy.load()

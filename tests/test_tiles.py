@@ -18,7 +18,7 @@ from lfgpu import DepthResult, LightField, LightFieldError, estimate_depth, read
 from lfgpu._backends import load
 from lfgpu.cli import app
 from lfgpu.config import Config
-from lfgpu.contract import REDUCTION
+from lfgpu.contract import REDUCTION, Device
 from lfgpu.data.mapping import forget, is_mapped
 from lfgpu.io import read_map, write_hci
 from lfgpu.io.disk import on_disk
@@ -43,7 +43,7 @@ def scene() -> LightField:
 @pytest.fixture(scope="module")
 def parameters(scene: LightField) -> Config:
     """With the noise of the whole scene, so that all tiles have the same."""
-    measured = method_of("accurate").measure(scene, load("warp"), "cpu", disparity_range=RANGE)
+    measured = method_of("accurate").measure(scene, Device(load("warp"), "cpu"), disparity_range=RANGE)
     assert measured.disparity_range == RANGE
     assert measured.noise is not None
     return preset("accurate").with_values({"sweep.noise": measured.noise})

@@ -18,6 +18,7 @@ from lfgpu.batch.items import Item
 from lfgpu.batch.manifest import DONE, FAILED
 from lfgpu.batch.names import PREVIEW_FILE, VIEW_FILE
 from lfgpu.config import Config
+from lfgpu.contract import Device
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.io.names import REPORT_FILE
@@ -123,7 +124,7 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
     result = _estimate(lf, job, device)
     clock.lap("estimate")
     if not job.item.sequence:  # it would be said of each frame
-        result = doubted(result, doubt_about(lf, job.settings.disparity_range, kernels, device))
+        result = doubted(result, doubt_about(lf, job.settings.disparity_range, Device(kernels, device)))
         with suppress(LightFieldError):  # the map says nothing of the cameras
             result = judged(lf, result, backend=job.settings.backend, device=result.device, quickly=True)
     clock.lap("judge")

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import Float64Array, KernelSet
+from lfgpu.contract import Device, Float64Array
 from lfgpu.data.channels import mean_of_channels
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.windows import eroded, gradient_size, smoothed, window_max, window_min
@@ -97,13 +97,12 @@ def farthest(lf: LightField) -> float:
     return float(np.hypot(*lf.offsets.T).max())
 
 
-def choose_points(
-    lf: LightField, disparity: NDArray[np.floating], kernels: KernelSet, device: str, *, most: int
-) -> Points:
+def choose_points(lf: LightField, disparity: NDArray[np.floating], device: Device, *, most: int) -> Points:
     """Up to `most` points, those of the strongest gradients in each part of the reference view.
 
     `disparity` [y, x] is the reference's map; NaN is not known, and no point is taken there.
     """
+    kernels = device.kernels
     height, width = lf.size
     known = np.isfinite(disparity)
     if lf.valid is not None:
@@ -112,11 +111,11 @@ def choose_points(
     map_ = np.where(known, disparity, far).astype(np.float32)
     y, x, tile = textured(lf, on_surface(lf, map_) & inner(known), most)
     visible = np.empty((len(lf.views), len(y)), np.float32)
-    field = kernels.field(map_, device)
+    field = device.field(map_)
     for first in range(0, len(lf.views), _AT_ONCE):
         offsets = lf.offsets[first : first + _AT_ONCE]
-        seen = kernels.zeros((len(offsets), height, width), device)
-        kernels.visible(field, kernels.field(offsets, device), tolerance=TOLERANCE / farthest(lf), visible_out=seen)
+        seen = device.zeros((len(offsets), height, width))
+        kernels.visible(field, device.field(offsets), tolerance=TOLERANCE / farthest(lf), visible_out=seen)
         visible[first : first + _AT_ONCE] = kernels.numpy(seen)[:, y, x]
     return Points(x.astype(np.float64), y.astype(np.float64), map_[y, x].astype(np.float64), visible, tile)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lfgpu._backends import DEFAULT, load
+from lfgpu._backends import DEFAULT, open_device
 from lfgpu.calibration import signs
 from lfgpu.calibration.bundle import Points, grey, inner, textured
 from lfgpu.calibration.findings import SIGNS
@@ -40,7 +40,7 @@ def glance(lf: LightField) -> str | None:
     if not len(x):
         return None
     try:
-        low, high = find_disparity_range(part, load(DEFAULT), "cpu")
+        low, high = find_disparity_range(part, open_device(DEFAULT, "cpu"))
     except LightFieldError:
         return None
     others = np.flatnonzero(np.arange(len(part.views)) != part.reference_index)

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu._backends import DEFAULT, BackendName, backend_named, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, backend_named, open_device
 from lfgpu.calibration.bundle import choose_points, most_points
 from lfgpu.calibration.findings import SIGNS, brightness, placement
 from lfgpu.calibration.quick_look import FEWEST, cameras_of, checked, signs_of
-from lfgpu.contract import Float32Array, Float64Array, KernelSet
+from lfgpu.contract import Device, Float32Array, Float64Array
 from lfgpu.data import hooks
 from lfgpu.data.lightfield import LightField
 
@@ -170,17 +170,16 @@ def explain(
         If the backend or the device is not there.
     """
     disparity = checked(lf, result)
-    kernels = load(backend)
-    device = pick_device(kernels, device)
-    points = choose_points(lf, disparity, kernels, device, most=min(_POINTS, most_points(len(lf.views), 6)))
-    errors = list(_errors(lf, disparity, kernels, device))
+    place = open_device(backend, device)
+    points = choose_points(lf, disparity, place, most=min(_POINTS, most_points(len(lf.views), 6)))
+    errors = list(_errors(lf, disparity, place))
     psnr, predicted, unexplained = _prediction(lf, disparity, errors)
     findings: list[str] = []
     wrong = signs_of(lf, disparity, points)
     cameras = cameras_of(lf, points)
     if wrong is not None:
         findings.append(SIGNS[wrong])
-    elif not _as_good_as_plane(lf, disparity, errors, kernels, device):
+    elif not _as_good_as_plane(lf, disparity, errors, place):
         findings.append(
             "the map predicts the views worse than a plane does: it belongs to another light field or view, or the "
             "range of disparities is wrong."
@@ -218,12 +217,11 @@ def residual_pictures(
     Arguments and errors are those of `explain`.
     """
     disparity = checked(lf, result)
-    kernels = load(backend)
-    device = pick_device(kernels, device)
+    place = open_device(backend, device)
     others = np.array([n for n in range(len(lf.views)) if n != lf.reference_index])
     for first in range(0, len(others), _AT_ONCE):
         chosen = others[first : first + _AT_ONCE]
-        for view, covered, n in zip(*predict(lf, disparity, chosen, kernels, device), chosen, strict=True):
+        for view, covered, n in zip(*predict(lf, disparity, chosen, place), chosen, strict=True):
             if lf.valid is not None:
                 covered &= lf.valid[n]
             yield int(n), np.where(covered[..., None], lf.image(int(n)) - view, np.float32(np.nan))
@@ -233,24 +231,24 @@ def predict(
     lf: LightField,
     disparity: NDArray[np.floating[Any]],
     chosen: NDArray[np.intp],
-    kernels: KernelSet,
-    device: str,
+    device: Device,
 ) -> tuple[Float32Array, NDArray[np.bool_]]:
     """What the reference and its map predict of some views: [k, y, x, c] in [0, 1], and where they do, [k, y, x]."""
+    kernels = device.kernels
     known = np.isfinite(disparity)
     if lf.valid is not None:
         known &= lf.valid[lf.reference_index]
     # What is not known lands outside every view: at a disparity that moves it out of the frame in all directions.
     far = float(disparity[known].min()) if known.any() else 0.0
-    map_ = kernels.field(np.where(known, disparity, far), device)
+    map_ = device.field(np.where(known, disparity, far))
     image = lf.image(lf.reference_index)
     shape = (len(chosen), *lf.size, lf.channels)
-    views, coverage = kernels.zeros_image(shape, device, np.float32), kernels.zeros(shape[:3], device)
-    offsets = kernels.field(lf.offsets[chosen], device)
+    views, coverage = device.zeros_image(shape, np.float32), device.zeros(shape[:3])
+    offsets = device.field(lf.offsets[chosen])
 
     def splat(picture: NDArray[np.float32]) -> tuple[NDArray[Any], NDArray[Any]]:
         kernels.splat_z_buffered(
-            kernels.image(picture, device),
+            device.image(picture),
             map_,
             offsets,
             softness=_SOFTNESS,
@@ -272,11 +270,12 @@ def predict(
 
 
 def _errors(
-    lf: LightField, disparity: NDArray[np.float32], kernels: KernelSet, device: str
+    lf: LightField, disparity: NDArray[np.float32], device: Device
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Of each view but the reference its root mean square difference over colours from what is predicted, [y, x]; NaN
     where nothing is."""
-    for n, residual in residual_pictures(lf, disparity, backend=backend_named(kernels.name), device=device):
+    backend = backend_named(device.kernels.name)
+    for n, residual in residual_pictures(lf, disparity, backend=backend, device=device.name):
         yield n, np.sqrt((residual**2).mean(axis=2))
 
 
@@ -311,8 +310,7 @@ def _as_good_as_plane(
     lf: LightField,
     disparity: NDArray[np.float32],
     errors: list[tuple[int, NDArray[np.float32]]],
-    kernels: KernelSet,
-    device: str,
+    device: Device,
 ) -> bool:
     """Whether the map predicts no worse than its median would, if it is not flat itself."""
     known = disparity[np.isfinite(disparity)]
@@ -321,7 +319,7 @@ def _as_good_as_plane(
         return True
     order = np.argsort(-np.hypot(*lf.offsets.T), kind="stable")[:_AT_ONCE]
     chosen = np.array([n for n in order if n != lf.reference_index])
-    flat, seen = predict(lf, np.full(lf.size, middle, np.float32), chosen, kernels, device)
+    flat, seen = predict(lf, np.full(lf.size, middle, np.float32), chosen, device)
     loss, by_plane, of = 0.0, 0.0, dict(errors)
     for view, covered, n in zip(flat, seen, chosen, strict=True):
         error = of[int(n)]

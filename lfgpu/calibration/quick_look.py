@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu._backends import DEFAULT, BackendName, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, open_device
 from lfgpu.calibration import consensus, signs
 from lfgpu.calibration.bundle import Bundle, Points, choose_points
 from lfgpu.calibration.findings import SIGNS, brightness, placement
 from lfgpu.calibration.tones import match_tones
-from lfgpu.contract import Float64Array, KernelSet
+from lfgpu.contract import Device, Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 
@@ -43,8 +43,7 @@ def remarks(
     Arguments and errors are those of `explain`.
     """
     disparity = checked(lf, result)
-    kernels = load(backend)
-    found = look(lf, disparity, kernels, pick_device(kernels, device), colours=False)
+    found = look(lf, disparity, open_device(backend, device), colours=False)
     return () if found is None else found.findings
 
 
@@ -80,8 +79,7 @@ class Look:
 def look(
     lf: LightField,
     disparity: NDArray[np.float32],
-    kernels: KernelSet,
-    device: str,
+    device: Device,
     *,
     colours: bool = True,
     axes: bool = True,
@@ -91,8 +89,8 @@ def look(
     `colours` says whether tones are told apart by colour, `axes` whether the signs of the axes are looked at, too. The
     device is asked for the points only; while it is, others wait for it.
     """
-    with kernels.asking(device):
-        points = choose_points(lf, disparity, kernels, device, most=_QUICK_POINTS)
+    with device.asking():
+        points = choose_points(lf, disparity, device, most=_QUICK_POINTS)
         if len(points.x) < FEWEST:
             return None
     wrong = signs_of(lf, disparity, points) if axes else None

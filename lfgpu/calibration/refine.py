@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from lfgpu._backends import DEFAULT, BackendName, backend_named, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, backend_named, open_device
 from lfgpu.calibration.bundle import MODELS, Bundle, choose_points, most_points
 from lfgpu.calibration.judge import explain
 from lfgpu.calibration.quick_look import measure_tones
 from lfgpu.calibration.resample import pixels, resampled, through
 from lfgpu.calibration.tones import Tones, squared_radius, squared_radius_at
-from lfgpu.contract import Float32Array, Float64Array, KernelSet
+from lfgpu.contract import Device, Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
@@ -121,9 +121,7 @@ def refine(
     """
     if model not in MODELS:
         raise LightFieldError(f"model must be one of {', '.join(MODELS)}, not {model!r}.")
-    kernels = load(backend)
-    device = pick_device(kernels, device)
-    search = _Search(lf, model, positions, disparity_range, kernels, device)
+    search = _Search(lf, model, positions, disparity_range, open_device(backend, device))
     for coarseness in (_COARSE, *(_MIDDLE,) * (_ROUNDS - 1)):
         if search.round(coarseness) < _STILL:
             break
@@ -141,9 +139,7 @@ def equalise(
 
     Parameters and errors are those of `refine`; views are not moved.
     """
-    kernels = load(backend)
-    device = pick_device(kernels, device)
-    search = _Search(lf, "similarity", False, disparity_range, kernels, device)
+    search = _Search(lf, "similarity", False, disparity_range, open_device(backend, device))
     search.round(_MIDDLE, moving=False)
     return search.result()
 
@@ -157,11 +153,10 @@ class _Search:
         model: str,
         positions: bool,
         disparity_range: tuple[float, float] | None,
-        kernels: KernelSet,
-        device: str,
+        device: Device,
     ) -> None:
         self._lf, self._model, self._positions = lf, model, positions
-        self._range, self._kernels, self._device = disparity_range, kernels, device
+        self._range, self._device = disparity_range, device
         count = len(lf.views)
         self.warps = np.zeros((count, len(MODELS[model])))
         self.shifted = np.zeros((count, 2))
@@ -181,7 +176,7 @@ class _Search:
         columns = self.warps.shape[1] + 4
         moved = replace(lf, positions=lf.positions + self.shifted, grid_shape=None, truth=None)
         most = min(_POINTS if coarseness == _COARSE else 2 * _POINTS, most_points(len(lf.views), columns))
-        points = choose_points(moved, disparity, self._kernels, self._device, most=most)
+        points = choose_points(moved, disparity, self._device, most=most)
         if len(points.x) < _FEWEST:
             raise LightFieldError(
                 f"{lf.name}: only {len(points.x)} points of the reference have texture on smooth surfaces; "
@@ -315,8 +310,8 @@ class _Search:
             lf,
             config="fast",
             disparity_range=bounds,
-            backend=backend_named(self._kernels.name),
-            device=self._device,
+            backend=backend_named(self._device.kernels.name),
+            device=self._device.name,
             check_cameras=False,
         )
 
@@ -329,7 +324,7 @@ class _Search:
         if now is None:
             factor = max(1, max(self._lf.size) // _MIDDLE)
             now = self._lf.downsampled(factor) if factor > 1 else self._lf
-        options: dict[str, Any] = {"backend": self._kernels.name, "device": self._device}
+        options: dict[str, Any] = {"backend": self._device.kernels.name, "device": self._device.name}
         bounds = self._bounds(max(1, max(self._lf.size) // _MIDDLE))
         map_ = self._map(now, bounds)
         return explain(now, map_, **options).mean_psnr

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfgpu._backends import DEFAULT, BackendName, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, open_device
 from lfgpu.calibration.quick_look import Look, checked, look, part_of
 from lfgpu.calibration.screening import worth_a_look
 from lfgpu.contract import Float32Array
@@ -57,13 +57,13 @@ def judged(
     LightFieldError, BackendError
         As `explain`.
     """
-    kernels, disparity, part = load(backend), checked(lf, result), lf
+    disparity, part = checked(lf, result), lf
     if quickly:
         part, window = part_of(lf, views=_VIEWS, pixels=_PIXELS)
         disparity = disparity[window]
     if not worth_a_look(part, disparity):
         return result
-    found = look(part, disparity, kernels, pick_device(kernels, device), colours=False)
+    found = look(part, disparity, open_device(backend, device), colours=False)
     if found is None or not found.findings:
         return result
     if not found.moved:

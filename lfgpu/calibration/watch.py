@@ -10,6 +10,7 @@ import numpy as np
 
 from lfgpu._backends import DEFAULT, load
 from lfgpu.calibration.quick_look import Look, look
+from lfgpu.contract import Device
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.pipelines.stream import DepthStream
 
@@ -87,7 +88,7 @@ class RigWatch:
                 return self._findings
             lf, result = shown
             try:
-                found = look(lf, result.numpy(), load(DEFAULT), self._stream.device, axes=False)
+                found = look(lf, result.numpy(), Device(load(DEFAULT), self._stream.device), axes=False)
             except LfgpuError:  # the frame failed, which its own result says
                 return self._findings
             if found is None:  # too little texture to tell

@@ -29,7 +29,7 @@ def info(
 
     A note says so if views show nothing, or if a glance finds cameras that do not fit together (see lfgpu check).
     """
-    from lfgpu._backends import DEFAULT, load
+    from lfgpu._backends import DEFAULT, open_device
     from lfgpu.calibration import glance
     from lfgpu.cli import values
     from lfgpu.cli.console import heading, lines, output, waiting
@@ -50,7 +50,7 @@ def info(
         return
     with waiting(f"reading {source.name}"):
         lf = read(source, format=name, allow_missing=True, grid=shape, every=every, flip=flip)
-        doubt = shows_nothing(lf, load(DEFAULT), "cpu")
+        doubt = shows_nothing(lf, open_device(DEFAULT, "cpu"))
         fault = glance(lf) if doubt is None else None
     left_out: tuple[str, ...] = ()
     if write is not None:

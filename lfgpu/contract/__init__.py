@@ -12,6 +12,7 @@ One file is one topic. `streaming` and `recording` are optional: a backend witho
 
 from lfgpu.contract.arrays import Array, Float32Array, Float64Array, Scalar
 from lfgpu.contract.backend import KernelSet
+from lfgpu.contract.device import Device
 from lfgpu.contract.images import REDUCTION, SMOOTHING_REACH, WHITE, Normalization
 from lfgpu.contract.matching import GRADIENT_REACH, REACH, Alignment, PlaneSweep, ZBuffer, sweep_shifts
 from lfgpu.contract.prior import NlmWeights, OverPatch, PatchGradients, half_window
@@ -33,6 +34,7 @@ __all__ = [
     "Array",
     "DataTerm",
     "Details",
+    "Device",
     "Float32Array",
     "Float64Array",
     "KernelSet",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
 from lfgpu.config import Config
-from lfgpu.contract import Array, Float32Array, KernelSet, Scalar, Streaming
+from lfgpu.contract import Array, Device, Float32Array, Scalar, Streaming
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -186,8 +186,7 @@ class Method(ABC, Generic[C]):
     def measure(
         self,
         lf: LightField,
-        kernels: KernelSet,
-        device: str,
+        device: Device,
         *,
         disparity_range: tuple[float, float] | None = None,
         views: Array | None = None,
@@ -204,10 +203,10 @@ class Method(ABC, Generic[C]):
         if disparity_range is not None:
             bounds = checked_range(disparity_range, lf.layout)
         else:
-            bounds = find_disparity_range(lf, kernels, device, views=views)
-        return self.measured(lf, bounds, kernels, device)
+            bounds = find_disparity_range(lf, device, views=views)
+        return self.measured(lf, bounds, device)
 
-    def measured(self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str) -> Measured:
+    def measured(self, lf: LightField, bounds: tuple[float, float], device: Device) -> Measured:
         """What the method needs besides the disparity range, with that range."""
         return Measured(bounds)
 
@@ -244,7 +243,7 @@ class Method(ABC, Generic[C]):
     # --- running ---
 
     @abstractmethod
-    def plan(self, layout: ViewLayout, measured: Measured, kernels: KernelSet, device: str) -> Plan:
+    def plan(self, layout: ViewLayout, measured: Measured, device: Device) -> Plan:
         """Allocate the method for light fields of one layout.
 
         Raises
@@ -257,8 +256,7 @@ class Method(ABC, Generic[C]):
         self,
         layout: ViewLayout,
         measured: Measured,
-        kernels: KernelSet,
-        device: str,
+        device: Device,
         *,
         streaming: Streaming,
         prior: TemporalPrior,

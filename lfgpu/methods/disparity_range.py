@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import Array, Float32Array, Float64Array, KernelSet
+from lfgpu.contract import Array, Device, Float32Array, Float64Array
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import forget
@@ -64,9 +64,7 @@ class _Evidence:
     """Whether each side was a single view, and none stood opposite."""
 
 
-def find_disparity_range(
-    lf: LightField, kernels: KernelSet, device: str, *, views: Array | None = None
-) -> tuple[float, float]:
+def find_disparity_range(lf: LightField, device: Device, *, views: Array | None = None) -> tuple[float, float]:
     """Find the range of disparities in the scene.
 
     The nearest views are compared first, at up to 64 px between them (at most 0.4 of the views' shorter side), then
@@ -77,8 +75,8 @@ def find_disparity_range(
     ----------
     lf
         The light field; masked pixels are left out.
-    kernels, device
-        Where views are compared. The host waits for the device once for each of two to ten comparisons.
+    device
+        The device on which views are compared. The host waits for the device once for each of two to ten comparisons.
     views
         All views [n, y, x, c] of `lf` as stored, if they are on the device already. Default None: those that are
         compared are copied there.
@@ -97,8 +95,8 @@ def find_disparity_range(
     fine = max(1, round(shorter / _SIDE))
     sizes = [1, *(2**k for k in range(1, _COARSER + 1) if shorter // (2**k * fine) >= _COARSEST)]
     most = largest_disparity(lf.layout)
-    search = _Search(lf, kernels, device, views, fine)
-    with kernels.asking(device):
+    search = _Search(lf, device, views, fine)
+    with device.asking():
         found = search.compare(_sides(lf.layout, nearest), (-most, most), sizes[:2][-1:])
         low, high = _ends(lf, found)
         low, high = low - 2 * found[0].step, high + 2 * found[0].step
@@ -184,8 +182,8 @@ def _sides(layout: ViewLayout, reach: float) -> list[_Side]:
 class _Search:
     """The views of a light field, compared on a device at `factor` times lower resolution, or still lower."""
 
-    def __init__(self, lf: LightField, kernels: KernelSet, device: str, views: Array | None, factor: int) -> None:
-        self._lf, self._kernels, self._device, self._views, self._factor = lf, kernels, device, views, factor
+    def __init__(self, lf: LightField, device: Device, views: Array | None, factor: int) -> None:
+        self._lf, self._device, self._views, self._factor = lf, device, views, factor
 
     def compare(self, sides: list[_Side], bounds: tuple[float, float], times: Sequence[int]) -> list[_Evidence]:
         """Compare the views of some sides with the reference at disparities within bounds.
@@ -195,13 +193,13 @@ class _Search:
         chosen = sorted({self._lf.reference_index, *(view for side in sides for view in side.views)})
         images = self._shrunk(chosen)
         started = [self._started(images, chosen, sides, bounds, more) for more in times]
-        return [comparison.evidence(self._kernels.numpy(comparison.found)) for comparison in started]
+        return [comparison.evidence(self._device.kernels.numpy(comparison.found)) for comparison in started]
 
     def _started(
         self, images: Array, chosen: list[int], sides: list[_Side], bounds: tuple[float, float], times: int
     ) -> _Comparison:
         """One comparison, which the device may not have finished."""
-        lf, kernels, factor = self._lf, self._kernels, times * self._factor
+        lf, kernels, factor = self._lf, self._device.kernels, times * self._factor
         far = max(float(np.abs(lf.offsets[side.views]).max()) for side in sides)
         step = max(_STEP * factor / far, (bounds[1] - bounds[0]) / (_MOST - 1))
         count = max(3, math.ceil((bounds[1] - bounds[0]) / step) + 1)
@@ -211,20 +209,20 @@ class _Search:
             for horizontal in sorted({side.horizontal for side in sides})
         ]
         full, (height, width) = [side // self._factor for side in lf.size], (side // factor for side in lf.size)
-        reduce = kernels.details((len(chosen), *full), self._device, factor=times, window=_DETAIL)
+        reduce = kernels.details((len(chosen), *full), self._device.name, factor=times, window=_DETAIL)
         compare = kernels.side_costs(
             (len(chosen), height, width),
             lf.offsets[chosen] / factor,
             lines,
-            self._device,
+            self._device.name,
             reference=at[lf.reference_index],
             first=bounds[0],
             step=step,
             count=count,
         )
-        details = kernels.zeros((len(chosen), height, width), self._device)
-        volume = kernels.zeros((len(lines), count, height, width), self._device)
-        found = kernels.zeros((5, height, width), self._device)
+        details = self._device.zeros((len(chosen), height, width))
+        volume = self._device.zeros((len(lines), count, height, width))
+        found = self._device.zeros((5, height, width))
         reduce(images, details)
         compare(details, volume)
         kernels.distinct_minimum(volume, apart=max(1, round(_APART * factor / far / step)), found_out=found)
@@ -233,22 +231,22 @@ class _Search:
 
     def _shrunk(self, chosen: list[int]) -> Array:
         """Some views in grey, shrunk by the least factor; those that take much memory one after the other."""
-        lf, kernels, device = self._lf, self._kernels, self._device
+        lf, device, kernels = self._lf, self._device, self._device.kernels
         at_once = len(chosen) if self._views is not None else max(1, _AT_ONCE // lf.views[0].nbytes)
         parts = []
         for begin in range(0, len(chosen), at_once):
             some = chosen[begin : begin + at_once]
             views, places = self._views, some
             if views is None:
-                views, places = kernels.image(lf.views[some], device), list(range(len(some)))
+                views, places = device.image(lf.views[some]), list(range(len(some)))
                 forget(lf.views)
-            valid = None if lf.valid is None else kernels.field(lf.valid[some], device)
-            images = kernels.zeros((len(some), *(side // self._factor for side in lf.size)), device)
+            valid = None if lf.valid is None else device.field(lf.valid[some])
+            images = device.zeros((len(some), *(side // self._factor for side in lf.size)))
             kernels.shrink(views, places, valid, scale=lf.scale, factor=self._factor, images_out=images)
             parts.append(images)
         if len(parts) == 1:
             return parts[0]
-        return kernels.field(np.concatenate([kernels.numpy(part) for part in parts]), device)
+        return device.field(np.concatenate([kernels.numpy(part) for part in parts]))
 
 
 @dataclass(frozen=True, eq=False)

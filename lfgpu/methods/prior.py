@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from lfgpu.contract import Array, KernelSet, OverPatch, PatchGradients, Scalar, half_window
+from lfgpu.contract import Array, Device, OverPatch, PatchGradients, Scalar, half_window
 from lfgpu.methods.sections import PriorConfig
 
 UNLIKE_ANY = 10.0
@@ -20,8 +20,8 @@ class NonLocalMeans:
         (height, width, channels) of the reference image.
     config
         Window, patch and scales of the weights.
-    kernels, device
-        The backend's kernels, and the name of the device. The weights and the workspace to compute them take window²
+    device
+        The device on which it runs. The weights and the workspace to compute them take window²
         floats per pixel.
     over_patch, gradients
         Forms of the weights, see `lfgpu.contract.NlmWeights`.
@@ -31,18 +31,18 @@ class NonLocalMeans:
         self,
         shape: Sequence[int],
         config: PriorConfig,
-        kernels: KernelSet,
-        device: str,
+        device: Device,
         *,
         over_patch: OverPatch = "mean",
         gradients: PatchGradients = "central",
     ) -> None:
+        kernels = device.kernels
         self.kernels, self.device, self.window = kernels, device, config.window
-        self.weights = kernels.zeros((len(half_window(config.window)), *shape[:2]), device)
+        self.weights = device.zeros((len(half_window(config.window)), *shape[:2]))
         """[k, y, x] in the order of `half_window`."""
         self._weigh = kernels.nlm_weights(
             shape,
-            device,
+            device.name,
             window=config.window,
             patch=config.patch,
             sigma_color=config.sigma_color,
@@ -51,7 +51,7 @@ class NonLocalMeans:
             over_patch=over_patch,
             gradients=gradients,
         )
-        self.ones, self.degree = kernels.zeros(shape[:2], device), kernels.zeros(shape[:2], device)
+        self.ones, self.degree = device.zeros(shape[:2]), device.zeros(shape[:2])
         """Fields [y, x]: ones; and W 1, the sum of the weights in each pixel's window, its own weight 1 included."""
 
     def load(self, image: Array) -> None:

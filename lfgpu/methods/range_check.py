@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lfgpu.contract import Float32Array, KernelSet
+from lfgpu.contract import Device, Float32Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
@@ -36,16 +36,16 @@ class Doubt:
     """Whether the views show no disparity at all."""
 
 
-def shows_nothing(lf: LightField, kernels: KernelSet, device: str) -> str | None:
+def shows_nothing(lf: LightField, device: Device) -> str | None:
     """A sentence if the views show no disparity at all; else None."""
     try:
-        find_disparity_range(lf, kernels, device)
+        find_disparity_range(lf, device)
     except LightFieldError:
         return _SHOW_NOTHING
     return None
 
 
-def doubt_about(lf: LightField, given: tuple[float, float] | None, kernels: KernelSet, device: str) -> Doubt | None:
+def doubt_about(lf: LightField, given: tuple[float, float] | None, device: Device) -> Doubt | None:
     """What is to be said against a given range, pixels per view step; None if nothing is, or none was given.
 
     No map says so by itself: within a wrong range some disparity is the best everywhere, often with confidence.
@@ -53,7 +53,7 @@ def doubt_about(lf: LightField, given: tuple[float, float] | None, kernels: Kern
     if given is None:  # then the range is found, or the light field is refused
         return None
     try:
-        low, high = find_disparity_range(lf, kernels, device)
+        low, high = find_disparity_range(lf, device)
     except LightFieldError:
         return Doubt(f"{_SHOW_NOTHING} The map means nothing.", is_of_nothing=True)
     shared = min(high, given[1]) - max(low, given[0])

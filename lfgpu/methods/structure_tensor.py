@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
-from lfgpu.contract import Array, Float64Array, KernelSet, StructureFilters
+from lfgpu.contract import Array, Device, Float64Array, StructureFilters
 from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.sections import LocalConfig
@@ -30,8 +30,8 @@ class LocalEstimator:
         (low, high) of the disparities that are searched, pixels per view step.
     config
         Scales, shears and threshold.
-    kernels, device
-        The backend's kernels, and the name of the device.
+    device
+        The device on which it runs.
 
     Raises
     ------
@@ -44,9 +44,9 @@ class LocalEstimator:
         layout: ViewLayout,
         disparity_range: tuple[float, float],
         config: LocalConfig,
-        kernels: KernelSet,
-        device: str,
+        device: Device,
     ) -> None:
+        kernels = device.kernels
         if max(len(layout.row()), len(layout.column())) < 2:
             raise LightFieldError(
                 f"{layout.name}: the local estimate needs a second view in the row or the column of the reference view "
@@ -54,15 +54,13 @@ class LocalEstimator:
             )
         self._kernels, self._threshold = kernels, config.coherence_threshold
         self._lines = [
-            _Line(layout, vertical, disparity_range, config, kernels, device)
+            _Line(layout, vertical, disparity_range, config, device)
             for vertical in (False, True)
             if len(layout.column() if vertical else layout.row()) > 1
         ]
-        self.disparity, self.coherence = kernels.zeros(layout.size, device), kernels.zeros(layout.size, device)
+        self.disparity, self.coherence = device.zeros(layout.size), device.zeros(layout.size)
         """Fields [y, x]: the disparity, pixels per view step, and its coherence, 0 (undefined) to 1."""
-        self.by_line = {
-            line.name: (kernels.zeros(layout.size, device), kernels.zeros(layout.size, device)) for line in self._lines
-        }
+        self.by_line = {line.name: (device.zeros(layout.size), device.zeros(layout.size)) for line in self._lines}
         """The same of the row and of the column of views alone, by "row" and "column"; before the threshold."""
 
     def run(self, views: Array) -> None:
@@ -98,9 +96,9 @@ class _Line:
         vertical: bool,
         disparity_range: tuple[float, float],
         config: LocalConfig,
-        kernels: KernelSet,
-        device: str,
+        device: Device,
     ) -> None:
+        kernels = device.kernels
         self.name = "column" if vertical else "row"
         self._kernels, self._vertical, self._range = kernels, vertical, disparity_range
         self._line = [int(index) for index in (layout.column() if vertical else layout.row())]
@@ -110,15 +108,15 @@ class _Line:
         filters = structure_filters(offsets, config)
         height, width = reversed(layout.size) if vertical else layout.size
         shape = (len(self._line), height, width, layout.channels)
-        self._epis = kernels.zeros_image(shape, device, layout.dtype)
+        self._epis = device.zeros_image(shape, layout.dtype)
         self._tensor = kernels.structure_tensor(
             shape,
-            kernels.field(offsets, device),
-            StructureFilters(*(kernels.field(f, device) for f in filters)),
+            device.field(offsets),
+            StructureFilters(*(device.field(f) for f in filters)),
             scale=layout.scale,
             floor=config.gradient_floor,
         )
-        self._disparity, self._coherence = (kernels.zeros((height, width), device) for _ in range(2))
+        self._disparity, self._coherence = (device.zeros((height, width)) for _ in range(2))
         # Multiples of the step, because integer shears need no interpolation on a regular grid.
         self._step = config.shear_step
         first, last = (np.round(bound * self._spacing / self._step) for bound in disparity_range)
@@ -129,8 +127,7 @@ class _Line:
             valid = valid.swapaxes(1, 2) if vertical else valid
             used = (filters.along_value != 0).any(0)
             self._trusted = [
-                kernels.field(_rests_on_valid(valid[used], offsets[used], shear, config), device)
-                for shear in self._shears
+                device.field(_rests_on_valid(valid[used], offsets[used], shear, config)) for shear in self._shears
             ]
 
     def keep_better(self, views: Array, best_disparity: Array, best_coherence: Array) -> None:

@@ -14,9 +14,9 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu._backends import DEFAULT, BackendName, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, open_device
 from lfgpu.config import Config
-from lfgpu.contract import Float32Array, Float64Array, KernelSet
+from lfgpu.contract import Device, Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
@@ -82,9 +82,8 @@ def estimate_all_views(
     for pipeline in _pipelines(lf, chosen, configured(config), disparity_range, backend, device, deterministic):
         estimates.append(pipeline.estimate())
         report("keys", len(estimates), len(estimates) / len(chosen))
-    kernels = load(backend)
-    place = pick_device(kernels, device)
-    doubt = doubt_about(lf, disparity_range, kernels, place)
+    place = open_device(backend, device)
+    doubt = doubt_about(lf, disparity_range, place)
     estimates = [doubted(estimate, doubt) for estimate in estimates]
     estimated = perf_counter()
 
@@ -92,7 +91,6 @@ def estimate_all_views(
     join = Join(
         estimates,
         None if lf.valid is None else lf.valid[chosen],
-        kernels,
         place,
         tolerance=method_of(config).same_surface(lf.layout),
     )
@@ -168,7 +166,7 @@ class Join:
         The estimates of the key views.
     valid
         bool [k, y, x], False where a key view is masked; None if nothing is masked.
-    kernels, device
+    device
         The backend and the device that warp maps into other views; the rest runs on the host.
     tolerance
         Largest difference between disparities of the same surface, pixels per view step.
@@ -178,12 +176,11 @@ class Join:
         self,
         estimates: Sequence[DepthResult | DisparityMap],
         valid: NDArray[np.bool_] | None,
-        kernels: KernelSet,
-        device: str,
+        device: Device,
         *,
         tolerance: float,
     ) -> None:
-        self._kernels, self._device = kernels, device
+        self._device = device
         self._tolerance, self._size = tolerance, estimates[0].disparity.shape
         self._positions = [np.asarray(estimate.position) for estimate in estimates]
         self._confidences = [
@@ -193,9 +190,9 @@ class Join:
         maps = np.stack([estimate.disparity for estimate in estimates])
         known = np.isfinite(maps) if valid is None else np.isfinite(maps) & valid
         # Masked pixels land nowhere and do not vote.
-        self._landing = [kernels.field(values, device) for values in np.where(known, maps, np.float32(-_UNKNOWN))]
+        self._landing = [device.field(values) for values in np.where(known, maps, np.float32(-_UNKNOWN))]
         self._maps = np.where(known, maps, np.float32(_UNKNOWN))
-        self._landed = kernels.zeros((1, *self._size), device)
+        self._landed = device.zeros((1, *self._size))
 
     def __call__(self, position: Float64Array) -> tuple[Float32Array, Float32Array]:
         """Disparity and confidence [y, x] of the view at `position` (u, v); NaN where no key view shows the point."""
@@ -247,10 +244,10 @@ class Join:
 
     def _carried(self, key: int, step: Float64Array) -> Float32Array:
         """The map [y, x] of a key view, warped into a view `-step` away from it; < _LANDED where nothing lands."""
-        offset = self._kernels.field(-step[None], self._device)
-        carry = self._kernels.z_buffer((1, *self._size, 1), offset, reach=0)
+        offset = self._device.field(-step[None])
+        carry = self._device.kernels.z_buffer((1, *self._size, 1), offset, reach=0)
         carry(self._landing[key], self._landed)
-        return self._kernels.numpy(self._landed)[0].astype(np.float32)
+        return self._device.kernels.numpy(self._landed)[0].astype(np.float32)
 
 
 class _Place:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.config import Config
+from lfgpu.contract import Device
 from lfgpu.data import hooks
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
@@ -101,7 +102,7 @@ def estimate_depth(
         )
         result = pipeline.estimate(on_progress=on_progress)
         kernels, device = pipeline.kernels, pipeline.device
-    doubt = doubt_about(lf, disparity_range, kernels, device)
+    doubt = doubt_about(lf, disparity_range, Device(kernels, device))
     result = doubted(result, doubt)
     if not check_cameras:
         return result

@@ -12,7 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from lfgpu._backends import DEFAULT, BackendName, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, load, open_device
 from lfgpu.config import Config, as_dict
 from lfgpu.contract import Array, Recording
 from lfgpu.data.lightfield import LightField, check_light_field
@@ -110,26 +110,25 @@ def export_pipeline(
             f"the method {method.name} cannot be exported, because its number of iterations depends on the views; use "
             "another preset (`lfgpu export --help` lists them)."
         )
-    device = pick_device(kernels, device)
+    place = open_device(backend, device)
+    device = place.name
     pictures = lf
     if rectifier is not None:
-        lf = rectifier.rectified(pictures, kernels, device)
+        lf = rectifier.rectified(pictures, place)
     used = method.used_views(lf.layout)
     with limited_threads(1):  # the work of other threads would not be recorded
-        with kernels.asking(device):
+        with place.asking():
             measured, _ = measured_on(
                 lf, config=config, disparity_range=disparity_range, backend=backend, device=device
             )
             some = lf if len(used) == len(lf.views) else lf.subset(used)
             rectification = None
             if rectifier is not None:
-                rectification = Rectification(rectifier, pictures, kernels, device, used=used)
+                rectification = Rectification(rectifier, pictures, place, used=used)
                 frames, views = rectification.pictures, rectification.views
             else:
-                frames = views = kernels.image(some.views, device)
-            plan = method.live_plan(
-                some.layout, measured, kernels, device, streaming=streaming, prior=prior or TemporalPrior()
-            )
+                frames = views = place.image(some.views)
+            plan = method.live_plan(some.layout, measured, place, streaming=streaming, prior=prior or TemporalPrior())
 
             def whole(work: Callable[[Array], None]) -> Callable[[], None]:
                 def call() -> None:

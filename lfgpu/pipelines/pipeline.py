@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from lfgpu._backends import DEFAULT, BackendName, load, package_of, pick_device
+from lfgpu._backends import DEFAULT, BackendName, open_device, package_of
 from lfgpu.config import Config
 from lfgpu.contract import Array, Float32Array
 from lfgpu.data import interop
@@ -79,8 +79,8 @@ class DepthPipeline:
     ) -> None:
         check_light_field(lf)
         self.method, self.config = method_of(config), configured(config)
-        self.kernels = load(backend)
-        self.device = pick_device(self.kernels, device)
+        self._device = place = open_device(backend, device)
+        self.kernels, self.device = place.kernels, place.name
         if deterministic and not self.kernels.is_deterministic(self.device):
             raise BackendError(
                 f"backend {backend!r} on {self.device} is not deterministic: its order of summation differs from run "
@@ -88,7 +88,7 @@ class DepthPipeline:
             )
         pictures = lf
         if rectifier is not None:
-            lf = rectifier.rectified(pictures, self.kernels, self.device)
+            lf = rectifier.rectified(pictures, place)
         self._lf, self._backend = lf, backend
         self._timings: dict[str, float] = {}
         self._graph: Callable[[], None] | None = None
@@ -99,29 +99,28 @@ class DepthPipeline:
         used = self.method.used_views(lf.layout)
         self._used = used if len(used) < len(lf.views) else None
         some = lf if self._used is None else lf.subset(used)  # no others go to the device
-        with self.kernels.asking(self.device):
+        with place.asking():
             with self._timed("compile"):
                 if measured is None:
-                    Rehearsal(self.method, lf, self.kernels, self.device).measure(disparity_range)
+                    Rehearsal(self.method, lf, place).measure(disparity_range)
             with self._timed("measure"):
                 self._rectification = None
                 if rectifier is not None:
-                    self._rectification = Rectification(rectifier, pictures, self.kernels, self.device, used=used)
+                    self._rectification = Rectification(rectifier, pictures, place, used=used)
                     self._input, self._views = self._rectification.pictures, self._rectification.views
                 else:
-                    self._input = self._views = self.kernels.image(some.views, self.device)
+                    self._input = self._views = place.image(some.views)
                 self.measured = measured or self.method.measure(
                     lf,
-                    self.kernels,
-                    self.device,
+                    place,
                     disparity_range=disparity_range,
                     views=self._views if rectifier is None and self._used is None else None,
                 )
             with self._timed("compile"):
-                Rehearsal(self.method, some, self.kernels, self.device).run(self.measured)
+                Rehearsal(self.method, some, place).run(self.measured)
             with self._timed("measure"):
-                self._waited_for = self.kernels.scalar(0.0, self.device)  # who reads it waits for all that was asked
-                self._plan: Plan = self.method.plan(some.layout, self.measured, self.kernels, self.device)
+                self._waited_for = place.scalar(0.0)  # who reads it waits for all that was asked
+                self._plan: Plan = self.method.plan(some.layout, self.measured, place)
 
     def upload(self, views: Any) -> None:
         """Replace the views.
@@ -167,7 +166,7 @@ class DepthPipeline:
         elif place not in (self.device, interop.SOME_GPU):
             raise LightFieldError(f"views are on {place}, but the pipeline is on {self.device}; copy them there first.")
         try:
-            with self.kernels.asking(self.device):
+            with self._device.asking():
                 self.kernels.upload(views, self._input, chosen=self._used)
         except (BufferError, RuntimeError) as error:  # raised by the library of the array
             raise LightFieldError(f"views cannot be read: {' '.join(str(error).split())}") from error
@@ -177,7 +176,7 @@ class DepthPipeline:
         """Estimate the disparity of the current views. Returns before the device has finished."""
         if self._graph is None and self._runs > 0 and self.method.is_on_device:
             self._graph = self.kernels.capture(self.work, self.device)
-        with self.kernels.asking(self.device):
+        with self._device.asking():
             (self._graph or self.work)()
         self._runs += 1
 
@@ -309,14 +308,14 @@ class DepthPipeline:
         with self._timed(stage):
             if on_progress is not None:
                 on_progress(stage, 0, 0.0)
-            with self.kernels.asking(self.device):
+            with self._device.asking():
                 work(None if on_progress is None else _of_stage(on_progress, stage))
             self.kernels.number(self._waited_for)
 
     def _rectify(self) -> None:
         if self._rectification is not None:
             with self._timed("rectify"):
-                with self.kernels.asking(self.device):
+                with self._device.asking():
                     self._rectification.work()
                 self.kernels.number(self._waited_for)
 
@@ -327,11 +326,11 @@ class DepthPipeline:
         self._is_found = False
 
         def match(bounds: tuple[float, float]) -> Float32Array:
-            with self._timed("measure"), self.kernels.asking(self.device):
+            with self._timed("measure"), self._device.asking():
                 some = self._lf.layout if self._used is None else self._lf.layout.subset(self._used)
-                self.measured = self.method.measured(self._lf, bounds, self.kernels, self.device)
+                self.measured = self.method.measured(self._lf, bounds, self._device)
                 del self._plan  # its memory first
-                self._plan = self.method.plan(some, self.measured, self.kernels, self.device)
+                self._plan = self.method.plan(some, self.measured, self._device)
             self._do(stage, on_progress)
             return self._plan.maps()[stage]
 
@@ -379,7 +378,7 @@ def measured_on(
         As `DepthPipeline`.
     """
     if disparity_range is not None:
-        return method_of(config).measure(lf, load(backend), device, disparity_range=disparity_range), ()
+        return method_of(config).measure(lf, open_device(backend, device), disparity_range=disparity_range), ()
     pipeline = DepthPipeline(lf, config=config, backend=backend, device=device)  # type: ignore[arg-type]
     notes = pipeline.confirm_range()
     for note in notes:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 from time import monotonic
 
-from lfgpu._backends import DEFAULT, load
+from lfgpu._backends import DEFAULT, open_device
 from lfgpu.contract import Float32Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -74,7 +74,7 @@ class RangeWatch:
             suspected, self._suspected = self._suspected, {}
         try:
             with alone_here():  # the device and the other cores have frames to work on
-                found = find_disparity_range(lf, load(DEFAULT), "cpu")
+                found = find_disparity_range(lf, open_device(DEFAULT, "cpu"))
         except LightFieldError:  # nothing in these views says how far away it is
             return ()
         (low, high), width = self._bounds, found[1] - found[0]

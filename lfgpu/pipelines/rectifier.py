@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfgpu.contract import Array, Float32Array, Float64Array, KernelSet
+from lfgpu.contract import Array, Device, Float32Array, Float64Array
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -95,13 +95,13 @@ class Rectifier:
         self._check(views.shape)
         return LightField(views, self.positions, reference=self.reference, name=self.name, white=white)
 
-    def rectified(self, pictures: LightField, kernels: KernelSet, device: str) -> LightField:
+    def rectified(self, pictures: LightField, device: Device) -> LightField:
         """The rectified light field of raw pictures, made by the kernels that streams use."""
         self._check(pictures.views.shape)
-        plan = Rectification(self, pictures, kernels, device)
-        with kernels.asking(device):
+        plan = Rectification(self, pictures, device)
+        with device.asking():
             plan.work()
-        views = np.asarray(kernels.numpy(plan.views))
+        views = np.asarray(device.kernels.numpy(plan.views))
         if pictures.views.dtype != np.float32:
             views = np.rint(views)  # backends that compute in float64 store no whole numbers
         return LightField(
@@ -138,8 +138,8 @@ class Rectification:
         The plan.
     pictures
         Raw pictures: the first input, and the stored type.
-    kernels, device
-        Where; the caller holds `kernels.asking(device)`, or nobody else asks it.
+    device
+        Where; the caller holds `device.asking()`, or nobody else asks it.
     used
         Indices of the cameras that are used; None uses all.
     """
@@ -148,30 +148,31 @@ class Rectification:
         self,
         rectifier: Rectifier,
         pictures: LightField,
-        kernels: KernelSet,
-        device: str,
+        device: Device,
         *,
         used: Sequence[int] | None = None,
     ) -> None:
         chosen = list(range(len(rectifier.places))) if used is None else list(used)
-        self._kernels, self._device, self._scale, self._used = kernels, device, pictures.scale, chosen
+        self._device, self._scale, self._used = device, pictures.scale, chosen
         table = np.concatenate([rectifier.places[chosen], rectifier.squared_radius[chosen][..., None]], axis=-1)
-        self._table = kernels.field(table, device)
-        self._tones = kernels.field(self._stored(rectifier.tones), device)
-        self.pictures: Array = kernels.image(pictures.views[chosen], device)
+        self._table = device.field(table)
+        self._tones = device.field(self._stored(rectifier.tones))
+        self.pictures: Array = device.image(pictures.views[chosen])
         """[n, y, x, c], as stored; to be written to."""
         shape = (len(chosen), *rectifier.size, pictures.channels)
-        self.views: Array = kernels.zeros_image(shape, device, pictures.views.dtype.type)
+        self.views: Array = device.zeros_image(shape, pictures.views.dtype.type)
         """[n, y, x, c], as stored, after `work`."""
 
     def work(self) -> None:
         """Start rectifying the current pictures; may be captured."""
-        self._kernels.resample(self.pictures, self._table, self._tones, white=1.0 / self._scale, views_out=self.views)
+        self._device.kernels.resample(
+            self.pictures, self._table, self._tones, white=1.0 / self._scale, views_out=self.views
+        )
 
     def set_tones(self, tones: Float64Array) -> None:
         """Use other tones [n, 3, c] of all cameras from the next work on, also if it was captured."""
-        with self._kernels.asking(self._device):
-            self._kernels.upload(self._stored(tones), self._tones)
+        with self._device.asking():
+            self._device.kernels.upload(self._stored(tones), self._tones)
 
     def _stored(self, tones: Float64Array) -> NDArray[Any]:
         """Tones of the cameras that are used, with offsets as stored."""

@@ -6,7 +6,7 @@ import threading
 from contextlib import suppress
 from typing import Any
 
-from lfgpu.contract import KernelSet
+from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Method
@@ -26,14 +26,14 @@ class Rehearsal:
 
     Parameters
     ----------
-    method, lf, kernels, device
+    method, lf, device
         What will run, and where.
     """
 
-    def __init__(self, method: Method[Any], lf: LightField, kernels: KernelSet, device: str) -> None:
-        self._method, self._kernels, self._device = method, kernels, device
+    def __init__(self, method: Method[Any], lf: LightField, device: Device) -> None:
+        self._method, self._device = method, device
         views = lf.views.dtype.str, lf.channels, lf.valid is None, len(lf.views)
-        self._kind = method.config, kernels.name, device, *views
+        self._kind = method.config, device, *views
         (top, bottom), (left, right) = (_middle(side) for side in lf.size)
         self._lf = lf.crop(slice(top, bottom), slice(left, right))
 
@@ -41,27 +41,25 @@ class Rehearsal:
         """Load what finds the range and the noise."""
         if self._is_new("found" if disparity_range is None else "given"):
             with suppress(LightFieldError):  # so little of the views may show nothing
-                self._method.measure(self._lf, self._kernels, self._device, disparity_range=disparity_range)
+                self._method.measure(self._lf, self._device, disparity_range=disparity_range)
 
     def run(self, measured: Measured) -> None:
         """Load what the stages use; waits for the device."""
         if not self._is_new("stages"):
             return
-        views = self._kernels.image(self._lf.views, self._device)
-        waited_for = self._kernels.scalar(0.0, self._device)
+        views = self._device.image(self._lf.views)
+        waited_for = self._device.scalar(0.0)
         with suppress(LightFieldError):
-            for work in (
-                self._method.plan(self._lf.layout, measured, self._kernels, self._device).stages(views).values()
-            ):
+            for work in self._method.plan(self._lf.layout, measured, self._device).stages(views).values():
                 work(None)
-        self._kernels.number(waited_for)
+        self._device.kernels.number(waited_for)
 
     def _is_new(self, part: str) -> bool:
         """Whether that part of such a kind has not been loaded in this process; from now on it counts as loaded."""
         with _lock:
             before = len(_known)
             _known.add((part, *self._kind))
-            return self._kernels.compiles and len(_known) > before
+            return self._device.kernels.compiles and len(_known) > before
 
 
 def _middle(side: int) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from lfgpu._backends import DEFAULT, load, pick_device
+from lfgpu._backends import DEFAULT, load, open_device
 from lfgpu.config import Config
 from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
@@ -145,16 +145,17 @@ class DepthStream:
         streaming = kernels.streaming
         if streaming is None:
             raise BackendError(f"backend {backend!r} has no streams; use backend {DEFAULT!r}.")
-        self.device = pick_device(kernels, device)
+        place = open_device(backend, device)
+        self.device = place.name
         pictures = lf
         if rectifier is not None:
-            lf = rectifier.rectified(pictures, kernels, self.device)
-        self._kernels, self._rectifier = kernels, rectifier
+            lf = rectifier.rectified(pictures, place)
+        self._device, self._rectifier = place, rectifier
         self.config, self.geometry, self.name = configured(config), lf.geometry, lf.name
         self._used = method.used_views(lf.layout)
         self._intake = Intake(lf, self._used, self.device)
 
-        with kernels.asking(self.device):
+        with place.asking():
             self._notes: tuple[str, ...] = ()  # about the range that was found
             if measured is None:
                 measured, self._notes = measured_on(
@@ -164,13 +165,13 @@ class DepthStream:
             lf = lf if len(self._used) == len(lf.views) else lf.subset(self._used)
             self._rectification: Rectification | None = None
             if rectifier is not None:
-                self._rectification = Rectification(rectifier, pictures, kernels, self.device, used=self._used)
+                self._rectification = Rectification(rectifier, pictures, place, used=self._used)
                 frames, self._views = self._rectification.pictures, self._rectification.views
             else:
-                frames = self._views = kernels.image(lf.views, self.device)
+                frames = self._views = place.image(lf.views)
             self._like = lf
             self._plan = method.live_plan(
-                lf.layout, self.measured, kernels, self.device, streaming=streaming, prior=prior or TemporalPrior()
+                lf.layout, self.measured, place, streaming=streaming, prior=prior or TemporalPrior()
             )
             self._transport = streaming.transport(
                 frames,
@@ -180,8 +181,8 @@ class DepthStream:
                 tolerance=SEEN_CHANGE * self._plan.noise,
                 results=most + 4,
             )
-            self._base = None if lf.valid is None else kernels.field(lf.valid, self.device)
-            self._mask = kernels.field(np.ones(lf.views.shape[:3]), self.device)
+            self._base = None if lf.valid is None else place.field(lf.valid)
+            self._mask = place.field(np.ones(lf.views.shape[:3]))
             self._present = np.ones(len(lf.views), bool)
             self._set_mask()
         self._budget = budget_ms
@@ -437,7 +438,7 @@ class DepthStream:
     def _prepared(self, works: Sequence[tuple[int, Callable[[Any], None]]]) -> list[Level]:
         """Levels of work on the views of the stream, which are rectified before if they must be."""
         bound = [(steps, partial(self._rectified, work, self._views)) for steps, work in works]
-        return prepared(bound, self._budget, self._transport, self._kernels, self.device)
+        return prepared(bound, self._budget, self._transport, self._device)
 
     def _rectified(self, work: Callable[[Any], None], views: Any) -> None:
         """Work on views that are rectified before, if they must be."""
@@ -478,7 +479,7 @@ class DepthStream:
     def _show_views(self, result: StreamResult) -> None:
         """Copy the views that the device works on now, if somebody asked for them."""
         if self._asked_for.wanted:
-            views = self._kernels.numpy(self._views)
+            views = self._device.kernels.numpy(self._views)
             present = result.valid[self._used]
             valid = self._like.valid
             if not present.all():

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
-from lfgpu.contract import KernelSet, Transport
+from lfgpu.contract import Device, Transport
 
 _SMOOTHING = 0.1  # weight of the latest frame in the mean time of a level
 
@@ -31,15 +31,14 @@ def prepared(
     works: Sequence[tuple[int, Callable[[], None]]],
     budget_ms: float | None,
     transport: Transport,
-    kernels: KernelSet,
-    device: str,
+    device: Device,
 ) -> list[Level]:
     """Levels of (steps, work), from least to most, captured and timed; without a budget only the largest, not timed."""
     levels = [Level(steps, work) for steps, work in works]
     if budget_ms is None:
         levels = levels[-1:]
     for level in levels:
-        with kernels.asking(device):
+        with device.asking():
             level.work()
         level.work = transport.captured(level.work)
     for level in levels if budget_ms is not None else ():

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu._backends import load, pick_device
+from lfgpu._backends import open_device
 from lfgpu.config import Config
 from lfgpu.contract import REDUCTION, Float32Array
 from lfgpu.data.lightfield import LightField
@@ -114,11 +114,10 @@ def estimate_in_tiles(
     disk (`lfgpu.read(..., lazy=True)`) do not.
     """
     start = perf_counter()
-    kernels = load(backend)
-    first = pick_device(kernels, device)
-    on_gpu = first != "cpu"
+    first = open_device(backend, device)
+    on_gpu = first.is_gpu
     several = device is None and on_gpu and backend == "warp"
-    devices = [name for name in kernels.devices() if name != "cpu"] if several else [first]
+    devices = [name for name in first.kernels.devices() if name != "cpu"] if several else [first.name]
     method = method_of(config)
     done: list[DepthResult] = []
 
@@ -140,10 +139,10 @@ def estimate_in_tiles(
         done.append(replace(joined, timings=timings))
 
     def match(bounds: tuple[float, float]) -> Float32Array:
-        estimate(method.measured(lf, bounds, kernels, first))
+        estimate(method.measured(lf, bounds, first))
         return done[0].stages[str(method.MATCHED)]
 
-    estimate(method.measure(lf, kernels, first, disparity_range=disparity_range))
+    estimate(method.measure(lf, first, disparity_range=disparity_range))
     doubt = None
     if disparity_range is None and method.MATCHED is not None:
         doubt = confirm(lf.layout, done[0].disparity_range, done[0].stages[method.MATCHED], match)

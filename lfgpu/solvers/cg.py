@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from lfgpu.contract import Array, KernelSet
+from lfgpu.contract import Array, Device
 from lfgpu.solvers.solution import Solution
 
 
@@ -15,8 +15,8 @@ class ConjugateGradients:
     ----------
     shape
         (height, width) of the fields.
-    kernels, device
-        The backend's kernels, and the name of the device.
+    device
+        The device on which it runs.
     tolerance
         Stop when √(rᵀ M r) <= tolerance * √(bᵀ M b), with the residual r = b - A x and the preconditioner M. In this
         norm, unknowns with small and large diagonal entries count the same.
@@ -24,13 +24,12 @@ class ConjugateGradients:
         Largest number of iterations.
     """
 
-    def __init__(
-        self, shape: Sequence[int], kernels: KernelSet, device: str, *, tolerance: float, max_iterations: int
-    ) -> None:
+    def __init__(self, shape: Sequence[int], device: Device, *, tolerance: float, max_iterations: int) -> None:
+        kernels = device.kernels
         self._kernels, self._tolerance, self._most = kernels, tolerance, max_iterations
-        self._r, self._p, self._q = (kernels.zeros(shape, device) for _ in range(3))
-        self._rz, self._norm = (kernels.scalar(0.0, device) for _ in range(2))
-        self._residuals = kernels.residuals(device, tolerance=tolerance, most=max_iterations)
+        self._r, self._p, self._q = (device.zeros(shape) for _ in range(3))
+        self._rz, self._norm = (device.scalar(0.0) for _ in range(2))
+        self._residuals = kernels.residuals(device.name, tolerance=tolerance, most=max_iterations)
 
     def solve(
         self,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from lfgpu.contract import Array, KernelSet, Scalar
+from lfgpu.contract import Array, Device, Scalar
 from lfgpu.solvers.solution import Solution
 
 _MEMORY = 7  # pairs; ten, as in SciPy's L-BFGS-B, save no iteration if the curvature is known
@@ -29,8 +29,8 @@ class BoundedLbfgs:
         (height, width) of the map.
     bounds
         (low, high) of every pixel.
-    kernels, device
-        The backend's kernels, and the name of the device.
+    device
+        The device on which it runs.
     tolerance
         Stop when the mean decrease over five iterations is below this share of the first value.
     max_iterations
@@ -41,18 +41,18 @@ class BoundedLbfgs:
         self,
         shape: Sequence[int],
         bounds: tuple[float, float],
-        kernels: KernelSet,
-        device: str,
+        device: Device,
         *,
         tolerance: float,
         max_iterations: int,
     ) -> None:
+        kernels = device.kernels
         self._kernels, self._bounds, self._most = kernels, bounds, max_iterations
-        self._gradient, self._trial, self._trial_gradient = (kernels.zeros(shape, device) for _ in range(3))
-        self._value, self._trial_value = kernels.scalar(0.0, device), kernels.scalar(0.0, device)
+        self._gradient, self._trial, self._trial_gradient = (device.zeros(shape) for _ in range(3))
+        self._value, self._trial_value = device.scalar(0.0), device.scalar(0.0)
         self._memory = kernels.lbfgs(
             shape,
-            device,
+            device.name,
             memory=_MEMORY,
             low=bounds[0],
             high=bounds[1],

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 from threadpoolctl import threadpool_limits
 
-from lfgpu.contract import Array, Float64Array, KernelSet
+from lfgpu.contract import Array, Device, Float64Array
 from lfgpu.solvers.lbfgs import PATIENCE, Energy
 from lfgpu.solvers.solution import Solution
 
@@ -22,15 +22,15 @@ class ScipyLbfgsb:
         self,
         shape: Sequence[int],
         bounds: tuple[float, float],
-        kernels: KernelSet,
-        device: str,
+        device: Device,
         *,
         tolerance: float,
         max_iterations: int,
     ) -> None:
+        kernels = device.kernels
         self._shape, self._bounds, self._kernels = tuple(shape), bounds, kernels
         self._tolerance, self._most = tolerance, max_iterations
-        self._gradient, self._value = kernels.zeros(shape, device), kernels.scalar(0.0, device)
+        self._gradient, self._value = device.zeros(shape), device.scalar(0.0)
         self._solution: Solution | None = None
 
     def minimize(

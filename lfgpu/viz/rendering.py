@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
-from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.contract import Device, Float32Array, Float64Array
 from lfgpu.data.filling import fill_unknown
 from lfgpu.data.layout import farthest
 from lfgpu.data.lightfield import LightField, check_light_field
@@ -115,8 +115,7 @@ class Renderer:
         join = Join(
             [self._maps.map(n) for n in chosen],
             None if lf.valid is None else lf.valid[chosen],
-            self._kernels,
-            self._device,
+            Device(self._kernels, self._device),
             tolerance=_AGREE / reach,
         )
         disparity, _ = join(place)

@@ -17,6 +17,7 @@ from lfgpu._backends import load
 from lfgpu.calibration import Disturbed, Misalignment, Rectified, disturb, read_rectifier, rectify, write_rectified
 from lfgpu.calibration.formats import Calibration
 from lfgpu.cli import app
+from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map
@@ -57,7 +58,7 @@ def test_frames_are_rectified_as_rectify_does_it() -> None:
     want = rectified()
     assert want.refinement is not None
     assert want.refinement.kept
-    found = rectifier().rectified(raw(), load("warp"), "cpu")
+    found = rectifier().rectified(raw(), Device(load("warp"), "cpu"))
     seen = np.ones(found.views.shape[:3], bool) if found.valid is None else found.valid
     inner = seen & (
         np.pad(seen, ((0, 0), (3, 3), (3, 3)))[:, 6:, 6:] & np.pad(seen, ((0, 0), (3, 3), (3, 3)))[:, :-6, :-6]
@@ -104,7 +105,7 @@ def test_a_pipeline_takes_raw_pictures(backend: str) -> None:
     for frame in (first, second):
         pipeline.upload(frame)
         pipeline.run()
-        lf = small.rectified(small.pictures(frame), kernels, "cpu")
+        lf = small.rectified(small.pictures(frame), Device(kernels, "cpu"))
         alone = lfgpu.DepthPipeline(lf, measured=pipeline.measured, **{**options, "disparity_range": None})
         alone.run()
         # The reference keeps what lies between whole numbers.

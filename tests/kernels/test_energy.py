@@ -18,7 +18,7 @@ import test_reference
 import ways_to_be_wrong
 
 from lfgpu._backends import load
-from lfgpu.contract import KernelSet
+from lfgpu.contract import Device, KernelSet
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.methods.sections import PriorConfig
@@ -115,9 +115,9 @@ def check_energy(kernels: KernelSet, device: str, i: SimpleNamespace, tolerance:
 def energy_of(kernels: KernelSet, device: str, i: SimpleNamespace) -> Evaluate:
     """The energy that the refinement minimises, at maps in NumPy."""
     views = kernels.image(i.lf.views, device)
-    prior = NonLocalMeans((*i.lf.size, i.lf.channels), i.prior, kernels, device)
+    prior = NonLocalMeans((*i.lf.size, i.lf.channels), i.prior, Device(kernels, device))
     prior.load(reference_image(kernels, device, i.lf))
-    model = ForwardModel(i.lf.layout, i.refinement, kernels, device)
+    model = ForwardModel(i.lf.layout, i.refinement, Device(kernels, device))
     model.load(views, None if i.start is None else kernels.field(i.start, device))
     return at_maps(Energy(model, prior, i.refinement.smoothness), kernels, device)
 
@@ -157,8 +157,8 @@ def test_energy_of_another_light_field_is_that_of_a_fresh_one(target: Any, rng: 
     kernels, device = target.kernels, target.device
     first, second = (energy_inputs(EnergyCase("masked", masked=True, dtype="uint8"), rng) for _ in range(2))
     second.lf = replace(second.lf, valid=first.lf.valid)  # a mask is part of what a model is made for
-    model = ForwardModel(first.lf.layout, first.refinement, kernels, device)
-    prior = NonLocalMeans((*first.lf.size, first.lf.channels), first.prior, kernels, device)
+    model = ForwardModel(first.lf.layout, first.refinement, Device(kernels, device))
+    prior = NonLocalMeans((*first.lf.size, first.lf.channels), first.prior, Device(kernels, device))
     for i in (first, second):
         prior.load(reference_image(kernels, device, i.lf))
         model.load(kernels.image(i.lf.views, device), kernels.field(i.start, device))
@@ -197,7 +197,7 @@ def small_light_field(rng: np.random.Generator) -> LightField:
 
 def prior_of(image: np.ndarray, config: PriorConfig) -> tuple[NonLocalMeans, Evaluate]:
     """The prior of an image in the reference, and R with its gradient 4 L v."""
-    prior = NonLocalMeans(image.shape, config, REFERENCE, "cpu")
+    prior = NonLocalMeans(image.shape, config, Device(REFERENCE, "cpu"))
     prior.load(REFERENCE.image(image, "cpu"))
 
     def value_and_gradient(values: np.ndarray) -> tuple[float, np.ndarray]:

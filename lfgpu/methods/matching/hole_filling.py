@@ -30,10 +30,10 @@ class HoleFilling:
     def __init__(self, size: tuple[int, int], prior: NonLocalMeans, config: HoleFillingConfig) -> None:
         kernels, device = prior.kernels, prior.device
         self._prior, self._kernels, self._config = prior, kernels, config
-        self._weights = kernels.zeros((len(half_window(prior.window)), *size), device)
-        self._certainty, self._target, self._inverse = (kernels.zeros(size, device) for _ in range(3))
+        self._weights = device.zeros((len(half_window(prior.window)), *size))
+        self._certainty, self._target, self._inverse = (device.zeros(size) for _ in range(3))
         self._solver = ConjugateGradients(
-            size, kernels, device, tolerance=config.tolerance, max_iterations=config.max_iterations
+            size, device, tolerance=config.tolerance, max_iterations=config.max_iterations
         )
 
     def run(self, disparity: Array, curvature: Array, *, noise: float, support: float) -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lfgpu.contract import REACH, REDUCTION, SMOOTHING_REACH, KernelSet, Streaming
+from lfgpu.contract import REACH, REDUCTION, SMOOTHING_REACH, Device, Streaming
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
@@ -59,13 +59,13 @@ class Matching(Method[MatchingConfig]):
     def used_views(self, layout: ViewLayout) -> list[int]:
         return used_views(layout, self.config.sweep.views)
 
-    def measured(self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str) -> Measured:
+    def measured(self, lf: LightField, bounds: tuple[float, float], device: Device) -> Measured:
         config = self.config.sweep
         if config.noise:
             return Measured(bounds, *of_given_noise(config.noise, config))
         grain = measured_grain(lf)
         deviation = smoothing_deviation(grain, config)
-        return Measured(bounds, measured_noise(lf, bounds, config, kernels, device, deviation=deviation), grain)
+        return Measured(bounds, measured_noise(lf, bounds, config, device, deviation=deviation), grain)
 
     def given(
         self, layout: ViewLayout, disparity_range: tuple[float, float] | None, noise: float | None = None
@@ -135,17 +135,16 @@ class Matching(Method[MatchingConfig]):
         windows += GUESS_REACH * self.config.sweep.resweeps
         return reach[1] + windows + _PATHS, reach[0] + windows + _PATHS
 
-    def plan(self, layout: ViewLayout, measured: Measured, kernels: KernelSet, device: str) -> MatchingPlan:
-        return MatchingPlan(layout, measured, self.config, kernels, device)
+    def plan(self, layout: ViewLayout, measured: Measured, device: Device) -> MatchingPlan:
+        return MatchingPlan(layout, measured, self.config, device)
 
     def live_plan(
         self,
         layout: ViewLayout,
         measured: Measured,
-        kernels: KernelSet,
-        device: str,
+        device: Device,
         *,
         streaming: Streaming,
         prior: TemporalPrior,
     ) -> TemporalMatching:
-        return TemporalMatching(layout, measured, self.config, kernels, device, streaming=streaming, prior=prior)
+        return TemporalMatching(layout, measured, self.config, device, streaming=streaming, prior=prior)

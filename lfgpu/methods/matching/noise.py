@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from lfgpu.config import Section
-from lfgpu.contract import WHITE, KernelSet
+from lfgpu.contract import WHITE, Device
 from lfgpu.data.channels import mean_of_channels
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.windows import window_max, window_mean, window_min
@@ -79,8 +79,7 @@ def measured_noise(
     lf: LightField,
     bounds: tuple[float, float],
     config: SweepConfig,
-    kernels: KernelSet,
-    device: str,
+    device: Device,
     *,
     deviation: float | None = None,
 ) -> float:
@@ -89,23 +88,22 @@ def measured_noise(
     It is the median of the least costs in the middle of the image, of the half of its pixels where they vary most: what
     has no texture agrees at all disparities.
     """
+    kernels = device.kernels
     lf = lf.crop(*(slice(max(0, (side - _SAMPLE) // 2), (side + _SAMPLE) // 2) for side in lf.size))
     lf = lf.subset(used_views(lf.layout, "cross"))
     place = labels(bounds, lf.offsets, config)
     shape, scale = (len(lf.views), *lf.size, lf.channels), lf.scale if deviation is None else 1 / WHITE
-    sweep = planned_sweep(
-        shape, lf.offsets, place, config, kernels, device, scale=scale, gradient_weight=config.gradient_weight
-    )
-    volume = kernels.zeros((place[2], *lf.size), device)
-    views, image = kernels.image(lf.views, device), kernels.zeros_image((*lf.size, lf.channels), device)
-    valid = None if lf.valid is None else kernels.field(lf.valid, device)
+    sweep = planned_sweep(shape, lf.offsets, place, config, device, scale=scale, gradient_weight=config.gradient_weight)
+    volume = device.zeros((place[2], *lf.size))
+    views, image = device.image(lf.views), device.zeros_image((*lf.size, lf.channels))
+    valid = None if lf.valid is None else device.field(lf.valid)
     if deviation is not None:
-        recorded, views = views, kernels.zeros_image(shape, device, np.uint16)
+        recorded, views = views, device.zeros_image(shape, np.uint16)
         kernels.smooth_views(recorded, valid, scale=lf.scale, deviation=deviation, views_out=views)
     kernels.intensities(views, lf.reference_index, valid, scale=scale, fill=UNLIKE_ANY, image_out=image)
     sweep.load(image, views, valid)
     sweep.by_view_sets(volume)
-    least, negative = (kernels.zeros(lf.size, device) for _ in range(2))
+    least, negative = (device.zeros(lf.size) for _ in range(2))
     kernels.least_costs(volume, least_out=least)
     kernels.axpby(-1.0, volume, 0.0, volume, volume)
     kernels.least_costs(volume, least_out=negative)

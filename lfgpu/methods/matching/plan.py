@@ -24,7 +24,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfgpu.contract import REDUCTION, WHITE, Array, Float32Array, KernelSet
+from lfgpu.contract import REDUCTION, WHITE, Array, Device, Float32Array
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.windows import window_min
 from lfgpu.errors import LightFieldError
@@ -73,17 +73,17 @@ class MatchingPlan:
         The disparity range and the noise.
     config
         All parameters.
-    kernels, device
-        Where it is computed. It takes two volumes of one float for each pixel and disparity, and what kernels keep.
+    device
+        The device on which it runs. It takes two volumes of one float for each pixel and
+        disparity, and what operations keep.
     """
 
     decided = "align"
     may_be_masked = False
     """Whether views may come with masks that the light field does not have."""
 
-    def __init__(
-        self, layout: ViewLayout, measured: Measured, config: MatchingConfig, kernels: KernelSet, device: str
-    ) -> None:
+    def __init__(self, layout: ViewLayout, measured: Measured, config: MatchingConfig, device: Device) -> None:
+        kernels = device.kernels
         assert measured.noise is not None  # this method measures it
         self._deviation = smoothing_deviation(measured.grain, config.sweep)
         self._noise = noise_of_views(measured.noise, measured.grain, config.sweep)
@@ -93,51 +93,51 @@ class MatchingPlan:
         self._used, self._chosen = used_views(layout, config.sweep.views), None
         if len(self._used) < layout.count:
             layout = layout.subset(self._used)
-            self._chosen = kernels.zeros_image(layout.shape, device, layout.dtype)
+            self._chosen = device.zeros_image(layout.shape, layout.dtype)
         self._reference, self._scale, self._farthest = layout.reference, layout.scale, layout.farthest
         shape, image = layout.shape, (*layout.size, layout.channels)
-        self._offsets = kernels.field(layout.offsets, device)
+        self._offsets = device.field(layout.offsets)
         masks = layout.masks
-        self._valid = None if masks is None else kernels.field(np.stack(masks), device)
-        self._known = None if masks is None else kernels.field(masks[layout.reference], device)
+        self._valid = None if masks is None else device.field(np.stack(masks))
+        self._known = None if masks is None else device.field(masks[layout.reference])
         # Where a patch holds a pixel that the reference did not record, it is like no other patch.
         patch = config.prior.patch
         alike = None if masks is None else window_min(masks[layout.reference], patch)
-        self._alike = None if alike is None else kernels.field(alike, device)
-        self._far = None if layout.masks is None else kernels.field(np.full(layout.size, bounds[0]), device)
-        self._unknown = None if layout.masks is None else kernels.field(np.full(layout.size, np.nan), device)
+        self._alike = None if alike is None else device.field(alike)
+        self._far = None if layout.masks is None else device.field(np.full(layout.size, bounds[0]))
+        self._unknown = None if layout.masks is None else device.field(np.full(layout.size, np.nan))
         held = config.hole_filling.stiffness * config.alignment.robust**2  # as strongly as one similar neighbour
-        self._held = None if layout.masks is None else kernels.field(np.full(layout.size, held), device)
-        self._image = kernels.zeros_image(image, device)
-        self._prior = NonLocalMeans(image, config.prior, kernels, device)
+        self._held = None if layout.masks is None else device.field(np.full(layout.size, held))
+        self._image = device.zeros_image(image)
+        self._prior = NonLocalMeans(image, config.prior, device)
         # Costs of what is nearer reach as far into its corners as they are averaged; maps need more against noise.
         self._near = self._prior
         if config.semi_global.window != config.prior.window:
-            self._near = NonLocalMeans(image, replace(config.prior, window=config.semi_global.window), kernels, device)
+            self._near = NonLocalMeans(image, replace(config.prior, window=config.semi_global.window), device)
         self._first, self._step, count = labels(bounds, layout.offsets, config.sweep)
-        self._volume, self._smooth = (kernels.zeros((count, *layout.size), device) for _ in range(2))
+        self._volume, self._smooth = (device.zeros((count, *layout.size)) for _ in range(2))
         # Every other view is enough for the first steps on large grids.
         swept = swept_views(layout.offsets, config.sweep.views)
         some, self._some = layout, None
-        self._swept_offsets, nearest = self._offsets, kernels.zeros(shape[:3], device)
+        self._swept_offsets, nearest = self._offsets, device.zeros(shape[:3])
         self._swept_nearest = nearest
         if len(swept) < layout.count:
             some = layout.subset(swept)
-            self._some = SomeViews(layout, swept, kernels, device, masked=self.may_be_masked)
-            self._swept_offsets = kernels.field(some.offsets, device)
-            self._swept_nearest = kernels.zeros((len(swept), *layout.size), device)
+            self._some = SomeViews(layout, swept, device, masked=self.may_be_masked)
+            self._swept_offsets = device.field(some.offsets)
+            self._swept_nearest = device.zeros((len(swept), *layout.size))
         self._swept_shape, self._swept_reference = (some.count, *shape[1:]), some.reference
         place = self._first, self._step, count
         self._compared, self._unit = self._image, layout.scale
         if self._deviation is not None:
-            self._compared, self._unit = kernels.zeros_image(image, device), 1 / WHITE
-            self._smoothed = kernels.zeros_image(self._swept_shape, device, np.uint16)
+            self._compared, self._unit = device.zeros_image(image), 1 / WHITE
+            self._smoothed = device.zeros_image(self._swept_shape, np.uint16)
         self._resweeps = further_sweeps(some.offsets, config.sweep)
         self._few, few = None, some
         chosen = first_views(some, config.sweep.first_views)
         if len(chosen) < some.count:
             stored = None if self._deviation is None else np.uint16
-            self._few = SomeViews(some, chosen, kernels, device, stored=stored, masked=self.may_be_masked)
+            self._few = SomeViews(some, chosen, device, stored=stored, masked=self.may_be_masked)
             few = some.subset(chosen)
         self._few_shape, self._few_offsets = (few.count, *shape[1:]), few.offsets
         self._sweep = planned_sweep(
@@ -145,7 +145,6 @@ class MatchingPlan:
             self._few_offsets,
             place,
             config.sweep,
-            kernels,
             device,
             scale=self._unit,
             gradient_weight=config.sweep.gradient_weight,
@@ -154,7 +153,7 @@ class MatchingPlan:
         if config.sweep.reduced_weight > 0 and min(layout.size) >= _LEAST_REDUCED * REDUCTION:
             # More than one further sweep mends what reduced views do to outlines, and gains from all they show.
             contrast = config.sweep.reduced_contrast if self._resweeps <= 1 else None
-            self._reduced = ReducedSweep(few, place, config.sweep, kernels, device, scale=self._unit, contrast=contrast)
+            self._reduced = ReducedSweep(few, place, config.sweep, device, scale=self._unit, contrast=contrast)
         self._middle = self._resweep = None
         self._reach = _BESIDE if self._resweeps > 1 else 0  # the first surface is too large as it is
         if self._resweeps:
@@ -167,20 +166,18 @@ class MatchingPlan:
         self._first_steps = self._last_step
         if self._some is not None:
             self._first_steps = self._planned_step(self._swept_shape, self._swept_offsets, self._swept_nearest)
-        self._swept, self._aligned, self.disparity, self.confidence = (
-            kernels.zeros(layout.size, device) for _ in range(4)
-        )
+        self._swept, self._aligned, self.disparity, self.confidence = (device.zeros(layout.size) for _ in range(4))
         """`disparity` and `confidence` are the results, fields [y, x]."""
-        self._matched = kernels.zeros(layout.size, device) if self._resweeps else self._swept
+        self._matched = device.zeros(layout.size) if self._resweeps else self._swept
         self._hole_filling = HoleFilling(layout.size, self._prior, config.hole_filling)
-        self._curvature, self._slope, self._certainty = (kernels.zeros(layout.size, device) for _ in range(3))
-        self._workspace, self._penalty_scale = (kernels.zeros(layout.size, device) for _ in range(2))
+        self._curvature, self._slope, self._certainty = (device.zeros(layout.size) for _ in range(3))
+        self._workspace, self._penalty_scale = (device.zeros(layout.size) for _ in range(2))
         self._boundaries = Boundaries(
             kernels, config.boundaries, step=config.boundaries.step / self._farthest, workspace=self._workspace
         )
         # What earlier stages needed is free when the map is judged.
         needed = self._curvature, self._certainty, self._slope, self._workspace, self._penalty_scale
-        free = (*needed, kernels.zeros(layout.size, device))
+        free = (*needed, device.zeros(layout.size))
         self._judging = Judging(
             kernels,
             kind=config.sweep.kind,
@@ -188,9 +185,9 @@ class MatchingPlan:
             step=self._step,
             unit=self._noise_cost,
             workspace=free,
-            variance=kernels.zeros(layout.size, device),
+            variance=device.zeros(layout.size),
         )
-        self._first_evidence = kernels.zeros(layout.size, device) if self._resweeps else None
+        self._first_evidence = device.zeros(layout.size) if self._resweeps else None
         self._later_evidence = free[-1]
         self._guesses = None
         if self._resweeps and config.sweep.ambiguity < 1:
@@ -201,11 +198,11 @@ class MatchingPlan:
                 count=count,
                 tolerance=config.sweep.tolerance / self._farthest,
                 ones=self._prior.ones,
-                zeros=kernels.zeros(layout.size, device),
+                zeros=device.zeros(layout.size),
                 workspace=free[:-1],
             )
-        self._moves = [kernels.scalar(0.0, device) for _ in range(config.alignment.iterations)]
-        self._trust = kernels.scalar(0.0, device)
+        self._moves = [device.scalar(0.0) for _ in range(config.alignment.iterations)]
+        self._trust = device.scalar(0.0)
         self._steps = len(self._moves)
 
     def stages(self, views: Array) -> dict[str, Work]:
@@ -454,22 +451,19 @@ class MatchingPlan:
         some, nearest = None, self._swept_nearest
         if chosen is not None:
             stored = None if self._deviation is None else np.uint16
-            some = SomeViews(layout, chosen, kernels, device, stored=stored, masked=self.may_be_masked)
-            layout, nearest = layout.subset(chosen), kernels.zeros((len(chosen), *self._size), device)
+            some = SomeViews(layout, chosen, device, stored=stored, masked=self.may_be_masked)
+            layout, nearest = layout.subset(chosen), device.zeros((len(chosen), *self._size))
         shape = (layout.count, *self._swept_shape[1:])
         sweep = planned_sweep(
             shape,
             layout.offsets,
             place,
             config,
-            kernels,
             device,
             scale=self._unit,
             gradient_weight=config.resweep_gradient_weight,
         )
-        return VisibleSweep(
-            sweep, shape, kernels.field(layout.offsets, device), nearest, kernels, reaches=reaches, some=some
-        )
+        return VisibleSweep(sweep, shape, device.field(layout.offsets), nearest, kernels, reaches=reaches, some=some)
 
     def _planned_step(self, shape: Sequence[int], offsets: Array, nearest: Array) -> AlignmentStep:
         return AlignmentStep(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lfgpu.contract import REDUCTION, WHITE, Array, KernelSet
+from lfgpu.contract import REDUCTION, WHITE, Array, Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.sweep import planned_sweep
@@ -27,8 +27,8 @@ class ReducedSweep:
     contrast
         The difference between adjacent pixels, intensity, beside which they count half of that. Beside an outline
         what is farther looks like a part of what is nearer, for many pixels around. None: they count everywhere.
-    kernels, device
-        Where it is computed.
+    device
+        The device on which it runs.
     scale
         The factor from stored values to intensities.
     """
@@ -38,27 +38,26 @@ class ReducedSweep:
         layout: ViewLayout,
         place: tuple[float, float, int],
         config: SweepConfig,
-        kernels: KernelSet,
-        device: str,
+        device: Device,
         *,
         scale: float,
         contrast: float | None,
     ) -> None:
+        kernels = device.kernels
         height, width = (side // REDUCTION for side in layout.size)
         shape = layout.count, height, width, layout.channels
         self._kernels, self._reference, self._scale = kernels, layout.reference, scale
         self._weight, self._contrast = config.reduced_weight, contrast
-        self._shares = kernels.field(np.ones(shape[1:3]), device)
-        self._views, self._image = kernels.zeros_image(shape, device, np.uint16), kernels.zeros_image(shape[1:], device)
-        self._valid = kernels.zeros(shape[:3], device)
-        self._volume = kernels.zeros((place[2], height, width), device)
+        self._shares = device.field(np.ones(shape[1:3]))
+        self._views, self._image = device.zeros_image(shape, np.uint16), device.zeros_image(shape[1:])
+        self._valid = device.zeros(shape[:3])
+        self._volume = device.zeros((place[2], height, width))
         # A disparity moves what is seen in a reduced view by so many of its pixels less.
         self._sweep = planned_sweep(
             shape,
             layout.offsets / REDUCTION,
             place,
             config,
-            kernels,
             device,
             scale=1 / WHITE,
             gradient_weight=config.gradient_weight,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from numpy.typing import DTypeLike
 
-from lfgpu.contract import Array, KernelSet
+from lfgpu.contract import Array, Device
 from lfgpu.data.layout import ViewLayout
 
 
@@ -19,8 +19,8 @@ class SomeViews:
         The layout of the views.
     chosen
         Their indices, in order, the reference among them.
-    kernels, device
-        Where they are.
+    device
+        The device on which it runs.
     stored
         How the views' values are stored. Default None: as those of `layout`.
     masked
@@ -31,16 +31,16 @@ class SomeViews:
         self,
         layout: ViewLayout,
         chosen: Sequence[int],
-        kernels: KernelSet,
-        device: str,
+        device: Device,
         *,
         stored: DTypeLike | None = None,
         masked: bool = False,
     ) -> None:
+        kernels = device.kernels
         self._kernels, self._chosen = kernels, list(chosen)
         shape = (len(chosen), *layout.size, layout.channels)
-        self._views = kernels.zeros_image(shape, device, layout.dtype if stored is None else stored)
-        self._valid = kernels.zeros(shape[:3], device) if masked or layout.masks is not None else None
+        self._views = device.zeros_image(shape, layout.dtype if stored is None else stored)
+        self._valid = device.zeros(shape[:3]) if masked or layout.masks is not None else None
 
     def of(self, views: Array, valid: Array | None) -> tuple[Array, Array | None]:
         """The chosen ones of all views [n, y, x, c] and of their masks [n, y, x]; the next call overwrites them."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lfgpu.contract import Float64Array, KernelSet, PlaneSweep
+from lfgpu.contract import Device, Float64Array, PlaneSweep
 from lfgpu.data.layout import ViewLayout, farthest
 from lfgpu.methods.matching.config import SweepConfig
 
@@ -25,18 +25,18 @@ def planned_sweep(
     offsets: Float64Array,
     place: tuple[float, float, int],
     config: SweepConfig,
-    kernels: KernelSet,
-    device: str,
+    device: Device,
     *,
     scale: float,
     gradient_weight: float,
 ) -> PlaneSweep:
     """A sweep over views of `shape` [n, y, x, c], `offsets` [n, 2] apart, at the disparities of `labels`."""
+    kernels = device.kernels
     first, step, count = place
     return kernels.plane_sweep(
         shape,
-        kernels.field(offsets, device),
-        kernels.field(view_sets(offsets, config.view_set_angle), device),
+        device.field(offsets),
+        device.field(view_sets(offsets, config.view_set_angle)),
         first=first,
         step=step,
         count=count,

@@ -23,7 +23,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from lfgpu.contract import Array, KernelSet, Scalar, Streaming
+from lfgpu.contract import Array, Device, Scalar, Streaming
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.plan import MatchingPlan
@@ -45,7 +45,7 @@ class TemporalMatching(MatchingPlan):
 
     Parameters
     ----------
-    layout, measured, config, kernels, device
+    layout, measured, config, device
         As for `MatchingPlan`; `alignment.iterations` is the most steps that a frame may take.
     streaming
         The kernels that only streams need.
@@ -60,24 +60,24 @@ class TemporalMatching(MatchingPlan):
         layout: ViewLayout,
         measured: Measured,
         config: MatchingConfig,
-        kernels: KernelSet,
-        device: str,
+        device: Device,
         *,
         streaming: Streaming,
         prior: TemporalPrior,
     ) -> None:
-        super().__init__(layout, measured, config, kernels, device)
+        kernels = device.kernels
+        super().__init__(layout, measured, config, device)
         past = self._resweep
         if past is None:
-            offsets, nearest = kernels.field(self._few_offsets, device), kernels.zeros(self._few_shape[:3], device)
+            offsets, nearest = device.field(self._few_offsets), device.zeros(self._few_shape[:3])
             past = VisibleSweep(self._sweep, self._few_shape, offsets, nearest, kernels, reaches=(self._reach,))
         self._sweep_past = past
         self._temporal, self._streaming, self._is_warm = prior, streaming, False
-        self._past, self._frames, self._rate = (kernels.zeros(layout.size, device) for _ in range(3))
-        self._expected, self._frames_before, self._rate_before = (kernels.zeros(layout.size, device) for _ in range(3))
-        self._same, self._believed = (kernels.zeros(layout.size, device) for _ in range(2))
-        self._farthest_surface = kernels.field(np.full(layout.size, self._bounds[0]), device)
-        self._last_image = kernels.zeros_image((*layout.size, layout.channels), device)
+        self._past, self._frames, self._rate = (device.zeros(layout.size) for _ in range(3))
+        self._expected, self._frames_before, self._rate_before = (device.zeros(layout.size) for _ in range(3))
+        self._same, self._believed = (device.zeros(layout.size) for _ in range(2))
+        self._farthest_surface = device.field(np.full(layout.size, self._bounds[0]))
+        self._last_image = device.zeros_image((*layout.size, layout.channels))
         self._motion = streaming.motion(self._last_image)
 
     @property

@@ -9,7 +9,7 @@ wrong surface would go anywhere. Where most views disagree with the mean at the 
 
 from __future__ import annotations
 
-from lfgpu.contract import Array, KernelSet
+from lfgpu.contract import Array, Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.prior import NonLocalMeans
 
@@ -36,19 +36,18 @@ class Acceptance:
         Most by which a pixel is moved, pixels in the farthest view.
     noise
         In units of the usual noise, >= 1.
-    kernels, device
-        Where the views live.
+    device
+        The device on which it runs.
     """
 
-    def __init__(
-        self, layout: ViewLayout, prior: NonLocalMeans, longest: float, noise: float, kernels: KernelSet, device: str
-    ) -> None:
+    def __init__(self, layout: ViewLayout, prior: NonLocalMeans, longest: float, noise: float, device: Device) -> None:
+        kernels = device.kernels
         self._kernels, self._prior = kernels, prior
-        shape, offsets, reach = layout.shape, kernels.field(layout.offsets, device), _REACH
+        shape, offsets, reach = layout.shape, device.field(layout.offsets), _REACH
         self._longest = longest / layout.farthest
         self._no_texture = _STIFFNESS * (_ROBUST * noise) ** 2
         self._apart = 2.0 * layout.farthest**2
-        self._nearest = kernels.zeros(shape[:3], device)
+        self._nearest = device.zeros(shape[:3])
         self._hiding = kernels.z_buffer(shape, offsets, reach=reach)
         self._align, self._align_all = (
             kernels.alignment(
@@ -63,7 +62,7 @@ class Acceptance:
             for robust in (_ROBUST * noise, _UNLIMITED)
         )
         self._change, self._slope, self._curvature, self._gain, self._loss, self._agreeing = (
-            kernels.zeros(layout.size, device) for _ in range(6)
+            device.zeros(layout.size) for _ in range(6)
         )
 
     def run(self, image: Array, views: Array, valid: Array | None, start: Array, disparity: Array) -> None:

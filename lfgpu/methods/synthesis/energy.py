@@ -26,11 +26,11 @@ class Energy:
         self, model: ForwardModel, prior: NonLocalMeans, smoothness: float, start: Array | None = None
     ) -> None:
         self._model, self._prior, self._smoothness, self._start = model, prior, smoothness, start
-        self._change = None if start is None else prior.kernels.zeros(model.size, prior.device)
-        self._laplacian = prior.kernels.zeros(model.size, prior.device)
-        self._half, self._share = (prior.kernels.scalar(0.0, prior.device) for _ in range(2))
-        self._even_share = prior.kernels.scalar((1.0 - _EVENNESS) * model.size[0] * model.size[1], prior.device)
-        self.curvature = prior.kernels.zeros(model.size, prior.device)
+        self._change = None if start is None else prior.device.zeros(model.size)
+        self._laplacian = prior.device.zeros(model.size)
+        self._half, self._share = (prior.device.scalar(0.0) for _ in range(2))
+        self._even_share = prior.device.scalar((1.0 - _EVENNESS) * model.size[0] * model.size[1])
+        self.curvature = prior.device.zeros(model.size)
         """The approximate second derivative of the energy by each pixel, divided by its mean: a field [y, x] > 0.
 
         The solver uses it as a diagonal preconditioner. `load` computes it. Pixels with strong texture have the largest

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from lfgpu.contract import KernelSet
+from lfgpu.contract import Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
@@ -47,11 +47,11 @@ class Synthesis(Method[SynthesisConfig]):
     def is_on_device(self) -> bool:
         return self.config.propagation.solver == "cg" and self.config.refinement.solver == "lbfgs"
 
-    def measured(self, lf: LightField, bounds: tuple[float, float], kernels: KernelSet, device: str) -> Measured:
+    def measured(self, lf: LightField, bounds: tuple[float, float], device: Device) -> Measured:
         unit = self.config.prior.sigma_unit
         return Measured(
             bounds,
-            noise=measured_noise(lf, bounds, _NOISE_SWEEP, kernels, device) if unit == "noise" else None,
+            noise=measured_noise(lf, bounds, _NOISE_SWEEP, device) if unit == "noise" else None,
             spread=spread(lf, self.config.prior.patch) if unit == "image" else None,
         )
 
@@ -95,5 +95,5 @@ class Synthesis(Method[SynthesisConfig]):
         windows = (self.config.prior.window // 2) * _NEIGHBOURHOODS + self.config.prior.patch // 2
         return reach[1] + windows + _EDGE, reach[0] + windows + _EDGE
 
-    def plan(self, layout: ViewLayout, measured: Measured, kernels: KernelSet, device: str) -> SynthesisPlan:
-        return SynthesisPlan(layout, measured, self.config, kernels, device)
+    def plan(self, layout: ViewLayout, measured: Measured, device: Device) -> SynthesisPlan:
+        return SynthesisPlan(layout, measured, self.config, device)

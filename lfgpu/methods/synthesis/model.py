@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lfgpu.contract import Array, Float32Array, KernelSet, Scalar
+from lfgpu.contract import Array, Device, Float32Array, Scalar
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.synthesis import data_terms
 from lfgpu.methods.synthesis.config import RefinementConfig
@@ -35,27 +35,28 @@ class ForwardModel:
     config
         `data_term`, and `softness` of its triangle kernel; `detail_scale` and `contrast_floor` of the normalisation;
         `error` and `rim`.
-    kernels, device
-        Where the views live.
+    device
+        The device on which it runs.
     """
 
-    def __init__(self, layout: ViewLayout, config: RefinementConfig, kernels: KernelSet, device: str) -> None:
+    def __init__(self, layout: ViewLayout, config: RefinementConfig, device: Device) -> None:
+        kernels = device.kernels
         self._kernels, self._device, self._softness = kernels, device, config.softness
         self._reference, self.size, self._scale = layout.reference, layout.size, layout.scale
         self.mean = 1.0 / (max(layout.count - 1, 1) * layout.channels) if config.error == "mean" else 1.0
         """The factor of the squared error: 1, or what turns a sum into a mean over the predicted views and channels."""
         self._masks_rim = config.rim == "masked"
         self._shape = shape = layout.shape
-        self._offsets = kernels.field(layout.offsets, device)
-        self._detail = kernels.zeros_image(shape, device, compared_as(config, on_gpu=device != "cpu"))
-        self._image, self._raw = (kernels.zeros_image((*layout.size, layout.channels), device) for _ in range(2))
-        self._seen = kernels.zeros(shape[:3], device)
+        self._offsets = device.field(layout.offsets)
+        self._detail = device.zeros_image(shape, compared_as(config, on_gpu=device.is_gpu))
+        self._image, self._raw = (device.zeros_image((*layout.size, layout.channels)) for _ in range(2))
+        self._seen = device.zeros(shape[:3])
         self._valid, self._known = None, None
         if layout.masks is not None:
-            self._valid = kernels.field(np.stack(layout.masks), device)
-            self._known = kernels.field(layout.masks[layout.reference], device)
+            self._valid = device.field(np.stack(layout.masks))
+            self._known = device.field(layout.masks[layout.reference])
         self._normalize = kernels.normalization(
-            shape, device, scale=layout.scale, sigma=config.detail_scale, floor=config.contrast_floor
+            shape, device.name, scale=layout.scale, sigma=config.detail_scale, floor=config.contrast_floor
         )
         self._data_term = data_terms.planned(
             config.data_term, shape, self._offsets, softness=config.softness, kernels=kernels
@@ -97,10 +98,10 @@ class ForwardModel:
         splat weights on a pixel: above 1 where several surfaces land on it, below 1 where there is a gap.
         """
         k = self._kernels
-        views, coverage = k.zeros_image(self._shape, self._device), k.zeros(self._shape[:3], self._device)
+        views, coverage = self._device.zeros_image(self._shape), self._device.zeros(self._shape[:3])
         k.splat(
             self._raw,
-            k.field(disparity, self._device),
+            self._device.field(disparity),
             self._offsets,
             softness=self._softness,
             views_out=views,

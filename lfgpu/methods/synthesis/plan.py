@@ -11,7 +11,7 @@ import dataclasses
 
 import numpy as np
 
-from lfgpu.contract import Array, Float32Array, KernelSet, OverPatch, PatchGradients
+from lfgpu.contract import Array, Device, Float32Array, OverPatch, PatchGradients
 from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Callback, Work
@@ -31,13 +31,11 @@ from lfgpu.solvers.solution import Solution
 _SOLVERS: dict[str, type[BoundedLbfgs] | type[ScipyLbfgsb]] = {"lbfgs": BoundedLbfgs, "lbfgsb": ScipyLbfgsb}
 
 
-def planned_prior(
-    shape: tuple[int, int, int], config: SynthesisPriorConfig, kernels: KernelSet, device: str
-) -> NonLocalMeans:
+def planned_prior(shape: tuple[int, int, int], config: SynthesisPriorConfig, device: Device) -> NonLocalMeans:
     """The prior in the forms that the parameters name, for images of `shape` [y, x, c]."""
     over_patch: OverPatch = "sum" if config.over_patch == "sum" else "mean"
     gradients: PatchGradients = "patch" if config.gradients == "patch" else "central"
-    return NonLocalMeans(shape, config, kernels, device, over_patch=over_patch, gradients=gradients)
+    return NonLocalMeans(shape, config, device, over_patch=over_patch, gradients=gradients)
 
 
 class SynthesisPlan:
@@ -51,8 +49,8 @@ class SynthesisPlan:
         The disparity range, and the noise or the spread that the parameters are in units of.
     config
         The parameters of all stages.
-    kernels, device
-        The backend's kernels, and the name of the device.
+    device
+        The device on which it runs.
 
     Raises
     ------
@@ -62,33 +60,32 @@ class SynthesisPlan:
 
     decided = "propagate"
 
-    def __init__(
-        self, layout: ViewLayout, measured: Measured, config: SynthesisConfig, kernels: KernelSet, device: str
-    ) -> None:
+    def __init__(self, layout: ViewLayout, measured: Measured, config: SynthesisConfig, device: Device) -> None:
+        kernels = device.kernels
         config, bounds = in_units_of(measured, config), measured.disparity_range
-        where, shape = (kernels, device), (*layout.size, layout.channels)
+        shape = (*layout.size, layout.channels)
         self._kernels, self._reference, self._scale = kernels, layout.reference, layout.scale
         masks = layout.masks
-        self._valid = None if masks is None else kernels.field(np.stack(masks), device)
-        self._known = None if masks is None else kernels.field(masks[layout.reference], device)
-        self._unknown = None if layout.masks is None else kernels.field(np.full(layout.size, np.nan), device)
-        self._image = kernels.zeros_image(shape, device)
-        self._local = LocalEstimator(layout, bounds, config.local, *where)
-        self._prior = planned_prior(shape, config.prior, *where)
+        self._valid = None if masks is None else device.field(np.stack(masks))
+        self._known = None if masks is None else device.field(masks[layout.reference])
+        self._unknown = None if layout.masks is None else device.field(np.full(layout.size, np.nan))
+        self._image = device.zeros_image(shape)
+        self._local = LocalEstimator(layout, bounds, config.local, device)
+        self._prior = planned_prior(shape, config.prior, device)
         self._propagation = Propagation(layout.size, bounds, self._prior, config.propagation)
-        self.disparity, self.confidence = (kernels.zeros(layout.size, device) for _ in range(2))
+        self.disparity, self.confidence = (device.zeros(layout.size) for _ in range(2))
         """The results, fields [y, x]."""
-        self._model = ForwardModel(layout, config.refinement, *where)
+        self._model = ForwardModel(layout, config.refinement, device)
         start = self._propagation.filled if config.refinement.smooths == "change" else None
         self._energy = Energy(self._model, self._prior, config.refinement.smoothness, start)
         self._acceptance = None
         if config.refinement.acceptance == "by-pixel":
             longest, noise = config.refinement.longest_change, noise_in_units(measured)
-            self._acceptance = Acceptance(layout, self._prior, longest, noise, *where)
+            self._acceptance = Acceptance(layout, self._prior, longest, noise, device)
         self._refinement = _SOLVERS[config.refinement.solver](
             layout.size,
             bounds,
-            *where,
+            device,
             tolerance=config.refinement.tolerance,
             max_iterations=config.refinement.max_iterations,
         )

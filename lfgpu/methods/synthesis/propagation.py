@@ -38,15 +38,15 @@ class Propagation:
         kernels, device = prior.kernels, prior.device
         self._prior, self._kernels = prior, kernels
         tolerance, most = config.tolerance, config.max_iterations
-        self._linear = ConjugateGradients(shape, kernels, device, tolerance=tolerance, max_iterations=most)
+        self._linear = ConjugateGradients(shape, device, tolerance=tolerance, max_iterations=most)
         self._by_gradient = None
         if config.solver == "lbfgsb":
-            self._by_gradient = ScipyLbfgsb(shape, bounds, kernels, device, tolerance=tolerance, max_iterations=most)
-        self._trust, self._target, self._workspace, self._inverse = (kernels.zeros(shape, device) for _ in range(4))
-        self._mean, self._linear_part = kernels.scalar(0.0, device), kernels.scalar(0.0, device)
-        self.trusted = kernels.scalar(0.0, device)
+            self._by_gradient = ScipyLbfgsb(shape, bounds, device, tolerance=tolerance, max_iterations=most)
+        self._trust, self._target, self._workspace, self._inverse = (device.zeros(shape) for _ in range(4))
+        self._mean, self._linear_part = device.scalar(0.0), device.scalar(0.0)
+        self.trusted = device.scalar(0.0)
         """Σ C, the sum of all coherences. If it is 0, there was no estimate and the filled map is meaningless."""
-        self.filled = kernels.zeros(shape, device)
+        self.filled = device.zeros(shape)
         """The filled map, a field [y, x], pixels per view step."""
 
     def run(self, disparity: Array, coherence: Array, callback: Callable[[int, float], None] | None = None) -> None:
