@@ -37,7 +37,7 @@ class Variant:
     preset: str = WHOLE
 
     def config(self) -> Config:
-        """Return all parameters."""
+        """Return all parameters: the one place where values are applied, be they of users or of tuning."""
         return preset(self.preset).with_values(self.values)
 
 

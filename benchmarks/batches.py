@@ -49,11 +49,11 @@ class Row:
     rate: float
     """Items in a second."""
     efficiency: float
-    """Of the rate on one GPU with as many workers for each, times their number."""
+    """Rate over that on one GPU with as many workers for each, times their number."""
     busy: float
     """The share of the time in which a worker has an item."""
     seconds: dict[str, float]
-    """Of the parts of an item, medians."""
+    """Medians of the parts of an item."""
 
 
 COLUMNS: dict[str, Callable[[Any], str]] = {

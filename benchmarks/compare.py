@@ -32,7 +32,7 @@ class Comparison:
     slower: list[str]
     faster: list[str]
     worse: list[str]
-    """Of a larger error, or measured before but not any more."""
+    """Measurements of a larger error, or that failed and did not before."""
     only: list[str]
     """In one of the two alone."""
     compared: int

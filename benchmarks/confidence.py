@@ -39,7 +39,7 @@ RIGHT = 0.07  # pixels per view step: errors up to this are right
 EDGES = (0.0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 1.0)
 """Bounds of the confidences that are counted together."""
 LEAST_SHARE = 0.005
-"""Of the pixels of a map: bins that hold fewer are not shown."""
+"""Share of the pixels of a map: bins that hold fewer are not shown."""
 _KINDS = (
     *((1, 0.02, 9, 256), (2, 0.0, 9, 256), (3, 0.0, 5, 128)),
     *((4, 0.005, 5, 128), (5, 0.0, 5, 128), (6, 0.005, 5, 128), (7, 0.0, 5, 128), (8, 0.0, 9, 256)),
@@ -59,10 +59,10 @@ _HEAD = '''"""Weights of what the confidence and the uncertainty of matching are
 """
 
 SHARE = {share}
-"""Of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `SweepConfig.kind`."""
+"""Weights of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `SweepConfig.kind`."""
 
 SPREAD = {spread}
-"""Of the logarithm of the variance of the disparity, (pixels per view step)², by `SweepConfig.kind`."""
+"""Weights of the logarithm of the variance of the disparity, (pixels per view step)², by `SweepConfig.kind`."""
 '''
 
 Vector = NDArray[np.float64]
@@ -81,9 +81,9 @@ class Sample:
     error: Vector
     """Pixels per view step."""
     span: float
-    """Of the range that was searched, pixels per view step."""
+    """Length of the searched range, pixels per view step."""
     own: bool = False
-    """Of a scene of the package."""
+    """Whether it is of a scene of the package."""
 
     def judged(self, weights: Weights) -> Judged:
         confidence, variance = (np.empty_like(self.error) for _ in range(2))
@@ -115,11 +115,11 @@ class Bin:
 
     low: float
     said: float
-    """Their mean confidence."""
+    """Mean confidence of the pixels."""
     right: float
     """Share of them that is right."""
     share: float
-    """Of all pixels."""
+    """Number of the pixels over that of all."""
 
 
 @dataclass(frozen=True)
@@ -129,9 +129,9 @@ class Row:
     scene: str
     preset: str
     bins: tuple[Bin, ...]
-    """Those that hold pixels."""
+    """Bins that hold pixels."""
     said_rms: float
-    """Of the standard deviations that are stated, pixels per view step; the next is that of the errors."""
+    """Root mean square of the stated standard deviations, pixels per view step; `error_rms` is that of the errors."""
     error_rms: float
     within_1: float
     """Share of the errors that are at most one stated standard deviation; the next, two."""

@@ -158,7 +158,7 @@ def show(rows: list[Row]) -> None:
 
 
 def against_none(rows: list[Row]) -> Iterator[tuple[str, str, dict[str, tuple[float, float]]]]:
-    """(preset, past, ratios): geometric mean and largest ratio over the films to the same film without a past."""
+    """Yield (preset, past, ratios): geometric mean and largest ratio over the films to the same film without a past."""
     none = {(row.seed, row.preset): row for row in rows if row.past == "none"}
     for preset, past in dict.fromkeys((row.preset, row.past) for row in rows if row.past != "none"):
         some = [row for row in rows if (row.preset, row.past) == (preset, past) and (row.seed, preset) in none]

@@ -43,7 +43,9 @@ RESULT = FOLDER / "gpu-parity.json"
 def command(
     backend: Annotated[str, typer.Option(metavar="NAME")] = "warp",
     device: Annotated[str, typer.Option(metavar="DEVICE")] = "cuda:0",
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")] = RESULT,
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="FILE.json", show_default=False, help="Default: in results.")
+    ] = RESULT,
 ) -> None:
     """Test every operation on a GPU against the reference; the file names the commit. Exits with 1 on failures."""
     check_out(out)

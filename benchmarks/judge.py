@@ -65,7 +65,7 @@ class Draw:
     quick: tuple[str, ...]
     is_found_quickly: bool
     false_alarms: tuple[str, ...]
-    """Of the quick look at the same part of the undisturbed views."""
+    """Findings of the quick look at the same part of the undisturbed views."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def command(
     device: Device = None,
     out: Out = None,
 ) -> None:
-    """Move one view in a random direction: is it found, and is nothing said without that?"""
+    """Move one view in a random direction, and see whether it is found, and whether nothing is said without that."""
     check_out(out)
     plan = Plan(tuple(scene_names), draws, first, tuple(undisturbed or ()), noises, shift, crop, preset, device)
     about = {**machine.about(), "plan": named(plan)}

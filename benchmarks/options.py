@@ -22,7 +22,8 @@ DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared"
 Device = Annotated[str | None, typer.Option(metavar="DEVICE", help="cpu or cuda:0; default: the best there is.")]
 Out = Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")]
 Data = Annotated[
-    Path, typer.Option(metavar="FOLDER", help="The real light fields; default: $LFGPU_DATA, or ../shared/data.")
+    Path,
+    typer.Option(metavar="FOLDER", show_default=False, help="Real light fields; default: $LFGPU_DATA, ../shared/data."),
 ]
 Files = Annotated[list[Path], typer.Argument(metavar="FILE.json...", help="Files of `--out`; several are merged.")]
 Scenes = Annotated[

@@ -173,7 +173,7 @@ def _new_views(path: Path) -> str:
 ACCURACY = newest(path.name for path in FOLDER.glob("accuracy-*.json"))
 """The accuracy of the newest version that was measured."""
 PUBLISHED = "published.json"
-"""What others publish about their methods, each with its source."""
+"""Figures that others publish about their methods, each with its source."""
 TIMES = "h200-pipelines.json"
 RUNS = (TIMES, "ablation.json")
 TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {

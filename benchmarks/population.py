@@ -42,7 +42,9 @@ def command(
     ranges: Annotated[
         str, typer.Option(metavar="NAME,...", help="found: by the estimate; true: the true one and 0.1 px more.")
     ] = ",".join(RANGES),
-    baseline: Annotated[Path, typer.Option(metavar="FILE.json", help="A run to compare this one with.")] = BASELINE,
+    baseline: Annotated[
+        Path, typer.Option(metavar="FILE.json", show_default="version 0.1", help="A run to compare with.")
+    ] = BASELINE,
     scene_names: Annotated[
         str, typer.Option("--scenes", metavar="NAME-CASE,...", help="Scenes of the package: boxes-7x7x375x375 ...")
     ] = "",

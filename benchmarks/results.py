@@ -78,7 +78,7 @@ class Skipped:
 
 @dataclass(frozen=True)
 class Run:
-    """All measurements of one run, and where they were made."""
+    """A run: its measurements, and the machine and versions that they were made with."""
 
     date: str
     machine: dict[str, Any]

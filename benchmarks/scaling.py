@@ -62,11 +62,11 @@ class Row:
     rate: float
     """Light fields in a second, of all devices."""
     efficiency: float
-    """Of that of one device, times their number."""
+    """Rate over that of one device, times their number."""
     milliseconds: float
-    """Of one light field on one device, the median."""
+    """Median time of one light field on one device."""
     threads: int
-    """Of the CPU for each device."""
+    """Threads of the CPU for each device."""
 
 
 COLUMNS: dict[str, Callable[[Any], str]] = {

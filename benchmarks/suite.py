@@ -32,7 +32,7 @@ _NONE = "none"
 
 @dataclass(frozen=True)
 class Plan:
-    """What is measured.
+    """The measurements to make.
 
     Parameters
     ----------

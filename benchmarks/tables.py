@@ -26,7 +26,7 @@ class Table:
 
     @classmethod
     def of(cls, title: str, labels: int, rows: Iterable[Any], columns: Mapping[str, Callable[[Any], str]]) -> Table:
-        """Make a table of any rows: `columns` says by title what is written of a row."""
+        """Make a table of any rows: `columns` maps a title to the function that writes the cell of a row."""
         return cls(title, tuple(columns), labels, [tuple(cell(row) for cell in columns.values()) for row in rows])
 
     def show(self) -> None:

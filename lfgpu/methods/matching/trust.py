@@ -7,7 +7,7 @@ noise.
 """
 
 SHARE = {"once": (-3.085, -1.093, 1.25, -0.482, 0.694, 0.122), "again": (-2.784, -0.935, 1.208, -0.514, 0.776, 0.138)}
-"""Of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `SweepConfig.kind`."""
+"""Weights of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `SweepConfig.kind`."""
 
 SPREAD = {"once": (2.749, 1.011, -2.732, 0.967, -0.982, -0.169), "again": (2.64, 0.947, -2.701, 1.019, -1.029, -0.164)}
-"""Of the logarithm of the variance of the disparity, (pixels per view step)², by `SweepConfig.kind`."""
+"""Weights of the logarithm of the variance of the disparity, (pixels per view step)², by `SweepConfig.kind`."""
