@@ -15,9 +15,8 @@ from lfgpu.batch.names import MANIFEST_FILE, OWN
 from lfgpu.errors import LightFieldError
 from lfgpu.io import RESULT_FILE, several
 from lfgpu.io.atomic import LEFT_OVER
-from lfgpu.io.folders import entries, image_files, natural_order
+from lfgpu.io.folders import IMAGE_SUFFIXES, entries, image_files, natural_order
 from lfgpu.io.formats import FORMATS, inside, kind
-from lfgpu.io.images import IMAGE_SUFFIXES
 from lfgpu.io.numpy_file import holds_views
 from lfgpu.printable import printable
 

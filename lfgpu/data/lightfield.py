@@ -24,6 +24,7 @@ from lfgpu.data.light_field_checks import (
     span,
 )
 from lfgpu.data.mapping import each_view
+from lfgpu.data.reading import NOTHING, Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.printable import printable
 
@@ -95,6 +96,8 @@ class LightField:
     white
         Stored value that is intensity 1: 4095 where cameras of 12 bits fill uint16. Default None: the largest of the
         type. It means nothing for float32.
+    reading
+        What the reader took for what, and why. Default: nothing was read.
 
     Raises
     ------
@@ -113,6 +116,7 @@ class LightField:
     notes: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     white: int | None = None
+    reading: Reading = NOTHING
 
     def __post_init__(self) -> None:
         views = array_of_numbers("views", self.views)

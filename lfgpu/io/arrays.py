@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io.images import ALPHA_DROPPED, FLOAT64_ROUNDED
+from lfgpu.io import parallax
+from lfgpu.io.images import FLOAT64_ROUNDED, opaque
 
 ASK_FOR_GRID = "say how they stand: grid=(rows, columns), --grid ROWSxCOLUMNS on the command line"
 
@@ -37,37 +38,132 @@ def positions(shape: tuple[int, int]) -> NDArray[np.float64]:
     return np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
 
 
-def arranged(path: Path, array: NDArray[Any], grid: tuple[int, int] | None) -> tuple[NDArray[Any], list[str]]:
-    """An array of views as [v, u, y, x, c], and what was guessed.
+_AXES = frozenset("vunyxc")
+_COLOURS = (1, 3, 4)
+_LOOKED_AT = 64  # views that are compared to see how their cameras stood
+_LONGEST = 5.0  # times longer than wide no view is
+_OTHERS = {
+    3: ("yxn",),
+    4: ("nyxc", "vuyx", "ncyx", "yxcn", "yxnc", "cnyx", "yxvu"),
+    5: ("yxvuc", "vucyx", "cvuyx", "yxcvu", "yxuvc"),
+}
+"""Other orders of axes in which arrays are written, by their number."""
 
-    Taken are [v, u, y, x, c], [v, u, y, x], [n, y, x, c] and [n, y, x], c = 1 to 4; n views row by row, in the grid
-    that is told or in a square one. A last axis of up to 4 is that of the colours.
+
+def check_axes(axes: object, names: str = "v, u or n, y, x and c") -> None:
+    """LightFieldError unless `axes` names each axis once: y, x, those of views and perhaps c."""
+    if (
+        isinstance(axes, str)
+        and set("yx") <= set(axes) <= _AXES
+        and len(set(axes)) == len(axes)
+        and len(set("vu") & set(axes)) == (0 if "n" in axes else 2)
+    ):
+        return
+    raise LightFieldError(f"axes must be letters such as vuyxc or yxcn, one for each axis of {names}; found {axes!r}.")
+
+
+def arranged(
+    path: Path, array: NDArray[Any], grid: tuple[int, int] | None, axes: str | None = None
+) -> tuple[NDArray[Any], str]:
+    """An array of views as [v, u, y, x, c], and why it is taken so.
+
+    Taken are [v, u, y, x, c], [v, u, y, x], [n, y, x, c] and [n, y, x], c = 1 to 4, unless `axes` says otherwise; n
+    views row by row, in the grid that is told or in a square one. A last axis of up to 4 is that of the colours. Where
+    that makes no sense, LightFieldError asks for `axes` with an order that does.
     """
-    colours = array.ndim >= 4 and array.shape[-1] <= 4
-    if array.ndim not in (3, 4, 5) or 0 in array.shape or (array.ndim == 5 and not colours):
-        raise LightFieldError(
-            f"{path} holds an array of shape {array.shape}; views must be [v, u, y, x, c], [v, u, y, x], [n, y, x, c] "
-            "or [n, y, x]."
-        )
-    if not colours:
+    told = axes is not None
+    if axes is None:
+        axes = _usual(array.shape)
+        if axes is None or 0 in array.shape:
+            raise LightFieldError(
+                f"{path} holds an array of shape {array.shape}; views must be [v, u, y, x, c], [v, u, y, x], "
+                "[n, y, x, c] or [n, y, x]."
+            )
+        _check_sense(path, array.shape, axes, grid)
+    elif len(axes) != array.ndim:
+        raise LightFieldError(f"{path} holds an array of shape {array.shape}, which axes {axes} do not fit; name each.")
+    why = f"the axes of its array of shape {array.shape} are {axes}, {'as told' if told else 'as they fit'}"
+    wanted = [axis for axis in "vunyxc" if axis in axes]
+    array = array.transpose([axes.index(axis) for axis in wanted])
+    if "c" not in axes:
         array = array[..., None]
-    if array.ndim == 5:
-        if grid is not None and grid != array.shape[:2]:
+    if "n" not in axes:
+        if grid is not None and tuple(grid) != array.shape[:2]:
             raise LightFieldError(f"{path} has a grid of {array.shape[0]} x {array.shape[1]} views, not of {grid}.")
-        return array, []
+        return array, why
     shape = grid_shape(path, len(array), grid)
-    notes = [] if grid else [f"The {len(array)} views are taken for a square grid, row by row."]
-    return array.reshape(*shape, *array.shape[1:]), notes
+    how = "as told" if grid else _seen_as_square(path, array, shape)
+    return array.reshape(*shape, *array.shape[1:]), f"{why}; its {len(array)} views fill a grid row by row, {how}"
 
 
-def storable(path: Path, array: NDArray[Any]) -> tuple[NDArray[Any], list[str]]:
-    """Views [..., c] in native byte order, without alpha, uint8, uint16 or float32; and what was converted."""
-    notes = []
+def _seen_as_square(path: Path, array: NDArray[Any], shape: tuple[int, int]) -> str:
+    """Why n views [n, y, x, c] are taken for a square grid; LightFieldError if their pictures contradict that."""
+    count = len(array)
+    grids = [(rows, count // rows) for rows in range(1, count + 1) if count % rows == 0]
+    told = parallax.in_sequence([parallax.grey(view) for view in array[:_LOOKED_AT]])
+    found = None if told is None else parallax.best_order(told, grids)
+    if found is None:
+        return "which is taken for a square"
+    if found != f"--grid {shape[0]}x{shape[1]}":
+        raise LightFieldError(
+            f"{path} has {count} views one after the other, which by their parallax are no square row by row: {found} "
+            "fits (grid= and order= in Python); say how they stand with --grid ROWSxCOLUMNS."
+        )
+    return "a square, as their parallax shows"
+
+
+def _usual(shape: tuple[int, ...]) -> str | None:
+    colours = len(shape) >= 4 and shape[-1] <= 4
+    return {3: "nyx", 4: "nyxc" if colours else "vuyx", 5: "vuyxc" if colours else None}.get(len(shape)) or (
+        "" if len(shape) == 5 else None
+    )
+
+
+def _check_sense(path: Path, shape: tuple[int, ...], axes: str, grid: tuple[int, int] | None) -> None:
+    """LightFieldError with the orders of axes that fit if the usual one makes no sense."""
+    if axes and (_makes_sense(shape, axes) or (grid is not None and tuple(grid) == shape[:2])):
+        return
+    fitting = [other for other in _OTHERS[len(shape)] if other != axes and _makes_sense(shape, other)]
+    if not fitting:
+        if axes:
+            return
+        raise LightFieldError(
+            f"{path} holds an array of shape {shape}; views must be [v, u, y, x, c], c = 1 to 4, or axes must say the "
+            "order: axes=, --axes on the command line."
+        )
+    found = f"views of {shape[axes.index('x')]} x {shape[axes.index('y')]} px" if axes else "no colours last"
+    raise LightFieldError(
+        f"{path} holds an array of shape {shape}, in the usual order of axes {found}: say the order with "
+        f"--axes {' or '.join(fitting)} (axes= in Python)"
+        f"{f', or --axes {axes} if it is the usual one' if axes else ''}."
+    )
+
+
+def _makes_sense(shape: tuple[int, ...], axes: str) -> bool:
+    """Whether views are larger than their grid, no more than a few times longer than wide, and colours 1, 3 or 4."""
+    size = dict(zip(axes, shape, strict=True))
+    if size.get("c", 1) not in (*_COLOURS, *((2,) if axes[-1] == "c" else ())):
+        return False
+    if "n" in axes:
+        count = size["n"]
+        return count <= size["y"] * size["x"] and max(size["y"], size["x"]) <= _LONGEST * min(size["y"], size["x"])
+    colours_for_views = "c" not in axes and 3 in (size["v"], size["u"]) and size["v"] != size["u"]
+    return (
+        size["v"] <= size["y"]
+        and size["u"] <= size["x"]
+        and max(size["y"], size["x"]) <= _LONGEST * min(size["y"], size["x"])
+        and not colours_for_views
+    )
+
+
+def storable(path: Path, array: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_] | None, list[str]]:
+    """Views [..., c] in native byte order, uint8, uint16 or float32; where they are opaque, or None; conversions."""
+    notes, valid = [], None
     if array.dtype.kind not in "fu" or array.dtype.itemsize > 8:
         raise LightFieldError(f"{path} has {array.dtype} values; views must be uint8, uint16 or float32: convert them.")
     if array.shape[-1] in (2, 4):
-        array = array[..., :-1]
-        notes.append(f"{ALPHA_DROPPED.capitalize()}.")
+        array, valid = array[..., :-1], opaque(array[..., -1])
+        valid = None if valid.all() or not valid.any() else valid
     if array.dtype.itemsize == 8 and array.dtype.kind == "f":
         with np.errstate(over="ignore"):  # what becomes infinite is refused below
             array = array.astype(np.float32)
@@ -75,7 +171,7 @@ def storable(path: Path, array: NDArray[Any]) -> tuple[NDArray[Any], list[str]]:
     array = array.astype(array.dtype.newbyteorder("="), copy=False)
     if array.dtype not in (np.uint8, np.uint16, np.float32):
         raise LightFieldError(f"{path} has {array.dtype} values; views must be uint8, uint16 or float32: convert them.")
-    return array, notes
+    return array, valid, notes
 
 
 def grid_field(
@@ -87,7 +183,9 @@ def grid_field(
     """
     if grid.ndim != 5 or 0 in grid.shape:
         raise LightFieldError(f"{path} holds an array of shape {grid.shape}; views must be [v, u, y, x, c].")
-    views, converted = storable(path, grid)
+    views, seen, converted = storable(path, grid)
+    if seen is not None:
+        valid = seen if valid is None else valid & seen
     shape = (int(views.shape[0]), int(views.shape[1]))
     views = np.ascontiguousarray(views).reshape(-1, *views.shape[2:])
     return field_of(

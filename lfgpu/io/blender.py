@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io.disk import Collected
-from lfgpu.io.exr import read_channels
+from lfgpu.io.exr import channel, read_channels
 from lfgpu.io.members import Members
 from lfgpu.io.views import load_views
 
@@ -29,7 +28,6 @@ _PLACES = ("exr/{}.exr", "png/{}.png", "{}.exr", "{}.png")  # of the image of a 
 _PARALLEL = 1e-3  # of the cameras' axes: what their directions may differ by
 _FLAT = 1e-2  # of a view step, and of the distance of the farthest cameras: how far one may stand off the plane
 _NOTHING = 1e9  # Blender's depth, in its unit, where nothing is in the way
-_LAYERS = ("", "Combined", "Image", "RGBA", "Depth")
 
 
 def recognise(path: Path) -> str | None:
@@ -86,7 +84,10 @@ def read_blender(path: Path, *, allow_missing: bool = False) -> LightField:
             )
         notes.append(f"Left out {len(images) - len(there)} of {len(images)} cameras, whose images are not there.")
     chosen = [image for image in images if image is not None]
-    views, depth, more = _views(chosen, _middle(centres[there]))
+    views, valid, more = load_views(chosen)
+    middle, depth = _middle(centres[there]), None
+    if chosen[middle].suffix.lower() == ".exr":
+        depth = channel(read_channels(chosen[middle])[0], "Z", "V")
     geometry = _geometry(file, whole, views.shape[1:3], step)
     positions = geometry.positions(centres[there])
     positions -= positions.min(axis=0)
@@ -99,7 +100,8 @@ def read_blender(path: Path, *, allow_missing: bool = False) -> LightField:
         light_field = LightField(
             views,
             positions,
-            reference=_middle(centres[there]),
+            reference=middle,
+            valid=valid,
             grid_shape=(shape[0], shape[1]) if gridded else None,
             geometry=geometry,
             files=() if depth is not None else tuple(map(str, chosen)),
@@ -247,48 +249,6 @@ def _image(file: Path, name: str) -> Path | None:
         return next((path for place in _PLACES if (path := file.parent / place.format(name)).is_file()), None)
     except OSError:  # longer than names can be
         raise LightFieldError(f"{file} is damaged: {name[:60]!r}... is no name of an image.") from None
-
-
-def _views(images: list[Path], reference: int) -> tuple[NDArray[Any], NDArray[np.float32] | None, tuple[str, ...]]:
-    """The views, the depth of the reference view, and notes."""
-    if images[reference].suffix.lower() != ".exr":
-        views, notes = load_views(images)
-        return views, None, notes
-    first, _ = read_channels(images[reference])
-    colours = _encoded(images[reference], first)
-    stored = Collected(images[0].parent, len(images), colours)
-    for index, image in enumerate(images):
-        channels = first if index == reference else read_channels(image)[0]
-        picture = _encoded(image, channels)
-        if picture.shape != colours.shape:
-            raise LightFieldError(
-                f"the views in {image.parent} are not alike: {images[reference].name} is "
-                f"{colours.shape[1]} x {colours.shape[0]}, {image.name} is {picture.shape[1]} x {picture.shape[0]}."
-            )
-        stored.put(index, picture)
-    notes = ("Colours are linear in the files; they were brought to sRGB, and cut off at white.",)
-    return stored.array(), _channel(first, ("Z", "V")), notes
-
-
-def _channel(channels: dict[str, NDArray[np.float32]], names: tuple[str, ...]) -> NDArray[np.float32] | None:
-    """The channel of one of these names, by itself or in a layer that Blender gives it."""
-    for layer in _LAYERS:
-        for name in names:
-            for full, values in channels.items():
-                *before, last = full.split(".")
-                if last == name and (before[-1:] or [""])[0] == layer:
-                    return values
-    return None
-
-
-def _encoded(file: Path, channels: dict[str, NDArray[np.float32]]) -> NDArray[np.uint16]:
-    """uint16 [y, x, 3] by the transfer function of sRGB (IEC 61966-2-1)."""
-    planes = [_channel(channels, (name,)) for name in "RGB"]
-    if any(plane is None for plane in planes):
-        raise LightFieldError(f"{file} has no channels R, G and B; it has {', '.join(list(channels)[:8]) or 'none'}.")
-    linear = np.clip(np.nan_to_num(np.stack([p for p in planes if p is not None], axis=-1), nan=0.0), 0.0, 1.0)
-    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.rint(coded * 65535).astype(np.uint16)
 
 
 def _disparity(geometry: Geometry, depth: NDArray[np.float32]) -> NDArray[np.float32]:

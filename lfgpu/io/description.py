@@ -176,16 +176,15 @@ def _of_files(file: Path, listed: list[Mapping[str, Any]]) -> LightField:
         )
     images = [_file(file, view, f"views[{index}]", "file") for index, view in enumerate(listed)]
     where = _positions(file, listed)
-    views, notes = load_views(images)
-    valid = None
+    views, valid, notes = load_views(images)
     if any("valid" in view for view in listed):
-        valid = np.ones(views.shape[:3], np.bool_)
+        valid = np.ones(views.shape[:3], np.bool_) if valid is None else valid
         for index, view in enumerate(listed):
             if "valid" not in view:
                 continue
             mask = read_mask(_file(file, view, f"views[{index}]", "valid"))
             check_size(_file(file, view, f"views[{index}]", "valid"), mask, views.shape[1:3])
-            valid[index] = mask
+            valid[index] &= mask
     return (
         field_of(file, views, where, files=tuple(map(str, images)), notes=notes)
         if valid is None

@@ -65,6 +65,11 @@ class Collected:
             check_memory(source, needed, advice="read fewer views, or leave them on disk (lazy=True, --max-memory)")
             self._array = np.empty(self._shape, self._dtype)
 
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """[n, ...]."""
+        return self._shape
+
     def put(self, index: int, values: NDArray[Any]) -> None:
         """Take the one that comes at `index`."""
         if self._file is None:

@@ -22,6 +22,7 @@ from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.limits import check_claim
 
 _MAGIC = b"\x76\x2f\x31\x01"
+_LAYERS = ("", "Combined", "Image", "RGBA", "Depth")  # of Blender
 _MOST_CHANNELS = 100
 _OUTPUTS = threading.Lock()
 
@@ -54,6 +55,38 @@ def read_channels(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str,
         raise LightFieldError(
             f"{path} cannot be read as OpenEXR: {' '.join(str(error).split()).rstrip('.')}."
         ) from error
+
+
+def channel(channels: dict[str, NDArray[np.float32]], *names: str) -> NDArray[np.float32] | None:
+    """The channel of one of these names, by itself or in a layer that Blender gives it."""
+    for layer in _LAYERS:
+        for name in names:
+            for full, values in channels.items():
+                *before, last = full.split(".")
+                if last == name and (before[-1:] or [""])[0] == layer:
+                    return values
+    return None
+
+
+def read_picture(path: Path) -> NDArray[np.uint16]:
+    """The colours of an OpenEXR file, linear on [0, 1], by the transfer function of sRGB (IEC 61966-2-1).
+
+    [y, x, c], c = 1 (Y), 3 (R, G, B), and one more for its alpha A, which stays linear. What is brighter than white is
+    cut off. LightFieldError as `read_channels`, or if it has no such channels.
+    """
+    channels, _ = read_channels(path)
+    planes = [channel(channels, name) for name in "RGB"]
+    if any(plane is None for plane in planes):
+        planes = [channel(channels, "Y")]
+    if any(plane is None for plane in planes):
+        raise LightFieldError(f"{path} has no channels R, G and B; it has {', '.join(list(channels)[:8]) or 'none'}.")
+    alpha = channel(channels, "A")
+    values = np.stack([plane for plane in (*planes, alpha) if plane is not None], axis=-1)
+    linear = np.clip(np.nan_to_num(values, nan=0.0), 0.0, 1.0)
+    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    if alpha is not None:
+        coded[..., -1] = linear[..., -1]
+    return np.rint(coded * 65535).astype(np.uint16)
 
 
 @contextmanager

@@ -8,7 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.images import IMAGE_SUFFIXES
+
+IMAGE_SUFFIXES = frozenset({".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".ppm", ".pgm", ".exr"})
+"""Suffixes, in lower case, of the files that are taken for images."""
 
 _LISTED = 3
 

@@ -17,7 +17,6 @@ from lfgpu.data.vignette import without_black_corners
 from lfgpu.errors import LightFieldError
 from lfgpu.io import (
     blender,
-    camera_row,
     description,
     hci,
     hci_old,
@@ -25,22 +24,21 @@ from lfgpu.io import (
     lftoolbox,
     lytro,
     mosaic,
-    named_views,
+    numbered,
     numpy_file,
     plenopticam,
-    row_folders,
     several,
     stanford,
     tiff_stack,
     video,
 )
+from lfgpu.io.arrays import check_axes
 from lfgpu.io.disk import on_disk, wanted_on_disk
-from lfgpu.io.flips import check_flip, flipped
-from lfgpu.io.folders import entries, head, listed
+from lfgpu.io.flips import ORDERS, check_flip, flipped, reordered, transposed
+from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, listed
 from lfgpu.io.git_lfs import check_fetched
-from lfgpu.io.images import IMAGE_SUFFIXES
 from lfgpu.io.inside import Inside
-from lfgpu.io.parallax import axes_agree
+from lfgpu.io.parallax import contradiction
 from lfgpu.io.white import with_white
 
 
@@ -71,6 +69,18 @@ class Format:
 def _read_source(path: Path, **options: Any) -> LightField:
     """What a description reads its source with: this very table."""
     return read(path, lazy=wanted_on_disk(), **options)
+
+
+def _numbered(name: str, about: str, *takes: str) -> Format:
+    """A kind of folder of pictures whose names have numbers."""
+    return Format(
+        name=name,
+        description=about,
+        recognise=partial(numbered.recognise, kind=name),
+        read=partial(numbered.read_numbered, kind=name),
+        looks_below=True,
+        takes=("pattern", "frame", *takes),
+    )
 
 
 FORMATS: tuple[Format, ...] = (
@@ -118,6 +128,7 @@ FORMATS: tuple[Format, ...] = (
         description="a MATLAB file of the Light Field Toolbox with LF [t, s, v, u, c]",
         recognise=lftoolbox.recognise,
         read=lftoolbox.read_lftoolbox,
+        takes=("axes",),
         extra="hdf5",
     ),
     Format(
@@ -125,7 +136,7 @@ FORMATS: tuple[Format, ...] = (
         description="a NumPy file (.npy, .npz) of views [v, u, y, x, c] or [n, y, x, c]",
         recognise=numpy_file.recognise,
         read=numpy_file.read_numpy,
-        takes=("grid",),
+        takes=("grid", "order", "axes"),
     ),
     Format(
         name="tiff-stack",
@@ -133,14 +144,14 @@ FORMATS: tuple[Format, ...] = (
         recognise=tiff_stack.recognise,
         read=tiff_stack.read_tiff_stack,
         extra="tiff",
-        takes=("grid",),
+        takes=("grid", "order", "axes"),
     ),
     Format(
         name="mosaic",
         description="an image of microlenses, a block of pixels each (ESLF)",
         recognise=mosaic.recognise,
         read=mosaic.read_mosaic,
-        takes=("grid",),
+        takes=("grid", "order"),
     ),
     Format(
         name="video",
@@ -148,21 +159,10 @@ FORMATS: tuple[Format, ...] = (
         recognise=video.recognise,
         read=video.read_video,
         extra="video",
-        takes=("grid", "every"),
+        takes=("grid", "order", "every"),
     ),
-    Format(
-        name="named-views",
-        description="a folder of images named by row and column, such as view_00_03.png or 5_5.bmp",
-        recognise=named_views.recognise,
-        read=named_views.read_named_views,
-        looks_below=True,
-    ),
-    Format(
-        name="row-folders",
-        description="a folder of folders, one for each row of cameras, with numbered images",
-        recognise=row_folders.recognise,
-        read=row_folders.read_row_folders,
-    ),
+    _numbered("named-views", "a folder of images named by row and column, such as view_00_03.png or x3_y0.bmp"),
+    _numbered("row-folders", "a folder of folders, one for each row of cameras, with numbered images"),
     Format(
         name="hci-hdf5",
         description="old HCI light fields: an HDF5 file with LF and GT_DEPTH",
@@ -170,13 +170,12 @@ FORMATS: tuple[Format, ...] = (
         read=hci_old.read_hci_hdf5,
         extra="hdf5",
     ),
-    Format(
-        name="camera-row",
-        description="a folder of numbered images, such as view_0034.jpg: a row of cameras",
-        recognise=camera_row.recognise,
-        read=camera_row.read_camera_row,
-        looks_below=True,
-        takes=("grid", "every"),
+    _numbered(
+        "camera-row",
+        "a folder of numbered images, such as view_0034.jpg: a row of cameras, also at several times",
+        "grid",
+        "every",
+        "order",
     ),
     Format(
         name="lytro",
@@ -202,7 +201,12 @@ def read(
     format: str | None = None,  # noqa: A002 - the word that users look for
     allow_missing: bool = False,
     grid: tuple[int, int] | None = None,
+    order: str | None = None,
     every: int | None = None,
+    pattern: str | None = None,
+    frame: int | None = None,
+    axes: str | None = None,
+    transpose: bool = False,
     flip: str = "",
     lazy: bool = False,
 ) -> LightField:
@@ -221,9 +225,25 @@ def read(
     grid
         (rows, columns) of the views, for formats whose files do not say it: those with "grid" in `Format.takes`.
         Default None: found from the files; where that is impossible, an error asks for it.
+    order
+        How views that are stored one after the other fill their grid: "row-major" (row by row), "column-major",
+        "serpentine" (every second row backwards) or "serpentine-columns"; for formats with "order" in `Format.takes`.
+        Default None: row-major.
     every
         Every how many images or frames one is a view, >= 1, beginning with the first; for formats with "every" in
         `Format.takes`. Default None: all are views.
+    pattern
+        What the numbers in the names of images count: "cam{u}_frame{t}.png", with {u} for columns, {v} for rows, {n}
+        for cameras that are numbered one after the other, {t}, {date} and {time}, and {exposure}. "*" stands for
+        anything, "/" for a folder. Default None: found from the words beside them.
+    frame
+        Index of the time, from 0, of folders that hold several times for each camera. Default None: the first.
+    axes
+        The order of the axes of an array, one letter each: v and u (rows and columns of views) or n (views one after
+        the other), y, x and c (colours): "yxvuc". For formats with "axes" in `Format.takes`. Default None: as the
+        format has it.
+    transpose
+        Whether the files count rows of cameras for columns; before `flip`. Default False.
     flip
         Axes along which the files count the cameras the other way round: "u" (columns from the right), "v" (rows from
         below) or "uv". Default "": neither. With a wrong direction near things come out far.
@@ -234,44 +254,66 @@ def read(
 
     Returns
     -------
-    The light field. Views are uint8, uint16 or float32 as in the files; `notes` says what was noticed about them. Where
-    all four corners of all views are black, as a lens array leaves them, `valid` leaves these out. Where uint16 views
-    use fewer bits, `white` is the largest value of these.
+    The light field. Views are uint8, uint16 or float32 as in the files; `reading` says what was taken for what and why,
+    `notes` what was noticed. Where all four corners of all views are black, as a lens array leaves them, `valid` leaves
+    these out. Where uint16 views use fewer bits, `white` is the largest value of these.
 
     Raises
     ------
     LightFieldError
-        If the path is missing or not a known format, an option is wrong or means nothing for the format, a library
-        that it needs is missing, or its files are damaged or contradict each other.
+        If the path is missing or not a known format, it cannot be known what its files mean, an option is wrong or
+        means nothing for the format, a library that it needs is missing, or its files are damaged or contradict each
+        other.
     """
     path = Path(path)
     check_flip(flip)
-    if grid is not None and not (len(grid) == 2 and all(isinstance(side, Integral) and side > 0 for side in grid)):
-        raise LightFieldError(f"grid must be (rows, columns), whole numbers from 1 on, not {grid}.")
+    check_grid_option(grid, order)
+    if axes is not None:
+        check_axes(axes)
     if every is not None and every < 1:
         raise LightFieldError(f"every must be a whole number from 1 on, not {every}.")
-    chosen = recognise(path)[0] if format is None else _named(format)
+    chosen = chosen_format(path, format, pattern)[0]
     check_exists(path)
-    options = {name: value for name, value in (("grid", grid), ("every", every)) if value is not None}
+    told = {"grid": grid, "order": order, "every": every, "pattern": pattern, "frame": frame, "axes": axes}
+    options = {name: value for name, value in told.items() if value is not None}
     for name in options:
         if name not in chosen.takes:
             raise LightFieldError(f"{path} is read as {chosen.name}, for which {name} means nothing; leave it out.")
+    options.pop("order", None)
     with on_disk(lazy):
-        found = flipped(chosen.read(path, allow_missing=allow_missing, **options), flip)
+        found = chosen.read(path, allow_missing=allow_missing, **options)
+        found = reordered(found, order or ORDERS[0])
+        found = flipped(transposed(found) if transpose else found, flip)
+        found = replace(found, reading=replace(found.reading, transpose=transpose, flip=flip))
         found = _checked(without_black_corners(with_white(found)))
     forget(found.views)
     return found
 
 
+def check_grid_option(grid: object, order: object) -> None:
+    """LightFieldError unless these are a pair of whole numbers and one of `ORDERS`, or None."""
+    if grid is not None and not (
+        isinstance(grid, tuple | list) and len(grid) == 2 and all(isinstance(n, Integral) and int(n) > 0 for n in grid)
+    ):
+        raise LightFieldError(f"grid must be (rows, columns), whole numbers from 1 on, not {grid!r}.")
+    if order is not None and order not in ORDERS:
+        raise LightFieldError(f"order must be one of {', '.join(ORDERS)}, not {order!r}.")
+
+
+def chosen_format(path: Path, name: str | None, pattern: str | None = None) -> tuple[Format, str]:
+    """The format that a path is read as, and why; with a pattern of names it is a folder of numbered images."""
+    if name is not None:
+        return _named(name), "as told"
+    if pattern is not None:
+        return _named("camera-row"), f"because the pattern {pattern} names its images"
+    found, reason = recognise(path)
+    return found, f"because {reason}"
+
+
 def _checked(light_field: LightField) -> LightField:
     """With a note if the pictures contradict the positions of their cameras."""
-    if axes_agree(light_field) is not False:
-        return light_field
-    note = (
-        "Views in a column move against those in a row, so one of the two is counted the other way round: "
-        "try flip='u' or flip='v' (--flip on the command line)."
-    )
-    return replace(light_field, notes=(*light_field.notes, note))
+    against = contradiction(light_field)
+    return light_field if against is None else replace(light_field, notes=(*light_field.notes, against))
 
 
 def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:

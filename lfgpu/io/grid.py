@@ -65,7 +65,7 @@ def read_grid(
         raise LightFieldError(f"{folder} has one view only ({only}); depth needs at least two views of the scene.")
     places = sorted(files)
     hole_notes = holes(places, shape, folder=folder, allow_missing=allow_missing)
-    views, image_notes = load_views([files[place] for place in places])
+    views, valid, image_notes = load_views([files[place] for place in places])
     centre = (shape[0] // 2, shape[1] // 2)
     light_field = LightField(
         views,
@@ -73,6 +73,7 @@ def read_grid(
         # Without the centre view LightField takes the nearest one.
         reference=places.index(centre) if centre in files else None,
         grid_shape=shape,
+        valid=valid,
         files=tuple(str(files[place]) for place in places),
         name=folder.resolve().name,
         notes=(*notes, *hole_notes, *image_notes),

@@ -20,7 +20,7 @@ from lfgpu.io.flips import flipped
 from lfgpu.io.folders import entries, head, sub_folders
 from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.maps import check_size, read_mask
-from lfgpu.io.named_views import read_named_views
+from lfgpu.io.numbered import read_numbered
 from lfgpu.io.parallax import runs_as_truth
 from lfgpu.io.texts import read_text
 
@@ -158,7 +158,7 @@ def read_hci_export(path: Path, *, allow_missing: bool = False) -> LightField:
         raise LightFieldError(f"{path} has no {ATTRIBUTES_FILE}; give the folder that holds it and the views.")
     numbers = _attributes(path / ATTRIBUTES_FILE)
     views = next((folder for folder in sub_folders(path) if folder.name == "lf"), path)
-    light_field = replace(read_named_views(views, allow_missing=allow_missing), name=path.resolve().name)
+    light_field = replace(read_numbered(views, allow_missing=allow_missing), name=path.resolve().name)
     shape = tuple(int(number) if (number := numbers.get(name)) else None for name in ("vRes", "hRes"))
     if None not in shape and shape != light_field.grid_shape and not allow_missing:
         raise LightFieldError(

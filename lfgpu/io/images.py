@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,29 +15,49 @@ from PIL.TiffImagePlugin import TiffImageFile
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow
+from lfgpu.io.exr import read_picture
 from lfgpu.io.fast_png import fast_pixels
 from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.limits import check_claim
 from lfgpu.io.tiff_pages import check_pages
 
-IMAGE_SUFFIXES = frozenset({".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
-"""Suffixes, in lower case, of the files that are taken for images."""
-
 ALPHA_DROPPED = "alpha channel dropped"
+LINEAR = "linear colours brought to sRGB and cut off at white"
+TURNED = "turned upright as its EXIF orientation says"
+INVERTED = "inverted, as it is stored with white as 0"
 FLOAT64_ROUNDED = "float64 values rounded to float32"
 
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_BITS_TAG, _PLANAR_TAG = 258, 284
+_BITS_TAG, _INTERPRETATION_TAG, _ORIENTATION_TAG, _PLANAR_TAG = 258, 262, 274, 284
+_WHITE_IS_ZERO = 0
+_UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    2: lambda a: a[:, ::-1],
+    3: lambda a: a[::-1, ::-1],
+    4: lambda a: a[::-1],
+    5: lambda a: a.swapaxes(0, 1),
+    6: lambda a: a.swapaxes(0, 1)[:, ::-1],
+    7: lambda a: a.swapaxes(0, 1)[::-1, ::-1],
+    8: lambda a: a.swapaxes(0, 1)[::-1],
+}
+"""From pixels as they are stored to those that are shown, by the EXIF orientation."""
 _OTHER_BYTE = {"16B": "16L", "16L": "16B", "16N": "16B" if np.little_endian else "16L"}
 
 
 def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[NDArray[Any], frozenset[str]]:
-    """Read an image file as it is stored.
+    """Read an image file without transparency; otherwise as `read_view`, whose image and remarks it returns."""
+    image, alpha, remarks = read_view(path, finite=finite)
+    return image, remarks if alpha is None else remarks | {ALPHA_DROPPED}
+
+
+def read_view(
+    path: str | os.PathLike[str], *, finite: bool = True
+) -> tuple[NDArray[Any], NDArray[np.bool_] | None, frozenset[str]]:
+    """Read an image file: its values as they are stored, upright as its EXIF orientation says.
 
     Parameters
     ----------
     path
-        A PNG, BMP, JPEG, TIFF, WebP, PPM or PGM file of 8 or 16 bits, or a TIFF of float32 or float64.
+        A PNG, BMP, JPEG, TIFF, WebP, PPM or PGM file of 8 or 16 bits, a TIFF of float32 or float64, or an OpenEXR.
     finite
         Whether NaN and infinities are refused.
 
@@ -44,8 +65,10 @@ def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[ND
     -------
     image
         [y, x, c], c = 1 (grey) or 3 (colour), uint8, uint16 or float32. Palettes become colours.
+    valid
+        bool [y, x], False where the image is more transparent than not; None without transparency.
     remarks
-        What was converted on the way: `ALPHA_DROPPED`, `FLOAT64_ROUNDED`; empty as a rule.
+        What was converted on the way: `TURNED`, `INVERTED`, `LINEAR`, `FLOAT64_ROUNDED`; empty as a rule.
 
     Raises
     ------
@@ -55,7 +78,7 @@ def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[ND
     """
     path = Path(path)
     try:
-        image = _decode(path)
+        image, converted = _decode(path)
     except LightFieldError:
         raise
     except UnidentifiedImageError as error:
@@ -67,30 +90,62 @@ def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[ND
     except Exception as error:  # decoders raise whatever comes to them when a file is damaged
         reason = str(getattr(error, "strerror", None) or error).rstrip(".")
         raise LightFieldError(f"{path} cannot be read as an image: {reason}.") from error
-    return _normalised(path, image, finite=finite)
+    return _normalised(path, image, converted, finite=finite)
 
 
 def image_size(path: Path) -> tuple[int, int] | None:
     """(height, width) by the header of an image file; None if that cannot be read, which `read_image` explains."""
     try:
         with pillow.opened(path) as image:
-            return image.height, image.width
+            return (image.width, image.height) if _orientation(image) >= 5 else (image.height, image.width)
     except Exception:  # decoders raise whatever comes to them when a file is damaged
         return None
 
 
-def _decode(path: Path) -> NDArray[Any]:
-    """[y, x] or [y, x, c] with c = 1 to 4, in whatever dtype the file has."""
+def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
+    """[y, x] or [y, x, c] with c = 1 to 4, in whatever dtype the file has; and what was converted."""
+    if path.suffix.lower() == ".exr":
+        return read_picture(path), {LINEAR}
     try:
         with pillow.opened(path) as image:
-            if (pixels := fast_pixels(path, image)) is not None:
-                return pixels
-            return _decode_tiff(path) if _is_misread_by_pillow(image) else _pixels(path, image)
+            turn, remarks = _UPRIGHT.get(_orientation(image)), set[str]()
+            if (pixels := fast_pixels(path, image)) is None:
+                if _is_misread_by_pillow(image):
+                    return _decode_tiff(path)
+                inverted = _white_is_zero(image)
+                pixels = _pixels(path, image)
+                if inverted:
+                    pixels, remarks = _inverted(pixels), {INVERTED}
+            return (pixels, remarks) if turn is None else (turn(pixels), remarks | {TURNED})
     except UnidentifiedImageError:
         with path.open("rb") as file:
             if file.read(4) in _TIFF_MAGIC:
                 return _decode_tiff(path)
         raise
+
+
+def _orientation(image: Image.Image) -> int:
+    """The EXIF orientation, 1 to 8; 1 for a TIFF, which Pillow turns itself."""
+    if isinstance(image, TiffImageFile) or not image.info.get("exif"):
+        return 1
+    exif = Image.Exif()
+    exif.load(image.info["exif"])
+    found = exif.get(_ORIENTATION_TAG, 1)
+    return found if isinstance(found, int) else 1
+
+
+def _white_is_zero(image: Image.Image) -> bool:
+    """Whether it is a grey TIFF of which 0 is white, but for those that Pillow inverts."""
+    return (
+        isinstance(image, TiffImageFile)
+        and image.tag_v2.get(_INTERPRETATION_TAG) == _WHITE_IS_ZERO
+        and image.mode not in ("1", "L")
+    )
+
+
+def _inverted(image: NDArray[Any]) -> NDArray[Any]:
+    top = 1.0 if image.dtype.kind == "f" else np.iinfo(image.dtype).max
+    return np.asarray(image.dtype.type(top) - image)
 
 
 def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
@@ -149,7 +204,7 @@ def _is_misread_by_pillow(image: Image.Image) -> bool:
     return sixteen_bit_planes or big_endian_compressed_float
 
 
-def _decode_tiff(path: Path) -> NDArray[Any]:
+def _decode_tiff(path: Path) -> tuple[NDArray[Any], set[str]]:
     """A TIFF that Pillow does not know (float colour, float64) or misreads, by way of the optional tifffile."""
     if importlib.util.find_spec("tifffile") is None:
         raise LightFieldError(
@@ -163,20 +218,26 @@ def _decode_tiff(path: Path) -> NDArray[Any]:
     with TiffFile(path) as file:
         for page in file.pages:
             check_claim(path, page.shape, page.dtype or np.uint8)
+        tags = file.pages.first.tags
+        turn = _UPRIGHT.get(tags[_ORIENTATION_TAG].value if _ORIENTATION_TAG in tags else 1)
+        inverted = _INTERPRETATION_TAG in tags and tags[_INTERPRETATION_TAG].value == _WHITE_IS_ZERO
     image = np.asarray(iio.imread(path, plugin="tifffile"))
     planes_first = image.ndim == 3 and image.shape[0] in (3, 4) and image.shape[2] > 4
-    return np.moveaxis(image, 0, 2) if planes_first else image
+    image = np.moveaxis(image, 0, 2) if planes_first else image
+    image, remarks = (_inverted(image), {INVERTED}) if inverted else (image, set[str]())
+    return (image, remarks) if turn is None else (turn(image), remarks | {TURNED})
 
 
-def _normalised(path: Path, image: NDArray[Any], *, finite: bool) -> tuple[NDArray[Any], frozenset[str]]:
-    remarks = set()
+def _normalised(
+    path: Path, image: NDArray[Any], remarks: set[str], *, finite: bool
+) -> tuple[NDArray[Any], NDArray[np.bool_] | None, frozenset[str]]:
+    valid = None
     if image.ndim == 2:
         image = image[..., None]
     if image.ndim != 3 or image.shape[2] > 4 or 0 in image.shape:
         raise LightFieldError(f"{path} has the shape {image.shape}; a view must be one grey or RGB image.")
     if image.shape[2] in (2, 4):
-        image = image[..., :-1]
-        remarks.add(ALPHA_DROPPED)
+        image, valid = image[..., :-1], opaque(image[..., -1])
     image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.dtype == np.float64:
         image = image.astype(np.float32)
@@ -185,4 +246,9 @@ def _normalised(path: Path, image: NDArray[Any], *, finite: bool) -> tuple[NDArr
         raise LightFieldError(f"{path} has {image.dtype} values; views must be uint8, uint16 or float32: convert it.")
     if finite and image.dtype == np.float32 and not np.isfinite(image).all():
         raise LightFieldError(f"{path} has NaN or infinite values; the values of a view must be finite.")
-    return image, frozenset(remarks)
+    return image, valid, frozenset(remarks)
+
+
+def opaque(alpha: NDArray[Any]) -> NDArray[np.bool_]:
+    """Where an alpha channel is at least half of the largest value of its type."""
+    return np.asarray(alpha >= (0.5 if alpha.dtype.kind == "f" else (np.iinfo(alpha.dtype).max + 1) // 2))

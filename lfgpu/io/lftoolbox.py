@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.reading import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import hdf5, matlab5
-from lfgpu.io.arrays import grid_field
+from lfgpu.io.arrays import arranged, grid_field
 from lfgpu.io.folders import head
 from lfgpu.io.vignette import lit
 
@@ -25,7 +26,7 @@ def recognise(path: Path) -> str | None:
     return "it begins as MATLAB files do" if head(path, 19) in (_MAGIC_5, _MAGIC_7) else None
 
 
-def read_lftoolbox(path: Path, *, allow_missing: bool = False) -> LightField:
+def read_lftoolbox(path: Path, *, allow_missing: bool = False, axes: str | None = None) -> LightField:
     """Read a .mat file of version 5 to 7, or of 7.3 (extra `hdf5`).
 
     The variable LF, or the only one with five axes, is [t, s, v, u, c]: rows of views, columns of views, y, x, colour.
@@ -39,6 +40,8 @@ def read_lftoolbox(path: Path, *, allow_missing: bool = False) -> LightField:
         The file.
     allow_missing
         Not needed: the file holds full grids only.
+    axes
+        The order of the axes of the variable, such as "yxvuc"; None takes "vuyxc" where that makes sense.
 
     Raises
     ------
@@ -47,7 +50,8 @@ def read_lftoolbox(path: Path, *, allow_missing: bool = False) -> LightField:
     """
     if recognise(path) is None:
         raise LightFieldError(f"{path} is not a MATLAB file; give the .mat file that the Light Field Toolbox wrote.")
-    grid = _load_5(path) if head(path, 19) == _MAGIC_5 else _load_7(path)
+    array = _load_5(path, axes) if head(path, 19) == _MAGIC_5 else _load_7(path, axes)
+    grid, why = arranged(path, array, None, axes)
     weight = None
     if grid.shape[4] in (2, 4):
         grid, weight = grid[..., :-1], grid[..., -1]
@@ -57,29 +61,33 @@ def read_lftoolbox(path: Path, *, allow_missing: bool = False) -> LightField:
     rows, columns = grid.shape[:2]
     valid = lit(light_field) if weight is None else weight > _LEAST_WEIGHT * weight.max()
     light_field = grid_field(path, grid, valid=valid.reshape(rows, columns, *light_field.size))
-    return replace(light_field, reference=None)
+    return replace(light_field, reference=None, reading=Reading(why))
 
 
-def _load_5(path: Path) -> NDArray[Any]:
+def _load_5(path: Path, axes: str | None) -> NDArray[Any]:
     try:
         found = {variable.name: variable for variable in matlab5.variables(path)}
-        return matlab5.load(path, found[_chosen(path, {name: variable.shape for name, variable in found.items()})])
+        return matlab5.load(path, found[_chosen(path, {name: v.shape for name, v in found.items()}, axes)])
     except OSError as error:
         raise LightFieldError(f"{path} cannot be read: {error.strerror or error}.") from error
 
 
-def _load_7(path: Path) -> NDArray[Any]:
+def _load_7(path: Path, axes: str | None) -> NDArray[Any]:
     with hdf5.opened(path) as root:
         arrays = hdf5.datasets(root)
-        name = _chosen(path, {name: dataset.shape[::-1] for name, dataset in arrays.items() if dataset.shape})
+        name = _chosen(path, {name: dataset.shape[::-1] for name, dataset in arrays.items() if dataset.shape}, axes)
         return np.ascontiguousarray(hdf5.load(path, arrays[name]).T)  # MATLAB counts the axes from the other end
 
 
-def _chosen(path: Path, shapes: dict[str, tuple[int, ...]]) -> str:
-    fitting = [name for name, shape in shapes.items() if len(shape) == 5 and shape[4] <= 4 and 0 not in shape]
+def _chosen(path: Path, shapes: dict[str, tuple[int, ...]], axes: str | None) -> str:
+    counts = (len(axes),) if axes else (5,)
+    fitting = [name for name, shape in shapes.items() if len(shape) in counts and 0 not in shape]
     if "LF" in fitting:
         return "LF"
     if len(fitting) == 1:
         return fitting[0]
     held = ", ".join(f"{name} {shape}" for name, shape in list(shapes.items())[:5]) or "no array"
-    raise LightFieldError(f"{path} has no variable LF [t, s, v, u, c] of 1 to 4 colours; it holds {held}.")
+    raise LightFieldError(
+        f"{path} has no variable LF [t, s, v, u, c] of 1 to 4 colours; it holds {held}; other orders of "
+        "axes are told by --axes (axes= in Python)."
+    )

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import grid_field
-from lfgpu.io.images import IMAGE_SUFFIXES, read_image
+from lfgpu.io.folders import IMAGE_SUFFIXES
+from lfgpu.io.images import read_image
 from lfgpu.io.vignette import lit
 
 _STANFORD = (14, 14)  # of the Stanford Lytro archive, whose files are named ..._eslf.png

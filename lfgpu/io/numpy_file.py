@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.reading import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, field_of, grid_field, storable
 from lfgpu.io.folders import head
@@ -41,7 +42,9 @@ def holds_views(path: Path) -> bool:
     return True
 
 
-def read_numpy(path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None) -> LightField:
+def read_numpy(
+    path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None, axes: str | None = None
+) -> LightField:
     """Read a .npy file, or an .npz archive with an array `views`.
 
     Views are [v, u, y, x, c], [v, u, y, x], [n, y, x, c] or [n, y, x]; n views without positions stand in a grid row by
@@ -56,6 +59,8 @@ def read_numpy(path: Path, *, allow_missing: bool = False, grid: tuple[int, int]
         Not needed.
     grid
         (rows, columns) of n views; None takes a square.
+    axes
+        The order of the axes of `views`, such as "yxvuc"; None takes those above.
 
     Raises
     ------
@@ -79,10 +84,14 @@ def read_numpy(path: Path, *, allow_missing: bool = False, grid: tuple[int, int]
             raise LightFieldError(
                 f"{path}: with 'positions', 'views' must be [n, y, x, c] and positions numbers [n, 2]."
             )
-        views, notes = storable(path, views)
-        return field_of(path, views, positions, valid=_shaped(path, valid, views.shape[:3]), notes=tuple(notes))
-    arrangement, guessed = arranged(path, views, grid)
-    return grid_field(path, arrangement, valid=_shaped(path, valid, arrangement.shape[:4]), notes=guessed)
+        views, seen, notes = storable(path, views)
+        mask = _shaped(path, valid, views.shape[:3])
+        mask = seen if mask is None else mask if seen is None else mask & seen
+        return field_of(
+            path, views, positions, valid=mask, notes=tuple(notes), reading=Reading("positions of the file")
+        )
+    views, why = arranged(path, views, grid, axes)
+    return grid_field(path, views, valid=_shaped(path, valid, views.shape[:4]), reading=Reading(why))
 
 
 def _shaped(path: Path, valid: NDArray[Any] | None, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:

@@ -1,18 +1,95 @@
-"""Which way views move: the direction in which camera numbers count, told from the pictures themselves."""
+"""Parallax of pictures: where cameras stood, as far as the pictures themselves tell.
+
+Between two cameras a picture moves by -d times their distance, at each point along the same line. So the motion fields
+of all pairs of pictures are one disparity map times a vector each: a matrix of rank 1. Its factors are the distances of
+the cameras, up to one common factor, and how much of the motion they explain says whether that can be believed.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.io.flips import ORDERS, places_in
+from lfgpu.io.images import read_image
 
 _SMALLEST = 32  # pixels: smaller views tell nothing
-_BLOCK = 4  # pixels of the shrunken views in which one disparity is taken for constant
-_AROUND = 160  # pixels to which the longer side of the views is shrunk, so that most shifts are below a pixel
+_BLOCK = 8  # pixels of the shrunken views in which one disparity is taken for constant
+_AROUND = 160  # pixels to which the longer side of the views is shrunk
+_COARSER = (1, 2, 4)  # times smaller, where views move too far
 _SURE = 0.35  # correlation from which two sets of disparities agree, or are opposed
+_EXPLAINED = 0.6  # share of the motion that one disparity map explains where it can be believed
+_FITS = 0.85  # share of the motion that the right order of cameras explains, at least
+_BETTER = 0.3  # of the motion: how much more another way to count cameras must explain
+_STILL = 0.01  # pixels of the shrunken views, rms: less is no motion
+_ALIKE = 0.7  # correlation of pictures of one scene; those of other scenes are below it, as a rule
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """Distances of the cameras of pairs of pictures."""
+
+    vectors: NDArray[np.float64]
+    """[pairs, 2], x and y, in units of the same unknown length; of unknown common sign."""
+    explained: float
+    """Share of the motion that they explain, 0 to 1."""
+    still: bool
+    """Whether nothing moves in any pair."""
+
+    @property
+    def told(self) -> bool:
+        """Whether the pictures tell the distances."""
+        return not self.still and self.explained > _EXPLAINED
+
+
+def moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> Moves | None:
+    """The distances of the cameras of pairs of grey pictures [y, x] of one size; None if they are too small to tell."""
+    if not pairs or min(pairs[0][0].shape) < _SMALLEST:
+        return None
+    best: Moves | None = None
+    for factor in _COARSER:
+        if min(pairs[0][0].shape) // factor < _SMALLEST:
+            break
+        found = _moves([(shrunk(a, factor), shrunk(b, factor)) for a, b in pairs], factor)
+        if best is None or found.explained > best.explained + 0.05:
+            best = found
+        if found.still or best.explained > 0.9:
+            break
+    return best
+
+
+def _moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]], factor: int) -> Moves:
+    flows, weights = zip(*(_flow(a, b) for a, b in pairs), strict=True)
+    weight = np.minimum.reduce(weights).ravel()
+    matrix = np.stack([flow[..., axis].ravel() for axis in (0, 1) for flow in flows]) * np.sqrt(weight)
+    total = float((matrix**2).sum())
+    rms = factor * np.sqrt(total / max(float(weight.sum()) * len(pairs), 1e-12))
+    if rms < _STILL or total == 0:
+        return Moves(np.zeros((len(pairs), 2)), 1.0, still=True)
+    left, values, _ = np.linalg.svd(matrix, full_matrices=False)
+    return Moves((left[:, 0] * values[0]).reshape(2, -1).T, float(values[0] ** 2 / total), still=False)
+
+
+def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The motion (x, y) of blocks [y, x, 2] from one picture to another, pixels, and how well each of them shows it."""
+    by_y, by_x = np.gradient((a + b) / 2)
+    change = b - a - (b - a).mean()
+    xx, xy, yy, xt, yt = (
+        _blocks(np.asarray(p)) for p in (by_x * by_x, by_x * by_y, by_y * by_y, by_x * change, by_y * change)
+    )
+    floor = 1e-2 * (xx + yy).mean() + 1e-12
+    determinant = (xx + floor) * (yy + floor) - xy * xy
+    x = -((yy + floor) * xt - xy * yt) / determinant
+    y = -((xx + floor) * yt - xy * xt) / determinant
+    return np.stack([x, y], axis=-1), determinant / (xx + yy + 2 * floor)
 
 
 def measured(light_field: LightField, axis: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
@@ -25,19 +102,24 @@ def measured(light_field: LightField, axis: int) -> tuple[NDArray[np.float64], N
     differences over gradients (Lucas and Kanade).
     """
     factor = max(1, max(light_field.size) // _AROUND)
-    if min(light_field.size) < max(_SMALLEST, _BLOCK * factor):
+    if min(light_field.size) < max(_SMALLEST, _BLOCK // 2 * factor):
         return None
-    line = light_field.row() if axis == 0 else light_field.column()
-    offsets = light_field.offsets[line, axis]
-    beside = np.flatnonzero(np.abs(offsets) > 0)
-    if not len(beside):
+    nearest = _beside(light_field, axis)
+    if nearest is None:
         return None
-    nearest = beside[np.argmin(np.abs(offsets[beside]))]
-    centre, other = (_grey(light_field, index, factor) for index in (light_field.reference_index, int(line[nearest])))
+    offset = light_field.offsets[nearest, axis]
+    centre, other = (_grey(light_field, index, factor) for index in (light_field.reference_index, nearest))
     gradient = np.gradient((centre + other) / 2, axis=1 - axis)
-    bottom = _blocks(gradient**2)
-    top = _blocks(gradient * (other - centre) / offsets[nearest])
+    bottom = shrunk(gradient**2, _BLOCK // 2)
+    top = shrunk(gradient * (other - centre) / offset, _BLOCK // 2)
     return factor * top / np.maximum(bottom, 1e-12), bottom
+
+
+def _beside(light_field: LightField, axis: int) -> int | None:
+    line = light_field.row() if axis == 0 else light_field.column()
+    apart = np.abs(light_field.offsets[line, axis])
+    beside = np.flatnonzero(apart > 0)
+    return int(line[beside[np.argmin(apart[beside])]]) if len(beside) else None
 
 
 def agreement(a: NDArray[np.floating[Any]], b: NDArray[np.floating[Any]], weight: NDArray[np.floating[Any]]) -> float:
@@ -61,23 +143,153 @@ def runs_as_truth(light_field: LightField, axis: int) -> bool | None:
         return None
     factor = max(1, max(light_field.size) // _AROUND)
     disparity = np.nan_to_num(truth.disparity.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
-    return _verdict(agreement(found[0], _blocks(_shrunk(disparity, factor)), found[1]))
+    return _verdict(agreement(found[0], shrunk(shrunk(disparity, factor), _BLOCK // 2), found[1]))
 
 
 def _verdict(correlation: float) -> bool | None:
     return None if abs(correlation) < _SURE else correlation > 0
 
 
+# --- pictures in files ---
+
+
+def small(file: Path) -> NDArray[np.float64]:
+    """A picture [y, x], grey, of about 160 pixels, on [0, 1]."""
+    return grey(read_image(file)[0])
+
+
+def one_scene(files: Sequence[Path]) -> bool:
+    """Whether pictures show the same scene: folders of other scenes are often numbered, too."""
+    try:
+        views = [_normalised(small(file)) for file in files]
+    except LightFieldError:  # whoever reads them says what is wrong
+        return True
+    return all(a.shape == b.shape and float((a * b).mean()) > _ALIKE for a, b in pairwise(views))
+
+
+def _normalised(picture: NDArray[np.float64]) -> NDArray[np.float64]:
+    values = shrunk(picture, max(1, min(picture.shape) // 20))
+    values = values - values.mean()
+    return np.asarray(values / max(float(values.std()), 1e-9))
+
+
+def is_row(files: Sequence[Path]) -> bool | None:
+    """Whether pictures come from a camera that moved along a row: each is moved against the one before it to the same
+    side. None if they do not tell."""
+    found = consecutive(files)
+    if found is None or not found.told:
+        return None
+    along = found.vectors @ np.linalg.svd(found.vectors, full_matrices=False)[2][0]
+    across = np.abs(found.vectors[:, 1]).sum() / max(float(np.abs(found.vectors).sum()), 1e-12)
+    return bool(across < 0.25 and (np.sign(along) == np.sign(along.sum())).all())
+
+
+def consecutive(files: Sequence[Path]) -> Moves | None:
+    """The distances of the cameras of files that follow each other; None if they do not tell."""
+    try:
+        pictures = [small(file) for file in files]
+    except LightFieldError:  # whoever reads them says what is wrong
+        return None
+    if len({picture.shape for picture in pictures}) > 1:
+        return None
+    return in_sequence(pictures)
+
+
+def in_sequence(pictures: Sequence[NDArray[np.float64]]) -> Moves | None:
+    """The distances of the cameras of grey pictures [y, x] that follow each other; None if they are too small."""
+    return moves(list(pairwise(pictures)))
+
+
+def grey(picture: NDArray[Any]) -> NDArray[np.float64]:
+    """A picture [y, x, c] as grey of about 160 pixels, on [0, 1]."""
+    scale = 1.0 if picture.dtype.kind == "f" else float(np.iinfo(picture.dtype).max)
+    return shrunk(picture.mean(axis=2, dtype=np.float64) / scale, max(1, max(picture.shape) // _AROUND))
+
+
+def best_order(found: Moves, shapes: Sequence[tuple[int, int]]) -> str | None:
+    """The options that say how cameras stood whose pictures follow each other, "--grid 3x4 --order serpentine" for
+    example; None if the pictures do not tell. Of all cameras counted from the other end nothing can be told."""
+    if not found.told:
+        return None
+    scores: dict[str, float] = {}
+    for shape in shapes:
+        for order in ORDERS if min(shape) > 1 else ORDERS[:1]:
+            steps = np.diff(places_in(shape, order)[: len(found.vectors) + 1, ::-1], axis=0).astype(np.float64)
+            long = np.hypot(*steps.T)[:, None]  # jumps tell no more than steps do
+            for flip in ("", "v") if min(shape) > 1 else ("",):
+                options = f"--grid {shape[0]}x{shape[1]}" + f" --order {order}" * (order != ORDERS[0])
+                options += " --flip v" * (flip == "v")
+                turned = steps * (1, -1 if flip else 1)
+                scores[options] = _fit(found.vectors / long, turned / long)
+    first, second = sorted(scores, key=lambda options: -scores[options])[:2]
+    return first if scores[first] > _FITS and scores[second] < scores[first] - 0.05 else None
+
+
+# --- light fields ---
+
+
+_STEPS = 4  # of views that are looked at on either side of the reference
+_WAYS = (
+    (False, "", np.eye(2)),
+    (False, "v", np.diag([1.0, -1.0])),
+    (True, "", np.array([[0.0, 1.0], [1.0, 0.0]])),
+    (True, "v", np.array([[0.0, 1.0], [-1.0, 0.0]])),
+)
+
+
+def contradiction(light_field: LightField) -> str | None:
+    """What the pictures say against the places of their cameras, a sentence; None if nothing."""
+    factor = max(1, max(light_field.size) // _AROUND)
+    if min(light_field.size) < _SMALLEST * factor:
+        return None
+    views = light_field.views
+    if all(np.array_equal(views[0], view) for view in views[1:]):
+        return (
+            "All views are the same picture: there is no parallax, so there is no depth. Probably one camera took "
+            "them, or one file was copied."
+        )
+    beside = np.argsort(np.abs(light_field.offsets).sum(1), kind="stable")[1 : 2 * _STEPS + 1]
+    chosen = sorted({int(n) for n in beside} | {n for axis in (0, 1) if (n := _beside(light_field, axis)) is not None})
+    centre = _grey(light_field, light_field.reference_index, factor)
+    found = moves([(centre, _grey(light_field, n, factor)) for n in chosen])
+    if found is None or found.still or not found.told:
+        return None
+    offsets = light_field.offsets[chosen]
+    scores = [_fit(found.vectors, offsets @ matrix.T) for *_, matrix in _WAYS]
+    in_line = min(np.ptp(np.vstack([offsets, np.zeros((1, 2))]), axis=0)) == 0
+    best = int(np.argmax(scores[::2])) * 2 if in_line else int(np.argmax(scores))
+    if scores[best] < _FITS or scores[0] > scores[best] - _BETTER:
+        return None
+    transpose, flip, _ = _WAYS[best]
+    what = (
+        "the views move at right angles to the line in which their cameras are said to stand"
+        if in_line
+        else ("rows of cameras are taken for columns" if transpose else "views in a column move against those in a row")
+    )
+    if transpose and flip:
+        what += ", and one of the two is counted the other way round"
+    elif flip:
+        what += ", so one of the two is counted the other way round"
+    advice = light_field.reading.advice(transpose=transpose, flip=flip)
+    return f"By their parallax {what}: {advice}{', or with the other axis flipped if near comes out far' * bool(flip)}."
+
+
+def _fit(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """The share of vectors that others explain up to a common factor of any sign."""
+    return float((a * b).sum() ** 2 / max(float((a**2).sum() * (b**2).sum()), 1e-12))
+
+
 def _grey(light_field: LightField, index: int, factor: int) -> NDArray[np.float64]:
     sums = light_field.views[index].sum(axis=2, dtype=np.float64)
-    return _shrunk(sums * (light_field.scale / light_field.channels), factor)
+    return shrunk(sums * (light_field.scale / light_field.channels), factor)
 
 
-def _shrunk(image: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
+def shrunk(image: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
+    """Means of blocks of factor x factor pixels; what is left at the right and below is cut off."""
     height, width = (side // factor for side in image.shape)
     cut = image[: height * factor, : width * factor]
     return np.asarray(cut.reshape(height, factor, width, factor).mean(axis=(1, 3)))
 
 
 def _blocks(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    return _shrunk(image, _BLOCK)
+    return shrunk(image, _BLOCK)

@@ -24,6 +24,6 @@ def load_pictures(folder: str | os.PathLike[str]) -> LightField:
     files = image_files(path) or (image_files(path / "images") if (path / "images").is_dir() else [])
     if len(files) < 2:
         raise LightFieldError(f"{path} holds {len(files)} pictures; at least two are needed.")
-    views, notes = load_views(files)
+    views, valid, notes = load_views(files)
     where = np.stack([np.arange(len(files)), np.zeros(len(files))], axis=1).astype(np.float64)
-    return LightField(views, where, name=path.resolve().name, notes=notes, files=tuple(map(str, files)))
+    return LightField(views, where, valid=valid, name=path.resolve().name, notes=notes, files=tuple(map(str, files)))

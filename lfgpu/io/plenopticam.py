@@ -10,7 +10,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import without_dark_views
 from lfgpu.io.folders import sub_folders
-from lfgpu.io.named_views import read_named_views
+from lfgpu.io.numbered import read_numbered
 from lfgpu.io.vignette import lit
 
 _FOLDER = re.compile(r"viewpoints_([0-9]{1,3})(?:px|x[0-9]{1,3})?")
@@ -46,7 +46,7 @@ def read_plenopticam(path: Path, *, allow_missing: bool = False) -> LightField:
         )
     if len(folders) > 1:
         raise LightFieldError(f"{path} has several exports ({', '.join(folder.name for folder in folders)}); give one.")
-    light_field = read_named_views(folders[0], allow_missing=allow_missing)
+    light_field = read_numbered(folders[0], allow_missing=allow_missing)
     match = _FOLDER.fullmatch(folders[0].resolve().name) or _FOLDER.fullmatch(folders[0].name)
     side = int(match[1]) if match else 0
     if side and light_field.grid_shape != (side, side) and not allow_missing:

@@ -64,9 +64,9 @@ def read_stanford(path: Path, *, allow_missing: bool = False) -> LightField:
         raise LightFieldError(f"{folder}: all cameras stand in one place by the names of their images.")
     positions = np.stack([x, y], axis=1) / step
     positions -= positions.min(axis=0)
-    views, image_notes = load_views(files)
+    views, valid, image_notes = load_views(files)
     try:
-        light_field = LightField(views, positions, name=path.resolve().name, files=tuple(map(str, files)))
+        light_field = LightField(views, positions, valid=valid, name=path.resolve().name, files=tuple(map(str, files)))
     except LightFieldError as error:
         raise LightFieldError(f"{folder}: {error}") from error
     notes.append(f"One view step is {step:.6g} in the unit of the names, the median distance of neighbours.")

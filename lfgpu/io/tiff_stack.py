@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.reading import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, grid_field
 from lfgpu.io.extras import require
@@ -29,7 +30,9 @@ def recognise(path: Path) -> str | None:
     return "it is a TIFF file of several pages" if several else None
 
 
-def read_tiff_stack(path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None) -> LightField:
+def read_tiff_stack(
+    path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None, axes: str | None = None
+) -> LightField:
     """Read a TIFF of which each page is a view, row by row.
 
     Parameters
@@ -41,6 +44,8 @@ def read_tiff_stack(path: Path, *, allow_missing: bool = False, grid: tuple[int,
     grid
         (rows, columns); None takes what the file's own description says (as tifffile and ImageJ write it for arrays),
         or a square.
+    axes
+        The order of the axes of its pages, such as "ncyx"; None takes what the file says.
 
     Raises
     ------
@@ -54,28 +59,59 @@ def read_tiff_stack(path: Path, *, allow_missing: bool = False, grid: tuple[int,
     try:
         check_pages(path)
         with tifffile.TiffFile(path) as file:
-            array = _pages(path, file)
+            array, named = _pages(path, file)
     except LightFieldError:
         raise
     except Exception as error:  # tifffile raises whatever comes to it when a file is damaged
         reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
         raise LightFieldError(f"{path} cannot be read as a TIFF file: {reason}.") from error
-    views, notes = arranged(path, array, grid)
-    return grid_field(path, views, notes=notes)
+    views, why = arranged(path, array, grid, axes or named)
+    if axes is None and named is not None:
+        why = why.replace("as told", "as the file names them")
+    return grid_field(path, views, reading=Reading(why))
 
 
-def _pages(path: Path, file: Any) -> NDArray[Any]:
-    if len(file.series) != 1:
+def _pages(path: Path, file: Any) -> tuple[NDArray[Any], str | None]:
+    """All pages as one array, and its axes in the letters of `arranged` where the file names them."""
+    series = list(file.series)
+    if len(series) > 1 and all((s.shape, s.dtype) == (series[0].shape, series[0].dtype) for s in series):
+        check_claim(path, (len(series), *series[0].shape), series[0].dtype)  # pages that were appended one by one
+        _check_whole(path, file)
+        return np.stack([s.asarray() for s in series]), None
+    if len(series) != 1:
         raise LightFieldError(f"{path} has pages that are not alike; a light field has views of one size and type.")
-    series = file.series[0]
-    if len(series.shape) < 3 or series.dtype is None:
+    one = series[0]
+    if one.dtype is None or len(one.shape) < 3:
         raise LightFieldError(f"{path} has one page only; a light field has a page for each view.")
-    check_claim(path, series.shape, series.dtype)
+    check_claim(path, one.shape, one.dtype)
+    _check_whole(path, file)
+    array, axes = np.asarray(one.asarray()), _axes(one)
+    samples = one.axes.find("S")
+    if axes is None and 0 <= samples < array.ndim - 1:
+        array = np.moveaxis(array, samples, -1)
+    return array, axes
+
+
+def _axes(series: Any) -> str | None:
+    """The axes of pages in the letters of `arranged`; None where the file does not name them, or they are none."""
+    named = series.axes
+    if not {"Y", "X"} <= set(named) or "Q" in named or len(set(named)) < len(named):
+        return None
+    colour = "S" if "S" in named else "C"
+    views = [axis for axis in named if axis not in ("Y", "X", colour)]
+    size = dict(zip(named, series.shape, strict=True))
+    if colour == "C" and size.get("C", 1) not in (1, 3, 4):
+        views = [axis for axis in named if axis not in "YX"]
+        colour = ""
+    if len(views) not in (1, 2):
+        return None
+    letters = dict(zip(views, "n" if len(views) == 1 else "vu", strict=True))
+    return "".join(letters.get(axis) or ("c" if axis == colour else axis.lower()) for axis in named)
+
+
+def _check_whole(path: Path, file: Any) -> None:
     end = path.stat().st_size
     for page in file.pages:
         spans = zip(page.dataoffsets, page.databytecounts, strict=True)
         if any(offset + count > end for offset, count in spans):
             raise LightFieldError(f"{path} is cut short: its pixels are said to go on beyond its end.")
-    array = np.asarray(series.asarray())
-    samples = series.axes.find("S")
-    return np.moveaxis(array, samples, -1) if 0 <= samples < array.ndim - 1 else array

@@ -8,11 +8,12 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.disk import Collected
-from lfgpu.io.images import read_image
+from lfgpu.io.images import read_view
 from lfgpu.io.reporting import listener
 from lfgpu.threads import in_threads
 
@@ -20,7 +21,7 @@ _DECODED = 2**28  # bytes that decoders may take at once,
 _COPIES = 3  # of which each has a view so many times
 
 
-def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
+def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], NDArray[np.bool_] | None, tuple[str, ...]]:
     """Read image files into one array.
 
     Parameters
@@ -32,6 +33,8 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
     -------
     views
         [n, y, x, c], c = 1 or 3, uint8, uint16 or float32 as in the files.
+    valid
+        bool [n, y, x], False where views are transparent; None if nothing is, or everything.
     notes
         One sentence for each kind of conversion that some of the files needed.
 
@@ -40,7 +43,9 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
     LightFieldError
         If a file cannot be read, differs from the first in size, colour or dtype, or if memory does not suffice.
     """
-    first, remarks = read_image(files[0])
+    first, alpha, remarks = read_view(files[0])
+    masks: list[NDArray[np.bool_] | None] = [None] * len(files)
+    masks[0] = alpha
     try:
         views = Collected(files[0].parent, len(files), first)
     except MemoryError as error:
@@ -52,7 +57,7 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
     tell, done = listener(), count(2)  # threads of a pool have no listener of their own
 
     def read(index: int) -> frozenset[str]:
-        image, remarks = read_image(files[index])
+        image, masks[index], remarks = read_view(files[index])
         if image.shape != first.shape or image.dtype != first.dtype:
             raise LightFieldError(
                 f"the views in {files[index].parent} are not alike: {files[0].name} is {_kind(first)}, "
@@ -66,8 +71,27 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], tuple[str, ...]]:
     at_once = max(1, _DECODED // (_COPIES * first.nbytes))
     for remarks in in_threads(read, range(1, len(files)), most=at_once):
         counts.update(remarks)
-    notes = tuple(f"{remark.capitalize()} in {often} of {len(files)} views." for remark, often in counts.items())
-    return views.array(), notes
+    notes = tuple(
+        f"{remark[0].upper()}{remark[1:]} in {often} of {len(files)} views." for remark, often in counts.items()
+    )
+    valid = mask_of(masks, views.shape[:3])
+    return views.array(), valid, (*notes, *mask_notes(valid))
+
+
+def mask_of(masks: Sequence[NDArray[np.bool_] | None], shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
+    """The masks of views as one array [n, y, x]; None if nothing is transparent, or everything."""
+    if all(mask is None or mask.all() for mask in masks):
+        return None
+    valid = np.ones(shape, np.bool_)
+    for index, mask in enumerate(masks):
+        if mask is not None:
+            valid[index] = mask
+    return valid if valid.any() else None
+
+
+def mask_notes(valid: NDArray[np.bool_] | None) -> tuple[str, ...]:
+    """What there is to say of a mask from transparency."""
+    return () if valid is None else (f"Transparent pixels are not valid: {100 * (1 - valid.mean()):.1f} %.",)
 
 
 def _kind(image: NDArray[Any]) -> str:

@@ -36,7 +36,7 @@ def test_recognise_says_why(tmp_path: Path) -> None:
     assert "view_00_00.png" in reason
     entry, reason = recognise(save_named(tmp_path / "c" / "lf", box(1, 2)).parent)
     assert entry.name == "named-views"
-    assert "its folder lf" in reason
+    assert "lf/view_00_00.png" in reason
 
 
 def test_a_format_can_be_asked_for(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from samples import HEIGHT, WIDTH, box, picture, refusal, save, save_named
 import lfgpu
 from lfgpu.io import read, read_map
 from lfgpu.io.fast_png import fast_pixels
-from lfgpu.io.images import read_image
+from lfgpu.io.images import read_image, read_view
 from lfgpu.io.png import write_png
 from lfgpu.threads import limited_threads
 
@@ -198,12 +198,15 @@ def test_unusual_tiff_by_way_of_tifffile(
     np.testing.assert_array_equal(found, image)
 
 
-def test_alpha_is_dropped_with_a_note(tmp_path: Path) -> None:
+def test_alpha_says_which_pixels_are_valid(tmp_path: Path) -> None:
     save(tmp_path / "0_0.png", picture(0, 4))
     save(tmp_path / "0_1.png", picture(1, 3))
     light_field = read(tmp_path)
     np.testing.assert_array_equal(light_field.views[0], picture(0, 4)[..., :3])
-    assert "Alpha channel dropped in 1 of 2 views." in light_field.notes
+    assert light_field.valid is not None
+    np.testing.assert_array_equal(light_field.valid[0], picture(0, 4)[..., 3] >= 128)
+    assert light_field.valid[1].all()
+    assert light_field.notes[-1].startswith("Transparent pixels are not valid")
 
 
 def test_grey_with_alpha_stays_grey(tmp_path: Path) -> None:
@@ -276,12 +279,12 @@ def test_few_large_views_are_decoded_at_once(tmp_path: Path, monkeypatch: pytest
             inside += 1
             most = max(most, inside)
         time.sleep(0.02)
-        found = read_image(*args, **options)
+        found = read_view(*args, **options)
         with lock:
             inside -= 1
         return found
 
-    monkeypatch.setattr("lfgpu.io.views.read_image", watched)
+    monkeypatch.setattr("lfgpu.io.views.read_view", watched)
     read(tmp_path)
     assert most > 2
     most = 0

@@ -110,7 +110,7 @@ def test_numpy_arrays_of_all_arrangements(tmp_path: Path) -> None:
     grid = np.stack([picture(index) for index in range(6)]).reshape(2, 3, HEIGHT, WIDTH, 3)
     for array, shape, options in (
         (grid, (2, 3), {}),
-        (grid[..., 0], (2, 3), {}),
+        (grid[..., 0], (2, 3), {"axes": "vuyx"}),
         (grid.reshape(6, HEIGHT, WIDTH, 3), (2, 3), {"grid": (2, 3)}),
         (grid.reshape(6, HEIGHT, WIDTH, 3)[..., 0], (3, 2), {"grid": (3, 2)}),
         (grid.reshape(6, HEIGHT, WIDTH, 3)[:4], (2, 2), {}),

@@ -41,7 +41,7 @@ def test_parallax_tells_a_flip(tmp_path: Path, true: LightField) -> None:
     assert [axes_agree(read(path, flip=flip)) for flip in ("", "u", "v", "uv")] == [True, False, False, True]
     assert axes_agree(true.subset("row")) is None
     assert read(path).notes == ()
-    assert "try flip='u' or flip='v'" in read(path, flip="v").notes[-1]
+    assert "read it without --flip v" in read(path, flip="v").notes[-1]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.images import IMAGE_SUFFIXES, read_image
+from lfgpu.io.folders import IMAGE_SUFFIXES
+from lfgpu.io.images import read_image
 from lfgpu.io.lenslet.vignetting import Float32Array
 from lfgpu.io.lytro.camera import Camera
 from lfgpu.io.lytro.container import is_container, is_sound

@@ -1,0 +1,56 @@
+"""What was taken for what when a light field was read, and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a reader took for what, and why: sentences without a full stop, "" where there is nothing to say.
+
+    Parameters
+    ----------
+    places
+        Which numbers, axes or entries say where the cameras stand.
+    pictures
+        How pictures are oriented, and which pixels are known.
+    lengths
+        Which unit lengths have, and where they come from.
+    transpose
+        Whether rows and columns of cameras were swapped because the caller said so. Default False.
+    flip
+        Axes that were turned round after that because the caller said so, as in `lfgpu.read`. Default "".
+    """
+
+    places: str = ""
+    pictures: str = ""
+    lengths: str = ""
+    transpose: bool = False
+    flip: str = ""
+
+    def lines(self) -> list[tuple[str, str]]:
+        """A label and a sentence each of what there is to say."""
+        said = (("places", self.places), ("pictures", self.pictures), ("lengths", self.lengths))
+        return [(label, sentence) for label, sentence in said if sentence]
+
+    def advice(self, *, transpose: bool = False, flip: str = "") -> str:
+        """How to read the same files such that the axes of cameras are turned as well: the options of `lfgpu.read`.
+
+        What was given already is taken into account. "" where nothing is left to be given.
+        """
+        flips = set(self.flip)
+        if transpose:  # what was flipped before is flipped along the other axis after it
+            flips = {{"u": "v", "v": "u"}[axis] for axis in flips}
+        flips ^= set(flip)
+        swapped = self.transpose != transpose
+        options = [*(["--transpose"] if swapped else []), *([f"--flip {''.join(sorted(flips))}"] if flips else [])]
+        given = [*(["--transpose"] if self.transpose else []), *([f"--flip {self.flip}"] if self.flip else [])]
+        if options:
+            instead = f" instead of {' '.join(given)}" if given else ""
+            return f"read it with {' '.join(options)}{instead}"
+        return f"read it without {' '.join(given)}" if given else ""
+
+
+NOTHING = Reading()
+"""Nothing was read."""

@@ -1,0 +1,274 @@
+"""The numbers in the names of pictures: what each of them counts (row, column, camera, time ...), and why."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import accumulate
+from pathlib import Path
+
+from lfgpu.errors import LightFieldError
+
+ROW, COLUMN, CAMERA, TIME, EXPOSURE, UNKNOWN = "row", "column", "camera", "time", "exposure", "unknown"
+CONSTANT = "constant"
+
+_WORDS = {
+    ROW: "row rows r v y line",
+    COLUMN: "column columns col cols c u x",
+    CAMERA: "camera cameras cam cams view views viewpoint sensor",
+    TIME: "frame frames time t timestamp date",
+    EXPOSURE: "exposure exp iso ev gain shutter",
+}
+_MEANINGS = {word: meaning for meaning, words in _WORDS.items() for word in words.split()}
+_FIELDS = _MEANINGS | {"n": CAMERA, "index": CAMERA, "h": COLUMN}
+"""Names that `--pattern` gives to numbers."""
+_SHORT = {ROW: "v", COLUMN: "u", CAMERA: "n", TIME: "t", EXPOSURE: "exposure"}
+"""The names that are proposed."""
+
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
+_SIGN = re.compile(r"(.*?(?:^|[^0-9A-Za-z+-]))([+-])", re.DOTALL)  # at the end of what stands before a number
+_PLACE_DIGITS = 3  # rows and columns without words have no more
+_LONGEST = 18  # digits; no longer number is taken for one
+_NO_PLACE = 10  # digits of seconds since 1970; no place has so many
+_FIRST_YEAR, _LAST_YEAR = 1990, 2040
+_IN_PAIRS = frozenset("rcvs")
+"""Letters that mean too much else (view, version, camera) where no other letter names the other axis."""
+
+
+@dataclass(frozen=True)
+class Name:
+    """The name of a picture below its folder, without suffix: texts and the numbers between them."""
+
+    file: Path
+    texts: tuple[str, ...]
+    digits: tuple[str, ...]
+    numbers: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Number:
+    """One of the numbers that pictures of a kind have in their names."""
+
+    meaning: str
+    why: str
+    values: tuple[int, ...]
+    """Of each picture."""
+
+    @property
+    def varies(self) -> bool:
+        return len(set(self.values)) > 1
+
+
+@dataclass(frozen=True)
+class Naming:
+    """Pictures that are named alike, and what the numbers in their names count."""
+
+    names: tuple[Name, ...]
+    numbers: tuple[Number, ...]
+
+    def of(self, meaning: str) -> list[Number]:
+        """The numbers of a meaning that differ from picture to picture; of rows and columns also those that do not."""
+        return [n for n in self.numbers if n.meaning == meaning and (n.varies or meaning in (ROW, COLUMN))]
+
+    @property
+    def files(self) -> list[Path]:
+        """The pictures."""
+        return [name.file for name in self.names]
+
+    def pattern(self, **other: str) -> str:
+        """The pattern of the names, as `--pattern` takes it; `other` names numbers by their meaning."""
+        first, parts = self.names[0], []
+        for text, digits, number in zip(first.texts, first.digits, self.numbers, strict=False):
+            known = other.get(number.meaning, _SHORT.get(number.meaning, "?"))
+            parts += [text, f"{{{known}}}" if number.varies or number.meaning in (ROW, COLUMN) else digits]
+        return "".join([*parts, first.texts[-1]]) + first.file.suffix
+
+    def sentence(self, folder: Path) -> str:
+        """What the numbers were taken for, and why."""
+        told: dict[str, list[str]] = {}
+        for number in self.numbers:
+            if number.varies or number.meaning in (ROW, COLUMN):
+                told.setdefault(number.why, []).append(number.meaning)
+        meanings = "; ".join(f"{' and '.join(them)}{f' ({why})' * bool(why)}" for why, them in told.items())
+        return f"the numbers in names such as {self.names[0].file.relative_to(folder)} are {meanings or 'all the same'}"
+
+
+def name_of(file: Path, folder: Path) -> Name:
+    """The texts and numbers of the name of a file below a folder."""
+    stem = file.relative_to(folder).with_suffix("").as_posix()
+    parts = re.split(r"([0-9]+)", stem)
+    digits = tuple(parts[1::2])
+    return Name(file, tuple(parts[::2]), digits, tuple(int(text[:_LONGEST]) for text in digits))
+
+
+def _signed(name: Name) -> Name:
+    """The same name if the characters before its numbers are signs of them."""
+    texts, numbers = list(name.texts), list(name.numbers)
+    for place in range(len(numbers)):
+        # A sign follows something else than the number before it: "1_-2", but not "1-2".
+        if (place == 0 or len(texts[place]) > 1) and (match := _SIGN.fullmatch(texts[place])):
+            texts[place], numbers[place] = match[1], -numbers[place] if match[2] == "-" else numbers[place]
+    return Name(name.file, tuple(texts), name.digits, tuple(numbers))
+
+
+def families(files: Iterable[Path], folder: Path) -> list[list[Name]]:
+    """Files whose names have numbers, those that are named alike but for the numbers together; the most first."""
+    plain = [name for file in files if (name := name_of(file, folder)).digits]
+    signed = [_signed(name) for name in plain]
+    below = {place for name in signed for place, number in enumerate(name.numbers) if number < 0}
+    # A minus alone may as well be a hyphen: "view_-01_-02".
+    above = all(any(len(n.numbers) > place and n.numbers[place] > 0 for n in signed) for place in below)
+    if below and (any("+" in name.file.stem for name in plain) or above):
+        plain = signed
+    found: dict[tuple[str, ...], list[Name]] = defaultdict(list)
+    for name in plain:
+        found[tuple(text.casefold() for text in name.texts)].append(name)
+    kinds = [sorted(kind, key=lambda name: name.numbers) for kind in found.values()]
+    return sorted(kinds, key=len, reverse=True)
+
+
+def understood(names: Sequence[Name]) -> Naming:
+    """What the numbers count: by the words beside them, as dates, and by the convention for two without words."""
+    first, columns = names[0], list(zip(*(name.numbers for name in names), strict=True))
+    varying = {place for place, values in enumerate(columns) if len(set(values)) > 1}
+    words = [_word(first.texts[place : place + 2], first=not place) for place in range(len(columns))]
+    meanings = _believed(words)
+    for place, why in _moments(names).items():
+        meanings[place] = (TIME, why)
+    _name_pair(names, words, meanings, varying)
+    _name_rest(columns, meanings, varying)
+    return Naming(tuple(names), tuple(Number(*what, tuple(v)) for what, v in zip(meanings, columns, strict=True)))
+
+
+def _word(texts: Sequence[str], *, first: bool) -> str:
+    """The word beside a number: before it, or right behind it where none stands before; "/" where a folder begins."""
+    before, behind = texts
+    if before.strip().lower() == "x" and not first:  # 3x4: three by four
+        return ""
+    if found := _WORD.findall(before.rsplit("/", 1)[-1]):
+        return str(found[-1]).lower()
+    after = re.match("[A-Za-z]{2,}", behind)  # "0row_2col", but neither "5px" nor "3x4"
+    return after[0].lower() if after and after[0].lower() in _MEANINGS else "/" * ("/" in before)
+
+
+def _believed(words: Sequence[str]) -> list[tuple[str, str]]:
+    """The meaning of each number by its word, and why."""
+    table = _MEANINGS | ({"s": COLUMN, "t": ROW} if {"s", "t"} <= set(words) else {})
+    axes = {table.get(word) for word in words} & {ROW, COLUMN}
+    return [
+        (UNKNOWN, "")
+        if word not in table or (word in _IN_PAIRS and len(axes) < 2)
+        else (table[word], f"the word {word} says so")
+        for word in words
+    ]
+
+
+def _name_pair(names: Sequence[Name], words: Sequence[str], meanings: list[tuple[str, str]], varying: set[int]) -> None:
+    """Two numbers beside each other, the second of them without a word, are row and column: "view_00_03"."""
+    if {meanings[place][0] for place in varying} & {ROW, COLUMN}:
+        return
+    for last in range(len(words) - 1, 0, -1):
+        pair = (last - 1, last)
+        free = meanings[last][0] == UNKNOWN and meanings[last - 1][0] in (UNKNOWN, CAMERA) and not words[last]
+        short = all(len(name.digits[place]) <= _PLACE_DIGITS for name in names for place in pair)
+        if free and short and (varying & set(pair) or len(names) == 1):
+            meanings[last - 1] = (ROW, "two numbers beside each other")
+            meanings[last] = (COLUMN, "two numbers beside each other")
+            return
+
+
+def _name_rest(columns: Sequence[Sequence[int]], meanings: list[tuple[str, str]], varying: set[int]) -> None:
+    """What is left over when all others are known: the other of row and column, or the only number that differs."""
+    places = [place for place in varying if meanings[place][0] in (ROW, COLUMN, CAMERA)]
+    unknown = [place for place in sorted(varying) if meanings[place][0] == UNKNOWN]
+    if places and len(set(zip(*(columns[place] for place in places), strict=True))) == len(columns[0]):
+        for place in unknown:
+            if len(set(columns[place])) == len(columns[place]):
+                meanings[place] = (CONSTANT, "it is another for each picture")
+        return
+    if len(unknown) != 1:
+        return
+    known = {meanings[place][0] for place in places}
+    if known in ({ROW}, {COLUMN}):
+        meanings[unknown[0]] = (COLUMN if known == {ROW} else ROW, f"the other number is the {known.pop()}")
+    elif varying == {unknown[0]}:
+        meanings[unknown[0]] = (CAMERA, "it is the only number that differs")
+
+
+_DATE_AND_TIME = re.compile(
+    r"(?<!\d)(\d{4})[-_.]?(\d\d)[-_.]?(\d\d)(?:[-_ T.]*(\d\d)[-_.:]?(\d\d)[-_.:]?(\d\d)(?:[-_.]?\d{3})?)?(?!\d)"
+)
+
+
+def _moments(names: Sequence[Name]) -> dict[int, str]:
+    """Which numbers of names are dates and times of day, and why."""
+    found = None
+    for name in names:
+        stem = "".join(x for pair in zip(name.texts, (*name.digits, ""), strict=True) for x in pair)
+        ends = accumulate(len(text) + len(digits) for text, digits in zip(name.texts, name.digits, strict=False))
+        spans = [(end - len(text), end) for end, text in zip(ends, name.digits, strict=True)]
+        here = set()
+        for match in _DATE_AND_TIME.finditer(stem):
+            if _is_moment([int(part) for part in match.groups() if part]):
+                here |= {k for k, (start, end) in enumerate(spans) if match.start() <= start and end <= match.end()}
+        here |= {k for k, text in enumerate(name.digits) if len(text) >= _NO_PLACE}
+        found = here if found is None else found & here
+    return dict.fromkeys(found or _times_of_day(names), "it is a date or time")
+
+
+def _times_of_day(names: Sequence[Name]) -> set[int]:
+    """Three numbers of two digits beside each other that may be hours, minutes and seconds, and are no full grid."""
+    for k in range(len(names[0].digits) - 2):
+        three = [name.numbers[k : k + 3] for name in names]
+        apart = all(re.fullmatch(r"[-_.: ]", text) for name in names for text in name.texts[k + 1 : k + 3])
+        short = all(len(text) == 2 for name in names for text in name.digits[k : k + 3])
+        seconds = {number[2] for number in three}
+        minutes = {number[1] for number in three}
+        full = len(minutes) > 1 and len(set(three)) == len(minutes) * len(seconds)
+        if apart and short and not full and len(seconds) > 1 and max(map(max, three)) < 60:
+            return {k, k + 1, k + 2}
+    return set()
+
+
+def _is_moment(parts: list[int]) -> bool:
+    try:
+        return _FIRST_YEAR <= datetime(*parts).year < _LAST_YEAR  # type: ignore[arg-type]
+    except ValueError:
+        return False
+
+
+# --- patterns ---
+
+
+def matching(files: Iterable[Path], folder: Path, pattern: str) -> Naming:
+    """The pictures that a pattern such as "cam{u}_frame{t}.png" names, with the numbers as it says.
+
+    LightFieldError if it is none, or names no picture.
+    """
+    pieces = re.split(r"(\{[^{}]*\})", pattern)
+    fields = [piece[1:-1].strip().lower() for piece in pieces[1::2]]
+    if not fields or any(field not in _FIELDS for field in fields):
+        wrong = next((f"{{{field}}}" for field in fields if field not in _FIELDS), repr(pattern))
+        raise LightFieldError(
+            f"pattern must name numbers as {{u}} (column), {{v}} (row), {{n}} (camera), {{t}}, {{date}}, {{time}} or "
+            f"{{exposure}}, such as cam{{u}}_frame{{t}}.png; found {wrong}."
+        )
+    places = pieces[::2]
+    text = "([+-]?[0-9]+)".join(re.escape(piece).replace(r"\*", "[^/]*").replace(r"\?", "[^/]") for piece in places)
+    expression = re.compile(text + r"(?:\.[^./]*)?", re.IGNORECASE)
+    names, values = [], []
+    for file in files:
+        if match := expression.fullmatch(file.relative_to(folder).as_posix()):
+            names.append(Name(file, tuple(places), match.groups(), tuple(int(g[:_LONGEST]) for g in match.groups())))
+            values.append(names[-1].numbers)
+    if not names:
+        raise LightFieldError(f"{folder} has no picture whose name is of the pattern {pattern!r}.")
+    order = sorted(range(len(names)), key=lambda i: values[i])
+    columns = list(zip(*(values[i] for i in order), strict=True))
+    numbers = [
+        Number(_FIELDS[field], "the pattern says so", column) for field, column in zip(fields, columns, strict=True)
+    ]
+    return Naming(tuple(names[i] for i in order), tuple(numbers))

@@ -1,0 +1,446 @@
+"""Folders of pictures whose names have numbers: rows and columns, cameras, or cameras and times."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.io import parallax
+from lfgpu.io.arrays import grid_shape
+from lfgpu.io.folders import image_files, listed, sub_folders
+from lfgpu.io.grid import by_place, read_grid
+from lfgpu.io.images import image_size
+from lfgpu.io.naming import (
+    CAMERA,
+    COLUMN,
+    EXPOSURE,
+    ROW,
+    TIME,
+    UNKNOWN,
+    Name,
+    Naming,
+    Number,
+    families,
+    matching,
+    understood,
+)
+
+_MOST = 10_000  # places of a row
+_LOOKED_AT = 64  # pictures that are compared to see how their cameras stood
+_OTHERS = 0.5  # of the pictures named alike: so many named otherwise may as well be the views
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The pictures of a folder that are named alike, and which others there are."""
+
+    folder: Path
+    naming: Naming
+    left_out: tuple[Path, ...]
+    rival: Path | None
+    """One of the pictures that may as well be the views."""
+
+
+def recognise(path: Path, *, kind: str) -> str | None:
+    """Why a path is taken for a folder of a kind ("named-views", "row-folders" or "camera-row"); None if it is not."""
+    if not path.is_dir() or (found := _found(path)) is None or _kind(found.naming) != kind:
+        return None
+    return found.naming.sentence(path)
+
+
+def _kind(naming: Naming) -> str:
+    if not (naming.of(ROW) and naming.of(COLUMN)):
+        return "camera-row"
+    in_folders = any("/" in text for text in naming.names[0].texts[1:])
+    return "row-folders" if in_folders else "named-views"
+
+
+def read_numbered(
+    path: Path,
+    *,
+    kind: str | None = None,
+    allow_missing: bool = False,
+    grid: tuple[int, int] | None = None,
+    every: int | None = None,
+    pattern: str | None = None,
+    frame: int | None = None,
+) -> LightField:
+    """Read pictures whose names say by their numbers where the cameras stood.
+
+    Words beside the numbers are believed: row, r, y, v and column, col, c, x, u; camera, cam, view; frame, time, t.
+    Without words the last two numbers beside each other are row and column, and a single number counts cameras. Dates
+    and times of day are no places. What stays open is asked.
+
+    Parameters
+    ----------
+    path
+        The folder; pictures lie in it or in its sub-folders, whose names count like the beginnings of file names.
+    kind
+        Which of several kinds of images in the folder is meant, as in `recognise`; None is that of most images.
+    allow_missing
+        Whether gaps are accepted as missing views, and views of another size than most are left out.
+    grid
+        (rows, columns) of cameras with one number, row by row; (n, 1) is a camera that moved down.
+    every
+        Take one camera of so many, from the first on; None takes all.
+    pattern
+        What the numbers are: "cam{u}_frame{t}.png". None finds it out.
+    frame
+        Index of the time, from 0, where there are several for each camera; None takes the first.
+
+    Raises
+    ------
+    LightFieldError
+        If there are no such pictures, it cannot be known what their numbers mean, or they are damaged or contradict
+        each other; the sentence says which option settles it.
+    """
+    found = _found(path, pattern, kind)
+    if found is None:
+        raise LightFieldError(
+            f"{path} has no pictures with numbers in their names, such as view_00_03.png or view_0012.png; give the "
+            "folder that holds them."
+        )
+    if found.rival is not None:
+        raise LightFieldError(_rivals(path, found))
+    if (asked := _question(path, found.naming)) is not None:
+        raise LightFieldError(asked)
+    notes = []
+    folders = {file.parent for file in found.naming.files}
+    if path not in folders and len(folders) == 1:
+        notes.append(f"The views are in the folder {folders.pop().name}.")
+    if found.left_out:
+        notes.append(
+            f"Left out {len(found.left_out)} of the images, not named as the others: {listed(found.left_out)}."
+        )
+    naming, chosen = _at_one_time(path, found.naming, frame)
+    notes += chosen
+    naming = _of_one_size(path, naming, notes, allow_missing=allow_missing)
+    rows, columns, cameras = (naming.of(meaning) for meaning in (ROW, COLUMN, CAMERA))
+    if not cameras and rows and columns:
+        light_field = _read_grid(path, naming, rows[0], columns[0], notes, allow_missing=allow_missing)
+    else:
+        number = (cameras or columns or rows or naming.of(TIME))[0]
+        down = bool(rows) and not cameras and not columns
+        light_field = _read_row(
+            path, naming, number, notes, grid=grid, every=every, down=down, allow_missing=allow_missing
+        )
+    return light_field
+
+
+def frames_of(path: Path, pattern: str | None = None) -> int:
+    """How many times a folder holds for each of its cameras; 1 if it is no such folder."""
+    found = _found(path, pattern)
+    if found is None or found.rival is not None or _question(path, found.naming) is not None:
+        return 1
+    return len(_times(found.naming))
+
+
+# --- which pictures ---
+
+
+def _found(path: Path, pattern: str | None = None, kind: str | None = None) -> _Found | None:
+    if not path.is_dir():
+        return None
+    own = image_files(path)
+    if pattern is not None:
+        depth = pattern.count("/")
+        files = own if depth == 0 else [file for folder in sub_folders(path) for file in image_files(folder)]
+        if depth == 0 and not files and len(sub_folders(path)) == 1:
+            return _found(sub_folders(path)[0], pattern)
+        naming = matching(files, path, pattern)
+        return _Found(path, naming, tuple(file for file in files if file not in naming.files), None)
+    kinds = families(own, path)
+    if not kinds or not _may_be_views(kinds[0]):
+        deeper = families([file for folder in sub_folders(path) for file in image_files(folder)], path)
+        if deeper and _may_be_views(deeper[0]):
+            kinds, own = deeper, [name.file for kind in deeper for name in kind]
+    if not kinds or not _may_be_views(kinds[0]):
+        return None
+    most = [k for k in kinds if len(k) == len(kinds[0])]
+    chosen = next((k for k in most if _names_places(understood(k))), kinds[0])
+    if kind is not None and _kind(understood(chosen)) != kind:  # somebody asked for it
+        kinds = [k for k in kinds if _kind(understood(k)) == kind] or [chosen]
+        chosen = kinds[0]
+    mine, folders = {name.file for name in chosen}, {name.file.parent for name in chosen}
+    many = [k for k in kinds if k is not chosen and len(k) > 1]
+    rivals = [k for k in many if len(k) > _OTHERS * len(chosen) or k[0].file.parent not in folders]
+    left_out = tuple(file for file in own if file not in mine)
+    return _Found(path, understood(chosen), left_out, rivals[0][0].file if rivals else None)
+
+
+def _may_be_views(kind: Sequence[Name]) -> bool:
+    naming = understood(kind)
+    return any(number.varies for number in naming.numbers) or _names_places(naming)
+
+
+def _names_places(naming: Naming) -> bool:
+    return bool(naming.of(ROW) and naming.of(COLUMN))
+
+
+# --- questions ---
+
+
+def _rivals(path: Path, found: _Found) -> str:
+    assert found.rival is not None
+    mine, other = found.naming.files[0], found.rival
+    if mine.parent != other.parent:
+        folders = f"{mine.parent.name}, {other.parent.name}"
+        return f"{path} has several folders with images named by numbers ({folders}); give one."
+    return (
+        f"{path} has images named in different ways: {mine.name} and {other.name}; say which are the views with "
+        f'--pattern "{found.naming.pattern()}" (pattern= in Python), or move what is no view elsewhere.'
+    )
+
+
+def _question(path: Path, naming: Naming) -> str | None:
+    """What cannot be known from the names, as a sentence with the option that settles it; None if all is clear."""
+    unknown, cameras, times = naming.of(UNKNOWN), naming.of(CAMERA), naming.of(TIME)
+    places = [*naming.of(ROW), *naming.of(COLUMN), *cameras]
+    moving = [number for number in places if number.varies]
+    unclear = len(cameras) > 1 or len(naming.of(ROW)) > 1 or len(naming.of(COLUMN)) > 1
+    first = naming.files[0]
+    if naming.of(EXPOSURE) and len(_places(naming)) > len(set(_places(naming))):
+        one = naming.names[0]
+        text = "".join(
+            t + (f"{{{ {ROW: 'v', COLUMN: 'u'}.get(n.meaning, 'n') }}}" if n.varies and n.meaning != EXPOSURE else d)
+            for t, d, n in zip(one.texts, one.digits, naming.numbers, strict=False)
+        )
+        return (
+            f"{path} has several exposures of each camera, such as {first.name}: choose one with "
+            f'--pattern "{text}{one.texts[-1]}{first.suffix}" (pattern= in Python).'
+        )
+    folders = [place for place, text in enumerate(naming.names[0].texts[1:]) if "/" in text]
+    if unknown and folders and naming.numbers[folders[0]] in unknown:
+        names = sorted({file.relative_to(path).parts[0] for file in naming.files})
+        listed_names = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
+        return (
+            f"{path} has several folders with numbered images ({listed_names}); give one, or say what the numbers "
+            f'count with --pattern, such as "{naming.pattern(unknown="v", camera="u")}" for rows and columns or '
+            f'"{naming.pattern(unknown="t", camera="u")}" for cameras and times (pattern= in Python).'
+        )
+    if unknown or unclear:
+        return (
+            f"{path}: it cannot be known what the numbers in names such as {first.name} count; say it with "
+            f'--pattern "{naming.pattern(unknown="?")}" (pattern= in Python), where {{u}} is a column, {{v}} a row, '
+            "{n} a camera and {t} a time in place of {?}."
+        )
+    if times and not moving:
+        if all("word" in number.why for number in times) and parallax.is_row(naming.files[:_LOOKED_AT]):
+            return None
+        if all("pattern" in number.why for number in times):
+            return None
+        named = naming.pattern(time="t") if all("word" in n.why for n in times) else _dated(naming)
+        return (
+            f"{path}: the numbers in names such as {first.name} are times, which say nothing of where the camera "
+            f'stood; if it moved to the right in equal steps, say --pattern "{named}" (pattern= in Python), and '
+            "--grid ROWSxCOLUMNS if it moved over a grid."
+        )
+    return None
+
+
+def _dated(naming: Naming) -> str:
+    """The pattern of names that are dates and times, with all their numbers in it."""
+    name = naming.names[0]
+    words = iter(["date", "time", *["t"] * len(name.digits)])
+    parts = [
+        text + (f"{{{next(words)}}}" if n.meaning == TIME else digits)
+        for text, digits, n in zip(name.texts, name.digits, naming.numbers, strict=False)
+    ]
+    return "".join([*parts, name.texts[-1]]) + name.file.suffix
+
+
+# --- one time ---
+
+
+def _values(numbers: Sequence[Number]) -> list[tuple[int, ...]]:
+    return list(zip(*(number.values for number in numbers), strict=True))
+
+
+def _places(naming: Naming) -> list[tuple[int, ...]]:
+    numbers = [n for meaning in (ROW, COLUMN, CAMERA) for n in naming.of(meaning)]
+    return _values(numbers) if numbers else [()] * len(naming.names)
+
+
+def _times(naming: Naming) -> list[tuple[int, ...]]:
+    """The times at which there are pictures, in order; one if the time follows from the place."""
+    places, times = _places(naming), naming.of(TIME)
+    if not times or not places[0] or len(set(places)) == len(places):
+        return [()]
+    return sorted(set(_values(times)))
+
+
+def _at_one_time(path: Path, naming: Naming, frame: int | None) -> tuple[Naming, list[str]]:
+    times = _times(naming)
+    if frame is not None and not 0 <= frame < len(times):
+        raise LightFieldError(
+            f"{path} has {len(times)} times for each camera; frame must be from 0 to {len(times) - 1}."
+        )
+    if len(times) == 1:
+        return naming, []
+    wanted = times[frame or 0]
+    kept = [k for k, time in enumerate(_values(naming.of(TIME))) if time == wanted]
+    naming = _part(naming, kept)
+    cameras = len(set(_places(naming)))
+    return naming, [
+        f"There are {cameras} cameras and {len(times)} times; this is time {frame or 0} ({naming.files[0].name} "
+        "...): take another with frame=1 (--frame 1 on the command line), or all with lfgpu batch or lfgpu live."
+    ]
+
+
+def _part(naming: Naming, kept: Sequence[int]) -> Naming:
+    numbers = tuple(replace(number, values=tuple(number.values[k] for k in kept)) for number in naming.numbers)
+    return Naming(tuple(naming.names[k] for k in kept), numbers)
+
+
+def _of_one_size(path: Path, naming: Naming, notes: list[str], *, allow_missing: bool) -> Naming:
+    """The views of the most frequent size, with a note; LightFieldError unless views may be missing."""
+    suffixes = sorted({file.suffix.lower() for file in naming.files})
+    if len(suffixes) > 1:
+        notes.append(f"The views are of different kinds: {', '.join(suffixes)}.")
+    sizes = [image_size(file) for file in naming.files]
+    frequent = Counter(size for size in sizes if size is not None).most_common()
+    if len(frequent) < 2:
+        return naming
+    others = [file for file, size in zip(naming.files, sizes, strict=True) if size != frequent[0][0]]
+    found = " and ".join(f"{count} of {width} x {height}" for (height, width), count in frequent[:3])
+    if not allow_missing:
+        raise LightFieldError(
+            f"the views in {path} are not alike: there are {found} px, such as {listed(others)}; pass "
+            "allow_missing=True (--allow-missing on the command line) to leave out all but the most frequent size."
+        )
+    notes.append(f"Left out {len(others)} of {len(sizes)} views, which are of another size: {listed(others)}.")
+    return _part(naming, [k for k, size in enumerate(sizes) if size == frequent[0][0]])
+
+
+# --- rows and columns ---
+
+
+def _read_grid(
+    path: Path, naming: Naming, rows: Number, columns: Number, notes: list[str], *, allow_missing: bool
+) -> LightField:
+    """Views at the places that their names say.
+
+    Both axes count from the same number, so that a lost first row is noticed, unless numbers have signs. An axis along
+    which the cameras do not stand (one row or one column of views) is left out of that.
+    """
+    if _kind_is_convention(naming) and rows.varies and not parallax.one_scene(_middles(naming, rows)):
+        names = sorted({file.parent.name for file in naming.files})
+        raise LightFieldError(
+            f"{path} has several folders with numbered images ({', '.join(names)}); give one. They do not show one "
+            "scene, so they are no rows of one light field."
+        )
+    axes = (set(rows.values), set(columns.values))
+    lowest = min((min(axis) for axis in axes if len(axis) > 1), default=0)
+    row, column = (lowest if len(axis) > 1 and lowest >= 0 else min(axis) for axis in axes)
+    shape = (max(axes[0]) - row + 1, max(axes[1]) - column + 1)
+    if shape[0] * shape[1] > _MOST * _MOST or max(shape) > _MOST:
+        raise LightFieldError(
+            f"{path} has images numbered up to {max(max(a) for a in axes)}; that is no grid of cameras."
+        )
+    places = list(zip(rows.values, columns.values, strict=True))
+    light_field = read_grid(
+        by_place(((r - row, c - column), file) for (r, c), file in zip(places, naming.files, strict=True)),
+        shape,
+        folder=path,
+        allow_missing=allow_missing,
+        notes=notes,
+    )
+    why = f"{naming.sentence(path)}; rows count from {row}, columns from {column}"
+    light_field = replace(light_field, reading=replace(light_field.reading, places=why))
+    if min(row, column) < 0 and (0, 0) in places:
+        return light_field.with_reference(light_field.index_of(-row, -column))
+    return light_field
+
+
+def _kind_is_convention(naming: Naming) -> bool:
+    """Whether folders count as rows without a word that says so."""
+    first = naming.names[0]
+    return any("/" in text for text in first.texts[1:]) and any(
+        n.meaning == ROW and "word" not in n.why and "pattern" not in n.why for n in naming.numbers
+    )
+
+
+def _middles(naming: Naming, rows: Number) -> list[Path]:
+    """The middle picture of each row."""
+    return [
+        (line := [f for f, value in zip(naming.files, rows.values, strict=True) if value == row])[len(line) // 2]
+        for row in sorted(set(rows.values))
+    ]
+
+
+# --- cameras with one number ---
+
+
+def _read_row(
+    path: Path,
+    naming: Naming,
+    number: Number,
+    notes: list[str],
+    *,
+    grid: tuple[int, int] | None,
+    every: int | None,
+    down: bool,
+    allow_missing: bool,
+) -> LightField:
+    views = sorted(zip(number.values, naming.files, strict=True))
+    if number.meaning == TIME or _times_only(naming):
+        views = list(enumerate(file for _, file in sorted(zip(_values(naming.of(TIME)), naming.files, strict=True))))
+    first, last_number = views[0][0], views[-1][0]
+    step = math.gcd(*(value - first for value, _ in views)) or 1
+    if (last_number - first) // step >= _MOST:
+        raise LightFieldError(f"{path} has images numbered from {first} to {last_number}; that is no row of cameras.")
+    chosen = [((value - first) // step, file) for value, file in views]
+    if every is not None:
+        chosen = [(place // every, file) for place, file in chosen if place % every == 0]
+    count = chosen[-1][0] + 1
+    if len(chosen) < count and not allow_missing:
+        present = {place for place, _ in chosen}
+        lost = [first + step * place for place in range(count) if place not in present]
+        raise LightFieldError(
+            f"{path} lacks {len(lost)} of the {count} views that its numbers from {first} to {last_number} count "
+            f"(number {', '.join(map(str, lost[:5]))}{', ...' if len(lost) > 5 else ''}); add them, or pass "
+            "allow_missing=True (--allow-missing on the command line) to go without."
+        )
+    why = naming.sentence(path)
+    if grid is None:
+        shape, because = _shape(path, [file for _, file in chosen], count, down=down)
+        why += f"; {because}"
+    else:
+        shape = grid_shape(path, count, grid)
+        why += f"; the grid of {shape[0]} x {shape[1]} is as told, row by row"
+    places = by_place((divmod(place, shape[1]), file) for place, file in chosen)
+    light_field = read_grid(places, shape, folder=path, allow_missing=allow_missing, notes=notes)
+    return replace(light_field, reading=replace(light_field.reading, places=why))
+
+
+def _times_only(naming: Naming) -> bool:
+    return not any(number.varies for meaning in (ROW, COLUMN, CAMERA) for number in naming.of(meaning))
+
+
+def _shape(path: Path, files: Sequence[Path], count: int, *, down: bool) -> tuple[tuple[int, int], str]:
+    """(rows, columns) of numbered cameras, and why: one row, if no grid is possible or the pictures show it."""
+    if down:
+        return (count, 1), "there is one column of cameras, counted downwards"
+    grids = [(rows, count // rows) for rows in range(2, count // 2 + 1) if count % rows == 0]
+    if not grids or len(files) != count:
+        return (1, count), "they are taken for one row, to the right in equal steps"
+    looked_at = files[:_LOOKED_AT]
+    if parallax.is_row(looked_at):
+        return (
+            1,
+            count,
+        ), "by the parallax of the pictures they stand in one row; it is taken to run to the right in equal steps"
+    proposed = [*grids[: len(grids) // 2 + 1]] if len(grids) > 6 else grids
+    options = ", ".join(f"--grid {rows}x{columns}" for rows, columns in [(1, count), *proposed])
+    told = parallax.consecutive(looked_at)
+    fit = parallax.best_order(told, [(1, count), (count, 1), *grids]) if told is not None else None
+    shows = f"; by the pictures {fit} fits" if fit else ""
+    raise LightFieldError(
+        f"{path} has {count} numbered images, in one row or in a grid: say which with one of {options} "
+        f"(grid=(rows, columns) in Python), and --order if they are not stored row by row{shows}."
+    )
