@@ -190,7 +190,7 @@ def _rivals(path: Path, found: _Found) -> str:
     mine, other = found.naming.files[0], found.rival
     if mine.parent != other.parent:
         folders = f"{mine.parent.name}, {other.parent.name}"
-        return f"{path} has several folders with images named by numbers ({folders}); give one."
+        return f"{path} has several folders with numbered images ({folders}); give one."
     return (
         f"{path} has images named in different ways: {mine.name} and {other.name}; say which are the views with "
         f'--pattern "{found.naming.pattern()}" (pattern= in Python), or move what is no view elsewhere.'
