@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import sweep_shifts
+from lfgpu.contract import Disparities, SweepCost, ViewSets, sweep_shifts
 
 Array = NDArray[np.float64]
 
@@ -59,112 +59,69 @@ def central_differences(values: Array) -> tuple[Array, Array]:
     return (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2, (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
 
 
+def rooted(difference: Array | float, softness: float) -> Array | float:
+    """A difference as it is while it is small; beyond the softness it counts by its root."""
+    return 2 * softness * (np.sqrt(1 + difference / softness) - 1) if softness > 0 else difference
+
+
+def most(cost: SweepCost) -> float:
+    """The largest cost."""
+    gradients = cost.gradient_weight * cost.gradient_truncation
+    return float((rooted(cost.truncation, cost.softness) + gradients) / (1 + cost.gradient_weight))
+
+
 class PlaneSweep:
     """The sweep over views of one light field."""
 
-    def __init__(
-        self,
-        offsets: Array,
-        view_sets: Array,
-        first: float,
-        step: float,
-        count: int,
-        scale: float,
-        truncation: float,
-        gradient_weight: float,
-        gradient_truncation: float,
-        softness: float,
-        preference: float,
-        tolerance: float,
-        least: int,
-    ) -> None:
-        self._view_sets = view_sets != 0
-        self._disparities = first + step * np.arange(count)
-        self._shifts = sweep_shifts(offsets, first=first, step=step, count=count)
+    def __init__(self, views: ViewSets, disparities: Disparities, scale: float) -> None:
+        offsets = views.offsets
+        self._view_sets = views.members != 0
+        self._disparities = disparities.first + disparities.step * np.arange(disparities.count)
+        self._shifts = sweep_shifts(offsets, disparities)
         self._others = np.flatnonzero(np.hypot(*offsets.T) > LEAST_OFFSET)
-        self._scale, self._truncation = scale, truncation
-        self._weight, self._gradient_truncation = gradient_weight, gradient_truncation
-        self._softness, self._preference, self._tolerance, self._least = softness, preference, tolerance, least
+        self._scale = scale
+        self._preference, self._tolerance, self._least = views.preference, views.tolerance, views.least
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
         self._image, self._recorded, self._valid = image, recorded, valid
 
-    def by_view_sets(self, volume_out: Array) -> None:
+    def by_view_sets(self, cost: SweepCost, volume_out: Array) -> None:
         size = (len(self._view_sets), *self._image.shape[:2])
         for label, slice_out in enumerate(volume_out):
             sums, counts = np.zeros(size), np.zeros(size)
-            for compared in self._compared(label, self._weight, self._truncation):
+            for compared in self._compared(label, cost):
                 members = self._view_sets[:, compared.view]
                 sums[members] += np.where(compared.inside, compared.cost, 0)
                 counts[members] += compared.inside
-            means = np.where(counts > 0, sums / np.maximum(counts, 1), self._most(self._weight, self._truncation))
+            means = np.where(counts > 0, sums / np.maximum(counts, 1), most(cost))
             means[1:] = means[1:] * (1 + self._preference) + PENALTY
             slice_out[:] = means.min(0)
 
-    def by_visibility(self, nearest: Array, volume_out: Array, *, truncation: float | None = None) -> None:
-        weight, truncation = (self._weight, self._truncation) if truncation is None else (0.0, truncation)
+    def by_visibility(self, nearest: Array, cost: SweepCost, volume_out: Array) -> None:
         for label, slice_out in enumerate(volume_out):
             total, count = np.zeros(slice_out.shape), np.zeros(slice_out.shape)
-            for compared in self._compared(label, weight, truncation):
+            for compared in self._compared(label, cost):
                 surface = nearest[compared.view][compared.nearest]
                 sees = compared.inside & (self._disparities[label] >= surface - self._tolerance)
                 total += np.where(sees, compared.cost, 0)
                 count += sees
-            slice_out[:] = np.where(count >= self._least, total / np.maximum(count, 1), self._most(weight, truncation))
+            slice_out[:] = np.where(count >= self._least, total / np.maximum(count, 1), most(cost))
 
-    def _most(self, weight: float, truncation: float) -> float:
-        return float((self._rooted(truncation) + weight * self._gradient_truncation) / (1 + weight))
-
-    def _rooted(self, difference: Array | float) -> Array | float:
-        """As it is while it is small; beyond the softness it counts by its root."""
-        s = self._softness
-        return 2 * s * (np.sqrt(1 + difference / s) - 1) if s > 0 else difference
-
-    def _compared(self, label: int, weight: float, truncation: float) -> Iterator[Compared]:
-        """Each view but the reference; `weight` is that of gradients, `truncation` that of intensities."""
+    def _compared(self, label: int, cost: SweepCost) -> Iterator[Compared]:
+        """Each view but the reference."""
         height, width, _ = self._image.shape
         for n in self._others:
             x, y = shifted(width, self._shifts[label, n, 0]), shifted(height, self._shifts[label, n, 1])
             difference = self._scale * bilinear(self._recorded[n], x, y) - self._image
             color = np.abs(difference).mean(2)
             gradient = np.abs(np.concatenate(central_differences(difference), axis=2)).mean(2)
-            robust = self._rooted(np.minimum(color, truncation))
-            robust += weight * np.minimum(gradient, self._gradient_truncation)
+            robust = rooted(np.minimum(color, cost.truncation), cost.softness)
+            robust += cost.gradient_weight * np.minimum(gradient, cost.gradient_truncation)
             inside, nearest = np.outer(y.inside, x.inside), tuple(np.meshgrid(y.nearest, x.nearest, indexing="ij"))
             if self._valid is not None:
                 inside &= self._valid[n][nearest] != 0
-            yield Compared(int(n), robust / (1 + weight), inside, (nearest[0], nearest[1]))
+            yield Compared(int(n), robust / (1 + cost.gradient_weight), inside, (nearest[0], nearest[1]))
 
 
-def plane_sweep(
-    shape: Sequence[int],
-    offsets: Array,
-    view_sets: Array,
-    *,
-    first: float,
-    step: float,
-    count: int,
-    scale: float,
-    truncation: float,
-    gradient_weight: float,
-    gradient_truncation: float,
-    softness: float,
-    preference: float,
-    tolerance: float,
-    least: int,
-) -> PlaneSweep:
-    return PlaneSweep(
-        offsets,
-        view_sets,
-        first,
-        step,
-        count,
-        scale,
-        truncation,
-        gradient_weight,
-        gradient_truncation,
-        softness,
-        preference,
-        tolerance,
-        least,
-    )
+def plane_sweep(shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> PlaneSweep:
+    return PlaneSweep(views, disparities, scale)

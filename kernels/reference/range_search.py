@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import UNSEEN, Details, SideCosts, sweep_shifts
+from lfgpu.contract import UNSEEN, Details, Disparities, SideCosts, sweep_shifts
 
 from .plane_sweep import bilinear, shifted
 
@@ -77,7 +77,7 @@ def side_costs(
     step: float,
     count: int,
 ) -> SideCosts:
-    shifts = sweep_shifts(offsets, first=first, step=step, count=count)
+    shifts = sweep_shifts(offsets, Disparities(first, step, count))
 
     def cost(details: Array, label: int, side: Sequence[int]) -> Array:
         found = np.stack([differences(details[n], details[reference], shifts[label, n]) for n in side])

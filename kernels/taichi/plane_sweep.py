@@ -12,7 +12,7 @@ import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
-from lfgpu.contract import PlaneSweep, sweep_shifts
+from lfgpu.contract import Disparities, PlaneSweep, SweepCost, ViewSets, sweep_shifts
 
 from .memory import DeviceArray, doubles, empty, flat, numpy, optional
 from .runtime import on_cpu, once, run
@@ -256,33 +256,20 @@ def _table(values: NDArray[Any]) -> DeviceArray:
 class _PlaneSweep:
     """Which views are shifted by how much, in the order of their view_sets."""
 
-    def __init__(
-        self,
-        shape: Sequence[int],
-        offsets: DeviceArray,
-        view_sets: DeviceArray,
-        first: float,
-        step: float,
-        count: int,
-        scale: float,
-        limits: tuple[float, float, float, float],
-        preference: float,
-        tolerance: float,
-        least: int,
-    ) -> None:
-        self._shape, self._scale, self._limits = tuple(shape), scale, limits
-        self._preference, self._least = preference, float(least)
-        places, belongs = numpy(offsets), numpy(view_sets).T != 0
+    def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, scale: float) -> None:
+        self._shape, self._scale = tuple(shape), scale
+        self._preference, self._least = views.preference, float(views.least)
+        places, belongs = numpy(views.offsets), numpy(views.members).T != 0
         others = np.flatnonzero(np.hypot(*places.T) > _LEAST_OFFSET)
         others = others[np.lexsort(belongs[others].T)]
-        shifts = sweep_shifts(places[others], first=first, step=step, count=count)
+        shifts, count = sweep_shifts(places[others], disparities), disparities.count
         whole, members = np.floor(shifts), belongs[others]
         ends = np.any(members != np.roll(members, -1, axis=0), axis=1)
-        views = np.broadcast_to(others[:, None], (count, len(others), 1))
+        numbers = np.broadcast_to(others[:, None], (count, len(others), 1))
         self._views, self._view_sets = len(others), belongs.shape[1]
-        self._shifts = _table(np.concatenate([views, whole, shifts - whole], axis=2))
+        self._shifts = _table(np.concatenate([numbers, whole, shifts - whole], axis=2))
         self._members = _table(np.concatenate([members, ends[:, None]], axis=1))
-        self._deepest = [float(d) for d in first + step * np.arange(count) + tolerance]
+        self._deepest = [float(d) for d in disparities.first + disparities.step * np.arange(count) + views.tolerance]
         _, height, width, channels = self._shape
         self._batch = max(1, min(self._views, _TOGETHER_CPU if on_cpu() else _TOGETHER))
         self._block = _BLOCK if on_cpu() else 1
@@ -300,22 +287,22 @@ class _PlaneSweep:
         run(_planes_kernel(channels, recorded.scalar), recorded.values, height * width, self._recorded.values)
         self._valid = valid
 
-    def by_view_sets(self, volume_out: DeviceArray) -> None:
-        self._sweep(None, self._view_sets, 1.0, None, volume_out)
+    def by_view_sets(self, cost: SweepCost, volume_out: DeviceArray) -> None:
+        self._sweep(None, self._view_sets, 1.0, cost, volume_out)
 
-    def by_visibility(self, nearest: DeviceArray, volume_out: DeviceArray, *, truncation: float | None = None) -> None:
-        self._sweep(nearest, 1, self._least, truncation, volume_out)
+    def by_visibility(self, nearest: DeviceArray, cost: SweepCost, volume_out: DeviceArray) -> None:
+        self._sweep(nearest, 1, self._least, cost, volume_out)
 
     def _sweep(
         self,
         nearest: DeviceArray | None,
         sets: int,
         least: float,
-        truncation: float | None,
+        cost: SweepCost,
         volume_out: DeviceArray,
     ) -> None:
-        gradients = truncation is None
-        limits = self._limits if truncation is None else (truncation, 0.0, 0.0, self._limits[3])
+        gradients = cost.gradient_weight > 0
+        limits = cost.truncation, cost.gradient_weight, cost.gradient_truncation, cost.softness
         _, height, width, channels = self._shape
         (mask, masked), (surface, seen) = optional(self._valid), optional(nearest)
         differ = _difference_kernel(self._recorded.scalar, self._block)
@@ -352,22 +339,5 @@ class _PlaneSweep:
             )
 
 
-def plane_sweep(
-    shape: Sequence[int],
-    offsets: DeviceArray,
-    view_sets: DeviceArray,
-    *,
-    first: float,
-    step: float,
-    count: int,
-    scale: float,
-    truncation: float,
-    gradient_weight: float,
-    gradient_truncation: float,
-    softness: float,
-    preference: float,
-    tolerance: float,
-    least: int,
-) -> PlaneSweep:
-    limits = truncation, gradient_weight, gradient_truncation, softness
-    return _PlaneSweep(shape, offsets, view_sets, first, step, count, scale, limits, preference, tolerance, least)
+def plane_sweep(shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> PlaneSweep:
+    return _PlaneSweep(shape, views, disparities, scale)

@@ -7,7 +7,7 @@ import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
 
-from lfgpu.contract import UNSEEN, Details, SideCosts, sweep_shifts
+from lfgpu.contract import UNSEEN, Details, Disparities, SideCosts, sweep_shifts
 
 from .memory import DeviceArray, doubles, empty, flat, optional
 from .plane_sweep import shift_of, within
@@ -205,7 +205,7 @@ def side_costs(
     start(device)
     _, height, width = shape
     views = np.concatenate([np.asarray(side, np.int64) for line in lines for side in line])
-    chosen = sweep_shifts(offsets, first=first, step=step, count=count)[:, views]
+    chosen = sweep_shifts(offsets, Disparities(first, step, count))[:, views]
     whole = np.floor(chosen)
     shifts = doubles(np.concatenate([np.broadcast_to(views, chosen.shape[:2])[..., None], whole, chosen - whole], 2))
     sums, parts = (empty((count, height, width)) for _ in range(2))

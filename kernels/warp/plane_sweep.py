@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from lfgpu.contract import PlaneSweep, sweep_shifts
+from lfgpu.contract import Disparities, PlaneSweep, SweepCost, ViewSets, sweep_shifts
 
 from . import cpu_plane_sweep
 from .gpu_plane_sweep import BLOCK, kept_type, mark_kernel, pack_kernel, sweep_kernel, threads_of
@@ -22,35 +22,26 @@ from .threads import in_slices, launch, load, slices
 wp.set_module_options({"enable_backward": False})
 
 _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
-_SOFTNESS = 4  # its place in the kernels' numbers
 _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 
 
 class _PlaneSweep:
     """Which views are shifted by how much, in the order of their view_sets, and the views as the device likes them."""
 
-    def __init__(
-        self,
-        shape: Sequence[int],
-        offsets: Any,
-        view_sets: Any,
-        first: float,
-        step: float,
-        count: int,
-        tolerance: float,
-        least: int,
-        numbers: list[float],
-    ) -> None:
-        self._shape, self._device, self._numbers = tuple(shape), offsets.device, numbers
-        self._least = float(least)
+    def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, scale: float) -> None:
+        offsets: Any = views.offsets
+        view_sets: Any = views.members
+        self._shape, self._device, self._scale = tuple(shape), offsets.device, scale
+        self._least, self._preference = float(views.least), views.preference
         places, belongs = offsets.numpy(), view_sets.numpy() != 0
-        self._view_sets, self._count = len(belongs), count
+        self._view_sets, self._count = len(belongs), disparities.count
         bits = np.left_shift(np.uint32(1), np.arange(len(belongs), dtype=np.uint32))
         members = (belongs * bits[:, None]).sum(0, dtype=np.uint32)
         others = np.flatnonzero(np.hypot(*places.T) > _LEAST_OFFSET)
         others = others[np.argsort(members[others], kind="stable")]
-        shifts = sweep_shifts(places[others], first=first, step=step, count=count)
-        whole, deepest = np.floor(shifts), first + step * np.arange(count) + tolerance
+        shifts = sweep_shifts(places[others], disparities)
+        deepest = disparities.first + disparities.step * np.arange(disparities.count) + views.tolerance
+        whole = np.floor(shifts)
         self._groups = max(1, len(np.unique(members[others])))
         self._farthest = int(np.abs(whole[..., 0]).max(initial=0))
         self._order = self._array(others.astype(np.int32), int)
@@ -80,7 +71,7 @@ class _PlaneSweep:
             launch(self._loading.views, last - first, [some, self._margin], [kept], device="cpu")
 
         in_slices(self._device, len(recorded), some_views)
-        launch(self._loading.image, image.shape, [image, self._numbers[0]], [self._image], device="cpu")
+        launch(self._loading.image, image.shape, [image, self._scale], [self._image], device="cpu")
 
     def _prepare(self, stored: Any) -> None:
         """Allocate for views of scalar type `stored`, the first time and when that changes."""
@@ -100,11 +91,11 @@ class _PlaneSweep:
         size = cpu_plane_sweep.room_of(channels, self._groups)
         self._room = wp.empty((len(slices(self._device, height)), size), dtype=float, device="cpu")
 
-    def by_view_sets(self, volume_out: Any) -> None:
-        self._sweep(None, self._members, (self._groups, self._view_sets), 1.0, None, volume_out)
+    def by_view_sets(self, cost: SweepCost, volume_out: Any) -> None:
+        self._sweep(None, self._members, (self._groups, self._view_sets), 1.0, cost, volume_out)
 
-    def by_visibility(self, nearest: Any, volume_out: Any, *, truncation: float | None = None) -> None:
-        self._sweep(nearest, self._together, (1, 1), self._least, truncation, volume_out)
+    def by_visibility(self, nearest: Any, cost: SweepCost, volume_out: Any) -> None:
+        self._sweep(nearest, self._together, (1, 1), self._least, cost, volume_out)
 
     def _sweep(
         self,
@@ -112,18 +103,15 @@ class _PlaneSweep:
         members: Any,
         counts: tuple[int, int],
         least: float,
-        truncation: float | None,
+        cost: SweepCost,
         volume_out: Any,
     ) -> None:
-        """`members` says of each view in which view sets it is; `counts` are those of groups of views and of sets.
-
-        With a `truncation`, only intensities are compared.
-        """
+        """`members` says of each view in which view sets it is; `counts` are those of groups of views and of sets."""
         _, height, width, channels = self._shape
         groups, sets = counts
-        gradients = truncation is None
-        numbers = self._numbers if gradients else [self._numbers[0], truncation, 0.0, *self._numbers[3:]]
-        rooted = self._numbers[_SOFTNESS] > 0
+        gradients, rooted = cost.gradient_weight > 0, cost.softness > 0
+        numbers = [self._scale, cost.truncation, cost.gradient_weight, cost.gradient_truncation, cost.softness]
+        numbers.append(self._preference)
         if not self._device.is_cpu:
             seen = nearest is not None
             if seen:
@@ -152,23 +140,5 @@ class _PlaneSweep:
         launch(self._mark, self._marks.size, inputs, [self._marks.flatten()], device=self._device)
 
 
-def plane_sweep(
-    shape: Sequence[int],
-    offsets: Any,
-    view_sets: Any,
-    *,
-    first: float,
-    step: float,
-    count: int,
-    scale: float,
-    truncation: float,
-    gradient_weight: float,
-    gradient_truncation: float,
-    softness: float,
-    preference: float,
-    tolerance: float,
-    least: int,
-) -> PlaneSweep:
-    # In the order of the kernels' parameters: _SOFTNESS says where that is.
-    numbers = [scale, truncation, gradient_weight, gradient_truncation, softness, preference]
-    return _PlaneSweep(shape, offsets, view_sets, first, step, count, tolerance, least, numbers)
+def plane_sweep(shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> PlaneSweep:
+    return _PlaneSweep(shape, views, disparities, scale)

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from lfgpu.contract import UNSEEN, Details, SideCosts, sweep_shifts
+from lfgpu.contract import UNSEEN, Details, Disparities, SideCosts, sweep_shifts
 
 from .cost_volume import code
 from .memory import pixel_type, start
@@ -435,7 +435,7 @@ def side_costs(
     count: int,
 ) -> SideCosts:
     start()
-    return _SideCosts(shape, sweep_shifts(offsets, first=first, step=step, count=count), lines, device, reference)
+    return _SideCosts(shape, sweep_shifts(offsets, Disparities(first, step, count)), lines, device, reference)
 
 
 # --- minima ---

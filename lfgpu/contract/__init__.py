@@ -14,7 +14,17 @@ from lfgpu.contract.arrays import Array, Float32Array, Float64Array, Scalar
 from lfgpu.contract.backend import KernelSet
 from lfgpu.contract.device import Device
 from lfgpu.contract.images import REDUCTION, SMOOTHING_REACH, WHITE, Normalization
-from lfgpu.contract.matching import GRADIENT_REACH, REACH, Alignment, PlaneSweep, ZBuffer, sweep_shifts
+from lfgpu.contract.matching import (
+    GRADIENT_REACH,
+    REACH,
+    Alignment,
+    Disparities,
+    PlaneSweep,
+    SweepCost,
+    ViewSets,
+    ZBuffer,
+    sweep_shifts,
+)
 from lfgpu.contract.prior import NlmWeights, OverPatch, PatchGradients, half_window
 from lfgpu.contract.range_search import UNSEEN, Details, SideCosts
 from lfgpu.contract.recording import Recording
@@ -35,6 +45,7 @@ __all__ = [
     "DataTerm",
     "Details",
     "Device",
+    "Disparities",
     "Float32Array",
     "Float64Array",
     "KernelSet",
@@ -56,7 +67,9 @@ __all__ = [
     "SplatDataTerm",
     "Streaming",
     "StructureFilters",
+    "SweepCost",
     "Transport",
+    "ViewSets",
     "ZBuffer",
     "half_window",
     "sweep_shifts",

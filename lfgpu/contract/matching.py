@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,10 +18,66 @@ REACH = 3
 """Pixels from one to the farthest ones that `Matching.refine_boundaries` looks at."""
 
 
+@dataclass(frozen=True)
+class Disparities:
+    """Disparities d_l = first + l * step, l < count, pixels per view step."""
+
+    first: float
+    step: float
+    count: int
+
+
+@dataclass(frozen=True)
+class SweepCost:
+    """The cost of a difference between a view and the reference view; `PlaneSweep` has the formula.
+
+    Parameters
+    ----------
+    truncation
+        Larger differences in intensity count as this one, >= 0.
+    gradient_weight
+        Weight of image gradients against intensities, >= 0; at 0 only intensities are compared.
+    gradient_truncation
+        Larger differences in image gradients count as this one, intensity per pixel, >= 0.
+    softness
+        Larger differences in intensity count by their square root, >= 0; 0 counts all as they are.
+    """
+
+    truncation: float
+    gradient_weight: float = 0.0
+    gradient_truncation: float = 0.0
+    softness: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSets:
+    """The views of a sweep: their cameras, sets of them, and the views that are enough.
+
+    Parameters
+    ----------
+    offsets
+        A field [n, 2]: (du, dv) of each view, in view steps.
+    members
+        A field [m, n] of 1 and 0: the views of each set, m <= 32; row 0 is all 1.
+    preference
+        Share by which the mean cost of all views but the first set is raised, >= 0.
+    tolerance
+        A surface hides only what lies behind it by more, pixels per view step, >= 0.
+    least
+        Views that must see a pixel past a surface, >= 1.
+    """
+
+    offsets: Array
+    members: Array
+    preference: float
+    tolerance: float
+    least: int
+
+
 class PlaneSweep(Protocol):
     """How well the views agree with the reference view if all of the scene lay at one disparity, for a row of them.
 
-    Planned for light fields of one kind: views [n, y, x, c], disparities d_l = first + l * step, l < count. With
+    Planned for light fields of one kind: views [n, y, x, c] and `Disparities` d_l; each call has a `SweepCost`. With
     W_n(p) = scale * recorded_n at p - d_l o_n (bilinear, the position moved into the frame), D = W_n - I and G its
     central differences in x and y, (D(p + 1) - D(p - 1)) / 2 with the border pixels of D repeated,
 
@@ -38,7 +95,7 @@ class PlaneSweep(Protocol):
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
         """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None."""
 
-    def by_view_sets(self, volume_out: Array) -> None:
+    def by_view_sets(self, cost: SweepCost, volume_out: Array) -> None:
         """volume [l, y, x]: the smallest of the mean costs over the view sets.
 
         The mean cost of a set is that of c_n over the views of the set that take part. The first set, all views, counts
@@ -46,12 +103,11 @@ class PlaneSweep(Protocol):
         nearer surface hides p from some views, a set without these views still sees it.
         """
 
-    def by_visibility(self, nearest: Array, volume_out: Array, *, truncation: float | None = None) -> None:
+    def by_visibility(self, nearest: Array, cost: SweepCost, volume_out: Array) -> None:
         """volume [l, y, x]: the mean cost over the views that see p at d_l past the surface in `nearest` [n, y, x].
 
         It is the mean of c_n over the views that take part and for which d_l >= nearest_n - tolerance at the pixel
-        nearest to p - d_l o_n; with fewer than `least` of them, the most there is. See `KernelSet.z_buffer`. With a
-        `truncation`, this one counts, and w = 0: only intensities are compared.
+        nearest to p - d_l o_n; with fewer than `least` of them, the most there is. See `KernelSet.z_buffer`.
         """
 
 
@@ -100,26 +156,12 @@ class Matching(Protocol):
     def plane_sweep(
         self,
         shape: Sequence[int],
-        offsets: Array,
-        view_sets: Array,
+        views: ViewSets,
+        disparities: Disparities,
         *,
-        first: float,
-        step: float,
-        count: int,
         scale: float,
-        truncation: float,
-        gradient_weight: float,
-        gradient_truncation: float,
-        softness: float,
-        preference: float,
-        tolerance: float,
-        least: int,
     ) -> PlaneSweep:
-        """Plan a sweep over views of `shape` [n, y, x, c]; `view_sets` [m, n] is a field of 1 and 0, row 0 all 1.
-
-        There are at most 32 view_sets; truncations, weight, softness, preference and tolerance are >= 0, `count` and
-        `least` > 0. What `offsets` and `view_sets` hold is read once, when the sweep is planned.
-        """
+        """Plan a sweep over views of `shape` [n, y, x, c]; the fields in `views` are read once."""
 
     def z_buffer(self, shape: Sequence[int], offsets: Array, *, reach: int) -> ZBuffer:
         """Plan the nearest surfaces of views of `shape` [n, y, x, c]; `reach` is in pixels, 0 to 100."""
@@ -260,10 +302,10 @@ class Matching(Protocol):
         """
 
 
-def sweep_shifts(offsets: NDArray[Any], *, first: float, step: float, count: int) -> Float64Array:
-    """What a plane sweep adds to positions, [l, n, 2] in x and y: -d_l o_n, d_l = first + l * step, l < count.
+def sweep_shifts(offsets: NDArray[Any], disparities: Disparities) -> Float64Array:
+    """What a plane sweep adds to positions, [l, n, 2] in x and y: -d_l o_n.
 
     Rounded to whole multiples of 2^-16: position and shift then add up exactly, and a shift that should be whole is.
     """
-    disparities = first + step * np.arange(count)
-    return -np.rint(2.0**16 * disparities[:, None, None] * np.asarray(offsets, np.float64)) / 2.0**16
+    d = disparities.first + disparities.step * np.arange(disparities.count)
+    return -np.rint(2.0**16 * d[:, None, None] * np.asarray(offsets, np.float64)) / 2.0**16

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,27 +12,48 @@ from checks import Desk, Operation, Outputs, Values, adjoint_tolerance, compute,
 from programs import Program
 from sweep_cases import sides
 
-from lfgpu.contract import KernelSet
+from lfgpu.contract import Disparities, KernelSet, PlaneSweep, SweepCost, ViewSets
 
 VOLUMES = "view_sets", "seen", "intensities"
 INTENSITY_TRUNCATION = 0.12  # of the last one
 
 
+def planned(
+    kernels: KernelSet,
+    shape: Sequence[int],
+    offsets: Any,
+    view_sets: Any,
+    *,
+    first: float,
+    step: float,
+    count: int,
+    scale: float,
+    preference: float,
+    tolerance: float,
+    least: int,
+    **cost: float,
+) -> tuple[PlaneSweep, SweepCost]:
+    """The sweep and the cost that the options of a case describe."""
+    views = ViewSets(offsets, view_sets, preference, tolerance, least)
+    return kernels.plane_sweep(shape, views, Disparities(first, step, count), scale=scale), SweepCost(**cost)
+
+
 def plane_sweep(desk: Desk, i: SimpleNamespace) -> Outputs:
     """All volumes after those of another light field, which leave no trace."""
     offsets, view_sets = desk.field(i.offsets), desk.field(i.view_sets)
-    plan = desk.kernels.plane_sweep(i.recorded.shape, offsets, view_sets, **i.options)
+    plan, cost = planned(desk.kernels, i.recorded.shape, offsets, view_sets, **i.options)
+    intensities = SweepCost(INTENSITY_TRUNCATION, softness=cost.softness)
     shape = (i.options["count"], *i.image.shape[:2])
     out = {name: desk.out(shape) for name in VOLUMES}
     other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
     plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
-    plan.by_visibility(desk.field(i.nearest[:, ::-1]), out["view_sets"])
-    plan.by_visibility(desk.field(i.nearest[:, ::-1]), out["seen"], truncation=INTENSITY_TRUNCATION)
-    plan.by_view_sets(out["intensities"])
+    plan.by_visibility(desk.field(i.nearest[:, ::-1]), cost, out["view_sets"])
+    plan.by_visibility(desk.field(i.nearest[:, ::-1]), intensities, out["seen"])
+    plan.by_view_sets(cost, out["intensities"])
     plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
-    plan.by_view_sets(out["view_sets"])
-    plan.by_visibility(desk.field(i.nearest), out["seen"])
-    plan.by_visibility(desk.field(i.nearest), out["intensities"], truncation=INTENSITY_TRUNCATION)
+    plan.by_view_sets(cost, out["view_sets"])
+    plan.by_visibility(desk.field(i.nearest), cost, out["seen"])
+    plan.by_visibility(desk.field(i.nearest), intensities, out["intensities"])
     return out
 
 
@@ -114,7 +136,8 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
     views, offsets = values["recorded"], values["offsets"]
     inputs = {name: kernels.image(values[name], device) for name in ("image", "recorded")}
     inputs |= {name: kernels.field(values[name], device) for name in ("valid", "nearest")}
-    plan = kernels.plane_sweep(
+    plan, cost = planned(
+        kernels,
         views.shape,
         kernels.field(offsets, device),
         kernels.field(sides(offsets, 4), device),
@@ -131,12 +154,13 @@ def sweeping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
         least=1,
     )
     shape = (5, *views.shape[1:3])
+    intensities = SweepCost(INTENSITY_TRUNCATION, softness=cost.softness)
     volumes = {name: kernels.zeros(shape, device) for name in VOLUMES}
 
     def work() -> None:
         plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
-        plan.by_view_sets(volumes["view_sets"])
-        plan.by_visibility(inputs["nearest"], volumes["seen"])
-        plan.by_visibility(inputs["nearest"], volumes["intensities"], truncation=INTENSITY_TRUNCATION)
+        plan.by_view_sets(cost, volumes["view_sets"])
+        plan.by_visibility(inputs["nearest"], cost, volumes["seen"])
+        plan.by_visibility(inputs["nearest"], intensities, volumes["intensities"])
 
     return Program(inputs, work, volumes)

@@ -28,7 +28,7 @@ from ways_to_be_wrong import (
     zeroed,
 )
 
-from lfgpu.contract import KernelSet
+from lfgpu.contract import KernelSet, SweepCost
 
 CASE = SweepCase("any", offsets=IRREGULAR, masked=True, least=2)
 WITH_REFERENCE = replace(CASE, offsets=(*IRREGULAR, (0.0, 0.0)))
@@ -83,13 +83,24 @@ def seeing(change: Callable[[np.ndarray], np.ndarray]) -> Callable[..., Any]:
     return method("by_visibility", argument(0, change))
 
 
-def truncated(change: Callable[[float | None], float | None]) -> Callable[..., Any]:
-    """The sweep of what is seen is asked for another truncation of intensities alone, or for none."""
+def costs(change: Callable[[SweepCost], SweepCost]) -> Callable[..., Any]:
+    """All sweeps are given another cost."""
 
     def broken(right: Callable[..., Any]) -> Callable[..., Any]:
-        return lambda *arrays, truncation=None: right(*arrays, truncation=change(truncation))
+        return lambda *arguments: right(*arguments[:-2], change(arguments[-2]), arguments[-1])
 
-    return method("by_visibility", broken)
+    return lambda right: method("by_view_sets", broken)(method("by_visibility", broken)(right))
+
+
+def with_gradients(cost: SweepCost) -> SweepCost:
+    return replace(
+        cost, gradient_weight=cost.gradient_weight or 0.5, gradient_truncation=cost.gradient_truncation or 0.1
+    )
+
+
+def field(index: int, name: str, change: Callable[[Any], Any]) -> Callable[..., Any]:
+    """A field of an argument of the plan is another one."""
+    return argument(index, lambda given: replace(given, **{name: change(getattr(given, name))}))
 
 
 def within(name: str, value: Any) -> Callable[..., Any]:
@@ -141,29 +152,34 @@ HALVES = value_of(replace(CASE, first=-1.5, step=1.0, count=4, offsets=((1.0, 0.
 
 NAME = "plane_sweep"
 FAULTS = (
-    Fault("against the convention of signs", NAME, argument(1, np.negative), SIDE),
-    Fault("rows and columns of offsets exchanged", NAME, argument(1, swapped), VALUE),
-    Fault("begins a little later", NAME, option("first", lambda d: d + 1e-3), VALUE),
-    Fault("all disparities the same", NAME, option("step", lambda _: 0.0), VALUE),
+    Fault("against the convention of signs", NAME, field(1, "offsets", np.negative), SIDE),
+    Fault("rows and columns of offsets exchanged", NAME, field(1, "offsets", swapped), VALUE),
+    Fault("begins a little later", NAME, field(2, "first", lambda d: d + 1e-3), VALUE),
+    Fault("all disparities the same", NAME, field(2, "step", lambda _: 0.0), VALUE),
     Fault("scale ignored", NAME, option("scale", lambda _: 1.0), VALUE),
-    Fault("no truncation", NAME, option("truncation", lambda _: 1e9), VALUE),
-    Fault("no truncation of gradients", NAME, option("gradient_truncation", lambda _: 1e9), VALUE),
-    Fault("a little more of gradients", NAME, option("gradient_weight", lambda w: 1.01 * w), VALUE),
-    Fault("softness ignored", NAME, option("softness", lambda _: 0.0), VALUE),
-    Fault("a little softer", NAME, option("softness", lambda s: 0.99 * s), VALUE),
-    Fault("preference ignored", NAME, option("preference", lambda _: 0.0), VALUE),
-    Fault("tolerance ignored", NAME, option("tolerance", lambda _: 0.0), VALUE),
-    Fault("one is enough", NAME, option("least", lambda _: 1), VALUE),
-    Fault("one more is needed", NAME, option("least", lambda least: least + 1), VALUE),
+    Fault("no truncation", NAME, costs(lambda cost: replace(cost, truncation=1e9)), VALUE),
+    Fault("no truncation of gradients", NAME, costs(lambda cost: replace(cost, gradient_truncation=1e9)), VALUE),
+    Fault(
+        "a little more of gradients",
+        NAME,
+        costs(lambda cost: replace(cost, gradient_weight=1.01 * cost.gradient_weight)),
+        VALUE,
+    ),
+    Fault("softness ignored", NAME, costs(lambda cost: replace(cost, softness=0.0)), VALUE),
+    Fault("a little softer", NAME, costs(lambda cost: replace(cost, softness=0.99 * cost.softness)), VALUE),
+    Fault("preference ignored", NAME, field(1, "preference", lambda _: 0.0), VALUE),
+    Fault("tolerance ignored", NAME, field(1, "tolerance", lambda _: 0.0), VALUE),
+    Fault("one is enough", NAME, field(1, "least", lambda _: 1), VALUE),
+    Fault("one more is needed", NAME, field(1, "least", lambda least: least + 1), VALUE),
     Fault("nothing hides anything", NAME, seeing(lambda nearest: np.full_like(nearest, -1e6)), VALUE),
     Fault("surfaces of other views", NAME, seeing(lambda nearest: np.roll(nearest, 1, axis=0)), VALUE),
     Fault("surfaces one pixel off", NAME, seeing(lambda nearest: np.roll(nearest, 1, axis=2)), VALUE),
     Fault("nothing hides anything, seen in a program", NAME, seeing(lambda nearest: nearest - 3), PROGRAM),
-    Fault("first view_set only", NAME, argument(2, lambda a: a[:1]), VALUE),
-    Fault("last view_set skipped", NAME, argument(2, lambda a: a[:-1]), GRID),
-    Fault("all in all view_sets", NAME, argument(2, np.ones_like), VALUE),
-    Fault("all in all view_sets, seen by one side", NAME, argument(2, np.ones_like), SIDE),
-    Fault("reference view counts", NAME, argument(1, lambda o: np.where(o == 0, 0.002, o)), REFERENCE_THERE),
+    Fault("first view_set only", NAME, field(1, "members", lambda a: a[:1]), VALUE),
+    Fault("last view_set skipped", NAME, field(1, "members", lambda a: a[:-1]), GRID),
+    Fault("all in all view_sets", NAME, field(1, "members", np.ones_like), VALUE),
+    Fault("all in all view_sets, seen by one side", NAME, field(1, "members", np.ones_like), SIDE),
+    Fault("reference view counts", NAME, field(1, "offsets", lambda o: np.where(o == 0, 0.002, o)), REFERENCE_THERE),
     Fault("no penalty", NAME, within("PENALTY", 0.0), VALUE),
     Fault("forward differences", NAME, within("central_differences", forward_differences), VALUE),
     Fault("differences around the border", NAME, within("central_differences", wrapped_around), VALUE),
@@ -182,9 +198,11 @@ FAULTS = (
     Fault("last disparity skipped", NAME, output("by_view_sets", zeroed(-1)), VALUE),
     Fault("last row skipped", NAME, output("by_visibility", zeroed(np.s_[:, -1])), VALUE),
     Fault("adds to its output", NAME, method("by_view_sets", adding), VALUE),
-    Fault("gradients where there should be none", NAME, truncated(lambda _: None), VALUE),
-    Fault("intensities truncated a little later", NAME, truncated(lambda given: given and 1.01 * given), VALUE),
-    Fault("gradients left out everywhere", NAME, truncated(lambda given: given or 0.3), VALUE),
+    Fault("gradients where there should be none", NAME, costs(with_gradients), VALUE),
+    Fault(
+        "intensities truncated a little later", NAME, costs(lambda c: replace(c, truncation=1.01 * c.truncation)), VALUE
+    ),
+    Fault("gradients left out everywhere", NAME, costs(lambda c: replace(c, gradient_weight=0.0)), VALUE),
     Fault("adds to what is seen", NAME, method("by_visibility", adding), VALUE),
 )
 

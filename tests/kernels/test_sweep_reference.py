@@ -12,7 +12,7 @@ from checks import compute
 from sweep_cases import SWEEP_CASES, SweepCase, sweep_inputs
 from test_reference import REFERENCE
 
-from lfgpu.contract import sweep_shifts
+from lfgpu.contract import Disparities, sweep_shifts
 
 SMALL = [case for case in SWEEP_CASES if math.prod(case.size) <= 200]
 PIXELS = 4  # of each case are computed
@@ -111,7 +111,7 @@ def test_cases_reach_what_they_should(rng: np.random.Generator) -> None:
 
 def test_shifts_that_should_be_whole_are() -> None:
     """0.1 * 30 is not 3 in floating point."""
-    shifts = sweep_shifts(np.array([[1.0, -2.0], [0.5, 0.0]]), first=-3.0, step=0.1, count=61)
+    shifts = sweep_shifts(np.array([[1.0, -2.0], [0.5, 0.0]]), Disparities(-3.0, 0.1, 61))
     assert shifts.shape == (61, 2, 2)
     np.testing.assert_array_equal(shifts[::10, 0, 0], [3, 2, 1, 0, -1, -2, -3])
     np.testing.assert_array_equal(shifts[::5, 0, 1], np.arange(-6, 7))

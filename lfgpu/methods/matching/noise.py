@@ -14,7 +14,7 @@ from lfgpu.data.channels import mean_of_channels
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.windows import window_max, window_mean, window_min
 from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
-from lfgpu.methods.matching.sweep import labels, planned_sweep, used_views
+from lfgpu.methods.matching.sweep import labels, planned_sweep, sweep_cost, used_views
 from lfgpu.methods.prior import UNLIKE_ANY
 
 _Stage = TypeVar("_Stage", bound=Section)
@@ -93,7 +93,7 @@ def measured_noise(
     lf = lf.subset(used_views(lf.layout, "cross"))
     place = labels(bounds, lf.offsets, config)
     shape, scale = (len(lf.views), *lf.size, lf.channels), lf.scale if deviation is None else 1 / WHITE
-    sweep = planned_sweep(shape, lf.offsets, place, config, device, scale=scale, gradient_weight=config.gradient_weight)
+    sweep = planned_sweep(shape, lf.offsets, place, config, device, scale=scale)
     volume = device.zeros((place[2], *lf.size))
     views, image = device.image(lf.views), device.zeros_image((*lf.size, lf.channels))
     valid = None if lf.valid is None else device.field(lf.valid)
@@ -102,7 +102,7 @@ def measured_noise(
         kernels.smooth_views(recorded, valid, scale=lf.scale, deviation=deviation, views_out=views)
     kernels.intensities(views, lf.reference_index, valid, scale=scale, fill=UNLIKE_ANY, image_out=image)
     sweep.load(image, views, valid)
-    sweep.by_view_sets(volume)
+    sweep.by_view_sets(sweep_cost(config, config.gradient_weight), volume)
     least, negative = (device.zeros(lf.size) for _ in range(2))
     kernels.least_costs(volume, least_out=least)
     kernels.axpby(-1.0, volume, 0.0, volume, volume)

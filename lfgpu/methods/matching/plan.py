@@ -24,7 +24,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfgpu.contract import REDUCTION, WHITE, Array, Device, Float32Array
+from lfgpu.contract import REDUCTION, WHITE, Array, Device, Float32Array, SweepCost
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.windows import window_min
 from lfgpu.errors import LightFieldError
@@ -45,6 +45,7 @@ from lfgpu.methods.matching.sweep import (
     middle_views,
     noise_cost,
     planned_sweep,
+    sweep_cost,
     swept_views,
     used_views,
 )
@@ -140,6 +141,9 @@ class MatchingPlan:
             self._few = SomeViews(some, chosen, device, stored=stored, masked=self.may_be_masked)
             few = some.subset(chosen)
         self._few_shape, self._few_offsets = (few.count, *shape[1:]), few.offsets
+        self._first_cost = sweep_cost(config.sweep, config.sweep.gradient_weight)
+        self._last_cost = sweep_cost(config.sweep, config.sweep.resweep_gradient_weight)
+        self._middle_cost = SweepCost(config.sweep.resweep_truncation, softness=self._last_cost.softness)
         self._sweep = planned_sweep(
             self._few_shape,
             self._few_offsets,
@@ -147,7 +151,6 @@ class MatchingPlan:
             config.sweep,
             device,
             scale=self._unit,
-            gradient_weight=config.sweep.gradient_weight,
         )
         self._reduced = None
         if config.sweep.reduced_weight > 0 and min(layout.size) >= _LEAST_REDUCED * REDUCTION:
@@ -252,7 +255,7 @@ class MatchingPlan:
 
     def _compare(self, views: Array) -> None:
         self._load(views)
-        self._sweep.by_view_sets(self._volume)
+        self._sweep.by_view_sets(self._first_cost, self._volume)
         if self._reduced is not None:
             self._reduced.add(self._volume)
         self._find_surface(self._swept)
@@ -296,13 +299,13 @@ class MatchingPlan:
 
     def _compare_visible(self, _: Callback | None) -> None:
         assert self._resweep is not None  # there is no such stage otherwise
-        middle, truncation = self._middle or self._resweep, self._config.sweep.resweep_truncation
+        middle = self._middle or self._resweep
         surface, reach = self._hiding(self._swept, self._first_evidence), 0
         for _again in range(self._resweeps - 1):
-            middle(surface, self._volume, reach=reach, truncation=truncation)
+            middle(surface, self._volume, reach=reach, cost=self._middle_cost)
             self._find_surface(self._matched, again=True)
             surface, reach = self._hiding(self._matched), _BESIDE
-        self._resweep(surface, self._volume, reach=reach)
+        self._resweep(surface, self._volume, reach=reach, cost=self._last_cost)
         self._find_surface(self._matched, again=True)
 
     def _hiding(self, surface: Array, evidence: Array | None = None) -> Array:
@@ -461,7 +464,6 @@ class MatchingPlan:
             config,
             device,
             scale=self._unit,
-            gradient_weight=config.resweep_gradient_weight,
         )
         return VisibleSweep(sweep, shape, device.field(layout.offsets), nearest, kernels, reaches=reaches, some=some)
 

@@ -7,7 +7,7 @@ import numpy as np
 from lfgpu.contract import REDUCTION, WHITE, Array, Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.matching.config import SweepConfig
-from lfgpu.methods.matching.sweep import planned_sweep
+from lfgpu.methods.matching.sweep import planned_sweep, sweep_cost
 from lfgpu.methods.prior import UNLIKE_ANY
 
 _BESIDE = 1  # reduced pixels from an edge that are beside it
@@ -53,6 +53,7 @@ class ReducedSweep:
         self._valid = device.zeros(shape[:3])
         self._volume = device.zeros((place[2], height, width))
         # A disparity moves what is seen in a reduced view by so many of its pixels less.
+        self._cost = sweep_cost(config, config.gradient_weight)
         self._sweep = planned_sweep(
             shape,
             layout.offsets / REDUCTION,
@@ -60,7 +61,6 @@ class ReducedSweep:
             config,
             device,
             scale=1 / WHITE,
-            gradient_weight=config.gradient_weight,
         )
 
     def load(self, views: Array, valid: Array | None) -> None:
@@ -74,5 +74,5 @@ class ReducedSweep:
 
     def add(self, volume: Array) -> None:
         """Add the costs over view sets to a volume [l, y, x]."""
-        self._sweep.by_view_sets(self._volume)
+        self._sweep.by_view_sets(self._cost, self._volume)
         self._kernels.add_reduced(self._volume, self._shares, weight=self._weight, volume_inout=volume)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lfgpu.contract import Device, Float64Array, PlaneSweep
+from lfgpu.contract import Device, Disparities, Float64Array, PlaneSweep, SweepCost, ViewSets
 from lfgpu.data.layout import ViewLayout, farthest
 from lfgpu.methods.matching.config import SweepConfig
 
@@ -28,27 +28,22 @@ def planned_sweep(
     device: Device,
     *,
     scale: float,
-    gradient_weight: float,
 ) -> PlaneSweep:
     """A sweep over views of `shape` [n, y, x, c], `offsets` [n, 2] apart, at the disparities of `labels`."""
-    kernels = device.kernels
-    first, step, count = place
-    return kernels.plane_sweep(
-        shape,
+    views = ViewSets(
         device.field(offsets),
         device.field(view_sets(offsets, config.view_set_angle)),
-        first=first,
-        step=step,
-        count=count,
-        scale=scale,
-        truncation=config.truncation,
-        gradient_weight=gradient_weight,
-        gradient_truncation=config.gradient_truncation,
-        softness=config.softness * config.noise,
         preference=config.view_set_penalty,
         tolerance=config.tolerance / farthest(offsets),
         least=max(1, math.ceil(config.min_share * (len(offsets) - 1))),
     )
+    return device.kernels.plane_sweep(shape, views, Disparities(*place), scale=scale)
+
+
+def sweep_cost(config: SweepConfig, gradient_weight: float) -> SweepCost:
+    """The cost of views that differ, with that weight of gradients."""
+    softness = config.softness * config.noise
+    return SweepCost(config.truncation, gradient_weight, config.gradient_truncation, softness)
 
 
 def noise_cost(config: SweepConfig) -> float:

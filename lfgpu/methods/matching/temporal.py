@@ -71,6 +71,7 @@ class TemporalMatching(MatchingPlan):
         if past is None:
             offsets, nearest = device.field(self._few_offsets), device.zeros(self._few_shape[:3])
             past = VisibleSweep(self._sweep, self._few_shape, offsets, nearest, kernels, reaches=(self._reach,))
+        self._past_cost = self._first_cost if self._resweep is None else self._last_cost
         self._sweep_past = past
         self._temporal, self._streaming, self._is_warm = prior, streaming, False
         self._past, self._frames, self._rate = (device.zeros(layout.size) for _ in range(3))
@@ -154,7 +155,7 @@ class TemporalMatching(MatchingPlan):
         # A surface that is not there any more hides nothing.
         kernels.threshold(self._same, _SAME, self._workspace)
         kernels.select(self._workspace, self._expected, self._farthest_surface, self._workspace)
-        self._sweep_past(self._workspace, self._volume, reach=self._reach)
+        self._sweep_past(self._workspace, self._volume, reach=self._reach, cost=self._past_cost)
         self._find_surface(self._swept, again=True)
         if self._resweep is not None:
             kernels.copy(self._swept, self._matched)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from lfgpu.contract import Array, KernelSet, PlaneSweep
+from lfgpu.contract import Array, KernelSet, PlaneSweep, SweepCost
 from lfgpu.methods.matching.some_views import SomeViews
 
 
@@ -47,7 +47,7 @@ class VisibleSweep:
             views, valid = self._some.of(views, valid)
         self._sweep.load(image, views, valid)
 
-    def __call__(self, surface: Array, volume_out: Array, *, reach: int, truncation: float | None = None) -> None:
+    def __call__(self, surface: Array, volume_out: Array, *, reach: int, cost: SweepCost) -> None:
         """Costs [l, y, x] past a map [y, x] that is widened by `reach`; see `PlaneSweep.by_visibility`."""
         self._hiding[reach](surface, self._nearest)
-        self._sweep.by_visibility(self._nearest, volume_out, truncation=truncation)
+        self._sweep.by_visibility(self._nearest, cost, volume_out)
