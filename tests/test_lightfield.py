@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.scenes import make
 
 ROWS, COLUMNS, HEIGHT, WIDTH = 3, 5, 6, 8
 
@@ -278,8 +279,8 @@ def test_grids_must_have_their_axes() -> None:
         ("leaves the reference view alone", lambda lf: lf.subset([7])),
         ("must have no step and leave pixels", lambda lf: lf.crop(np.s_[4:4], np.s_[:])),
         ("must have no step", lambda lf: lf.crop(np.s_[::2], np.s_[:])),
-        ("pixels, not 7", lambda lf: lf.downsampled(7)),
-        ("pixels, not 0", lambda lf: lf.downsampled(0)),
+        ("to 6, not 7", lambda lf: lf.downsampled(7)),
+        ("to 6, not 0", lambda lf: lf.downsampled(0)),
     ],
 )
 def test_requests_that_cannot_be_met(light_field: LightField, words: str, ask: Callable[[LightField], object]) -> None:
@@ -299,3 +300,61 @@ def test_positions_are_copied() -> None:
     light_field = LightField(np.zeros((2, 3, 3), np.uint8), positions)
     positions[:] = 7
     np.testing.assert_array_equal(light_field.positions, [[0, 0], [1, 0]])
+
+
+def test_masks_choose_views() -> None:
+    lf = make("planes", grid=(3, 3), size=(8, 8))
+    cross = [lf.index_of(v, u) for u, v in lf.subset(lf.pattern("cross")).positions]
+    assert cross == [1, 3, 4, 5, 7]
+    assert len(lf.downsampled(2, which=np.ones(9, bool)).views) == 9
+
+
+@pytest.mark.parametrize("which", [None, [0.9, 2.7], ["a"], np.ones(5, bool), [[0, 1], [2, 3]]])
+def test_what_chooses_no_views(which: Any) -> None:
+    with pytest.raises(LightFieldError, match=r"indices, or a mask bool \[9\]"):
+        make("planes", grid=(3, 3), size=(8, 8)).subset(which)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"name": 5}, "name must be a str, not int"),
+        ({"grid_shape": "33"}, "grid_shape must be .rows, columns., whole numbers from 1 on, not '33'"),
+        ({"grid_shape": (3.0, 3.5)}, "grid_shape must be"),
+        ({"truth": np.zeros((8, 8), np.float32)}, "truth must be a GroundTruth, not ndarray"),
+        ({"geometry": "x"}, "geometry must be a Geometry, not str"),
+        ({"notes": 5}, "notes must be a sequence of texts, not 5"),
+        ({"notes": "one"}, "notes must be a sequence of texts, not 'one'"),
+        ({"files": 5}, "files must be a sequence of texts, not 5"),
+    ],
+)
+def test_fields_of_another_type(fields: dict[str, Any], message: str) -> None:
+    lf = make("planes", grid=(3, 3), size=(8, 8))
+    with pytest.raises(LightFieldError, match=message):
+        LightField(lf.views, lf.positions, **fields)
+
+
+def test_arguments_of_another_type() -> None:
+    lf = make("planes", grid=(3, 3), size=(8, 8))
+    wrong: list[tuple[str, Any]] = [
+        ("crop needs slices", lambda: lf.crop(3, 4)),  # type: ignore[arg-type]
+        ("factor must be a whole number from 1 to 8, not 1.5", lambda: lf.downsampled(1.5)),  # type: ignore[arg-type]
+        ("row must be a number, not 'a'", lambda: lf.index_of("a", 0)),  # type: ignore[arg-type]
+        ("index of a view must be a whole number from -9 to 8, not 99", lambda: lf.image(99)),
+        ("row of pixels must be a whole number", lambda: lf.epi_horizontal(999)),
+        ("baseline_m must be a positive number, not '1'", lambda: Geometry(100, "1")),  # type: ignore[arg-type]
+    ]
+    for message, call in wrong:
+        with pytest.raises(LightFieldError, match=message):
+            call()
+
+
+def test_masked_arrays_say_what_is_valid() -> None:
+    views = make("planes", grid=(3, 3), size=(8, 8)).views.reshape(3, 3, 8, 8, 3)
+    masked = np.ma.masked_array(views, mask=np.zeros(views.shape, bool))
+    masked[1, 2, 3, 4, 0] = np.ma.masked
+    lf = LightField.from_grid(masked)
+    assert lf.valid is not None
+    assert np.argwhere(~lf.valid).tolist() == [[5, 3, 4]]
+    flat = LightField(masked.reshape(9, 8, 8, 3), lf.positions)
+    np.testing.assert_array_equal(flat.valid, lf.valid)

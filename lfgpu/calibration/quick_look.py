@@ -17,6 +17,7 @@ from lfgpu.calibration.bundle import Bundle, Points, choose_points
 from lfgpu.calibration.findings import SIGNS, brightness, placement
 from lfgpu.calibration.tones import match_tones
 from lfgpu.contract import Device, Float64Array
+from lfgpu.data.light_field_checks import array_of_numbers
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 
@@ -131,7 +132,7 @@ def part_of(lf: LightField, *, views: int, pixels: int) -> tuple[LightField, tup
 
 def checked(lf: LightField, result: Any) -> NDArray[np.float32]:
     """The disparity of a result or map; LightFieldError if it is not one of the reference view, or says nothing."""
-    disparity = np.asarray(getattr(result, "disparity", result), np.float32)
+    disparity = array_of_numbers("result", getattr(result, "disparity", result), np.float32)
     position = getattr(result, "position", None)
     if disparity.shape != lf.size:
         raise LightFieldError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,12 +56,18 @@ class Geometry:
     def __post_init__(self) -> None:
         for name in ("focal_length_px", "baseline_m", "focus_distance_m", "pixel_aspect"):
             value = getattr(self, name)
-            if not value > 0 or (name != "focus_distance_m" and not np.isfinite(value)):
-                raise LightFieldError(f"geometry: {name} must be a positive number, not {value}.")
+            if (
+                not isinstance(value, Real)
+                or not float(value) > 0
+                or (name != "focus_distance_m" and not np.isfinite(float(value)))
+            ):
+                raise LightFieldError(f"geometry: {name} must be a positive number, not {value!r:.60}.")
         for name in ("principal_point", "unshifted_at"):
             place = getattr(self, name)
-            if place is not None and (np.shape(place) != (2,) or not np.isfinite(place).all()):
-                raise LightFieldError(f"geometry: {name} must be two finite numbers, not {place}.")
+            if place is None:
+                continue
+            if len(place) != 2 or not all(isinstance(part, Real) and np.isfinite(float(part)) for part in place):
+                raise LightFieldError(f"geometry: {name} must be two finite numbers, not {place!r:.60}.")
 
     def depth(self, disparity: ArrayLike) -> NDArray[np.float64]:
         """Depth in metres of a disparity in pixels per view step; infinity at or beyond the horizon, NaN for NaN."""

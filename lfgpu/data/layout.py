@@ -96,13 +96,14 @@ class ViewLayout:
                 return in_column
         raise LightFieldError(f"unknown view pattern {name!r}; use one of {', '.join(PATTERNS)}.")
 
-    def chosen(self, which: str | Sequence[int]) -> NDArray[np.intp]:
+    def chosen(self, which: str | Sequence[int] | NDArray[Any]) -> NDArray[np.intp]:
         """Find the indices of the views that a subset keeps, in order.
 
         Parameters
         ----------
         which
-            One of the `PATTERNS` through the reference view, or indices of views. The reference view is always kept.
+            One of the `PATTERNS` through the reference view, indices of views, or a mask bool [n]. The reference view
+            is always kept.
 
         Raises
         ------
@@ -112,8 +113,16 @@ class ViewLayout:
         if isinstance(which, str):
             keep = self.pattern(which)
         else:
-            wanted = np.asarray(which, np.int64)
-            if wanted.size and not (wanted.min() >= 0 and wanted.max() < self.count):
+            wanted = np.asarray(which)
+            if wanted.size == 0:
+                wanted = np.zeros(0, np.intp)
+            is_mask = wanted.dtype == np.bool_ and wanted.shape == (self.count,)
+            if not is_mask and (wanted.ndim != 1 or wanted.dtype.kind not in "iu"):
+                raise LightFieldError(
+                    f"views must be a pattern ({', '.join(PATTERNS)}), indices, or a mask bool [{self.count}]; found "
+                    f"{which!r:.60}."
+                )
+            if not is_mask and wanted.size and not (wanted.min() >= 0 and wanted.max() < self.count):
                 raise LightFieldError(f"view indices must be from 0 to {self.count - 1}; found {wanted.tolist()}.")
             keep = np.zeros(self.count, np.bool_)
             keep[wanted] = True
@@ -124,7 +133,7 @@ class ViewLayout:
             )
         return np.flatnonzero(keep)
 
-    def subset(self, which: str | Sequence[int]) -> ViewLayout:
+    def subset(self, which: str | Sequence[int] | NDArray[Any]) -> ViewLayout:
         """The layout of some of the views; `which`, and what is raised, as for `chosen`."""
         kept = self.chosen(which)
         if len(kept) == self.count:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+from numbers import Integral, Real
 from typing import Any
 
 import numpy as np
@@ -26,6 +29,41 @@ def array_of_numbers(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:
         return np.asarray(values, dtype)
     except (TypeError, ValueError) as error:
         raise LightFieldError(f"{name} must be an array of numbers: {error}.") from error
+
+
+def check_number(name: str, value: Any, least: float = -math.inf, most: float = math.inf) -> None:
+    """LightFieldError unless `value` is a number from `least` to `most`; NaN is none."""
+    known = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
+    if not (known and least <= value <= most):
+        bounds = "" if math.isinf(least) and math.isinf(most) else f" from {least:g} to {most:g}"
+        bounds = f" of at least {least:g}" if math.isinf(most) and not math.isinf(least) else bounds
+        raise LightFieldError(f"{name} must be a number{bounds}, not {value!r:.60}.")
+
+
+def check_whole(name: str, value: Any, least: int, most: float = math.inf) -> None:
+    """LightFieldError unless `value` is a whole number from `least` to `most`."""
+    if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) <= most:
+        bounds = f"of at least {least}" if math.isinf(most) else f"from {least} to {most:g}"
+        raise LightFieldError(f"{name} must be a whole number {bounds}, not {value!r:.60}.")
+
+
+def texts(name: str, values: Any) -> tuple[str, ...]:
+    """A sequence of texts as a tuple; LightFieldError if it is none, or a single text."""
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise LightFieldError(f"{name} must be a sequence of texts, not {values!r:.60}.")
+    return tuple(map(str, values))
+
+
+def without_mask(views: Any, valid: Any) -> tuple[Any, Any]:
+    """The values of views that may be a NumPy masked array, and `valid` with what is not masked in any channel.
+
+    `views` are [n, y, x] or [n, y, x, c], and `valid` is bool [n, y, x] or None.
+    """
+    if not isinstance(views, np.ma.MaskedArray):
+        return views, valid
+    mask = np.ma.getmaskarray(views)
+    seen = ~mask if views.ndim == 3 else ~mask.any(axis=-1)
+    return np.where(mask, views.dtype.type(0), views.data), seen if valid is None else seen & valid
 
 
 def check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:
@@ -80,6 +118,9 @@ def _nearest(positions: NDArray[np.float64]) -> tuple[float, int]:
 
 def check_grid(positions: NDArray[np.float64], grid_shape: tuple[int, int]) -> None:
     """LightFieldError if positions [n, 2] are not places of a grid of (rows, columns)."""
+    sides = tuple(grid_shape) if isinstance(grid_shape, tuple | list) else ()
+    if len(sides) != 2 or not all(isinstance(side, Integral) and side > 0 for side in sides):
+        raise LightFieldError(f"grid_shape must be (rows, columns), whole numbers from 1 on, not {grid_shape!r:.60}.")
     places = np.round(positions)
     last = (grid_shape[1] - 1, grid_shape[0] - 1)
     if np.abs(positions - places).max() > POSITION_TOLERANCE or (places < 0).any() or (places > last).any():

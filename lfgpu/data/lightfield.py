@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +19,12 @@ from lfgpu.data.light_field_checks import (
     array_of_numbers,
     check_distinct,
     check_grid,
+    check_number,
     check_values,
+    check_whole,
     span,
+    texts,
+    without_mask,
 )
 from lfgpu.data.mapping import each_view
 from lfgpu.data.reading import NOTHING, Reading
@@ -68,7 +71,8 @@ class LightField:
     Parameters
     ----------
     views
-        [n, y, x, c] or [n, y, x], n >= 2, c = 1 or 3, uint8, uint16 or float32 in [0, 1]; stored as given. An array of
+        [n, y, x, c] or [n, y, x], n >= 2, c = 1 or 3, uint8, uint16 or float32 in [0, 1]; stored as given. What a NumPy
+        masked array masks is not `valid`. An array of
         another library (DLPack) is accepted; from a GPU it is copied to the CPU. `DepthPipeline.upload` takes views on
         a GPU without that copy.
     positions
@@ -119,7 +123,12 @@ class LightField:
     reading: Reading = NOTHING
 
     def __post_init__(self) -> None:
-        views = array_of_numbers("views", self.views)
+        for name, kind in (("name", str), ("geometry", Geometry), ("truth", GroundTruth), ("reading", Reading)):
+            value = getattr(self, name)
+            if not isinstance(value, kind) and not (value is None and name in ("geometry", "truth")):
+                raise LightFieldError(f"{name} must be a {kind.__name__}, not {type(value).__name__}.")
+        given, masked = without_mask(self.views, self.valid)
+        views = array_of_numbers("views", given)
         if views.ndim == 3:
             views = views[..., None]
         if views.ndim != 4 or views.shape[3] not in (1, 3) or 0 in views.shape:
@@ -146,7 +155,7 @@ class LightField:
             raise LightFieldError(
                 f"reference view {reference} does not exist; give an index from 0 to {len(views) - 1}."
             )
-        valid = None if self.valid is None else array_of_numbers("valid", self.valid)
+        valid = None if masked is None else array_of_numbers("valid", masked)
         if valid is not None and (valid.shape != views.shape[:3] or valid.dtype != np.bool_):
             raise LightFieldError(f"valid must be bool {views.shape[:3]}; found {valid.dtype} {valid.shape}.")
         if self.truth is not None:
@@ -157,10 +166,12 @@ class LightField:
             check_grid(positions, self.grid_shape)
         if self.white is not None and (not isinstance(self.white, Integral) or self.white < 1):
             raise LightFieldError(f"white must be a whole number of at least 1, not {self.white}.")
-        if self.files and len(self.files) != len(views):
-            raise LightFieldError(f"files must be one for each of {len(views)} views; found {len(self.files)}.")
+        files = texts("files", self.files)
+        if files and len(files) != len(views):
+            raise LightFieldError(f"files must be one for each of {len(views)} views; found {len(files)}.")
         object.__setattr__(self, "name", printable(self.name, longest=_LONGEST_NAME))
-        object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
+        object.__setattr__(self, "notes", tuple(map(printable, texts("notes", self.notes))))
+        object.__setattr__(self, "files", files)
         object.__setattr__(self, "views", views)
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "reference", int(reference))
@@ -188,9 +199,8 @@ class LightField:
         LightFieldError
             As `LightField`.
         """
-        if not (math.isfinite(vertical_step) and vertical_step > 0):
-            raise LightFieldError(f"vertical_step must be a positive number, not {vertical_step}.")
-        grid = array_of_numbers("views", views)
+        check_number("vertical_step", vertical_step, np.finfo(float).tiny, np.finfo(float).max)
+        grid = views if isinstance(views, np.ma.MaskedArray) else array_of_numbers("views", views)
         if grid.ndim not in (4, 5):
             raise LightFieldError(f"a grid of views must be [v, u, y, x] or [v, u, y, x, c]; found shape {grid.shape}.")
         rows, columns = grid.shape[:2]
@@ -264,6 +274,7 @@ class LightField:
 
     def image(self, index: int) -> NDArray[np.float32]:
         """View `index` as float32 [y, x, c] in [0, 1]."""
+        check_whole("index of a view", index, -len(self.views), len(self.views) - 1)
         return self.views[index].astype(np.float32) * np.float32(self.scale)
 
     def view(self, row: float, column: float) -> NDArray[Any]:
@@ -272,6 +283,8 @@ class LightField:
 
     def index_of(self, row: float, column: float) -> int:
         """Index of the view at position v = `row`, u = `column`; LightFieldError if there is none."""
+        check_number("row", row)
+        check_number("column", column)
         index = self._find(column, row)
         if index is None:
             raise LightFieldError(
@@ -294,10 +307,12 @@ class LightField:
 
     def epi_horizontal(self, y: int) -> NDArray[Any]:
         """The epipolar plane image [u, x, c] of image row `y`, from the reference view's row of views."""
+        check_whole("row of pixels", y, -self.size[0], self.size[0] - 1)
         return np.asarray(self.views[self.row(), y])
 
     def epi_vertical(self, x: int) -> NDArray[Any]:
         """The epipolar plane image [v, y, c] of image column `x`, from the reference view's column of views."""
+        check_whole("column of pixels", x, -self.size[1], self.size[1] - 1)
         return np.asarray(self.views[self.column(), :, x])
 
     def __repr__(self) -> str:
@@ -323,13 +338,14 @@ class LightField:
         """The same light field with view `index` as the reference; `index_of` finds an index by row and column."""
         return replace(self, reference=index)
 
-    def subset(self, which: str | Sequence[int]) -> LightField:
+    def subset(self, which: str | Sequence[int] | NDArray[Any]) -> LightField:
         """A light field with some of the views.
 
         Parameters
         ----------
         which
-            One of the `PATTERNS` through the reference view, or indices of views. The reference view is always kept.
+            One of the `PATTERNS` through the reference view, indices of views, or a mask bool [n]. The reference view
+            is always kept.
 
         Raises
         ------
@@ -344,7 +360,13 @@ class LightField:
     def crop(self, y: slice, x: slice) -> LightField:
         """Crop every view to the same window; `y` and `x` are slices of pixel rows and columns, without a step."""
         height, width = self.size
-        (top, bottom, y_step), (left, right, x_step) = y.indices(height), x.indices(width)
+        try:
+            (top, bottom, y_step), (left, right, x_step) = y.indices(height), x.indices(width)
+        except (AttributeError, TypeError):
+            raise LightFieldError(
+                f"crop needs slices of pixel rows and columns, such as slice(0, {height}) and slice(0, {width}); found "
+                f"{y!r:.40} and {x!r:.40}."
+            ) from None
         if y_step != 1 or x_step != 1 or top >= bottom or left >= right:
             raise LightFieldError(
                 f"crop {y}, {x} must have no step and leave pixels of the {height} x {width} views; give other slices."
@@ -366,18 +388,14 @@ class LightField:
             files=(),
         )
 
-    def downsampled(self, factor: int, *, which: str | Sequence[int] = "full") -> LightField:
+    def downsampled(self, factor: int, *, which: str | Sequence[int] | NDArray[Any] = "full") -> LightField:
         """Downsample all views by averaging blocks of `factor` x `factor` pixels.
 
         Views become float32, and disparities shrink by `factor`. A block is valid if all its pixels are. Incomplete
         blocks at the right and lower edge are dropped, and so are geometry and ground truth. `which` chooses views as
         in `subset`.
         """
-        if not 1 <= factor <= min(self.size):
-            raise LightFieldError(
-                f"factor must be from 1 to {min(self.size)} for views of {self.size[0]} x {self.size[1]} pixels, not "
-                f"{factor}."
-            )
+        check_whole("factor", factor, 1, min(self.size))
         height, width = (side // factor for side in self.size)
         chosen = self.layout.chosen(which)
         views = np.empty((len(chosen), height, width, self.channels), np.float32)

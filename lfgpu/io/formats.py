@@ -11,6 +11,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
+from lfgpu.data.light_field_checks import check_whole
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import forget
 from lfgpu.data.vignette import without_black_corners
@@ -265,13 +266,19 @@ def read(
         means nothing for the format, a library that it needs is missing, or its files are damaged or contradict each
         other.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise LightFieldError(f"path must name a file or a folder, not {path!r:.60}.")
     path = Path(path)
     check_flip(flip)
     check_grid_option(grid, order)
     if axes is not None:
         check_axes(axes)
-    if every is not None and every < 1:
-        raise LightFieldError(f"every must be a whole number from 1 on, not {every}.")
+    for name, count, least in (("every", every, 1), ("frame", frame, 0)):
+        if count is not None:
+            check_whole(name, count, least)
+    for name, text in (("format", format), ("pattern", pattern)):
+        if text is not None and not isinstance(text, str):
+            raise LightFieldError(f"{name} must be a text, not {text!r:.60}.")
     chosen = chosen_format(path, format, pattern)[0]
     check_exists(path)
     told = {"grid": grid, "order": order, "every": every, "pattern": pattern, "frame": frame, "axes": axes}

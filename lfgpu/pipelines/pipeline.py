@@ -14,6 +14,7 @@ from lfgpu._backends import DEFAULT, BackendName, open_device, package_of
 from lfgpu.config import Config
 from lfgpu.contract import Array, Float32Array
 from lfgpu.data import interop
+from lfgpu.data.light_field_checks import check_scaled
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import BackendError, LightFieldError
@@ -135,7 +136,7 @@ class DepthPipeline:
         Raises
         ------
         LightFieldError
-            If the shape, type or device is not that of the pipeline, or if a value is NaN or infinite.
+            If the shape, type or device is not that of the pipeline, or if a value is NaN, infinite or far from [0, 1].
 
         Notes
         -----
@@ -156,8 +157,11 @@ class DepthPipeline:
             )
         if place == "cpu":
             views = interop.on_host("views", views)
-            if views.dtype.kind == "f" and not np.isfinite(views).all():
-                raise LightFieldError(_NOT_FINITE)
+            if views.dtype.kind == "f":
+                low, high = float(views.min()), float(views.max())
+                if not np.isfinite(low + high):
+                    raise LightFieldError(_NOT_FINITE)
+                check_scaled("views", low, high)
         elif self._backend != "warp" or self.device == "cpu":
             raise LightFieldError(
                 f"views are on {place}, but the pipeline is on {self.device} with backend {self._backend!r}; copy them "

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.contract import Float32Array
 from lfgpu.data.layout import farthest
+from lfgpu.data.light_field_checks import check_number, check_whole
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
@@ -59,10 +58,7 @@ def refocus(
         If the disparity is not finite, or an option is out of its range.
     """
     check_light_field(lf)
-    if not (math.isfinite(disparity) and abs(disparity) <= _LARGEST):
-        raise LightFieldError(
-            f"the disparity to focus on must be a number from -{_LARGEST:g} to {_LARGEST:g}, not {disparity}."
-        )
+    check_number("the disparity to focus on", disparity, -_LARGEST, _LARGEST)
     _check_preview(step, most_views, order)
     height, width = (len(range(0, side, step)) for side in lf.size)
     total, count = np.zeros((height, width, lf.channels), np.float32), np.zeros((height, width), np.float32)
@@ -170,8 +166,7 @@ def within(lf: LightField, aperture: float | None) -> NDArray[np.intp]:
     """Indices of the views of a lens of a radius in view steps, None for all; the reference is one."""
     if aperture is None:
         return np.arange(len(lf.views))
-    if not aperture >= 0:
-        raise LightFieldError(f"aperture must be a number of view steps from 0 on, not {aperture}.")
+    check_number("aperture (view steps)", aperture, 0)
     return np.flatnonzero(np.hypot(*lf.offsets.T) <= aperture + _SAME_CAMERA)
 
 
@@ -185,9 +180,8 @@ def spread(lf: LightField, most: int | None, among: NDArray[np.intp] | None = No
 
 
 def _check_preview(step: int, most_views: int | None, order: int) -> None:
-    if step < 1:
-        raise LightFieldError(f"step must be a whole number from 1 on, not {step}.")
-    if most_views is not None and most_views < 2:
-        raise LightFieldError(f"most_views must be a whole number from 2 on, not {most_views}.")
+    check_whole("step", step, 1)
+    if most_views is not None:
+        check_whole("most_views", most_views, 2)
     if order not in (LINEAR, CUBIC):
         raise LightFieldError(f"order must be {LINEAR} (bilinear) or {CUBIC} (cubic splines), not {order}.")

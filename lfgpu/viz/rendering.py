@@ -90,6 +90,10 @@ class Renderer:
         device: str | None = None,
     ) -> None:
         check_light_field(lf)
+        if not isinstance(maps, ViewsResult):
+            raise LightFieldError(
+                f"maps must be those of all views, as estimate_all_views returns them, not {type(maps).__name__}."
+            )
         if maps.disparities.shape != lf.views.shape[:3] or not np.allclose(maps.positions, lf.positions, atol=1e-6):
             raise LightFieldError(
                 f"the maps belong to {len(maps.disparities)} views of {maps.disparities.shape[1]} x "
