@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks import clock
 from benchmarks.job import Job
 from benchmarks.results import Record
-from lfgpu._backends import load, pick_device
+from lfgpu._backends import open_device
 
 _LENGTH = 1 << 26  # elements: 256 MiB of float32, more than caches hold
 _BUDGET = 2.0  # seconds
@@ -19,18 +19,17 @@ _BUDGET = 2.0  # seconds
 
 def measure(job: Job) -> Iterator[Record]:
     """Time a backend's `copy` (one array read, one written) and `axpby` (two read, one written) of long vectors."""
-    kernels = load(job.backend)
-    device = pick_device(kernels, job.device)
-    stop, capture = clock.stopper(kernels, device), clock.capturer(kernels, device)
+    device = open_device(job.backend, job.device)
+    kernels = device.kernels
     # Not zeros: memory that was never written is no memory yet.
     ones = np.ones((_LENGTH // 8192, 8192), np.float32)
-    x, y = kernels.field(ones, device), kernels.field(ones, device)
+    x, y = device.field(ones), device.field(ones)
     del ones
     for name, arrays, call in (
         ("copy", 2, lambda: kernels.copy(x, y)),
         ("axpby", 3, lambda: kernels.axpby(0.5, x, 0.5, y, y)),
     ):
-        timed = clock.measure(call, stop, repeats=job.repeats, budget=_BUDGET, capture=capture)
+        timed = clock.measure_on(device, call, repeats=job.repeats, budget=_BUDGET)
         size = arrays * _LENGTH * np.dtype(kernels.dtype).itemsize
         details = {"captured": timed.captured}
         yield job.record(name, seconds=timed.seconds, calls=timed.calls, bytes=size, details=details)

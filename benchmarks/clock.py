@@ -15,13 +15,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from statistics import median
 from time import perf_counter
 
 import numpy as np
 
 from benchmarks.results import Spread
-from lfgpu.contract import KernelSet
+from lfgpu.contract import Device
 
 _SHORTEST_BATCH = 0.02  # seconds, so that the clock and the scheduler do not matter
 _STOP_SHARE = 0.02  # of a batch at most
@@ -43,15 +44,16 @@ class Timed:
     """Whether the device was given many calls as one piece of work."""
 
 
-def stopper(kernels: KernelSet, device: str) -> Callable[[], object]:
+def stopper(device: Device) -> Callable[[], object]:
     """Make a function that waits until the device is done."""
-    number = kernels.scalar(0.0, device)
-    return lambda: kernels.number(number)
+    number = device.scalar(0.0)
+    return lambda: device.kernels.number(number)
 
 
-def capturer(kernels: KernelSet, device: str) -> Capture:
-    """Make a function that makes work of the device as a whole, or None where it cannot."""
-    return lambda work: kernels.capture(work, device)
+def measure_on(device: Device, call: Work, *, repeats: int, budget: float) -> Timed:
+    """Time work of a device as `measure` does, many calls as one piece of work where it takes such."""
+    capture = partial(device.kernels.capture, device=device.name)
+    return measure(call, stopper(device), repeats=repeats, budget=budget, capture=capture)
 
 
 def measure(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks import cases
 from benchmarks.moving import RANGE, Film
-from benchmarks.options import CaseName, Device, Out, Presets, check_known, collected, listed, say
+from benchmarks.options import CaseName, DeviceName, Out, Presets, check_known, collected, listed, say
 from benchmarks.tables import Table
 from lfgpu import DepthStream, TemporalPrior, evaluate
 from lfgpu.contract import Float32Array
@@ -74,7 +74,7 @@ def command(
     seeds: Annotated[str, typer.Option(metavar="N,...", help="Seeds of the scenes; one film for each.")] = "0,1,2,3",
     presets: Presets = "accurate,fast",
     pasts: Annotated[str, typer.Option(metavar="NAME,...", help="How the last map is used.")] = ",".join(PASTS),
-    device: Device = None,
+    device: DeviceName = None,
     out: Out = None,
 ) -> None:
     """Measure the flicker of maps of moving scenes, with and without the last map, and their errors."""

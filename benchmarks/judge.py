@@ -17,7 +17,7 @@ from scipy import ndimage
 from benchmarks import machine
 from benchmarks.errors import BenchmarkError
 from benchmarks.misalignment import recording
-from benchmarks.options import Device, Out, Preset, Scenes, check_out, save, say
+from benchmarks.options import DeviceName, Out, Preset, Scenes, check_out, save, say
 from benchmarks.tables import Table
 from lfgpu import LightField, estimate_depth, explain, read
 from lfgpu.calibration import judged
@@ -94,7 +94,7 @@ def command(
     shift: Annotated[float, typer.Option(min=0.01, help="By how many pixels a view is moved.")] = 0.2,
     crop: Annotated[int, typer.Option(min=64, help="Side of the part of the views that is used.")] = 192,
     preset: Preset = "fast",
-    device: Device = None,
+    device: DeviceName = None,
     out: Out = None,
 ) -> None:
     """Move one view in a random direction, and see whether it is found, and whether nothing is said without that."""

@@ -15,7 +15,7 @@ import typer
 
 from benchmarks import cases
 from benchmarks.moving import RANGE, Film, to_and_fro
-from benchmarks.options import Cases, Device, Out, Presets, collected, listed, say
+from benchmarks.options import Cases, DeviceName, Out, Presets, collected, listed, say
 from benchmarks.tables import Table
 from lfgpu import DepthPipeline, DepthStream, LightField, StreamResult, TemporalPrior, evaluate
 
@@ -83,7 +83,7 @@ def command(
     frames: Annotated[int, typer.Option(min=2, help="Number of rendered frames; they are played to and fro.")] = 8,
     seconds: Annotated[float, typer.Option(min=0.1, help="How long each way is measured.")] = 10.0,
     budget: Annotated[float | None, typer.Option(metavar="MS", help="Largest time of the device for a frame.")] = None,
-    device: Device = None,
+    device: DeviceName = None,
     out: Out = None,
 ) -> None:
     """Measure frames a second, the latency from a frame on the host to its map there, and errors of warm maps."""

@@ -12,11 +12,10 @@ import numpy as np
 
 from benchmarks import cases, clock
 from benchmarks.cases import Case
-from benchmarks.options import Backends, Cases, Device, Out, Preset, Seconds, collected, listed, places, say
+from benchmarks.options import Backends, Cases, DeviceName, Out, Preset, Seconds, collected, listed, places, say
 from benchmarks.tables import Table
-from lfgpu import LightField, contract, scenes
-from lfgpu._backends import load
-from lfgpu.contract import KernelSet
+from lfgpu import LightField, scenes
+from lfgpu.contract import Device, KernelSet
 from lfgpu.methods import method_of
 from lfgpu.methods.disparity_range import find_disparity_range
 
@@ -73,7 +72,7 @@ def command(
     preset: Preset = "accurate",
     backends: Backends = "warp",
     seconds: Seconds = 5.0,
-    device: Device = None,
+    device: DeviceName = None,
     out: Out = None,
 ) -> None:
     """Time the search for the disparity range and the noise before an estimate, from host to host."""
@@ -88,19 +87,19 @@ def run(
     for case in chosen:
         say(f"{case.name}: casting a scene")
         lf = scenes.make("boxes", grid=case.grid, size=case.size, seed=0, noise=0.005)
-        for backend, place in places(backends, device):
-            say(f"{case.name} {backend} {place}")
-            yield _measured(case, lf, preset, load(backend), place, seconds)
+        for place in places(backends, device):
+            say(f"{case.name} {place.kernels.name} {place.name}")
+            yield _measured(case, lf, preset, place, seconds)
 
 
-def _measured(case: Case, lf: LightField, preset: str, kernels: KernelSet, device: str, seconds: float) -> Row:
+def _measured(case: Case, lf: LightField, preset: str, device: Device, seconds: float) -> Row:
     assert lf.truth is not None
     start = time.perf_counter()
-    found = find_disparity_range(lf, contract.Device(kernels, device))
+    found = find_disparity_range(lf, device)
     first = time.perf_counter() - start
-    views, method = kernels.image(lf.views, device), method_of(preset)
-    counting: Any = _Counting(kernels)
-    find_disparity_range(lf, contract.Device(counting, device), views=views)
+    views, method = device.image(lf.views), method_of(preset)
+    counting: Any = _Counting(device.kernels)
+    find_disparity_range(lf, Device(counting, device.name), views=views)
 
     def timed(work: Callable[[], object]) -> float:
         work()
@@ -108,11 +107,11 @@ def _measured(case: Case, lf: LightField, preset: str, kernels: KernelSet, devic
 
     return Row(
         case.name,
-        kernels.name,
-        device,
-        timed(lambda: find_disparity_range(lf, contract.Device(kernels, device))),
-        timed(lambda: find_disparity_range(lf, contract.Device(kernels, device), views=views)),
-        timed(lambda: method.measured(lf, found, contract.Device(kernels, device))),
+        device.kernels.name,
+        device.name,
+        timed(lambda: find_disparity_range(lf, device)),
+        timed(lambda: find_disparity_range(lf, device, views=views)),
+        timed(lambda: method.measured(lf, found, device)),
         1000 * first,
         counting.waits,
         found,

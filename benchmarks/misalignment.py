@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from benchmarks import scoring
 from benchmarks.errors import BenchmarkError
-from benchmarks.options import Device, Out, Preset, Scenes, check_out, collected, listed, say
+from benchmarks.options import DeviceName, Out, Preset, Scenes, check_out, collected, listed, say
 from benchmarks.tables import NONE, Table
 from lfgpu import DepthResult, LightField, estimate_depth, evaluate, read, scenes
 from lfgpu.calibration import Camera, Misalignment, consensus, disturb, refine
@@ -129,7 +129,7 @@ def command(
     seeds: Annotated[int, typer.Option(min=1, help="Draws of each disturbance.")] = 1,
     crop: Annotated[int, typer.Option(min=64, help="Longest side of the middle of the views that is used.")] = 512,
     preset: Preset = "accurate",
-    device: Device = None,
+    device: DeviceName = None,
     append: Annotated[bool, typer.Option("--append", help="Add to the rows that the output has.")] = False,
     out: Out = None,
 ) -> None:

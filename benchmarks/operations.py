@@ -18,10 +18,9 @@ from benchmarks import cases, clock
 from benchmarks.job import Job
 from benchmarks.results import Record
 from lfgpu import LightField, TemporalPrior
-from lfgpu._backends import load, pick_device
-from lfgpu.contract import Device, KernelSet
+from lfgpu._backends import open_device
+from lfgpu.contract import Device
 from lfgpu.methods import method_of
-from lfgpu.methods.measured import Measured
 
 RANGE = (-1.6, 1.6)
 """The disparities of the scene with a margin, pixels per view step."""
@@ -81,26 +80,18 @@ class _Noting:
 
 def measure(job: Job) -> Iterator[Record]:
     """Time each operation of a frame with a preset; where streams can start from the last map, of such a frame, too."""
-    lf, kernels = cases.load(Path(job.scene)), load(job.backend)
-    device, method = pick_device(kernels, job.device), method_of(job.name)
-    arrays = tuple({type(kernels.zeros((2, 2), device)), type(kernels.scalar(0.0, device))})
-    measured = method.measure(lf, Device(kernels, device), disparity_range=RANGE)
-    for name, calls in _frames(job.name, lf, measured, kernels, device, arrays):
+    lf, device = cases.load(Path(job.scene)), open_device(job.backend, job.device)
+    arrays = type(device.zeros((2, 2))), type(device.scalar(0.0))
+    for frame, calls in _frames(job.name, lf, device, arrays):
         for operation in dict.fromkeys(call.name for call in calls):
             some = [call for call in calls if call.name == operation]
-            timed = clock.measure(
-                partial(_all, some),
-                clock.stopper(kernels, device),
-                repeats=job.repeats,
-                budget=_BUDGET,
-                capture=clock.capturer(kernels, device),
-            )
+            timed = clock.measure_on(device, partial(_all, some), repeats=job.repeats, budget=_BUDGET)
             yield job.record(
-                f"{name}: {operation}",
+                f"{frame}: {operation}",
                 seconds=timed.seconds,
                 calls=timed.calls,
-                bytes=sum(_bytes(call, arrays, kernels) for call in some),
-                details={"frame": name, "operation": operation, "count": len(some), "captured": timed.captured},
+                bytes=sum(_bytes(call, arrays, device) for call in some),
+                details={"frame": frame, "operation": operation, "count": len(some), "captured": timed.captured},
             )
 
 
@@ -109,32 +100,30 @@ def _all(calls: list[_Call]) -> None:
         call()
 
 
-def _frames(
-    preset: str, lf: LightField, measured: Measured, kernels: KernelSet, device: str, arrays: tuple[type, ...]
-) -> Iterator[tuple[str, list[_Call]]]:
+def _frames(preset: str, lf: LightField, device: Device, arrays: tuple[type, ...]) -> Iterator[tuple[str, list[_Call]]]:
     """Run one frame on its own, and one that starts from the map of another; by name, their calls."""
     method, log = method_of(preset), list[_Call]()
     results = (*arrays, np.ndarray, int, float, str, bool, tuple)
-    noting: Any = _Noting(kernels, log, results)
-    views = kernels.image(lf.views, device)
-    stages = method.plan(lf.layout, measured, Device(noting, device)).stages(views)
+    noting: Any = _Noting(device.kernels, log, results)
+    watched = Device(noting, device.name)
+    measured = method.measure(lf, device, disparity_range=RANGE)
+    stages = method.plan(lf.layout, measured, watched).stages(device.image(lf.views))
     log.clear()
     for work in stages.values():
         work(None)
     yield preset, list(log)
-    if method.is_live and kernels.streaming is not None:
+    if method.is_live and device.kernels.streaming is not None:
         used = lf.subset(method.used_views(lf.layout))
-        streaming: Any = _Noting(kernels.streaming, log, results)
-        place = Device(noting, device)
-        plan = method.live_plan(used.layout, measured, place, streaming=streaming, prior=TemporalPrior())
-        views = kernels.image(used.views, device)
+        streaming: Any = _Noting(device.kernels.streaming, log, results)
+        plan = method.live_plan(used.layout, measured, watched, streaming=streaming, prior=TemporalPrior())
+        views = device.image(used.views)
         for levels in (plan.levels, plan.warm_levels):
             log.clear()
             levels[-1][1](views)
         yield f"{preset}, warm", list(log)
 
 
-def _bytes(call: _Call, arrays: tuple[type, ...], kernels: KernelSet) -> int:
+def _bytes(call: _Call, arrays: tuple[type, ...], device: Device) -> int:
     """Add up the bytes of the arrays that a call is given, each once."""
     given = {id(value): value for value in (*call.arguments, *call.options.values()) if isinstance(value, arrays)}
-    return sum(kernels.numpy(value).nbytes for value in given.values())
+    return sum(device.kernels.numpy(value).nbytes for value in given.values())

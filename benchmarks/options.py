@@ -13,13 +13,14 @@ import typer
 from benchmarks import machine
 from benchmarks.errors import BenchmarkError
 from benchmarks.results import write_json
-from lfgpu._backends import list_backends, load, pick_device
+from lfgpu._backends import list_backends, open_device
+from lfgpu.contract import Device
 from lfgpu.errors import BackendError
 from lfgpu.io.atomic import check_writable
 
 DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
 
-Device = Annotated[str | None, typer.Option(metavar="DEVICE", help="cpu or cuda:0; default: the best there is.")]
+DeviceName = Annotated[str | None, typer.Option(metavar="DEVICE", help="cpu or cuda:0; default: the best there is.")]
 Out = Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")]
 Data = Annotated[
     Path,
@@ -51,11 +52,11 @@ def known_backend(name: str) -> str:
     return name
 
 
-def places(backends: Iterable[str], device: str | None) -> Iterator[tuple[str, str]]:
-    """Yield each backend with the device, by default with its best one; say which backends do not have it."""
+def places(backends: Iterable[str], device: str | None) -> Iterator[Device]:
+    """Yield the device of each backend, by default its best one; say which backends do not have it."""
     for name in map(known_backend, backends):
         try:
-            yield name, pick_device(load(name), device)
+            yield open_device(name, device)
         except BackendError as error:
             say(f"{name}: {error}")
 

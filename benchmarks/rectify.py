@@ -11,11 +11,12 @@ import numpy as np
 
 from benchmarks import cases, clock
 from benchmarks.cases import Case
-from benchmarks.options import Backends, Cases, Device, Out, Preset, Seconds, collected, listed, places, say
+from benchmarks.options import Backends, Cases, DeviceName, Out, Preset, Seconds, collected, listed, places, say
 from benchmarks.tables import Table
-from lfgpu import DepthPipeline, LightField, Rectifier, contract, scenes
-from lfgpu._backends import backend_named, load
+from lfgpu import DepthPipeline, LightField, Rectifier, scenes
+from lfgpu._backends import backend_named, open_device
 from lfgpu.calibration import Calibration, Misalignment, disturb, rectify
+from lfgpu.contract import Device
 from lfgpu.methods import method_of
 from lfgpu.pipelines.rectifier import Rectification
 
@@ -72,7 +73,7 @@ def command(
     preset: Preset = "accurate",
     backends: Backends = "warp",
     seconds: Seconds = 5.0,
-    device: Device = None,
+    device: DeviceName = None,
     out: Out = None,
 ) -> None:
     """Time the rectification of raw frames on the device, by itself and as a part of a frame."""
@@ -90,9 +91,9 @@ def run(
         say(f"{case.name}: casting a scene and disturbing its cameras")
         scene = scenes.make("boxes", grid=case.grid, size=case.size, seed=0, noise=0.005)
         pictures, rectifier, host_ms = raw(scene)
-        for backend, place in places(backends, device):
-            say(f"{case.name} {backend} {place}")
-            yield _measured(case, preset, backend, place, pictures, rectifier, host_ms, seconds)
+        for place in places(backends, device):
+            say(f"{case.name} {place.kernels.name} {place.name}")
+            yield _measured(case, preset, place, pictures, rectifier, host_ms, seconds)
 
 
 def raw(lf: LightField) -> tuple[LightField, Rectifier, float]:
@@ -111,41 +112,38 @@ def raw(lf: LightField) -> tuple[LightField, Rectifier, float]:
 def _measured(
     case: Case,
     preset: str,
-    backend: str,
-    device: str,
+    device: Device,
     pictures: LightField,
     rectifier: Rectifier,
     host_ms: float,
     seconds: float,
 ) -> Row:
-    kernels = load(backend)
-    rectified = rectifier.rectified(pictures, contract.Device(kernels, device))
+    rectified = rectifier.rectified(pictures, device)
     used = method_of(preset).used_views(rectified.layout)
 
-    def timed(work: Callable[[], None]) -> float:
-        stop, capture = clock.stopper(kernels, device), clock.capturer(kernels, device)
-        found = clock.measure(work, stop, repeats=_REPEATS, budget=seconds, capture=capture)
-        return 1000 * found.seconds.median
+    def timed(**options: Any) -> float:
+        work = Rectification(rectifier, pictures, device, **options).work
+        return 1000 * clock.measure_on(device, work, repeats=_REPEATS, budget=seconds).seconds.median
 
     def frame(pipeline: DepthPipeline) -> float:
-        stop = clock.stopper(kernels, device)
         for _ in range(2):  # the second one captures
             pipeline.run()
-        found = clock.measure(pipeline.run, stop, repeats=_REPEATS, budget=seconds)
+        found = clock.measure(pipeline.run, clock.stopper(device), repeats=_REPEATS, budget=seconds)
         return 1000 * found.seconds.median
 
-    options = {"config": preset, "disparity_range": _RANGE, "backend": backend_named(backend), "device": device}
-    plain = DepthPipeline(rectified, **options)  # type: ignore[arg-type]
-    whole = DepthPipeline(pictures, rectifier=rectifier, measured=plain.measured, **options)  # type: ignore[arg-type]
+    backend = backend_named(device.kernels.name)
+    options: dict[str, Any] = {"config": preset, "disparity_range": _RANGE, "backend": backend, "device": device.name}
+    plain = DepthPipeline(rectified, **options)
+    whole = DepthPipeline(pictures, rectifier=rectifier, measured=plain.measured, **options)
     return Row(
         case.name,
         preset,
         backend,
-        device,
+        device.name,
         len(pictures.views),
         len(used),
-        timed(Rectification(rectifier, pictures, contract.Device(kernels, device)).work),
-        timed(Rectification(rectifier, pictures, contract.Device(kernels, device), used=used).work),
+        timed(),
+        timed(used=used),
         frame(plain),
         frame(whole),
         host_ms,
@@ -155,7 +153,7 @@ def _measured(
 
 def _error(pictures: LightField, rectifier: Rectifier, rectified: LightField) -> float:
     """Compare with the reference in the last view."""
-    reference = load("reference")
-    found = Rectification(rectifier, pictures, contract.Device(reference, "cpu"), used=[len(pictures.views) - 1])
+    reference = open_device("reference")
+    found = Rectification(rectifier, pictures, reference, used=[len(pictures.views) - 1])
     found.work()
-    return float(np.abs(reference.numpy(found.views)[0] - rectified.views[-1]).max())
+    return float(np.abs(reference.kernels.numpy(found.views)[0] - rectified.views[-1]).max())

@@ -14,7 +14,7 @@ import typer
 
 from benchmarks import cases, machine, rectify
 from benchmarks.memory import gpu_used, resident
-from benchmarks.options import CaseName, Device, Out, Preset, check_out, save, say
+from benchmarks.options import CaseName, DeviceName, Out, Preset, check_out, save, say
 from lfgpu import DepthStream, LightField, LightFieldError, Rectifier, StreamResult, scenes
 
 RANGE = (-1.0, 1.0)
@@ -79,7 +79,7 @@ def command(
     rectified: Annotated[
         bool, typer.Option("--rectify", help="Frames are raw pictures of a rig, rectified on the device.")
     ] = False,
-    device: Device = None,
+    device: DeviceName = None,
     out: Out = None,
 ) -> None:
     """Push frames with random drop-outs, cuts and errors; exit with 1 if memory grows or a frame is lost."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from benchmarks import clock
 from lfgpu import DepthPipeline
+from lfgpu.contract import Device
 
 UPLOAD, DOWNLOAD = "upload", "download"
 _MOST, _BUDGET = 10, 1.0  # repeats of each part, and seconds for them
@@ -28,7 +29,7 @@ def measure(
     those that one more estimate tells.
     """
     kernels, device = pipeline.kernels, pipeline.device
-    stop = clock.stopper(kernels, device)
+    stop = clock.stopper(Device(kernels, device))
     parts: dict[str, Callable[[], object]] = {UPLOAD: lambda: pipeline.upload(views)}
     captured = False
     if pipeline.method.is_on_device:

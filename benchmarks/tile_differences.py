@@ -12,8 +12,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.options import Out, Presets, collected, listed, say
 from benchmarks.tables import Table
 from lfgpu import LightField, estimate_depth, scenes
-from lfgpu._backends import load
-from lfgpu.contract import Device
+from lfgpu._backends import open_device
 from lfgpu.data.result import DepthResult
 from lfgpu.methods import method_of
 from lfgpu.methods import preset as named
@@ -78,7 +77,7 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
 def _in_four(lf: LightField, preset: str) -> DepthResult:
     """Estimate with the most memory that needs 2 x 2 tiles."""
     method = method_of(preset)
-    measured = method.measure(lf, Device(load("warp"), "cpu"), disparity_range=RANGE)
+    measured = method.measure(lf, open_device(device="cpu"), disparity_range=RANGE)
     edge = method.halo(lf.layout, measured)
     (_, height), (_, width) = (tiles._cuts(side, e)[1] for side, e in zip(lf.size, edge, strict=True))
     memory = method.footprint(lf.layout, measured, on_gpu=False).bytes(height, width)
