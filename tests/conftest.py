@@ -17,10 +17,14 @@ from lfgpu._backends import list_backends, load
 from lfgpu.contract import KernelSet
 from lfgpu.errors import BackendError
 from lfgpu.io import write_hci
+from lfgpu.scenes import render, synthesis
 from lfgpu.threads import get_threads
 
 SEED = "LFGPU_TEST_SEED"
 DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
+
+
+SCENES, PICTURES = 8, 2**28  # of synthetic scenes, how many a worker keeps, and how many bytes of what they look like
 
 
 class Target(NamedTuple):
@@ -163,6 +167,33 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[Any]:
     if report.failed and "rng" in getattr(item, "fixturenames", ()):
         report.sections.append(("random inputs", f"the same ones again: pytest --seed={os.environ[SEED]}"))
     return report
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _scenes_are_drawn_once() -> Iterator[None]:
+    """Keep the pictures that scenes were drawn as: to draw them takes longer than most of what is done with them."""
+    right, draw = synthesis._scene, render.picture
+    made: dict[str, Any] = {}
+    drawn: dict[Any, tuple[Any, np.ndarray]] = {}
+
+    def scene(*arguments: Any) -> Any:
+        if len(made) >= SCENES:
+            made.clear()
+        key = repr(arguments)
+        return made[key] if key in made else made.setdefault(key, right(*arguments))
+
+    def picture(things: list[Any], frame: Any, offset: tuple[float, float]) -> np.ndarray:
+        key = (*map(id, things), frame, *map(float, offset))
+        if key not in drawn:
+            if sum(values.nbytes for _, values in drawn.values()) > PICTURES:
+                drawn.clear()
+            drawn[key] = things, draw(things, frame, offset)  # things, too: nothing else gets their ids meanwhile
+        return drawn[key][1].copy()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(synthesis, "_scene", scene)
+        patch.setattr(render, "picture", picture)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from lfgpu.calibration import Rectified, read_rectifier, write_rectified
 from lfgpu.data.lightfield import LightField
 
 
+@pytest.mark.thorough
 def test_checkerboard() -> None:
     pytest.importorskip("cv2", reason="OpenCV is not installed")
     depth, true = example("checkerboard").main()

@@ -141,6 +141,7 @@ def test_a_backend_is_named_or_refused() -> None:
         backend_named("cuda")
 
 
+@pytest.mark.thorough
 def test_a_type_checker_refuses_what_is_no_preset(tmp_path: Path) -> None:
     pytest.importorskip("mypy")
     code = tmp_path / "code.py"

@@ -1,0 +1,193 @@
+"""The matrix notices what is wrong: a mutant of the reference fails a check, unless it computes the same."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import sys
+from collections.abc import Callable, Iterator
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+import alignment_cases
+import alignment_checks
+import checks
+import mutants
+import nlm_cases
+import nlm_checks
+import numpy as np
+import occlusion_cases
+import occlusion_checks
+import pytest
+import smoothing_checks
+import solver_cases
+import solver_checks
+import splat_cases
+import splat_checks
+import sweep_cases
+import sweep_checks
+import test_energy
+from test_matrix import CELLS, MAKERS
+
+from lfgpu._backends import load
+from lfgpu.kernels import reference
+
+pytestmark = pytest.mark.thorough
+
+REFERENCE = load("reference")
+ROOM = 40_000  # elements of the inputs: larger cases are about blocks of threads
+MODULES = [module.name for module in pkgutil.iter_modules(reference.__path__) if module.name != "backend"]
+CHECKED_ALONE = {"control", "memory"}  # by tests/kernels/test_checks_can_fail.py
+SAME = {
+    **{"alignment": 2, "boundaries": 4, "confidence": 1, "conjugate": 1, "cost_volume": 2, "lbfgs": 16, "nlm": 3},
+    **{"nlm_regression": 1, "occlusion": 2, "range_search": 7, "resampling": 1, "residuals": 4, "semi_global": 2},
+    **{"smoothing": 7, "splat": 2, "structure_tensor": 2, "vector": 2},
+}
+"""By module, how many mutants compute the same: values that are overwritten before they are read, slices that end
+behind the last element, numbers beside a division that is not taken, limits that nothing comes near."""
+
+
+def module_of(name: str) -> ModuleType:
+    return importlib.import_module(f"{reference.__name__}.{name}")
+
+
+def used(module: ModuleType) -> set[str]:
+    """The modules of the reference that a module takes something from, and itself."""
+    homes = {str(getattr(value, "__module__", "")) for value in vars(module).values()}
+    others = {home for home in homes if home.startswith(f"{reference.__name__}.")} - {module.__name__}
+    return {module.__name__}.union(*(used(sys.modules[home]) for home in others))
+
+
+@cache
+def prepared(name: str) -> tuple[checks.Operation, Any, Any, dict[str, Any]] | None:
+    """Operation, case, inputs and what the reference makes of them; the same in each run. None if they are large."""
+    operation, case = next(param.values for param in CELLS if param.id == name)
+    inputs = MAKERS[operation.inputs](case, np.random.default_rng([*name.encode()]))
+    if sum(values.size for values in vars(inputs).values() if isinstance(values, np.ndarray)) > ROOM:
+        return None
+    return operation, case, inputs, checks.compute(REFERENCE, "cpu", operation, inputs)
+
+
+def cells_of(module: ModuleType) -> Iterator[tuple[checks.Operation, Any, Any, dict[str, Any]]]:
+    """The cells of the matrix whose operation takes something from the module."""
+    for param in CELLS:
+        operation = getattr(REFERENCE, str(param.values[0]), None)
+        if operation is not None and module.__name__ in used(sys.modules[operation.__module__]):
+            found = prepared(str(param.id))
+            if found is not None:
+                yield found
+
+
+def noticed(mutant: mutants.Mutant, cells: list[tuple[checks.Operation, Any, Any, dict[str, Any]]]) -> bool:
+    """Whether a cell fails. What errors are relative to is computed by the reference as it is."""
+    for operation, case, inputs, want in cells:
+        try:
+            with mutant.at_work(), np.errstate(all="ignore"):
+                got = checks.compute(REFERENCE, "cpu", operation, inputs)
+            checks.check_outputs(operation, got, want, inputs, case.tolerance)
+        except Exception:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("name", [name for name in MODULES if name not in CHECKED_ALONE])
+def test_every_mutant_fails_a_cell_of_the_matrix(name: str) -> None:
+    module = module_of(name)
+    cells, all_of_them = list(cells_of(module)), list(mutants.mutants(module))
+    assert cells
+    assert all_of_them
+    passed = [mutant.name for mutant in all_of_them if not noticed(mutant, cells)]
+    assert len(passed) == SAME.get(name, 0), passed
+
+
+SPLAT = splat_cases.SplatCase("splat", offsets=splat_cases.IRREGULAR, masked=True, dtype="uint8")
+OCCLUSION = occlusion_cases.OcclusionCase("any", offsets=splat_cases.IRREGULAR, masked=True, disparities=(-3.0, 3.0))
+FAR = occlusion_cases.OcclusionCase("far", size=(23, 26), disparities=(-50.0, 50.0), exact=False, sharpness=1000.0)
+SWEEP = sweep_cases.SweepCase("any", offsets=splat_cases.IRREGULAR, masked=True, least=2)
+ALIGNMENT = alignment_cases.AlignmentCase("any", offsets=splat_cases.IRREGULAR, masked=True, dtype="uint8")
+WITHOUT_TRUTH: tuple[tuple[str, Callable[..., Any], Callable[[np.random.Generator], tuple[Any, ...]]], ...] = (
+    *(
+        ("splat", check, lambda rng: (splat_cases.splat_inputs(SPLAT, rng),))
+        for check in (
+            splat_checks.check_image_adjoint,
+            splat_checks.check_disparity_adjoint,
+        )
+    ),
+    *(
+        (module, check, lambda rng, of=of: (of[0](of[1], rng), of[2]))
+        for module, of in {
+            "splat": (splat_cases.splat_inputs, SPLAT, splat_checks.DATA_TERM),
+            "occlusion": (occlusion_cases.occlusion_inputs, OCCLUSION, occlusion_checks.DATA_TERM),
+        }.items()
+        for check in (
+            splat_checks.check_masked_pixels_do_not_count,
+            splat_checks.check_masked_view_is_a_missing_view,
+            splat_checks.check_nothing_valid_is_nothing_at_all,
+        )
+    ),
+    ("nlm", nlm_checks.check_nlm_symmetric, lambda rng: (nlm_cases.nlm_inputs(nlm_cases.NlmCase("nlm"), rng),)),
+    (
+        "occlusion",
+        occlusion_checks.check_front_hides_back,
+        lambda rng: (occlusion_cases.occlusion_inputs(OCCLUSION, rng),),
+    ),
+    (
+        "occlusion",
+        occlusion_checks.check_safe_whatever_the_range,
+        lambda rng: (occlusion_cases.occlusion_inputs(FAR, rng),),
+    ),
+    ("alignment", alignment_checks.check_step_leads_to_the_truth, lambda rng: (3, rng)),
+    (
+        "alignment",
+        alignment_checks.check_what_no_view_sees_has_no_slope,
+        lambda rng: (alignment_cases.alignment_inputs(ALIGNMENT, rng),),
+    ),
+    *(
+        ("plane_sweep", check, lambda rng: (sweep_cases.sweep_inputs(SWEEP, rng),))
+        for check in (
+            sweep_checks.check_masked_view_is_a_missing_view,
+            sweep_checks.check_nothing_valid_costs_the_most,
+            sweep_checks.check_a_side_that_sees_is_enough,
+        )
+    ),
+    ("smoothing", smoothing_checks.check_constant_stays, lambda rng: ()),
+    ("smoothing", smoothing_checks.check_edge_stays, lambda rng: ()),
+    ("smoothing", smoothing_checks.check_noise_falls, lambda rng: (rng,)),
+    ("smoothing", smoothing_checks.check_regions_stay_apart, lambda rng: (rng,)),
+    ("smoothing", smoothing_checks.check_masked_pixels_say_nothing, lambda rng: (rng,)),
+    ("smoothing", smoothing_checks.check_channels_are_alike_together, lambda rng: (rng,)),
+    *(
+        (
+            module,
+            test_energy.check_energy,
+            lambda rng: (test_energy.energy_inputs(test_energy.ENERGY_CASES[0], rng), 1e-5),
+        )
+        for module in ("splat", "nlm")
+    ),
+    ("lbfgs", solver_checks.check_sufficient_decrease, lambda rng: ()),
+    (
+        "lbfgs",
+        solver_checks.check_lbfgs_converges,
+        lambda rng: (solver_cases.quadratic(42, rng), rng.normal(size=(6, 7)), 1e-5),
+    ),
+)
+"""Checks that need no truth: a module, the check, and what it takes besides the backend and the device."""
+
+
+@pytest.mark.parametrize(
+    ("name", "check", "make"),
+    WITHOUT_TRUTH,
+    ids=lambda value: getattr(value, "__name__", value) if value is not None else "",
+)
+def test_a_check_without_truth_notices_mutants(name: str, check: Callable[..., Any], make: Callable[..., Any]) -> None:
+    check(REFERENCE, "cpu", *make(np.random.default_rng(0)))
+    for mutant in mutants.mutants(module_of(name)):
+        with mutant.at_work(), np.errstate(all="ignore"):
+            try:
+                check(REFERENCE, "cpu", *make(np.random.default_rng(0)))
+            except AssertionError:
+                return
+            except Exception:  # a mutant that cannot run says nothing about the check
+                continue
+    pytest.fail("no mutant is noticed")
