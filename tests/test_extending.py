@@ -20,6 +20,8 @@ from PIL import Image
 from lfgpu import scenes
 from lfgpu.io import read_map, write_hci
 
+pytestmark = pytest.mark.thorough
+
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 PLACE = re.compile(r"# (?P<file>\S+\.py)(: (at the end of (?P<table>\w+)|(?P<import>an import)))?\n")

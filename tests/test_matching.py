@@ -292,8 +292,8 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: str) -> 
     [
         ("accurate", (0.0,)),
         ("fast", (0.0,)),
-        ("accurate", (0.0, 0.01, 0.02)),
-        ("fast", (0.0, 0.01, 0.02)),
+        pytest.param("accurate", (0.0, 0.01, 0.02), marks=pytest.mark.thorough),
+        pytest.param("fast", (0.0, 0.01, 0.02), marks=pytest.mark.thorough),
     ],
 )
 def test_confidence_is_about_the_share_that_is_right(preset: str, noises: tuple[float, ...]) -> None:

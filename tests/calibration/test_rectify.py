@@ -190,6 +190,7 @@ def test_cameras_off_by_pixels_are_found_in_small_pictures() -> None:
     assert found.psnr_after > found.psnr_before + 4.5
 
 
+@pytest.mark.thorough
 def test_the_level_that_views_do_not_tell_is_said(boxes: LightField) -> None:
     """Over draws, maps of lined up views are off by a constant of the size that is said."""
     assert boxes.truth is not None

@@ -57,6 +57,7 @@ def test_confidence_falls_to_what_is_true_where_cameras_are_off(planes: LightFie
     np.testing.assert_array_equal(after.disparity, before.disparity)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("how", ["shift=0.5", "roll=0.7"])
 def test_over_many_arrays_it_falls_to_what_is_true(planes: LightField, how: str) -> None:
     """One array can be lucky: its errors may cancel for the texture that there is."""
