@@ -1,6 +1,6 @@
 """The checks of the kernel matrix. Each takes a backend, and raises AssertionError where it breaks the contract.
 
-They know nothing of pytest, so that `test_mutants.py` and `test_checks_can_fail.py` can hold broken backends against them.
+They know nothing of pytest, so that `test_mutants.py` and `test_checks_can_fail.py` can hold broken backends to them.
 """
 
 from __future__ import annotations
