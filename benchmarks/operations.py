@@ -16,6 +16,7 @@ import numpy as np
 
 from benchmarks import cases, clock
 from benchmarks.job import Job
+from benchmarks.processes import sentence
 from benchmarks.results import Record
 from lfgpu import LightField, TemporalPrior
 from lfgpu._backends import open_device
@@ -85,9 +86,14 @@ def measure(job: Job) -> Iterator[Record]:
     for frame, calls in _frames(job.name, lf, device, arrays):
         for operation in dict.fromkeys(call.name for call in calls):
             some = [call for call in calls if call.name == operation]
-            timed = clock.measure_on(device, partial(_all, some), repeats=job.repeats, budget=_BUDGET)
+            name = f"{frame}: {operation}"
+            try:
+                timed = clock.measure_on(device, partial(_all, some), repeats=job.repeats, budget=_BUDGET)
+            except Exception as error:  # whatever a backend raises: it is listed, and the rest goes on
+                yield job.record(name, failed=sentence(error))
+                continue
             yield job.record(
-                f"{frame}: {operation}",
+                name,
                 seconds=timed.seconds,
                 calls=timed.calls,
                 bytes=sum(_bytes(call, arrays, device) for call in some),

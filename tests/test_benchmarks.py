@@ -135,6 +135,25 @@ def test_operations_of_other_backends_and_methods_are_found(
     assert all(record.bytes and record.seconds for record in found.values())
 
 
+def test_an_operation_that_fails_is_listed_and_the_rest_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def once(device: Any, call: Callable[[], None], **options: Any) -> clock.Timed:
+        monkeypatch.setattr(clock, "measure_on", always)
+        raise RuntimeError("no capture")
+
+    def always(device: Any, call: Callable[[], None], **options: Any) -> clock.Timed:
+        return clock.Timed(clock.spread([1.0]), 1, 0.0, False)
+
+    monkeypatch.setattr(clock, "measure_on", once)
+    cases.cast(Case((3, 3), (32, 32)), tmp_path / "scene.npz")
+    job = Job("operation", "reference", "cpu", "", "fast", 1, str(tmp_path / "scene.npz"))
+    first, *others = operations.measure(job)
+    assert first.failed == "RuntimeError: no capture"
+    assert len(others) > 20
+    assert not any(record.failed for record in others)
+
+
 def test_a_device_that_is_not_there_is_listed(measured: Path) -> None:
     skipped = {(s.backend, s.device): s.reason for s in results.load(measured).skipped}
     assert skipped.keys() == {("warp", "cuda:99")}
