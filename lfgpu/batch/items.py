@@ -17,6 +17,7 @@ from lfgpu.io import RESULT_FILE, several
 from lfgpu.io.atomic import LEFT_OVER
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, image_files, natural_order
 from lfgpu.io.formats import FORMATS, inside, kind
+from lfgpu.io.numbered import frames_of
 from lfgpu.io.numpy_file import holds_views
 from lfgpu.printable import printable
 
@@ -36,15 +37,24 @@ class Item:
         The path that it is read from.
     sequence
         The sequence that it is a frame of; "" (default) if of none.
+    frame
+        Index of its time where the path holds several times for each camera; None (default) where it does not.
     """
 
     name: str
     source: str
     sequence: str = ""
+    frame: int | None = None
 
 
 def find_items(
-    inputs: Sequence[str], *, sequence: bool, format_name: str | None = None, leave_out: Path | None = None
+    inputs: Sequence[str],
+    *,
+    sequence: bool,
+    format_name: str | None = None,
+    pattern: str | None = None,
+    frame: int | None = None,
+    leave_out: Path | None = None,
 ) -> tuple[list[Item], list[Path]]:
     """Find the light fields that inputs name.
 
@@ -57,6 +67,11 @@ def find_items(
     format_name
         Format of all light fields. Then each path that an input names is a light field. Default None: light fields are
         recognised.
+    pattern
+        Pattern of the names of the views, as `lfgpu.read` takes it; then each path that an input names is a light
+        field, too. Default None.
+    frame
+        The only time that is wanted of folders that hold several. Default None: each of them is an item.
     leave_out
         The output folder, which is not searched. Default None.
 
@@ -75,7 +90,7 @@ def find_items(
     everything: list[Path] = []
     search = _Search(None if leave_out is None else real(leave_out))
     for path in (path for text in inputs for path in _matches(text) if real(path) != search.excluded):
-        if format_name is not None or not _is_folder(path):
+        if format_name is not None or pattern is not None or not _is_folder(path):
             everything.append(path)
         else:
             everything += search.below(path)
@@ -85,7 +100,25 @@ def find_items(
             f"no light field was found in {', '.join(inputs)}; give light fields, or folders that hold some."
         )
     names = _names(paths)
-    return [Item(names[path], str(path), str(path.parent) if sequence else "") for path in paths], search.barren
+    items = []
+    for path in paths:
+        times = _times(path, pattern) if frame is None and format_name in (None, *several.ANY_IMAGES) else 1
+        if times == 1:
+            items.append(Item(names[path], str(path), str(path.parent) if sequence else ""))
+        else:
+            of = str(path) if sequence else ""
+            items += [Item(f"{names[path]}/{time:04d}", str(path), of, time) for time in range(times)]
+    return items, search.barren
+
+
+def _times(path: Path, pattern: str | None) -> int:
+    """How many times a folder of numbered images holds for each camera; 1 for anything else."""
+    try:
+        if pattern is None and recognised(path) not in several.ANY_IMAGES:
+            return 1
+        return frames_of(path, pattern)
+    except LightFieldError:  # whoever reads it says what is wrong
+        return 1
 
 
 def fingerprint(source: str, *, leave_out: Path | None = None) -> str:

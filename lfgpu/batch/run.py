@@ -165,12 +165,12 @@ class Batch:
 
 
 def _jobs(items: Sequence[Item], out: Path, settings: Settings) -> list[Job]:
-    frames: dict[str, list[str]] = defaultdict(list)
+    frames: dict[str, list[Item]] = defaultdict(list)
     for item in items:
         if item.sequence and len(frames[item.sequence]) < _MEASURED_ON:
-            frames[item.sequence].append(item.source)
-    first = {sequence: tuple(sources) for sequence, sources in frames.items()}
-    began_with = {sequence: fingerprint(sources[0], leave_out=out) for sequence, sources in first.items()}
+            frames[item.sequence].append(item)
+    first = {sequence: tuple(items) for sequence, items in frames.items()}
+    began_with = {sequence: fingerprint(items[0].source, leave_out=out) for sequence, items in first.items()}
     parameters = {of: key_of(settings.config, {**settings.options, "sequence": of}) for of in (False, True)}
     return [
         Job(

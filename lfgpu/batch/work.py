@@ -84,7 +84,7 @@ class Job:
     item: Item
     settings: Settings
     out: str
-    first: tuple[str, ...] = ()
+    first: tuple[Item, ...] = ()
     keys: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -117,7 +117,7 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
     from lfgpu.io import atomic_folder
 
     clock = _Clock()
-    lf = _read(job.item.source, job.settings)
+    lf = _read(job.item, job.settings)
     clock.lap("read")
     kernels = load(job.settings.backend)
     device = pick_device(kernels, device)
@@ -155,10 +155,10 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
     }
 
 
-def _read(source: str, settings: Settings) -> LightField:
+def _read(item: Item, settings: Settings) -> LightField:
     from lfgpu.io import read
 
-    lf = read(source, **settings.reading)
+    lf = read(item.source, **{**settings.reading, **({} if item.frame is None else {"frame": item.frame})})
     if settings.place is not None:
         lf = lf.with_reference(lf.index_of(*settings.place))
     return lf if settings.pattern == "full" else lf.subset(settings.pattern)
@@ -178,16 +178,16 @@ def _estimate(lf: LightField, job: Job, device: str) -> DepthResult:
     return replace(result, name=lf.name, geometry=lf.geometry, timings=timings)
 
 
-def _measured(first: tuple[str, ...], settings: Settings, device: str) -> Measured | None:
+def _measured(first: tuple[Item, ...], settings: Settings, device: str) -> Measured | None:
     """Range and noise of a sequence, measured on its first readable frame; None if no frame is readable."""
     from lfgpu.pipelines.pipeline import measured_on
 
     key = (first, device, repr(settings))
     if key not in _MEASURED:
         _MEASURED[key] = None
-        for source in first:
+        for item in first:
             with suppress(LfgpuError):  # the frame reports its error when it is its turn
-                lf = _read(source, settings)
+                lf = _read(item, settings)
                 _MEASURED[key], _ = measured_on(
                     lf,
                     config=settings.config,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import accumulate
 from pathlib import Path
+from types import MappingProxyType
 
 from lfgpu.errors import LightFieldError
 
@@ -78,12 +79,13 @@ class Naming:
         """The pictures."""
         return [name.file for name in self.names]
 
-    def pattern(self, **other: str) -> str:
-        """The pattern of the names, as `--pattern` takes it; `other` names numbers by their meaning."""
+    def pattern(self, named: Mapping[int, str] = MappingProxyType({})) -> str:
+        """The pattern of the names, as `--pattern` takes it; `named` gives other names to numbers, "" to leave them."""
         first, parts = self.names[0], []
-        for text, digits, number in zip(first.texts, first.digits, self.numbers, strict=False):
-            known = other.get(number.meaning, _SHORT.get(number.meaning, "?"))
-            parts += [text, f"{{{known}}}" if number.varies or number.meaning in (ROW, COLUMN) else digits]
+        for place, (text, digits, number) in enumerate(zip(first.texts, first.digits, self.numbers, strict=False)):
+            usual = _SHORT.get(number.meaning, "?") if number.varies or number.meaning in (ROW, COLUMN) else ""
+            name = named.get(place, usual)
+            parts += [text, f"{{{name}}}" if name else digits]
         return "".join([*parts, first.texts[-1]]) + first.file.suffix
 
     def sentence(self, folder: Path) -> str:
@@ -134,7 +136,10 @@ def understood(names: Sequence[Name]) -> Naming:
     """What the numbers count: by the words beside them, as dates, and by the convention for two without words."""
     first, columns = names[0], list(zip(*(name.numbers for name in names), strict=True))
     varying = {place for place, values in enumerate(columns) if len(set(values)) > 1}
-    words = [_word(first.texts[place : place + 2], first=not place) for place in range(len(columns))]
+    words = [_word(text, first=not place) for place, text in enumerate(first.texts[:-1])]
+    behind = [_word_behind(text) for text in first.texts[1:]]
+    if len(behind) > 1 and all(behind) and not words[0]:  # "0row_2col"
+        words = behind
     meanings = _believed(words)
     for place, why in _moments(names).items():
         meanings[place] = (TIME, why)
@@ -143,15 +148,18 @@ def understood(names: Sequence[Name]) -> Naming:
     return Naming(tuple(names), tuple(Number(*what, tuple(v)) for what, v in zip(meanings, columns, strict=True)))
 
 
-def _word(texts: Sequence[str], *, first: bool) -> str:
-    """The word beside a number: before it, or right behind it where none stands before; "/" where a folder begins."""
-    before, behind = texts
+def _word(before: str, *, first: bool) -> str:
+    """The word before a number, in lower case; "/" where it begins the name of a file in a folder."""
     if before.strip().lower() == "x" and not first:  # 3x4: three by four
         return ""
-    if found := _WORD.findall(before.rsplit("/", 1)[-1]):
-        return str(found[-1]).lower()
-    after = re.match("[A-Za-z]{2,}", behind)  # "0row_2col", but neither "5px" nor "3x4"
-    return after[0].lower() if after and after[0].lower() in _MEANINGS else "/" * ("/" in before)
+    found = _WORD.findall(before.rsplit("/", 1)[-1])
+    return str(found[-1]).lower() if found else "/" * ("/" in before)
+
+
+def _word_behind(after: str) -> str:
+    """The known word right behind a number; "" if there is none: "5px" and "3x4" have none."""
+    found = re.match("[A-Za-z]{2,}", after)
+    return found[0].lower() if found and found[0].lower() in _MEANINGS else ""
 
 
 def _believed(words: Sequence[str]) -> list[tuple[str, str]]:

@@ -54,10 +54,25 @@ def recognise(path: Path, *, kind: str) -> str | None:
 
 
 def _kind(naming: Naming) -> str:
-    if not (naming.of(ROW) and naming.of(COLUMN)):
+    if not _names_places(naming) or not _is_one_scene(naming):
         return "camera-row"
-    in_folders = any("/" in text for text in naming.names[0].texts[1:])
-    return "row-folders" if in_folders else "named-views"
+    return "row-folders" if _in_folders(naming, ROW, COLUMN) else "named-views"
+
+
+def _in_folders(naming: Naming, *meanings: str) -> bool:
+    """Whether folders are counted by a number of one of these meanings."""
+    texts = naming.names[0].texts
+    return any("/" in "".join(texts[k + 1 :]) and n.meaning in meanings for k, n in enumerate(naming.numbers))
+
+
+def _is_one_scene(naming: Naming) -> bool:
+    """Whether folders that count as rows without a word that says so show one scene: others are often numbered, too."""
+    rows = naming.of(ROW)
+    told = all("word" in number.why or "pattern" in number.why for number in rows)
+    if told or not _in_folders(naming, ROW) or not rows[0].varies:
+        return True
+    lines = [[f for f, row in zip(naming.files, rows[0].values, strict=True) if row == n] for n in set(rows[0].values)]
+    return parallax.one_scene([line[len(line) // 2] for line in lines])
 
 
 def read_numbered(
@@ -204,29 +219,27 @@ def _question(path: Path, naming: Naming) -> str | None:
     moving = [number for number in places if number.varies]
     unclear = len(cameras) > 1 or len(naming.of(ROW)) > 1 or len(naming.of(COLUMN)) > 1
     first = naming.files[0]
+    at = {number.meaning: place for place, number in enumerate(naming.numbers) if number.varies}
     if naming.of(EXPOSURE) and len(_places(naming)) > len(set(_places(naming))):
-        one = naming.names[0]
-        text = "".join(
-            t + (f"{{{ {ROW: 'v', COLUMN: 'u'}.get(n.meaning, 'n') }}}" if n.varies and n.meaning != EXPOSURE else d)
-            for t, d, n in zip(one.texts, one.digits, naming.numbers, strict=False)
-        )
         return (
             f"{path} has several exposures of each camera, such as {first.name}: choose one with "
-            f'--pattern "{text}{one.texts[-1]}{first.suffix}" (pattern= in Python).'
+            f'--pattern "{naming.pattern({at[EXPOSURE]: ""})}" (pattern= in Python).'
         )
     folders = [place for place, text in enumerate(naming.names[0].texts[1:]) if "/" in text]
-    if unknown and folders and naming.numbers[folders[0]] in unknown:
+    if unknown and folders and naming.numbers[folders[-1]].varies:
         names = sorted({file.relative_to(path).parts[0] for file in naming.files})
         listed_names = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
+        inside = next((k for k, n in enumerate(naming.numbers) if n.varies and k > folders[-1]), folders[-1])
+        camera, other = (folders[-1], inside) if at.get(CAMERA) == folders[-1] else (inside, folders[-1])
         return (
             f"{path} has several folders with numbered images ({listed_names}); give one, or say what the numbers "
-            f'count with --pattern, such as "{naming.pattern(unknown="v", camera="u")}" for rows and columns or '
-            f'"{naming.pattern(unknown="t", camera="u")}" for cameras and times (pattern= in Python).'
+            f'count with --pattern, such as "{naming.pattern({folders[-1]: "v", inside: "u"})}" for rows and columns '
+            f'or "{naming.pattern({camera: "u", other: "t"})}" for cameras and times (pattern= in Python).'
         )
     if unknown or unclear:
         return (
             f"{path}: it cannot be known what the numbers in names such as {first.name} count; say it with "
-            f'--pattern "{naming.pattern(unknown="?")}" (pattern= in Python), where {{u}} is a column, {{v}} a row, '
+            f'--pattern "{naming.pattern()}" (pattern= in Python), where {{u}} is a column, {{v}} a row, '
             "{n} a camera and {t} a time in place of {?}."
         )
     if times and not moving:
@@ -234,24 +247,15 @@ def _question(path: Path, naming: Naming) -> str | None:
             return None
         if all("pattern" in number.why for number in times):
             return None
-        named = naming.pattern(time="t") if all("word" in n.why for n in times) else _dated(naming)
+        words = iter(["date", "time"] if all("word" not in n.why for n in times) else [])
+        of_time = [place for place, number in enumerate(naming.numbers) if number.meaning == TIME]
+        named = naming.pattern({place: next(words, "t") for place in of_time})
         return (
             f"{path}: the numbers in names such as {first.name} are times, which say nothing of where the camera "
             f'stood; if it moved to the right in equal steps, say --pattern "{named}" (pattern= in Python), and '
             "--grid ROWSxCOLUMNS if it moved over a grid."
         )
     return None
-
-
-def _dated(naming: Naming) -> str:
-    """The pattern of names that are dates and times, with all their numbers in it."""
-    name = naming.names[0]
-    words = iter(["date", "time", *["t"] * len(name.digits)])
-    parts = [
-        text + (f"{{{next(words)}}}" if n.meaning == TIME else digits)
-        for text, digits, n in zip(name.texts, name.digits, naming.numbers, strict=False)
-    ]
-    return "".join([*parts, name.texts[-1]]) + name.file.suffix
 
 
 # --- one time ---
@@ -328,7 +332,7 @@ def _read_grid(
     Both axes count from the same number, so that a lost first row is noticed, unless numbers have signs. An axis along
     which the cameras do not stand (one row or one column of views) is left out of that.
     """
-    if _kind_is_convention(naming) and rows.varies and not parallax.one_scene(_middles(naming, rows)):
+    if not _is_one_scene(naming):
         names = sorted({file.parent.name for file in naming.files})
         raise LightFieldError(
             f"{path} has several folders with numbered images ({', '.join(names)}); give one. They do not show one "
@@ -355,22 +359,6 @@ def _read_grid(
     if min(row, column) < 0 and (0, 0) in places:
         return light_field.with_reference(light_field.index_of(-row, -column))
     return light_field
-
-
-def _kind_is_convention(naming: Naming) -> bool:
-    """Whether folders count as rows without a word that says so."""
-    first = naming.names[0]
-    return any("/" in text for text in first.texts[1:]) and any(
-        n.meaning == ROW and "word" not in n.why and "pattern" not in n.why for n in naming.numbers
-    )
-
-
-def _middles(naming: Naming, rows: Number) -> list[Path]:
-    """The middle picture of each row."""
-    return [
-        (line := [f for f, value in zip(naming.files, rows.values, strict=True) if value == row])[len(line) // 2]
-        for row in sorted(set(rows.values))
-    ]
 
 
 # --- cameras with one number ---
@@ -434,7 +422,7 @@ def _shape(path: Path, files: Sequence[Path], count: int, *, down: bool) -> tupl
         return (
             1,
             count,
-        ), "by the parallax of the pictures they stand in one row; it is taken to run to the right in equal steps"
+        ), "by their parallax they stand in one row; it is taken to run to the right in equal steps"
     proposed = [*grids[: len(grids) // 2 + 1]] if len(grids) > 6 else grids
     options = ", ".join(f"--grid {rows}x{columns}" for rows, columns in [(1, count), *proposed])
     told = parallax.consecutive(looked_at)

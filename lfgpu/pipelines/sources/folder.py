@@ -11,7 +11,9 @@ import numpy as np
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io import read
 from lfgpu.io.folders import natural_order, sub_folders
+from lfgpu.io.numbered import frames_of
 from lfgpu.pipelines.rectifier import Rectifier
 from lfgpu.pipelines.sources.base import Frames, Options
 from lfgpu.pipelines.sources.recording import VIEWS_FILE
@@ -30,8 +32,14 @@ def recognise_growing(source: str) -> bool:
 
 
 def frames(source: str, options: Options) -> Frames:
-    """The light fields of a folder, or raw pictures for a rectifier, in the natural order of their names."""
+    """The light fields of a folder, or raw pictures for a rectifier, in the natural order of their names.
+
+    Of a folder of images of several times for each camera, the times.
+    """
     path = Path(source)
+    if options.rectifier is None and (times := frames_of(path)) > 1:
+        yield from (read(path, frame=time) for time in range(times))
+        return
     folders = _ordered(path)
     if not folders:
         raise LightFieldError(
@@ -91,7 +99,6 @@ def _ordered(path: Path) -> list[Path]:
 
 
 def _read(folder: Path, rectifier: Rectifier | None) -> LightField:
-    from lfgpu.io import read
     from lfgpu.io.pictures import load_pictures
 
     if rectifier is None or (folder / VIEWS_FILE).is_file():  # recorded frames say themselves which cameras are there

@@ -1,0 +1,208 @@
+"""What the numbers in names of pictures count: words, dates, times, patterns, and what is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from samples import picture, refusal, save
+
+from lfgpu.batch.items import find_items
+from lfgpu.data.lightfield import LightField
+from lfgpu.io import read
+from lfgpu.pipelines.sources.base import Options
+from lfgpu.pipelines.sources.folder import frames
+from lfgpu.scenes import make
+
+
+@pytest.fixture(scope="module")
+def true() -> LightField:
+    return make("planes", grid=(3, 4), size=(96, 112), disparity_range=(-1.5, 1.5), seed=1)
+
+
+def written(lf: LightField, folder: Path, name: Callable[[int, int], str]) -> Path:
+    """Views by the name that their (row, column) have."""
+    for view, (u, v) in zip(lf.views, lf.positions.astype(int).tolist(), strict=True):
+        path = folder / name(v, u)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(view).save(path)
+    return folder
+
+
+WORDS = {
+    "row and col": lambda v, u: f"row{v}_col{u}.png",
+    "col and row": lambda v, u: f"col{u}_row{v}.png",
+    "x and y": lambda v, u: f"cam_x{u}_y{v}.png",
+    "v and u": lambda v, u: f"v{v}u{u}.png",
+    "u and v": lambda v, u: f"u{u}_v{v}.png",
+    "s and t": lambda v, u: f"s{u}_t{v}.png",
+    "capitals": lambda v, u: f"Scene7 X{u + 1} Y{v + 1}.PNG",
+    "camel case": lambda v, u: f"camX{u}Y{v}.png",
+    "words behind": lambda v, u: f"{v}row_{u}col.png",
+    "no words": lambda v, u: f"cam_{v}_{u}.png",
+    "by": lambda v, u: f"view_{v}x{u}.png",
+    "one word": lambda v, u: f"row{v} - {u}.png",
+    "a counter beside": lambda v, u: f"IMG_{1000 + 4 * v + u}_row{v}_col{u}.png",
+    "a date beside": lambda v, u: f"20240229_120000_r{v}_c{u}.png",
+    "the times beside": lambda v, u: f"20240229_1200{4 * v + u:02d}_r{v}_c{u}.png",
+    "rows in folders": lambda v, u: f"row_{v}/{u:03d}.png",
+    "columns in folders": lambda v, u: f"column {u}/row {v}.png",
+}
+
+
+@pytest.mark.parametrize("name", WORDS.values(), ids=WORDS)
+def test_words_are_believed(name: Callable[[int, int], str], true: LightField, tmp_path: Path) -> None:
+    found = read(written(true, tmp_path / "in", name))
+    assert found.grid_shape == (3, 4)
+    for row, column in np.ndindex(3, 4):
+        np.testing.assert_array_equal(found.view(row, column), true.view(row, column))
+    assert found.notes == ()
+
+
+def test_cameras_and_times(true: LightField, tmp_path: Path) -> None:
+    row = true.subset("row")
+    for time in range(3):
+        shown = np.roll(row.views, 5 * time, axis=2)
+        for camera in range(4):
+            save(tmp_path / f"cam{camera:02d}_frame{time:04d}.png", shown[camera])
+    first, last = read(tmp_path), read(tmp_path, frame=2)
+    np.testing.assert_array_equal(first.views, row.views)
+    np.testing.assert_array_equal(last.views, np.roll(row.views, 10, axis=2))
+    assert first.grid_shape == (1, 4)
+    assert "4 cameras and 3 times; this is time 0 (cam00_frame0000.png" in first.notes[0]
+    assert "camera (the word cam says so)" in first.reading.places
+    assert "frame must be from 0 to 2" in refusal(lambda: read(tmp_path, frame=3))
+    items, _ = find_items([str(tmp_path)], sequence=True)
+    assert [(item.frame, item.sequence) for item in items] == [(time, str(tmp_path)) for time in range(3)]
+    assert len(list(frames(str(tmp_path), Options()))) == 3
+
+
+@pytest.mark.parametrize("name", ["cam{n}/frame{t}.png", "t{t}/camera {n}.png", "frame_{t}/{n}.png"])
+def test_cameras_and_times_in_folders(name: str, true: LightField, tmp_path: Path) -> None:
+    row = true.subset("row")
+    for time in range(3):
+        for camera in range(4):
+            save(tmp_path / name.format(n=camera, t=time), np.roll(row.views, 5 * time, axis=2)[camera])
+    pattern = {"pattern": "frame_{t}/{n}.png"} if name.startswith("frame_") else {}
+    np.testing.assert_array_equal(read(tmp_path, frame=1, **pattern).views, np.roll(row.views, 5, axis=2))
+
+
+def test_patterns_say_what_numbers_count(true: LightField, tmp_path: Path) -> None:
+    written(true, tmp_path, lambda v, u: f"a{u}-b{v}-c7.png")
+    assert '--pattern "a{?}-b{?}-c7.png"' in refusal(lambda: read(tmp_path))
+    found = read(tmp_path, pattern="a{u}-b{v}-*.png")
+    np.testing.assert_array_equal(found.view(2, 1), true.view(2, 1))
+    assert "no picture whose name is of the pattern" in refusal(lambda: read(tmp_path, pattern="x{u}.png"))
+    assert "pattern must name numbers" in refusal(lambda: read(tmp_path, pattern="a{q}.png"))
+    assert "pattern must name numbers" in refusal(lambda: read(tmp_path, pattern="*.png"))
+
+
+@pytest.mark.parametrize(
+    ("name", "pattern"),
+    [
+        ("IMG_20240229_1200{0:02d}.png", "IMG_{date}_{time}.png"),
+        ("2024-02-29 12.00.{0:02d}.png", None),
+        ("20240229T1200{0:02d}500.png", None),
+        ("PXL_20240229_1200{0:02d}123.png", "PXL_{date}_{time}.png"),
+        ("shot 12-00-{0:02d}.png", None),
+        ("17091935{0:02d}.png", "{date}.png"),
+    ],
+)
+def test_dates_and_times_are_no_places(name: str, pattern: str | None, tmp_path: Path) -> None:
+    for number, second in enumerate((3, 4, 7, 11, 20)):
+        save(tmp_path / name.format(second), picture(number))
+    text = refusal(lambda: read(tmp_path))
+    assert "are times, which say nothing of where the camera stood" in text
+    asked = text.split('--pattern "')[1].split('"')[0]
+    assert pattern in (None, asked)
+    found = read(tmp_path, pattern=asked)
+    assert found.grid_shape == (1, 5)
+    np.testing.assert_array_equal(found.views[3], picture(3))
+
+
+def asked(folder: Path, **options: Any) -> str:
+    return refusal(lambda: read(folder, **options))
+
+
+def test_numbered_images_in_a_grid_are_asked_about(true: LightField, tmp_path: Path) -> None:
+    written(true, tmp_path / "rows", lambda v, u: f"img{4 * v + u:02d}.png")
+    text = asked(tmp_path / "rows")
+    assert "--grid 1x12, --grid 2x6, --grid 3x4, --grid 4x3, --grid 6x2" in text
+    assert text.endswith("; by the pictures --grid 3x4 fits.")
+    np.testing.assert_array_equal(read(tmp_path / "rows", grid=(3, 4)).views, true.views)
+    written(true, tmp_path / "turning", lambda v, u: f"img{4 * v + (u if v % 2 == 0 else 3 - u):02d}.png")
+    assert "by the pictures --grid 3x4 --order serpentine fits" in asked(tmp_path / "turning")
+    found = read(tmp_path / "turning", grid=(3, 4), order="serpentine")
+    np.testing.assert_array_equal(found.view(1, 0), true.view(1, 0))
+    written(true, tmp_path / "columns", lambda v, u: f"img{3 * u + v:02d}.png")
+    assert "by the pictures --grid 3x4 --order column-major fits" in asked(tmp_path / "columns")
+    found = read(tmp_path / "columns", grid=(3, 4), order="column-major")
+    np.testing.assert_array_equal(found.view(2, 1), true.view(2, 1))
+
+
+def test_a_row_whose_pictures_show_it_is_not_asked_about(true: LightField, tmp_path: Path) -> None:
+    row = make("planes", grid=(1, 6), size=(96, 112), disparity_range=(-1.5, 1.5), seed=2)
+    found = read(written(row, tmp_path / "in", lambda v, u: f"img{u:02d}.png"))
+    assert found.grid_shape == (1, 6)
+    assert "by their parallax they stand in one row" in found.reading.places
+    found = read(written(row, tmp_path / "frames", lambda v, u: f"frame_{u:04d}.png"))
+    assert found.grid_shape == (1, 6)
+
+
+def test_gaps_are_always_asked_about(tmp_path: Path) -> None:
+    for number in (0, 1, 2, 3, 10):
+        save(tmp_path / f"img{number}.png", picture(number))
+    assert "lacks 6 of the 11 views" in asked(tmp_path)
+    assert len(read(tmp_path, allow_missing=True).views) == 5
+
+
+def test_what_is_named_otherwise(tmp_path: Path) -> None:
+    for number in range(5):
+        save(tmp_path / f"cam{number}.png", picture(number))
+        save(tmp_path / f"cam{number}_mask.png", picture(number))
+    text = asked(tmp_path)
+    assert "named in different ways: cam0.png and cam0_mask.png" in text
+    assert '--pattern "cam{n}.png"' in text
+    assert len(read(tmp_path, pattern="cam{n}.png").views) == 5
+
+
+def test_exposures_are_chosen(tmp_path: Path) -> None:
+    for number in range(3):
+        for exposure in (10, 100):
+            save(tmp_path / f"cam{number}_exp{exposure}.png", picture(number + exposure))
+    text = asked(tmp_path)
+    assert 'choose one with --pattern "cam{n}_exp10.png"' in text
+    np.testing.assert_array_equal(read(tmp_path, pattern="cam{n}_exp100.png").views[1], picture(101))
+
+
+def test_folders_of_cameras_with_numbered_images_are_asked_about(tmp_path: Path) -> None:
+    for camera in range(3):
+        for number in range(4):
+            save(tmp_path / f"cam{camera}" / f"{number:04d}.png", picture(10 * camera + number))
+    text = asked(tmp_path)
+    assert '"cam{u}/{t}.png" for cameras and times' in text
+    found = read(tmp_path, pattern="cam{u}/{t}.png", frame=2)
+    np.testing.assert_array_equal(found.views[1], picture(12))
+
+
+def test_a_view_read_as_another_orientation_or_order_is_noticed(true: LightField, tmp_path: Path) -> None:
+    folder = written(true, tmp_path / "in", lambda v, u: f"row{u}_col{v}.png")
+    turned = read(folder)
+    assert "rows of cameras are taken for columns: read it with --transpose." in turned.notes[-1]
+    right = read(folder, transpose=True)
+    assert right.notes == ()
+    np.testing.assert_array_equal(right.view(2, 1), true.view(2, 1))
+    both = read(written(true, tmp_path / "both", lambda v, u: f"row{u}_col{2 - v}.png"))
+    assert "read it with --transpose --flip v" in both.notes[-1]
+    assert "read it without --flip v" in read(written(true, tmp_path / "b", WORDS["u and v"]), flip="v").notes[-1]
+
+
+def test_equal_pictures_are_no_light_field(tmp_path: Path) -> None:
+    view = make("planes", grid=(1, 2), size=(96, 112), seed=2).views[0]
+    for number in range(5):
+        save(tmp_path / f"cam{number}.png", view)
+    assert "All views are the same picture: there is no parallax" in read(tmp_path).notes[-1]
