@@ -86,6 +86,11 @@ def record_of(median: float = 1.0, *, half_spread: float = 0.01, error: float = 
 # --- a run ---
 
 
+def test_the_page_on_measuring_has_each_case() -> None:
+    text = (ROOT / "benchmarks" / "measuring.md").read_text(encoding="utf-8")
+    assert all(f"`{case.name}`" in text for case in CASES)
+
+
 def test_a_run_has_times_errors_and_memory(measured: Path) -> None:
     run = results.load(measured)
     assert run.threads == 1
