@@ -206,6 +206,14 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def scene_folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of light fields for batches, one of which cannot be read."""
+    from batch_runs import record
+
+    return record(tmp_path_factory.mktemp("recorded") / "scenes")
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """One browser for all tests of a file: it takes long to come."""

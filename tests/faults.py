@@ -10,8 +10,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+
+from lfgpu.threads import get_threads
 
 ROOT = Path(__file__).parents[1]
 _COPIED = ("lfgpu", "kernels", "benchmarks", "tests", "pyproject.toml", "README.md", "docs")
@@ -288,7 +291,7 @@ def noticed(fault: Fault) -> bool:
             raise SystemExit(f"{fault.name}: {fault.file} holds no {fault.old!r} any more.")
         broken.write_text(text.replace(fault.old, fault.new), encoding="utf-8")
         command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *fault.tests]
-        environment = {**os.environ, "PYTHONPATH": folder}
+        environment = {**os.environ, "PYTHONPATH": folder, "LFGPU_THREADS": "1"}
         done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
         if done.returncode not in (0, 1):
             raise SystemExit(f"{fault.name}: pytest could not run.\n{done.stdout}{done.stderr}")
@@ -297,14 +300,13 @@ def noticed(fault: Fault) -> bool:
 
 def main() -> int:
     """Inject every fault whose name holds the first argument, or all; 1 if one is not noticed."""
-    wanted = sys.argv[1] if len(sys.argv) > 1 else ""
-    missed = 0
-    for fault in FAULTS:
-        if wanted in fault.name:
-            found = noticed(fault)
-            missed += not found
-            print(f"{'noticed' if found else 'NOT NOTICED'}: {fault.name} ({fault.file})", flush=True)
-    return int(missed > 0)
+    wanted = [fault for fault in FAULTS if not sys.argv[1:] or sys.argv[1] in fault.name]
+    with ThreadPoolExecutor(get_threads()) as pool:
+        found = []
+        for fault, one in zip(wanted, pool.map(noticed, wanted), strict=True):
+            found.append(one)
+            print(f"{'noticed' if one else 'NOT NOTICED'}: {fault.name} ({fault.file})", flush=True)
+    return int(not all(found))
 
 
 if __name__ == "__main__":

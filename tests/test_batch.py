@@ -34,7 +34,6 @@ from batch_runs import (
     lfgpu,
     local,
     pids,
-    record,
     wait_for,
 )
 
@@ -50,17 +49,11 @@ pytestmark = pytest.mark.thorough
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of light fields, one of which cannot be read."""
-    return record(tmp_path_factory.mktemp("recorded") / "scenes")
-
-
-@pytest.fixture(scope="module")
-def undisturbed(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def undisturbed(scene_folders: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the slow settings make of it, without Dask and without anything going wrong but the damaged file."""
     out = tmp_path_factory.mktemp("undisturbed")
     with Manifest(out) as manifest:
-        manifest.add(work(job, "cpu") for job in jobs(recorded, out, SLOW))
+        manifest.add(work(job, "cpu") for job in jobs(scene_folders, out, SLOW))
     return out
 
 
@@ -78,7 +71,9 @@ def test_a_process_can_run_one_batch_after_another(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_a_worker_that_is_killed_in_the_middle_costs_nothing(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
+def test_a_worker_that_is_killed_in_the_middle_costs_nothing(
+    scene_folders: Path, undisturbed: Path, tmp_path: Path
+) -> None:
     cluster, killed = local(), []
 
     def kill() -> None:
@@ -93,7 +88,7 @@ def test_a_worker_that_is_killed_in_the_middle_costs_nothing(recorded: Path, und
 
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
-    items = find_items([str(recorded)], sequence=False)[0]
+    items = find_items([str(scene_folders)], sequence=False)[0]
     summary = Batch(items, tmp_path, SLOW).run(cluster)
     killer.join(60)
     assert len(set(killed)) == 2
@@ -102,11 +97,11 @@ def test_a_worker_that_is_killed_in_the_middle_costs_nothing(recorded: Path, und
 
 
 def test_kills_at_random_moments_cost_nothing(
-    recorded: Path, undisturbed: Path, tmp_path: Path, rng: np.random.Generator
+    scene_folders: Path, undisturbed: Path, tmp_path: Path, rng: np.random.Generator
 ) -> None:
     """All processes at once, wherever they are: the start of the cluster, an item, the manifest."""
     settings = ["--set", "prior.window=3", "--set", "sweep.step=1", "--set", "alignment.iterations=100"]
-    command = ["batch", str(recorded), "-o", str(tmp_path), "--preset", "fast", "--disparity-range", "-1.2,1.2"]
+    command = ["batch", str(scene_folders), "-o", str(tmp_path), "--preset", "fast", "--disparity-range", "-1.2,1.2"]
     command += [*settings, "--device", "cpu", "--threads", "1"]
     for longest in (2.0, 5.0, 8.0):
         with started(["lfgpu", *command]) as process, contextlib.suppress(subprocess.TimeoutExpired):
@@ -118,7 +113,7 @@ def test_kills_at_random_moments_cost_nothing(
 
 
 def test_a_clock_that_is_put_forward_costs_nothing(
-    recorded: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene_folders: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import dask
 
@@ -133,7 +128,7 @@ def test_a_clock_that_is_put_forward_costs_nothing(
         seen.update(pids(cluster))
 
     with dask.config.set({"distributed.scheduler.worker-ttl": "1 s"}):  # five minutes are too long for a test
-        items = find_items([str(recorded)], sequence=False)[0]
+        items = find_items([str(scene_folders)], sequence=False)[0]
         summary = Batch(items, tmp_path, SLOW).run(cluster, on_progress=jump)
     assert [entry["item"] for entry in summary.failed] == ["scene_2"], [entry["error"] for entry in summary.failed]
     assert summary.computed == 4
@@ -144,17 +139,17 @@ def test_a_clock_that_is_put_forward_costs_nothing(
 
 
 def test_the_time_of_an_item_is_not_that_of_a_clock_that_is_set_back(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene_folders: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = iter(range(10**6, 0, -1000))
     monkeypatch.setattr("lfgpu.batch.work.time.time", lambda: float(next(clock)))
-    assert 0 <= work(jobs(recorded, tmp_path)[0], "cpu")["seconds"] < 1000
+    assert 0 <= work(jobs(scene_folders, tmp_path)[0], "cpu")["seconds"] < 1000
 
 
-def test_an_item_that_kills_its_worker_is_given_up_and_the_rest_goes_on(recorded: Path, tmp_path: Path) -> None:
+def test_an_item_that_kills_its_worker_is_given_up_and_the_rest_goes_on(scene_folders: Path, tmp_path: Path) -> None:
     """Its neighbours are not taken for the culprit; what found no memory is tried again."""
     tried = tmp_path / "tried"
-    good = recorded / "scene_0"
+    good = scene_folders / "scene_0"
 
     class Deadly:
         def __fspath__(self) -> str:
@@ -175,7 +170,7 @@ def test_an_item_that_kills_its_worker_is_given_up_and_the_rest_goes_on(recorded
         def __str__(self) -> str:
             return str(good)
 
-    todo = jobs(recorded, tmp_path)
+    todo = jobs(scene_folders, tmp_path)
     sources = {"deadly": Deadly(), "scarce": Scarce(1), "too scarce": Scarce(99)}
     special = [replace(todo[0], item=Item(name, source)) for name, source in sources.items()]  # type: ignore[arg-type]
     entries: dict[str, dict[str, Any]] = {}
@@ -193,7 +188,7 @@ def test_an_item_that_kills_its_worker_is_given_up_and_the_rest_goes_on(recorded
     assert entries["scarce"]["attempts"] == 2
 
 
-def test_a_result_that_is_lost_is_asked_for_alone_and_then_said_so(recorded: Path, tmp_path: Path) -> None:
+def test_a_result_that_is_lost_is_asked_for_alone_and_then_said_so(scene_folders: Path, tmp_path: Path) -> None:
     def fails(*_: Any, **__: Any) -> Any:
         raise TimeoutError
 
@@ -205,7 +200,7 @@ def test_a_result_that_is_lost_is_asked_for_alone_and_then_said_so(recorded: Pat
             return "tcp://there", {"status": DONE}
 
     finished, lost = [Future("finished"), Future("finished")], Future("pending")
-    cluster, todo = Cluster(retries=0), jobs(recorded, tmp_path)
+    cluster, todo = Cluster(retries=0), jobs(scene_folders, tmp_path)
     cluster._client = SimpleNamespace(sync=fails, _gather=None, status="running")
     assert cluster._results(finished) == {}
     entry = cluster._outcome(finished[0], None, _Task(todo[0], deque()))
@@ -238,10 +233,10 @@ def started(arguments: list[str]) -> Iterator[subprocess.Popen[str]]:
         process.communicate()
 
 
-def test_interruption_is_clean_and_the_next_run_goes_on(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
+def test_interruption_is_clean_and_the_next_run_goes_on(scene_folders: Path, undisturbed: Path, tmp_path: Path) -> None:
     """The fourth item takes very long at first, so that there is something to interrupt however late that comes."""
     folder, out_folder = tmp_path / "in", tmp_path / "out"
-    shutil.copytree(recorded, folder)
+    shutil.copytree(scene_folders, folder)
     long, short = folder / "scene_3", tmp_path / "short"
     shutil.copytree(long, short)
     for truth in long.glob("*.pfm"):
@@ -271,14 +266,16 @@ def test_interruption_is_clean_and_the_next_run_goes_on(recorded: Path, undistur
     assert_nothing_left_over(out_folder)
 
 
-def test_a_full_disk_fails_items_and_room_brings_them_back(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
+def test_a_full_disk_fails_items_and_room_brings_them_back(
+    scene_folders: Path, undisturbed: Path, tmp_path: Path
+) -> None:
     mounted = subprocess.run(
         ["mount", "-t", "tmpfs", "-o", "size=160k", "tmpfs", str(tmp_path)], capture_output=True, check=False
     )
     if mounted.returncode:
         pytest.skip("a small file system cannot be mounted here")
     try:
-        items = find_items([str(recorded)], sequence=False)[0]
+        items = find_items([str(scene_folders)], sequence=False)[0]
         batch = Batch(items, tmp_path, SLOW)
         with contextlib.suppress(BatchError):  # where there was no room for the manifest either
             batch.run(local())
@@ -295,14 +292,16 @@ def test_a_full_disk_fails_items_and_room_brings_them_back(recorded: Path, undis
         subprocess.run(["umount", str(tmp_path)], check=True)
 
 
-def test_a_scheduler_that_is_started_again_costs_nothing(recorded: Path, undisturbed: Path, tmp_path: Path) -> None:
+def test_a_scheduler_that_is_started_again_costs_nothing(
+    scene_folders: Path, undisturbed: Path, tmp_path: Path
+) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     address = f"tcp://127.0.0.1:{port}"
     scheduler = ["distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"]
     worker = ["distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
-    items, problems = find_items([str(recorded)], sequence=False)[0], []
+    items, problems = find_items([str(scene_folders)], sequence=False)[0], []
     summary: list[Summary] = []
 
     def run() -> None:
@@ -355,12 +354,12 @@ class _Stuck:
 
 @pytest.mark.parametrize("holds_lock", [False, True])
 def test_an_item_that_never_ends_is_given_up_and_the_rest_goes_on(
-    recorded: Path, tmp_path: Path, holds_lock: bool
+    scene_folders: Path, tmp_path: Path, holds_lock: bool
 ) -> None:
     import cloudpickle
 
     cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    todo = jobs(recorded, tmp_path)
+    todo = jobs(scene_folders, tmp_path)
     stuck = replace(todo[0], item=Item("stuck", _Stuck(tmp_path / "at_work", holds_lock=holds_lock)))  # type: ignore[arg-type]
     entries: dict[str, dict[str, Any]] = {}
     try:
@@ -393,7 +392,7 @@ def test_others_on_the_machine_do_not_reach_a_local_cluster() -> None:
 
 
 def test_a_worker_that_is_killed_while_the_cluster_starts_is_no_traceback(
-    recorded: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    scene_folders: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     import psutil
 
@@ -410,7 +409,7 @@ def test_a_worker_that_is_killed_while_the_cluster_starts_is_no_traceback(
 
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
-    summary = Batch(find_items([str(recorded / "scene_0")], sequence=False)[0], tmp_path, FAST).run(local())
+    summary = Batch(find_items([str(scene_folders / "scene_0")], sequence=False)[0], tmp_path, FAST).run(local())
     killer.join(60)
     assert killed
     assert (summary.computed, summary.left) == (1, 0)

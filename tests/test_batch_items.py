@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from batch_runs import COUNT, FAST, QUICK, RANGE, assert_nothing_left_over, jobs, lfgpu, local, record
+from batch_runs import COUNT, FAST, QUICK, RANGE, assert_nothing_left_over, jobs, lfgpu, local
 
 from lfgpu import DepthPipeline, LightFieldError, estimate_depth
 from lfgpu._backends import load
@@ -28,20 +28,13 @@ from lfgpu.contract import Device
 from lfgpu.io import read, read_result
 from lfgpu.methods import method_of, preset
 
-
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of light fields, one of which cannot be read."""
-    return record(tmp_path_factory.mktemp("recorded") / "scenes")
-
-
 # --- what there is to do ---
 
 
-def test_light_fields_are_found_at_any_depth_and_named(recorded: Path, tmp_path: Path) -> None:
-    shutil.copytree(recorded / "scene_0", tmp_path / "a" / "one")
-    shutil.copytree(recorded / "scene_0", tmp_path / "a" / "b" / "two")
-    shutil.copytree(recorded / "scene_0", tmp_path / "c" / "one")
+def test_light_fields_are_found_at_any_depth_and_named(scene_folders: Path, tmp_path: Path) -> None:
+    shutil.copytree(scene_folders / "scene_0", tmp_path / "a" / "one")
+    shutil.copytree(scene_folders / "scene_0", tmp_path / "a" / "b" / "two")
+    shutil.copytree(scene_folders / "scene_0", tmp_path / "c" / "one")
     np.save(tmp_path / "a" / "third.npy", np.zeros((3, 3, 16, 16, 3), np.uint8))
     (tmp_path / "a" / "empty").mkdir()
     (tmp_path / "a" / "notes.txt").write_text("nothing")
@@ -52,16 +45,16 @@ def test_light_fields_are_found_at_any_depth_and_named(recorded: Path, tmp_path:
 
 
 @pytest.mark.parametrize("name", ["scan_2²", "scan_٣", "①"])
-def test_digits_that_are_no_numbers_are_parts_of_names(name: str, recorded: Path, tmp_path: Path) -> None:
-    shutil.copytree(recorded / "scene_0", tmp_path / "in" / name)
+def test_digits_that_are_no_numbers_are_parts_of_names(name: str, scene_folders: Path, tmp_path: Path) -> None:
+    shutil.copytree(scene_folders / "scene_0", tmp_path / "in" / name)
     items, _ = find_items([str(tmp_path / "in")], sequence=True)
     assert [item.name for item in items] == [name]
 
 
-def test_patterns_order_and_outputs(recorded: Path, tmp_path: Path) -> None:
+def test_patterns_order_and_outputs(scene_folders: Path, tmp_path: Path) -> None:
     for number in (2, 10, 1):
-        shutil.copytree(recorded / "scene_0", tmp_path / f"frame_{number}")
-    shutil.copytree(recorded / "scene_0", tmp_path / "out" / "frame_1")
+        shutil.copytree(scene_folders / "scene_0", tmp_path / f"frame_{number}")
+    shutil.copytree(scene_folders / "scene_0", tmp_path / "out" / "frame_1")
     items, _ = find_items([str(tmp_path / "frame_*"), str(tmp_path / "frame_1")], sequence=True)
     assert [item.name for item in items] == ["frame_1", "frame_2", "frame_10"]
     assert {item.sequence for item in items} == {str(tmp_path)}
@@ -69,28 +62,28 @@ def test_patterns_order_and_outputs(recorded: Path, tmp_path: Path) -> None:
     assert len(items) == 3
 
 
-def test_pictures_beside_light_fields_are_none(recorded: Path, tmp_path: Path) -> None:
+def test_pictures_beside_light_fields_are_none(scene_folders: Path, tmp_path: Path) -> None:
     """A thumbnail or two do not hide the folders; images that are views are not hidden by a folder of fewer."""
     for name in ("one", "two"):
-        shutil.copytree(recorded / "scene_0", tmp_path / "a" / name)
+        shutil.copytree(scene_folders / "scene_0", tmp_path / "a" / name)
     for number in range(3):
-        shutil.copy(recorded / "scene_0" / "input_Cam000.png", tmp_path / "a" / f"thumb{number}.png")
+        shutil.copy(scene_folders / "scene_0" / "input_Cam000.png", tmp_path / "a" / f"thumb{number}.png")
         items, barren = find_items([str(tmp_path / "a")], sequence=False)
         assert [item.name for item in items] == ["one", "two"]
         assert not barren
     for number in range(6):
         (tmp_path / "row" / "masks").mkdir(parents=True, exist_ok=True)
-        shutil.copy(recorded / "scene_0" / "input_Cam000.png", tmp_path / "row" / f"v{number}.png")
-        shutil.copy(recorded / "scene_0" / "input_Cam000.png", tmp_path / "row" / "masks" / f"m{number}.png")
+        shutil.copy(scene_folders / "scene_0" / "input_Cam000.png", tmp_path / "row" / f"v{number}.png")
+        shutil.copy(scene_folders / "scene_0" / "input_Cam000.png", tmp_path / "row" / "masks" / f"m{number}.png")
     items, barren = find_items([str(tmp_path / "row")], sequence=False)
     assert [item.source for item in items] == [str(tmp_path / "row")]
     assert not barren
 
 
-def test_outputs_and_other_arrays_are_no_inputs(recorded: Path, tmp_path: Path) -> None:
-    shutil.copytree(recorded / "scene_0", tmp_path / "one")
+def test_outputs_and_other_arrays_are_no_inputs(scene_folders: Path, tmp_path: Path) -> None:
+    shutil.copytree(scene_folders / "scene_0", tmp_path / "one")
     for name in ("earlier", "result"):
-        shutil.copytree(recorded / "scene_0", tmp_path / name / "scene_0")
+        shutil.copytree(scene_folders / "scene_0", tmp_path / name / "scene_0")
     (tmp_path / "earlier" / MANIFEST_FILE).write_text("")
     (tmp_path / "result" / "result.npz").write_bytes(b"")
     np.save(tmp_path / "weights.npy", np.zeros((9, 9)))
@@ -110,8 +103,8 @@ def test_a_file_whose_pages_go_in_a_circle_is_an_item(tmp_path: Path) -> None:
     assert [item.name for item in find_items([str(tmp_path)], sequence=False)[0]] == ["a.tif"]
 
 
-def test_links_do_not_lead_in_circles(recorded: Path, tmp_path: Path) -> None:
-    shutil.copytree(recorded / "scene_0", tmp_path / "a" / "one")
+def test_links_do_not_lead_in_circles(scene_folders: Path, tmp_path: Path) -> None:
+    shutil.copytree(scene_folders / "scene_0", tmp_path / "a" / "one")
     (tmp_path / "a" / "loop").symlink_to(tmp_path / "a")
     (tmp_path / "again").symlink_to(tmp_path / "a" / "one")
     items, _ = find_items([str(tmp_path)], sequence=False)
@@ -125,9 +118,9 @@ def test_what_does_not_exist_is_refused(tmp_path: Path) -> None:
         find_items([str(tmp_path)], sequence=False)
 
 
-def test_fingerprints_tell_changed_files(recorded: Path, tmp_path: Path) -> None:
+def test_fingerprints_tell_changed_files(scene_folders: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
-    shutil.copytree(recorded / "scene_0", copy)
+    shutil.copytree(scene_folders / "scene_0", copy)
     before = fingerprint(str(copy))
     assert fingerprint(str(copy)) == before
     (copy / "out" / "copy").mkdir(parents=True)
@@ -142,10 +135,10 @@ def test_fingerprints_tell_changed_files(recorded: Path, tmp_path: Path) -> None
 # --- what becomes of an item ---
 
 
-def test_an_item_comes_out_as_from_estimate_depth(recorded: Path, tmp_path: Path) -> None:
-    job = jobs(recorded, tmp_path, Settings(preset("fast")))[0]
+def test_an_item_comes_out_as_from_estimate_depth(scene_folders: Path, tmp_path: Path) -> None:
+    job = jobs(scene_folders, tmp_path, Settings(preset("fast")))[0]
     entry = work(job, "cpu")
-    lf = read(recorded / "scene_0")
+    lf = read(scene_folders / "scene_0")
     expected = estimate_depth(lf, config="fast", device="cpu")
     result = read_result(tmp_path / "scene_0" / "result.npz")
     assert np.array_equal(result.disparity, expected.disparity)
@@ -157,10 +150,10 @@ def test_an_item_comes_out_as_from_estimate_depth(recorded: Path, tmp_path: Path
     assert result.timings["total"] > 0
 
 
-def test_a_pipeline_serves_the_next_item_and_changes_nothing(recorded: Path, tmp_path: Path) -> None:
+def test_a_pipeline_serves_the_next_item_and_changes_nothing(scene_folders: Path, tmp_path: Path) -> None:
     """With range and noise given, a worker keeps what it has allocated."""
     settings = replace(FAST, config=QUICK.with_values({"sweep.noise": 0.004}))
-    done = [job for job in jobs(recorded, tmp_path, settings) if work(job, "cpu")["status"] == DONE]
+    done = [job for job in jobs(scene_folders, tmp_path, settings) if work(job, "cpu")["status"] == DONE]
     assert len(done) == COUNT - 1  # one is damaged
     for job in done:
         lf = read(job.item.source)
@@ -168,10 +161,10 @@ def test_a_pipeline_serves_the_next_item_and_changes_nothing(recorded: Path, tmp
         assert np.array_equal(read_result(tmp_path / job.item.name / "result.npz").disparity, expected.disparity)
 
 
-def test_frames_have_range_and_noise_of_the_first_that_can_be_read(recorded: Path, tmp_path: Path) -> None:
+def test_frames_have_range_and_noise_of_the_first_that_can_be_read(scene_folders: Path, tmp_path: Path) -> None:
     frames = tmp_path / "frames"
     for number, scene in enumerate((2, 0, 1)):  # the first one is damaged
-        shutil.copytree(recorded / f"scene_{scene}", frames / f"frame_{number}")
+        shutil.copytree(scene_folders / f"scene_{scene}", frames / f"frame_{number}")
     settings = Settings(preset("fast"))
     todo = jobs(frames, tmp_path / "out", settings, sequence=True)
     first = read(frames / "frame_1")
@@ -185,8 +178,8 @@ def test_frames_have_range_and_noise_of_the_first_that_can_be_read(recorded: Pat
         assert np.array_equal(read_result(tmp_path / "out" / name / "result.npz").disparity, pipeline.disparity()), name
 
 
-def test_what_is_wrong_with_an_item_is_one_sentence(recorded: Path, tmp_path: Path) -> None:
-    entry = work(jobs(recorded, tmp_path)[2], "cpu")
+def test_what_is_wrong_with_an_item_is_one_sentence(scene_folders: Path, tmp_path: Path) -> None:
+    entry = work(jobs(scene_folders, tmp_path)[2], "cpu")
     assert entry["status"] == FAILED
     assert re.search(r"input_Cam004\.png cannot be read as an image", entry["error"])
     assert not (tmp_path / "scene_2").exists()
@@ -196,13 +189,13 @@ def test_what_is_wrong_with_an_item_is_one_sentence(recorded: Path, tmp_path: Pa
 # --- what comes from outside ---
 
 
-def test_items_that_cannot_be_looked_at_are_lines_with_a_sentence(recorded: Path, tmp_path: Path) -> None:
+def test_items_that_cannot_be_looked_at_are_lines_with_a_sentence(scene_folders: Path, tmp_path: Path) -> None:
     """A link in a circle, a view that is a link to nowhere, a name that is not UTF-8; the rest goes on."""
     folder, out = tmp_path / "in", tmp_path / "out"
-    shutil.copytree(recorded / "scene_0", folder / "good")
-    shutil.copytree(recorded / "scene_0", os.fsdecode(os.fsencode(folder) + b"/bad\xff"))
+    shutil.copytree(scene_folders / "scene_0", folder / "good")
+    shutil.copytree(scene_folders / "scene_0", os.fsdecode(os.fsencode(folder) + b"/bad\xff"))
     (folder / "circle").symlink_to("circle")
-    shutil.copytree(recorded / "scene_0", folder / "broken")
+    shutil.copytree(scene_folders / "scene_0", folder / "broken")
     (folder / "broken" / "input_Cam004.png").unlink()
     (folder / "broken" / "input_Cam004.png").symlink_to("nowhere.png")
     items, barren = find_items([str(folder)], sequence=False, leave_out=out)
@@ -222,9 +215,9 @@ def test_items_that_cannot_be_looked_at_are_lines_with_a_sentence(recorded: Path
 
 
 @pytest.mark.usefixtures("_permissions_count")
-def test_a_folder_without_permission_is_a_line_with_a_sentence(recorded: Path, tmp_path: Path) -> None:
+def test_a_folder_without_permission_is_a_line_with_a_sentence(scene_folders: Path, tmp_path: Path) -> None:
     folder = tmp_path / "in"
-    shutil.copytree(recorded / "scene_0", folder / "good")
+    shutil.copytree(scene_folders / "scene_0", folder / "good")
     (folder / "closed").mkdir(mode=0)
     items, _ = find_items([str(folder)], sequence=False)
     assert [item.name for item in items] == ["closed", "good"]
@@ -232,11 +225,11 @@ def test_a_folder_without_permission_is_a_line_with_a_sentence(recorded: Path, t
 
 
 def test_a_folder_that_cannot_be_listed_is_an_item(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene_folders: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As the one before, for users whom permissions do not stop."""
     (tmp_path / "in" / "closed").mkdir(parents=True)
-    shutil.copytree(recorded / "scene_0", tmp_path / "in" / "good")
+    shutil.copytree(scene_folders / "scene_0", tmp_path / "in" / "good")
     listing = Path.iterdir
 
     def iterdir(folder: Path) -> Iterator[Path]:
@@ -250,23 +243,25 @@ def test_a_folder_that_cannot_be_listed_is_an_item(
     assert "cannot be listed" in work(_jobs(items, tmp_path / "out", FAST)[0], "cpu")["error"]
 
 
-def test_names_do_not_lead_out_of_the_folder(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_do_not_lead_out_of_the_folder(
+    scene_folders: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     place = tmp_path / "scene" / "below"
-    shutil.copytree(recorded / "scene_0", place.parent)
+    shutil.copytree(scene_folders / "scene_0", place.parent)
     place.mkdir()
     monkeypatch.chdir(place)
     for text in ("..", "../../scene/below/..", str(place / "..")):
         items, _ = find_items([text], sequence=False, format_name="hci")
         assert [item.name for item in items] == ["scene"]
     for name in ("manifest.jsonl", ".lfgpu-0123", "a\x1b[2J\nb"):
-        shutil.copytree(recorded / "scene_0", tmp_path / name)
+        shutil.copytree(scene_folders / "scene_0", tmp_path / name)
         items, _ = find_items([str(tmp_path / name)], sequence=False)
         assert items[0].name == {"a\x1b[2J\nb": r"a\x1b[2J\nb"}.get(name, f"_{name}")
 
 
-def test_depth_of_a_name_that_is_not_utf_8_is_saved(recorded: Path, tmp_path: Path) -> None:
+def test_depth_of_a_name_that_is_not_utf_8_is_saved(scene_folders: Path, tmp_path: Path) -> None:
     folder = os.fsdecode(os.fsencode(tmp_path) + b"/bad\xff")
-    shutil.copytree(recorded / "scene_0", folder)
+    shutil.copytree(scene_folders / "scene_0", folder)
     done = lfgpu("depth", folder, "-o", tmp_path / "out", "--report", "--preset=fast", "--disparity-range=-1.2,1.2")
     assert done.exit_code == 0, done.output
     assert read_result(tmp_path / "out" / "result.npz").name == "bad\\udcff"
@@ -275,13 +270,13 @@ def test_depth_of_a_name_that_is_not_utf_8_is_saved(recorded: Path, tmp_path: Pa
 # --- batches on real processes ---
 
 
-def test_only_what_is_missing_failed_or_stale_is_done_again(recorded: Path, tmp_path: Path) -> None:
+def test_only_what_is_missing_failed_or_stale_is_done_again(scene_folders: Path, tmp_path: Path) -> None:
     folder, out = tmp_path / "in", tmp_path / "out"
-    shutil.copytree(recorded, folder)
+    shutil.copytree(scene_folders, folder)
     items = find_items([str(folder)], sequence=False)[0]
     first = Batch(items, out, FAST).run(local())
     assert (first.computed, first.kept, len(first.failed)) == (4, 0, 1)
-    shutil.copy(recorded / "scene_1" / "input_Cam004.png", folder / "scene_2")  # repaired
+    shutil.copy(scene_folders / "scene_1" / "input_Cam004.png", folder / "scene_2")  # repaired
     os.utime(folder / "scene_0" / "input_Cam000.png")  # changed
     (out / "scene_1" / "result.npz").unlink()  # missing
     (out / "scene_1" / ".lfgpu-half").mkdir()  # of a process that was killed
@@ -293,10 +288,10 @@ def test_only_what_is_missing_failed_or_stale_is_done_again(recorded: Path, tmp_
 
 
 def test_a_scheduler_that_is_not_there_is_one_sentence(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene_folders: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("lfgpu.batch.cluster._CONNECTING", 0.5)
-    outcome = lfgpu("batch", recorded, "-o", tmp_path, "--scheduler", "tcp://127.0.0.1:9")
+    outcome = lfgpu("batch", scene_folders, "-o", tmp_path, "--scheduler", "tcp://127.0.0.1:9")
     assert outcome.exit_code == 1
     assert re.fullmatch(
         r"lfgpu: the scheduler tcp://127\.0\.0\.1:9 does not answer \(.*\); check the address, and that it is "
@@ -305,11 +300,11 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(
     )
 
 
-def test_frames_of_a_sequence_stay_in_order(recorded: Path, tmp_path: Path) -> None:
+def test_frames_of_a_sequence_stay_in_order(scene_folders: Path, tmp_path: Path) -> None:
     frames = tmp_path / "frames"
     for number in range(6):
-        shutil.copytree(recorded / "scene_0", frames / f"frame_{number}")
-    items = find_items([str(frames), str(recorded)], sequence=True)[0]
+        shutil.copytree(scene_folders / "scene_0", frames / f"frame_{number}")
+    items = find_items([str(frames), str(scene_folders)], sequence=True)[0]
     with contextlib.suppress(BatchError):
         Batch(items, tmp_path / "out", FAST).run(Cluster(workers=2, devices=("cpu",), threads=1))
     entries = [e for e in read_manifest(tmp_path / "out").values() if e["item"].startswith("frame")]
@@ -317,8 +312,8 @@ def test_frames_of_a_sequence_stay_in_order(recorded: Path, tmp_path: Path) -> N
     assert len({entry["worker"] for entry in entries}) == 1
 
 
-def test_remnants_go_also_where_nothing_is_left_to_do(recorded: Path, tmp_path: Path) -> None:
-    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+def test_remnants_go_also_where_nothing_is_left_to_do(scene_folders: Path, tmp_path: Path) -> None:
+    items = find_items([str(scene_folders / "scene_0")], sequence=False)[0]
     with Manifest(tmp_path) as manifest:
         manifest.add(work(job, "cpu") for job in _jobs(items, tmp_path, FAST))
     (tmp_path / ".lfgpu-0123").mkdir()

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from batch_runs import FAST, SLOW, jobs, lfgpu, record
+from batch_runs import FAST, SLOW, jobs, lfgpu
 
 from lfgpu import LightFieldError
 from lfgpu.batch.items import Item, find_items
@@ -27,17 +27,11 @@ from lfgpu.batch.work import work
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of light fields, one of which cannot be read."""
-    return record(tmp_path_factory.mktemp("recorded") / "scenes")
-
-
-@pytest.fixture(scope="module")
-def finished(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(scene_folders: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The outputs of a batch of them, without Dask."""
     out = tmp_path_factory.mktemp("finished")
     with Manifest(out) as manifest:
-        manifest.add(work(job, "cpu") for job in jobs(recorded, out))
+        manifest.add(work(job, "cpu") for job in jobs(scene_folders, out))
     return out
 
 
@@ -52,8 +46,8 @@ def test_the_last_line_of_an_item_holds_and_half_lines_are_skipped(tmp_path: Pat
     assert {name: entry["status"] for name, entry in found.items()} == {"a": DONE, "c": DONE}
 
 
-def test_times_and_names_that_cannot_be(recorded: Path, tmp_path: Path) -> None:
-    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+def test_times_and_names_that_cannot_be(scene_folders: Path, tmp_path: Path) -> None:
+    items = find_items([str(scene_folders / "scene_0")], sequence=False)[0]
     done = {"item": "scene_0", "status": DONE}
     lines = [
         {**done, "began": 1e15},
@@ -69,9 +63,9 @@ def test_times_and_names_that_cannot_be(recorded: Path, tmp_path: Path) -> None:
     write_report(Summary(items, {"scene_0": last}), tmp_path, "page")
 
 
-def test_text_from_files_does_not_become_part_of_the_page_of_a_batch(recorded: Path, tmp_path: Path) -> None:
+def test_text_from_files_does_not_become_part_of_the_page_of_a_batch(scene_folders: Path, tmp_path: Path) -> None:
     script = '"><script>x</script>'
-    items = [Item(script, str(recorded / "scene_0"))]
+    items = [Item(script, str(scene_folders / "scene_0"))]
     entry = {"item": script, "status": FAILED, "error": script, "notes": [script]}
     page = write_report(Summary(items, {script: entry}), tmp_path, script).read_text(encoding="utf-8")
     assert "<script>x" not in page
@@ -102,9 +96,9 @@ def test_what_is_gone_or_renamed_does_not_stand(tmp_path: Path, clock: int) -> N
     assert set(standing(read_manifest(tmp_path), tmp_path)) == {"one", "b/two", "bad"}
 
 
-def test_one_batch_at_a_time(tmp_path: Path, recorded: Path) -> None:
+def test_one_batch_at_a_time(tmp_path: Path, scene_folders: Path) -> None:
     with Manifest(tmp_path):
-        outcome = lfgpu("batch", recorded, "-o", tmp_path)
+        outcome = lfgpu("batch", scene_folders, "-o", tmp_path)
         assert outcome.exit_code == 1
         assert outcome.stderr.startswith("lfgpu: another batch is writing to")
     assert not (tmp_path / "scene_0").exists()
@@ -148,8 +142,8 @@ assert list(read_manifest(out)) == ["a", "b", "c"]
     assert done.returncode == 0, done.stderr
 
 
-def test_a_report_shows_all_items(recorded: Path, finished: Path) -> None:
-    items = find_items([str(recorded)], sequence=False)[0]
+def test_a_report_shows_all_items(scene_folders: Path, finished: Path) -> None:
+    items = find_items([str(scene_folders)], sequence=False)[0]
     items.append(Item("never <reached>", "x"))
     entries = read_manifest(finished)
     summary = Summary(items, entries, computed=4, failed=[entries["scene_2"]])
@@ -164,10 +158,10 @@ def test_a_report_shows_all_items(recorded: Path, finished: Path) -> None:
         assert (finished / target).exists(), target
 
 
-def test_a_batch_is_scored_per_item_and_in_total(finished: Path, recorded: Path, tmp_path: Path) -> None:
+def test_a_batch_is_scored_per_item_and_in_total(finished: Path, scene_folders: Path, tmp_path: Path) -> None:
     other = tmp_path / "other"
     with Manifest(other) as manifest:
-        manifest.add(work(job, "cpu") for job in jobs(recorded, other)[:2])
+        manifest.add(work(job, "cpu") for job in jobs(scene_folders, other)[:2])
     outcome = lfgpu("eval", finished, other, "-o", tmp_path / "tables")
     assert outcome.exit_code == 0, outcome.output
     assert "1 item failed or without ground truth" in outcome.stdout
@@ -205,9 +199,11 @@ def test_a_batch_is_scored_per_item_and_in_total(finished: Path, recorded: Path,
     ],
     ids=range(9),
 )
-def test_lines_of_a_manifest_that_were_damaged_are_skipped_and_said(recorded: Path, tmp_path: Path, line: str) -> None:
+def test_lines_of_a_manifest_that_were_damaged_are_skipped_and_said(
+    scene_folders: Path, tmp_path: Path, line: str
+) -> None:
     (tmp_path / MANIFEST_FILE).write_text(line + "\n")
-    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+    items = find_items([str(scene_folders / "scene_0")], sequence=False)[0]
     assert read_manifest(tmp_path) == {}
     assert standing(read_manifest(tmp_path), tmp_path) == {}
     batch = Batch(items, tmp_path, FAST)
@@ -217,8 +213,8 @@ def test_lines_of_a_manifest_that_were_damaged_are_skipped_and_said(recorded: Pa
     assert lfgpu("eval", tmp_path).exit_code == 1
 
 
-def test_a_name_that_is_no_text_is_written_out_in_the_report(recorded: Path, tmp_path: Path) -> None:
-    items = find_items([str(recorded / "scene_0")], sequence=False)[0]
+def test_a_name_that_is_no_text_is_written_out_in_the_report(scene_folders: Path, tmp_path: Path) -> None:
+    items = find_items([str(scene_folders / "scene_0")], sequence=False)[0]
     batch = Batch(items, tmp_path, FAST)
     batch.summary.entries["scene_0"] = {"item": "scene_0", "status": FAILED, "error": "no \ud800 text"}
     batch.summary.entries["\ud800"] = {"item": "\ud800", "status": FAILED, "error": "damaged"}

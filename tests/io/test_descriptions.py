@@ -6,16 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fields import SAMPLES, scene
+from fields import SAMPLES
 from samples import picture, refusal, save
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
-
-
-@pytest.fixture(scope="module")
-def true() -> LightField:
-    return scene()
 
 
 def describe(folder: Path, text: str) -> Path:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fields import SAMPLES, scene
+from fields import SAMPLES
 from samples import refusal
 from typer.testing import CliRunner
 
@@ -17,11 +17,6 @@ from lfgpu.io import FORMATS, read, recognise
 from lfgpu.io.parallax import axes_agree, runs_as_truth
 
 DOCS = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
-
-
-@pytest.fixture(scope="module")
-def true() -> LightField:
-    return scene()
 
 
 @pytest.fixture(scope="module")

@@ -19,11 +19,6 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
 
 
-@pytest.fixture(scope="module")
-def true() -> LightField:
-    return scene()
-
-
 def grid_of(lf: LightField) -> Any:
     assert lf.grid_shape is not None
     return lf.views.reshape(*lf.grid_shape, *lf.views.shape[1:])

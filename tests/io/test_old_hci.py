@@ -15,11 +15,6 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.io import read, recognise
 
 
-@pytest.fixture(scope="module")
-def true() -> LightField:
-    return scene()
-
-
 @pytest.mark.parametrize("grid", [(3, 3), (2, 4), (4, 2)])
 def test_hdf5_counts_columns_from_the_right(tmp_path: Path, grid: tuple[int, int]) -> None:
     true = scene(grid)

@@ -9,18 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fields import SAMPLES, scene
+from fields import SAMPLES
 from samples import box, refusal, save, save_named
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read, recognise
 from lfgpu.io.parallax import axes_agree
-
-
-@pytest.fixture(scope="module")
-def true() -> LightField:
-    return scene()
-
 
 # --- what the user says ---
 

@@ -6,17 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-from fields import SAMPLES, scene
+from fields import SAMPLES
 from samples import picture, refusal, save
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
-
-
-@pytest.fixture(scope="module")
-def true() -> LightField:
-    return scene()
 
 
 def test_plenopticam_that_lost_a_row(tmp_path: Path, true: LightField) -> None:

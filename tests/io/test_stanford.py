@@ -6,18 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
-from fields import scene
 from PIL import Image
 from samples import picture, refusal, save
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
-
-
-@pytest.fixture(scope="module")
-def true() -> LightField:
-    return scene()
 
 
 def save_stanford(folder: Path, places: Any, pattern: str = "out_{0:02d}_{1:02d}_{2:.6f}_{3:.6f}_.png") -> Path:

@@ -17,7 +17,7 @@ import gpu_blocks
 import numpy as np
 import pytest
 import warp as wp
-from test_matrix import CELLS, MAKERS, cell
+from test_matrix import CELLS, INPUTS, cell
 
 from lfgpu.contract import KernelSet
 from lfgpu.methods.synthesis import model
@@ -107,7 +107,7 @@ def test_the_paths_are_those_of_a_gpu(gpu: KernelSet, monkeypatch: pytest.Monkey
     monkeypatch.setattr(wp, "launch", seen)
     for name in ("data_term-two-by-two", "plane_sweep-two-by-two", "nlm_ratio-one-pixel", "semi_global-one-pixel"):
         operation, case = next(param.values for param in CELLS if param.id == name)
-        checks.compute(gpu, "cpu", operation, MAKERS[operation.inputs](case, np.random.default_rng(0)))  # type: ignore[union-attr]
+        checks.compute(gpu, "cpu", operation, INPUTS[operation.inputs][1](case, np.random.default_rng(0)))  # type: ignore[union-attr]
     for part in ("gpu_data_term", "gpu_plane_sweep", "nlm_gpu_ratio", "gpu_semi_global"):
         assert any(part in module for module in launched), (part, launched)
     assert all(module.startswith(gpu_blocks.NAME) for module in launched)

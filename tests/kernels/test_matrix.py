@@ -46,50 +46,29 @@ from conftest import SEED
 from lfgpu import _backends
 from lfgpu import contract as types
 
-CASES: dict[str, tuple[Any, ...]] = {
-    "splat": splat_cases.SPLAT_CASES,
-    "occlusion": occlusion_cases.OCCLUSION_CASES,
-    "alignment": alignment_cases.ALIGNMENT_CASES,
-    "ratio": alignment_cases.RATIO_CASES,
-    "outline": alignment_cases.OUTLINE_CASES,
-    "sweep": sweep_cases.SWEEP_CASES,
-    "seen": splat_cases.SEEN_CASES,
-    "views": view_cases.VIEWS_CASES,
-    "resampling": resampling_cases.RESAMPLING_CASES,
-    "smoothing": smoothing_cases.SMOOTHING_CASES,
-    "reduction": smoothing_cases.REDUCTION_CASES,
-    "nlm": nlm_cases.NLM_CASES,
-    "volume": volume_cases.VOLUME_CASES,
-    "reduced": volume_cases.REDUCED_CASES,
-    "range search": range_search_cases.RANGE_SEARCH_CASES,
-    "epi": local_cases.EPI_CASES,
-    "coherence": local_cases.COHERENCE_CASES,
-    "vector": vector_cases.VECTOR_CASES,
-    "residuals": solver_cases.RESIDUALS_CASES,
-    "lbfgs": solver_cases.LBFGS_CASES,
+INPUTS: dict[str, tuple[tuple[Any, ...], Any]] = {
+    "splat": (splat_cases.SPLAT_CASES, splat_cases.splat_inputs),
+    "occlusion": (occlusion_cases.OCCLUSION_CASES, occlusion_cases.occlusion_inputs),
+    "alignment": (alignment_cases.ALIGNMENT_CASES, alignment_cases.alignment_inputs),
+    "ratio": (alignment_cases.RATIO_CASES, alignment_cases.ratio_inputs),
+    "outline": (alignment_cases.OUTLINE_CASES, alignment_cases.outline_inputs),
+    "sweep": (sweep_cases.SWEEP_CASES, sweep_cases.sweep_inputs),
+    "seen": (splat_cases.SEEN_CASES, splat_cases.seen_inputs),
+    "views": (view_cases.VIEWS_CASES, view_cases.views_inputs),
+    "resampling": (resampling_cases.RESAMPLING_CASES, resampling_cases.resampling_inputs),
+    "smoothing": (smoothing_cases.SMOOTHING_CASES, smoothing_cases.smoothing_inputs),
+    "reduction": (smoothing_cases.REDUCTION_CASES, smoothing_cases.smoothing_inputs),
+    "nlm": (nlm_cases.NLM_CASES, nlm_cases.nlm_inputs),
+    "volume": (volume_cases.VOLUME_CASES, volume_cases.volume_inputs),
+    "reduced": (volume_cases.REDUCED_CASES, volume_cases.volume_inputs),
+    "range search": (range_search_cases.RANGE_SEARCH_CASES, range_search_cases.range_search_inputs),
+    "epi": (local_cases.EPI_CASES, local_cases.epi_inputs),
+    "coherence": (local_cases.COHERENCE_CASES, local_cases.coherence_inputs),
+    "vector": (vector_cases.VECTOR_CASES, vector_cases.vector_inputs),
+    "residuals": (solver_cases.RESIDUALS_CASES, solver_cases.residuals_inputs),
+    "lbfgs": (solver_cases.LBFGS_CASES, solver_cases.lbfgs_inputs),
 }
-MAKERS: dict[str, Any] = {
-    "splat": splat_cases.splat_inputs,
-    "occlusion": occlusion_cases.occlusion_inputs,
-    "alignment": alignment_cases.alignment_inputs,
-    "ratio": alignment_cases.ratio_inputs,
-    "outline": alignment_cases.outline_inputs,
-    "sweep": sweep_cases.sweep_inputs,
-    "seen": splat_cases.seen_inputs,
-    "views": view_cases.views_inputs,
-    "resampling": resampling_cases.resampling_inputs,
-    "smoothing": smoothing_cases.smoothing_inputs,
-    "reduction": smoothing_cases.smoothing_inputs,
-    "nlm": nlm_cases.nlm_inputs,
-    "volume": volume_cases.volume_inputs,
-    "reduced": volume_cases.volume_inputs,
-    "range search": range_search_cases.range_search_inputs,
-    "epi": local_cases.epi_inputs,
-    "coherence": local_cases.coherence_inputs,
-    "vector": vector_cases.vector_inputs,
-    "residuals": solver_cases.residuals_inputs,
-    "lbfgs": solver_cases.lbfgs_inputs,
-}
+"""Of each kind of inputs: the cases, and what makes them of a case."""
 OPERATIONS = (
     *splat_checks.OPERATIONS,
     *view_checks.OPERATIONS,
@@ -120,12 +99,12 @@ UNORDERED = ("splat", "splat_jvp", "splat_z_buffered", "z_buffered_data_term")
 CELLS = [
     pytest.param(operation, case, id=f"{operation}-{case}")
     for operation in OPERATIONS
-    for case in CASES[operation.inputs]
+    for case in INPUTS[operation.inputs][0]
 ]
 MASKED = [
     pytest.param(operation, case, id=f"{operation}-{case}")
     for operation in (splat_checks.DATA_TERM, occlusion_checks.DATA_TERM)
-    for case in CASES[operation.inputs]
+    for case in INPUTS[operation.inputs][0]
     if case.masked
 ]
 
@@ -192,7 +171,7 @@ def cell(name: str) -> Cell:
     """That of a name in `CELLS`, computed once for all backends; random inputs follow from the run's seed."""
     operation, case = next(param.values for param in CELLS if param.id == name)
     rng = np.random.default_rng([int(os.environ[SEED]), *name.encode()])
-    inputs = MAKERS[operation.inputs](case, rng)
+    inputs = INPUTS[operation.inputs][1](case, rng)
     return Cell(inputs, checks.compute(_backends.load("reference"), "cpu", operation, inputs))
 
 
@@ -243,7 +222,7 @@ def test_nlm_operators_are_symmetric_and_belong_together(
 def test_masked_pixels_do_not_count(
     target: Any, operation: checks.Operation, case: splat_cases.SplatCase, rng: np.random.Generator
 ) -> None:
-    inputs = MAKERS[operation.inputs](case, rng)
+    inputs = INPUTS[operation.inputs][1](case, rng)
     splat_checks.check_masked_pixels_do_not_count(target.kernels, target.device, inputs, operation)
 
 
@@ -251,7 +230,7 @@ def test_masked_pixels_do_not_count(
 def test_masked_view_is_a_missing_view(
     target: Any, operation: checks.Operation, case: splat_cases.SplatCase, rng: np.random.Generator
 ) -> None:
-    inputs = MAKERS[operation.inputs](case, rng)
+    inputs = INPUTS[operation.inputs][1](case, rng)
     splat_checks.check_masked_view_is_a_missing_view(target.kernels, target.device, inputs, operation)
 
 
@@ -259,7 +238,7 @@ def test_masked_view_is_a_missing_view(
 def test_nothing_valid_is_nothing_at_all(
     target: Any, operation: checks.Operation, case: splat_cases.SplatCase, rng: np.random.Generator
 ) -> None:
-    inputs = MAKERS[operation.inputs](case, rng)
+    inputs = INPUTS[operation.inputs][1](case, rng)
     splat_checks.check_nothing_valid_is_nothing_at_all(target.kernels, target.device, inputs, operation)
 
 

@@ -28,7 +28,7 @@ import splat_checks
 import sweep_cases
 import sweep_checks
 import test_energy
-from test_matrix import CELLS, MAKERS
+from test_matrix import CELLS, INPUTS
 
 from lfgpu._backends import load
 from lfgpu.kernels import reference
@@ -63,7 +63,7 @@ def used(module: ModuleType) -> set[str]:
 def prepared(name: str) -> tuple[checks.Operation, Any, Any, dict[str, Any]] | None:
     """Operation, case, inputs and what the reference makes of them; the same in each run. None if they are large."""
     operation, case = next(param.values for param in CELLS if param.id == name)
-    inputs = MAKERS[operation.inputs](case, np.random.default_rng([*name.encode()]))
+    inputs = INPUTS[operation.inputs][1](case, np.random.default_rng([*name.encode()]))
     if sum(values.size for values in vars(inputs).values() if isinstance(values, np.ndarray)) > ROOM:
         return None
     return operation, case, inputs, checks.compute(REFERENCE, "cpu", operation, inputs)
