@@ -86,6 +86,7 @@ LBFGS_CASES = (
     LbfgsCase("wall", function="wall", bounds=(-100.0, 100.0), start=1.0, first_step=12.0, values=10),
     LbfgsCase("nothing lower", function="lie", values=25),
     LbfgsCase("flat at last", flat=0.02, patience=2, values=20),
+    LbfgsCase("flat at first only", bounds=(-9.0, 9.0), first_step=1e-3, flat=0.02, patience=2, values=6),
     LbfgsCase("as many steps as may be", most=3),
     LbfgsCase("no step may be", most=0),
     LbfgsCase("one pixel", size=(1, 1), function="waves", values=4),
