@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName
-from lfgpu.calibration.formats import BESIDE, Calibration, read_calibration
+from lfgpu.calibration.formats import BESIDE, UNITS, Calibration, read_calibration
 from lfgpu.calibration.rectifiers import NUMBERS, numbers, rectifier_of
 from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.resample import pixels, through
@@ -106,6 +106,7 @@ def rectify(
     source: LightField | str | os.PathLike[str],
     *,
     calibration: Calibration | str | os.PathLike[str] | None = None,
+    unit: str | None = None,
     model: str | None = None,
     positions: bool = False,
     tones: bool = False,
@@ -122,6 +123,8 @@ def rectify(
         A light field, or the path of one, or of a folder with pictures (these need a calibration).
     calibration
         Calibrated cameras, or their file, see `read_calibration`; None takes one that lies beside pictures.
+    unit
+        Unit of the lengths in the file, "mm", "cm" or "m", as for `read_calibration`. Default None: metres.
     model
         Also line views up by what they show: "shift", "similarity" or "homography", as for `refine`; None does not.
     positions
@@ -141,10 +144,12 @@ def rectify(
     pictures = source if isinstance(source, LightField) else _loaded(Path(source), calibration is not None)
     if calibration is None and not isinstance(source, LightField):
         beside = calibration_beside(Path(source))
-        calibration = None if beside is None else read_calibration(beside)
+        calibration = None if beside is None else read_calibration(beside, unit=unit)
     elif calibration is not None and not isinstance(calibration, Calibration):
-        calibration = read_calibration(os.fspath(calibration))
+        calibration = read_calibration(os.fspath(calibration), unit=unit)
     rig, lf = None, pictures
+    if unit is not None and depths is not None:
+        depths = (UNITS[unit] * depths[0], UNITS[unit] * depths[1])
     if calibration is not None:
         names = pictures.files or tuple(f"view_{n:03d}" for n in range(len(pictures.views)))
         cameras = matched(calibration.cameras, names, pictures.size, calibration.source, rig=calibration.rig)
@@ -155,6 +160,8 @@ def rectify(
         depths = depths or calibration.depths
         rig = fit_rig(cameras, depths=depths, reference=reference)
         disparity_range = disparity_range or _range(rig, depths)
+        if unit is None and not _NARROWEST <= rig.geometry.baseline_m <= _WIDEST:
+            pictures = replace(pictures, notes=(*pictures.notes, _doubt(rig.geometry.baseline_m)))
         lf = _with_truth(rig.light_field(pictures), pictures, rig)
     elif not model and not tones:
         raise LightFieldError(
@@ -194,6 +201,15 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> tuple[
 
 
 # --- steps ---
+
+_NARROWEST, _WIDEST = 1e-5, 2.0  # metres between neighbouring cameras; others are probably of another unit
+
+
+def _doubt(baseline: float) -> str:
+    return (
+        f"Neighbouring cameras would stand {baseline:.4g} m apart: lengths of the calibration are probably no metres; "
+        "say their unit with unit= (--unit mm or cm on the command line), or depths are of that unit."
+    )
 
 
 def _loaded(path: Path, calibrated: bool) -> LightField:

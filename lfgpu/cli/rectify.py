@@ -31,9 +31,14 @@ def rectify(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="cameras.toml, OpenCV or Kalibr (YAML, JSON), COLMAP (its folder), poses_bounds.npy, transforms.json.",
+            help="cameras.toml, OpenCV or Kalibr (YAML, JSON), COLMAP (its folder), poses_bounds.npy, transforms.json, "
+            "models.json, depthai.",
             show_default="what lies beside the pictures",
         ),
+    ] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(metavar="UNIT", help="Unit of the lengths in the calibration: mm, cm or m.", show_default="m"),
     ] = None,
     refine: Annotated[bool, typer.Option("--refine", help="Also correct the cameras by what the views show.")] = False,
     model: Annotated[
@@ -82,6 +87,7 @@ def rectify(
     result = cameras.rectify(
         source,
         calibration=calibration,
+        unit=unit,
         model=model if refine else None,
         positions=positions,
         tones=equalise,

@@ -87,10 +87,9 @@ def geometry(known: Geometry | None) -> str:
     if known is None:
         return "unknown: disparity only, no metric depth"
     focus = "at infinity" if math.isinf(known.focus_distance_m) else f"at {known.focus_distance_m:.4g} m"
-    return (
-        f"baseline {1000 * known.baseline_m:.4g} mm, focal length {known.focal_length_px:.5g} px, "
-        f"plane of disparity 0 {focus}"
-    )
+    short = known.baseline_m < 1
+    baseline = f"{1000 * known.baseline_m:.4g} mm" if short else f"{known.baseline_m:.4g} m"
+    return f"baseline {baseline}, focal length {known.focal_length_px:.5g} px, plane of disparity 0 {focus}"
 
 
 def truth(lf: LightField) -> str:

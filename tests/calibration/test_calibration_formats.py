@@ -136,7 +136,7 @@ def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
         "a.toml": ("[[cameras]]\nname = 'x'\n", "has no size"),
         "b.toml": ("[[cameras", "not valid TOML"),
         "c.json": ("{", "not valid JSON"),
-        "d.json": ('{"frames": [{}]}', "has no w"),
+        "d.json": ('{"frames": [{}]}', "has no file_path"),
         "e.yaml": ("cam0:\n  camera_model: omni\n  intrinsics: []\n  distortion_model: none\n", "omni"),
         "f.npy": (b"nothing", "cannot be read"),
         "g.txt": ("", "no calibration that is known"),

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.formats.colmap import holds_colmap, read_colmap, read_rig
+from lfgpu.calibration.formats.devices import (
+    depthai_cameras,
+    google_cameras,
+    is_depthai,
+    is_google,
+    is_stereo,
+    stereo_cameras,
+)
 from lfgpu.calibration.formats.entries import read_yaml
 from lfgpu.calibration.formats.kalibr import is_kalibr, kalibr_cameras
 from lfgpu.calibration.formats.llff import read_llff
@@ -19,7 +30,10 @@ from lfgpu.io.texts import read_json_or_toml
 
 __all__ = ["BESIDE", "Calibration", "read_calibration", "read_toml", "write_cameras"]
 
-BESIDE = ("cameras.toml", "poses_bounds.npy", "transforms.json", "camchain.yaml", "sparse/0", "sparse")
+BESIDE = (
+    *("cameras.toml", "poses_bounds.npy", "transforms.json", "transforms_train.json", "models.json", "camchain.yaml"),
+    *("sparse/0", "sparse"),
+)
 """Names of calibrations that are looked for beside pictures, in this order."""
 
 
@@ -49,20 +63,47 @@ class Calibration:
     rig: tuple[Camera, ...] = ()
 
 
-def read_calibration(path: str | Path) -> Calibration:
+UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+"""Units of lengths, in metres."""
+
+
+def read_calibration(path: str | Path, *, unit: str | None = None) -> Calibration:
     """Read calibrated cameras.
 
     Parameters
     ----------
     path
         cameras.toml (lfgpu's own), a YAML or JSON file of OpenCV, camchain.yaml of Kalibr, transforms.json of
-        nerfstudio, poses_bounds.npy of LLFF, or a folder with a model of COLMAP.
+        nerfstudio (also the transforms_train.json with camera_angle_x alone), poses_bounds.npy of LLFF, models.json of
+        Google's camera rigs, the JSON file of depthai, or a folder with a model of COLMAP.
+    unit
+        Unit of the lengths in it: "mm", "cm" or "m"; they become metres. Default None: they are metres already, or of
+        no unit, but for depthai's, which are centimetres.
 
     Raises
     ------
     LightFieldError
         If there is no such file, it is of another kind, or damaged; the sentence says which entry.
     """
+    if unit is not None and unit not in UNITS:
+        raise LightFieldError(f"unit must be one of {', '.join(UNITS)}, not {unit!r}.")
+    found = _read(path)
+    if unit is None or UNITS[unit] == 1:
+        return found
+    scale = UNITS[unit] / (_CENTIMETRE if found.format == "depthai" else 1)
+    return replace(
+        found,
+        cameras=tuple(_scaled(camera, scale) for camera in found.cameras),
+        rig=tuple(_scaled(camera, scale) for camera in found.rig),
+        depths=None if found.depths is None else (scale * found.depths[0], scale * found.depths[1]),
+    )
+
+
+def _scaled(camera: Camera, scale: float) -> Camera:
+    return replace(camera, translation=scale * np.asarray(camera.translation))
+
+
+def _read(path: str | Path) -> Calibration:
     file = Path(path)
     depths, rig, suffix = None, list[Camera](), file.suffix.lower()
     if file.is_dir():
@@ -77,7 +118,10 @@ def read_calibration(path: str | Path) -> Calibration:
         (cameras, depths), name = read_llff(file), "LLFF"
     elif suffix in (".yaml", ".yml", ".json"):
         table = read_json_or_toml(file) if suffix == ".json" else read_yaml(file)
-        if suffix == ".json" and isinstance(table, Mapping) and "frames" in table:
+        listed = next(((read, name) for known, read, name in _OF_DEVICES if known(table)), None)
+        if listed is not None:
+            cameras, name = _of_device(file, table, *listed)
+        elif suffix == ".json" and isinstance(table, Mapping) and "frames" in table:
             cameras, name = nerfstudio_cameras(file, table), "nerfstudio"
         elif suffix != ".json" and is_kalibr(table):
             cameras, name = kalibr_cameras(file, table), "Kalibr"
@@ -90,3 +134,22 @@ def read_calibration(path: str | Path) -> Calibration:
     if not cameras:
         raise LightFieldError(f"{file} has no cameras.")
     return Calibration(tuple(cameras), str(file), name, depths, tuple(rig))
+
+
+_CENTIMETRE = UNITS["cm"]
+_OF_DEVICES: tuple[tuple[Callable[[Any], bool], Callable[[Any], list[Camera]], str], ...] = (
+    (is_google, google_cameras, "Google"),
+    (is_depthai, depthai_cameras, "depthai"),
+    (is_stereo, stereo_cameras, "OpenCV"),
+)
+
+
+def _of_device(file: Path, table: Any, read: Callable[[Any], list[Camera]], name: str) -> tuple[list[Camera], str]:
+    try:
+        return read(table), name
+    except LightFieldError as error:
+        raise LightFieldError(f"{file}: {error}") from error
+    except KeyError as error:
+        raise LightFieldError(f"{file} has no {error.args[0]}.") from error
+    except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
+        raise LightFieldError(f"{file} has wrong entries: {error}.") from error

@@ -16,6 +16,8 @@ import numpy as np
 from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.formats.entries import numbers, whole
 from lfgpu.errors import LightFieldError
+from lfgpu.io.folders import IMAGE_SUFFIXES
+from lfgpu.io.images import image_size
 
 _LENS = {"pinhole": ("k1", "k2", "p1", "p2", "k3"), "fisheye": ("k1", "k2", "k3", "k4")}
 
@@ -26,13 +28,27 @@ def nerfstudio_cameras(path: Path, table: Mapping[str, Any]) -> list[Camera]:
         frames = table["frames"]
         if not isinstance(frames, list) or not all(isinstance(frame, Mapping) for frame in frames):
             raise ValueError("frames must be a list of tables")
-        return [_camera({**table, **frame}) for frame in frames]
+        sized = "w" in table and "h" in table
+        return [_camera({**table, **(frame if sized else _with_size(path, frame))}) for frame in frames]
     except LightFieldError as error:
         raise LightFieldError(f"{path}: {error}") from error
     except KeyError as error:
         raise LightFieldError(f"{path} has no {error.args[0]}.") from error
     except (TypeError, ValueError) as error:
         raise LightFieldError(f"{path} is no transforms.json: {error}.") from error
+
+
+def _with_size(path: Path, frame: Mapping[str, Any]) -> Mapping[str, Any]:
+    """A frame with the size of its picture, where the file does not have it: NeRF's own form has camera_angle_x alone,
+    and names without suffix."""
+    if "w" in frame and "h" in frame:
+        return frame
+    name = str(frame["file_path"])
+    for suffix in ("", *sorted(IMAGE_SUFFIXES)):
+        file = path.parent / f"{name}{suffix}"
+        if file.is_file() and (size := image_size(file)) is not None:
+            return {**frame, "file_path": f"{name}{suffix}", "h": size[0], "w": size[1]}
+    raise LightFieldError(f"it has no w and h, and {path.parent / name} is no picture whose size could be taken.")
 
 
 def _camera(entry: Mapping[str, Any]) -> Camera:
