@@ -83,7 +83,7 @@ LBFGS_CASES = (
     LbfgsCase("straight slope", function="slope", start=0.75, values=12),
     LbfgsCase("hill", function="hill", values=6),
     LbfgsCase("stairs", function="stairs", size=(2, 2), bounds=(-50.0, 50.0), start=-30.0, memory=1, values=20),
-    LbfgsCase("wall", function="wall", bounds=(-100.0, 100.0), start=1.0, first_step=12.0, values=10),
+    LbfgsCase("wall", function="wall", bounds=(-100.0, 100.0), start=1.0, first_step=12.0, values=45),
     LbfgsCase("nothing lower", function="lie", values=25),
     LbfgsCase("flat at last", flat=0.02, patience=2, values=20),
     LbfgsCase("flat at first only", bounds=(-9.0, 9.0), first_step=1e-3, flat=0.02, patience=2, values=6),
