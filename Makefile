@@ -16,7 +16,7 @@ test: .venv/develop
 # What `make test` leaves out: faults that tests must notice, benchmarks, wheels, kernels of a GPU on a CPU, kills, load.
 test-all: test
 	$(PYTEST) -m thorough
-	$(BIN)/python -m tests.io.fuzz --examples 2000 --seed 1
+	$(BIN)/python -m tests.io.fuzz --examples 2000 --seed 1 --processes 2
 	$(BIN)/python tests/faults.py
 
 lint: .venv/develop

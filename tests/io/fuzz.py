@@ -9,8 +9,7 @@ blown up, parts of other files put in, files lost, doubled, renamed, linked in c
 memory than `MEMORY`, more than `SECONDS` and a crash: examples run in processes of their own, whose address space is
 limited. Everything happens in a temporary folder, many folders deep: no link and no "../.." leads out of it.
 
-The summary is written while it runs and when it is told to end (SIGTERM, control-C): what was tried counts. Thousands
-of small folders are made and removed; with a TMPDIR in memory (/dev/shm) that takes no disk.
+Thousands of small folders are made and removed; with a TMPDIR in memory (/dev/shm) that takes no disk.
 """
 
 from __future__ import annotations
@@ -39,7 +38,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.atomic import atomic_write
 from lfgpu.printable import printable
 from tests.io import mutations
 from tests.io.targets import TARGETS
@@ -271,10 +269,10 @@ class _Running:
     core: int
     until: float = field(default_factory=lambda: time.monotonic() + PATIENCE)
 
-    def count(self, tally: Tally, whole: bool = True) -> int:
+    def count(self, tally: Tally) -> int:
         """Count what the log of a process that ended says; how many examples it is about.
 
-        An example without a result ended the process. It is left out if the process was ended (not `whole`).
+        An example without a result ended the process.
         """
         self.process.join()
         tried = 0
@@ -286,8 +284,6 @@ class _Running:
                 if int(result) > MEMORY:
                     tally.failures.append(f"{self.log.stem} and {BATCH} more: {int(result) >> 20} MiB")
                 continue
-            if not result and not whole:
-                break
             tried += 1
             tally.inputs[name] += 1
             if result == "'read'":
@@ -358,10 +354,8 @@ def run(
                         waiting.appendleft(rest)
                     show(tally)
         finally:
-            for batch in running:  # told to end: what they have tried counts
+            for batch in running:
                 batch.process.kill()
-                batch.count(tally, whole=False)
-            show(tally)
     return tally
 
 
@@ -377,15 +371,13 @@ def main() -> None:
 
     def show(tally: Tally) -> None:
         print(f"\r{tally.tried} inputs, {len(tally.failures)} failures", end="", file=sys.stderr, flush=True)
-        if arguments.summary:
-            given = {key: getattr(arguments, key) for key in ("examples", "seed", "processes")}
-            done = {**given, "seconds": round(time.monotonic() - began, 1), **tally.summary()}
-            with atomic_write(arguments.summary) as file:
-                file.write_text(json.dumps(done, indent=1) + "\n")
 
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     tally = run(arguments.examples, arguments.seed, arguments.format, arguments.processes, show)
     print(file=sys.stderr)
+    if arguments.summary:
+        given = {key: getattr(arguments, key) for key in ("examples", "seed", "processes")}
+        done = {**given, "seconds": round(time.monotonic() - began, 1), **tally.summary()}
+        arguments.summary.write_text(json.dumps(done, indent=1) + "\n")
     for failure in tally.failures:
         print(failure.replace("\\n", "\n"))
     for name, reason in tally.left_out.items():

@@ -8,7 +8,6 @@ import os
 import re
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -62,17 +61,6 @@ def read_or_refused(path: Path, **options: Any) -> LightField | None:
 
 @pytest.mark.thorough
 @ON_LINUX
-def test_damaged_light_fields_of_all_formats_are_read_or_refused() -> None:
-    """The first few of what `python -m tests.io.fuzz --examples 30000` tries."""
-    tally = fuzz.run(352)
-    assert not tally.failures, tally.failures[0]
-    assert tally.tried == 352
-    assert tally.refused > 0.3 * tally.tried  # damage is done
-    assert tally.most_memory < fuzz.MEMORY
-
-
-@pytest.mark.thorough
-@ON_LINUX
 def test_the_fuzzer_finds_a_broken_reader(monkeypatch: pytest.MonkeyPatch) -> None:
     def one(name: str, source: Path, seed: int, within: Path) -> str:
         if seed == 0:
@@ -84,32 +72,6 @@ def test_the_fuzzer_finds_a_broken_reader(monkeypatch: pytest.MonkeyPatch) -> No
     assert sorted(tally.failures) == ["seed 0, npy: the process ended with 7", "seed 1, npy: 'Traceback'"]
     assert tally.summary()["inputs_of_each"] == {"npy": 600}  # what came after a crash is tried, too
     assert tally.refused == 598
-
-
-@pytest.mark.thorough
-@ON_LINUX
-def test_what_was_tried_counts_when_the_fuzzer_is_told_to_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    under_way = tmp_path / "under way"
-
-    def one(name: str, source: Path, seed: int, within: Path) -> str:
-        if seed == fuzz.BATCH + 7:
-            under_way.touch()
-        while seed == fuzz.BATCH + 7 or (seed == 0 and not under_way.exists()):
-            time.sleep(0.01)
-        return "read"
-
-    seen = []
-
-    def show(tally: fuzz.Tally) -> None:
-        seen.append(tally.tried)
-        if len(seen) == 1:
-            raise SystemExit
-        assert not tally.failures  # what was under way has no result
-
-    monkeypatch.setattr(fuzz, "one", one)
-    with pytest.raises(SystemExit):
-        fuzz.run(1000, names=["npy"], processes=2, show=show)
-    assert seen == [fuzz.BATCH, fuzz.BATCH + 7]
 
 
 @pytest.mark.thorough
