@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -26,14 +27,17 @@ POINTS = 200_000
 """About as many points are written at most."""
 
 _SURE = 0.5  # confidence from which on a pixel gives a point
-_DEEPEST = 65535  # millimetres that a depth picture holds at most
+_LARGEST = 65535  # units that a depth picture holds at most
+_FEWEST = 655  # units of the deepest pixel: less is told too coarsely
+_MILLIMETRE = 1e-3
+_LEFT_OUT = 0.1  # per cent of the pixels, those that are deepest: a unit need not hold them
 
 
 def export_scene(
     lf: LightField,
     maps: ViewsResult | DepthResult | DisparityMap,
     folder: str | os.PathLike[str],
-) -> None:
+) -> tuple[str, ...]:
     """Write a light field and its maps as a folder that COLMAP, nerfstudio and Gaussian splatting take.
 
     The world is in metres: x to the right, y down, z away from the camera whose frame is not shifted.
@@ -43,7 +47,9 @@ def export_scene(
       shifted.
     - `stereo/depth_maps/NAME.geometric.bin`: COLMAP's depth of each view with a map, float32, 0 where unknown.
     - `transforms.json`: nerfstudio's frames, with `depth_file_path`; OpenGL axes of cameras.
-    - `depths/`: its depth of each view with a map, in millimetres, uint16, 0 where unknown or beyond 65.535 m.
+    - `depths/`: its depth of each view with a map, uint16, 0 where unknown or beyond what 16 bits hold; in millimetres,
+      as nerfstudio takes them, or where these do not fit the scene, in a power of ten of metres, which
+      `transforms.json` has as `depth_unit_scale_factor`.
     - `points.ply`: coloured points, about 200 000 at most, of pixels with a confidence of at least 0.5.
 
     Parameters
@@ -54,6 +60,11 @@ def export_scene(
         The maps of all its views, or one map of one of them: then other views have no depth.
     folder
         The folder; an older one is overwritten.
+
+    Returns
+    -------
+    What a reader has to know of the depth pictures, one sentence each: their unit if it is not the millimetre, and how
+    much is beyond what they hold.
 
     Raises
     ------
@@ -68,6 +79,7 @@ def export_scene(
         for n, camera in enumerate(ideal_cameras(replace(lf, geometry=geometry)))
     ]
     points, colors = _points(lf, found)
+    unit, notes = _unit(found)
     with atomic_folder(folder) as place:
         for name in ("images", "depths", "sparse/0", "stereo/depth_maps"):
             (place / name).mkdir(parents=True)
@@ -78,12 +90,13 @@ def export_scene(
             if n in found:
                 depth = found[n].depth
                 assert depth is not None
-                write_png(place / "depths" / camera.name, _millimetres(depth))
+                write_png(place / "depths" / camera.name, _whole_units(depth, unit))
                 write_depth(place / "stereo" / "depth_maps" / f"{camera.name}.geometric.bin", depth)
                 files[-1]["depth_file_path"] = f"depths/{camera.name}"
         write_colmap(place / "sparse" / "0", cameras, points, colors)
-        write_nerfstudio(place / "transforms.json", cameras, files=files, points="points.ply")
+        write_nerfstudio(place / "transforms.json", cameras, files=files, points="points.ply", depth_unit=unit)
         _write_ply(place / "points.ply", points, colors)
+    return notes
 
 
 # --- steps ---
@@ -132,9 +145,28 @@ def _bytes(lf: LightField, index: int) -> NDArray[np.uint8]:
     return view if view.dtype == np.uint8 else np.rint(255 * np.clip(lf.image(index), 0, 1)).astype(np.uint8)
 
 
-def _millimetres(depth: NDArray[np.float32]) -> NDArray[np.uint16]:
-    values = np.rint(1000 * depth.astype(np.float64))
-    known = np.isfinite(values) & (values <= _DEEPEST)
+def _unit(maps: dict[int, DisparityMap]) -> tuple[float, tuple[str, ...]]:
+    """The unit of depth pictures in metres, and what a reader has to know of it."""
+    depths = np.concatenate([depth[np.isfinite(depth)] for one in maps.values() if (depth := one.depth) is not None])
+    if not depths.size:
+        return _MILLIMETRE, ()
+    deepest = float(np.percentile(depths, 100 - _LEFT_OUT))
+    unit, notes = _MILLIMETRE, []
+    if not _FEWEST * unit <= deepest <= _LARGEST * unit:
+        unit = 10.0 ** math.ceil(math.log10(deepest / _LARGEST))
+        notes.append(
+            f"Depth pictures are in units of {unit:g} m, as millimetres do not fit the scene in 16 bits; nerfstudio "
+            f"takes it as depth_unit_scale_factor={unit:g}."
+        )
+    beyond = float((depths > _LARGEST * unit).mean())
+    if beyond > 0:
+        notes.append(f"Depth pictures have 0 at {100 * beyond:.2g} % of the pixels, beyond {_LARGEST * unit:.4g} m.")
+    return unit, tuple(notes)
+
+
+def _whole_units(depth: NDArray[np.float32], unit: float) -> NDArray[np.uint16]:
+    values = np.rint(depth.astype(np.float64) / unit)
+    known = np.isfinite(values) & (values <= _LARGEST)
     return np.where(known, values, 0).astype(np.uint16)[..., None]
 
 

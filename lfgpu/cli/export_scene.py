@@ -69,13 +69,13 @@ def export_scene(
         found = estimation.run_all(lf, quiet=quiet)
     else:
         found = load(maps / VIEWS_FILE if (maps / VIEWS_FILE).exists() else maps)  # type: ignore[assignment]
-    calibration.export_scene(lf, found, out)
+    notes = calibration.export_scene(lf, found, out)
     if not quiet:
         files = [
             ("transforms.json", "nerfstudio: cameras and files of all views"),
             ("sparse/0/", "COLMAP: cameras, images, points, binary and as text"),
-            ("images/, depths/", "the views; their depth in millimetres, 0 where unknown"),
+            ("images/, depths/", "the views; their depth in whole units, 0 where unknown"),
             ("stereo/depth_maps/", "COLMAP: depth in metres, 0 where unknown"),
             ("points.ply", "coloured points, to begin Gaussian splatting with"),
         ]
-        summary.show_outputs(output(), out, files)
+        summary.show_outputs(output(), out, [*files, *(("note", note) for note in notes)])

@@ -137,3 +137,23 @@ def test_the_command_and_what_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LightFieldError, match="the map must be 48 x 60"):
         export_scene(lf, replace(true_map(), disparity=true_map().disparity[:9]), tmp_path / "none")
     assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize(("times", "unit"), [(1000.0, 1.0), (0.001, 1e-6)])
+def test_depth_pictures_of_a_unit_that_holds_the_scene(times: float, unit: float, tmp_path: Path) -> None:
+    """Millimetres hold depths from about 0.65 to 65 m; another unit is written down and told."""
+    lf, one = scene(), true_map()
+    assert lf.geometry is not None
+    focus = lf.geometry.focus_distance_m * times
+    geometry = replace(lf.geometry, baseline_m=lf.geometry.baseline_m * times, focus_distance_m=focus)
+    one = replace(one, geometry=geometry)
+    notes = export_scene(replace(lf, geometry=geometry), one, tmp_path / "out")
+    found = json.loads((tmp_path / "out" / "transforms.json").read_text())["depth_unit_scale_factor"]
+    assert found == pytest.approx(unit)
+    assert any("Depth pictures are in units of" in note for note in notes)
+    name = f"view_{lf.reference_index:03d}.png"
+    stored = np.asarray(Image.open(tmp_path / "out" / "depths" / name)).astype(float) * found
+    assert one.depth is not None
+    known = np.isfinite(one.depth) & (stored > 0)
+    assert known.mean() > 0.85
+    np.testing.assert_allclose(stored[known], one.depth[known], atol=found)

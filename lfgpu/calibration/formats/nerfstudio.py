@@ -19,6 +19,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.folders import IMAGE_SUFFIXES
 from lfgpu.io.images import image_size
 
+_MILLIMETRE = 1e-3
 _LENS = {"pinhole": ("k1", "k2", "p1", "p2", "k3"), "fisheye": ("k1", "k2", "k3", "k4")}
 
 
@@ -82,7 +83,12 @@ def _camera(entry: Mapping[str, Any]) -> Camera:
 
 
 def write_nerfstudio(
-    path: Path, cameras: Sequence[Camera], *, files: Sequence[Mapping[str, str]], points: str | None = None
+    path: Path,
+    cameras: Sequence[Camera],
+    *,
+    files: Sequence[Mapping[str, str]],
+    points: str | None = None,
+    depth_unit: float = _MILLIMETRE,
 ) -> None:
     """Write a transforms.json.
 
@@ -96,6 +102,8 @@ def write_nerfstudio(
         For each camera its files, by the name of the entry: "file_path", "depth_file_path", "mask_path".
     points
         The file of the point cloud; None if there is none.
+    depth_unit
+        Unit of the depth pictures, metres; default 0.001, as nerfstudio takes them.
     """
     frames = []
     for camera, named in zip(cameras, files, strict=True):
@@ -119,5 +127,8 @@ def write_nerfstudio(
             }
         )
     model = "OPENCV_FISHEYE" if cameras[0].model == "fisheye" else "OPENCV"
-    table = {"camera_model": model, **({} if points is None else {"ply_file_path": points}), "frames": frames}
+    table: dict[str, Any] = {"camera_model": model, **({} if points is None else {"ply_file_path": points})}
+    if depth_unit != _MILLIMETRE:
+        table["depth_unit_scale_factor"] = depth_unit
+    table["frames"] = frames
     path.write_text(json.dumps(table, indent=1, allow_nan=False), encoding="utf-8")
