@@ -77,7 +77,7 @@ def command(
     out: Out = None,
 ) -> None:
     """Time the rectification of raw frames on the device, by itself and as a part of a frame."""
-    rows = run([cases.find(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
+    rows = run([cases.parse(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
     about = {"rig": asdict(RIG)}
     found = collected(rows, out, about=about, as_json=lambda row: {**asdict(row), "added_ms": row.added_ms})
     Table.of("", 2, found, COLUMNS).show()
