@@ -116,6 +116,7 @@ def test_tiles_are_doubted_together() -> None:
     assert set(notes_of(found.disparity, found.confidence, bounds)) <= set(found.notes)
 
 
+@pytest.mark.thorough
 def test_without_a_halo_the_map_would_differ(
     scene: LightField, parameters: Config, whole: DepthResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
