@@ -24,7 +24,7 @@ SEED = "LFGPU_TEST_SEED"
 DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
 
 
-SCENES, PICTURES = 8, 2**28  # of synthetic scenes, how many a worker keeps, and how many bytes of what they look like
+SCENES, PICTURES = 4, 2**27  # of synthetic scenes, how many a worker keeps, and how many bytes of what they look like
 
 
 class Target(NamedTuple):
