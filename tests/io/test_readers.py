@@ -44,7 +44,7 @@ def test_parallax_tells_a_flip(tmp_path: Path, true: LightField) -> None:
         ({"grid": (2, 3)}, "read as named-views, for which grid means nothing"),
         ({"every": 2}, "for which every means nothing"),
         ({"grid": (0, 3)}, "grid must be (rows, columns)"),
-        ({"every": 0}, "every must be a whole number from 1 on"),
+        ({"every": 0}, "every must be a whole number of at least 1, not 0."),
     ],
 )
 def test_options_that_mean_nothing_are_refused(tmp_path: Path, options: dict[str, Any], words: str) -> None:
