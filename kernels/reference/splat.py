@@ -1,4 +1,4 @@
-"""The forward splat, its two transposes and its derivative: NumPy, float64, one tap at a time.
+"""The forward splat and its data term: NumPy, float64, one tap at a time.
 
 Each reference pixel p lands at p - d(p) * (du, dv) in the view with offset (du, dv) and gives its colour to the up to
 four pixels around, by Λ in x times Λ in y (Sajjadi et al. 2016, eq. of the generative model; Λ from `tent`).
@@ -54,30 +54,13 @@ def splat(
             np.add.at(coverage, tap.target, tap.weight)
 
 
-def splat_transpose(views: Array, disparity: Array, offsets: Array, *, softness: float, image_out: Array) -> None:
-    image_out[:] = 0
-    for view, offset in zip(views, offsets, strict=True):
-        for tap in taps(disparity, offset, softness):
-            image_out[tap.inside] += tap.weight[:, None] * view[tap.target]
-
-
-def splat_jvp(
-    image: Array, disparity: Array, tangent: Array, offsets: Array, *, softness: float, views_out: Array
-) -> None:
-    views_out[:] = 0
-    for view, offset in zip(views_out, offsets, strict=True):
-        for tap in taps(disparity, offset, softness):
-            change = (tap.slope * tangent[tap.inside])[:, None] * image[tap.inside]
-            np.add.at(view, tap.target, change)
-
-
-def splat_vjp(
-    image: Array, disparity: Array, residual: Array, offsets: Array, *, softness: float, gradient_out: Array
-) -> None:
-    gradient_out[:] = 0
+def _gradient(image: Array, disparity: Array, residual: Array, offsets: Array, softness: float) -> Array:
+    """The gradient [y, x] with respect to the disparity that residuals [n, y, x, c] give."""
+    gradient = np.zeros(disparity.shape)
     for view, offset in zip(residual, offsets, strict=True):
         for tap in taps(disparity, offset, softness):
-            gradient_out[tap.inside] += tap.slope * (image[tap.inside] * view[tap.target]).sum(1)
+            gradient[tap.inside] += tap.slope * (image[tap.inside] * view[tap.target]).sum(1)
+    return gradient
 
 
 class DataTerm:
@@ -96,8 +79,7 @@ class DataTerm:
         residual -= self._scale * self._recorded
         if self._valid is not None:
             residual[self._valid == 0] = 0
-        splat_vjp(image, disparity, residual, offsets, softness=softness, gradient_out=gradient_out)
-        gradient_out *= 2
+        gradient_out[:] = 2 * _gradient(image, disparity, residual, offsets, softness)
         value_out[0] = np.vdot(residual, residual)
 
     def curvature(self, curvature_out: Array) -> None:

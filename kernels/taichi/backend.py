@@ -13,7 +13,7 @@ from .lbfgs import lbfgs
 from .memory import field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .nlm_regression import nlm_on_surface, nlm_plane, nlm_ratio
-from .occlusion import splat_z_buffered, z_buffered_data_term
+from .occlusion import splat_z_buffered, visible
 from .plane_sweep import plane_sweep
 from .range_search import details, distinct_minimum, shrink, side_costs
 from .resampling import resample
@@ -21,92 +21,14 @@ from .residuals import residuals
 from .runtime import devices
 from .semi_global import semi_global
 from .smoothing import reduce_views, smooth_views
-from .splat import data_term, splat, splat_jvp, splat_transpose, splat_vjp
+from .splat import data_term, seen_by_reference, splat
 from .structure_tensor import keep_more_coherent, structure_tensor
 from .sums import dot
 from .vector import axpby, clamp, copy, divide, fill, multiply, ratio, select, threshold
 from .views import intensities, line_of_views, normalization
-from .visibility import seen_by_reference, visible
 
 name = "taichi"
 compiles = True
 dtype = np.float32
 streaming = None
 recording = None
-
-__all__ = [
-    "add_reduced",
-    "alignment",
-    "asking",
-    "axpby",
-    "capture",
-    "clamp",
-    "compiles",
-    "conjugate_step",
-    "copy",
-    "data_term",
-    "details",
-    "devices",
-    "distinct_minimum",
-    "divide",
-    "dot",
-    "dtype",
-    "edge_weights",
-    "evidence",
-    "field",
-    "fill",
-    "image",
-    "intensities",
-    "is_deterministic",
-    "judge",
-    "keep_more_coherent",
-    "kernel_cache",
-    "lbfgs",
-    "least_costs",
-    "line_mean",
-    "line_of_views",
-    "multiply",
-    "name",
-    "nlm_average",
-    "nlm_laplacian",
-    "nlm_neighbors",
-    "nlm_on_surface",
-    "nlm_plane",
-    "nlm_ratio",
-    "nlm_weights",
-    "normalization",
-    "number",
-    "numpy",
-    "plane_sweep",
-    "ratio",
-    "recording",
-    "reduce_views",
-    "refine_boundaries",
-    "repeat",
-    "resample",
-    "residuals",
-    "scalar",
-    "seen_by_reference",
-    "select",
-    "semi_global",
-    "shared",
-    "shrink",
-    "side_costs",
-    "smooth_views",
-    "splat",
-    "splat_jvp",
-    "splat_transpose",
-    "splat_vjp",
-    "splat_z_buffered",
-    "streaming",
-    "structure_tensor",
-    "threshold",
-    "unevenness",
-    "upload",
-    "visible",
-    "winner_takes_all",
-    "z_buffer",
-    "z_buffered_data_term",
-    "zeros",
-    "zeros_image",
-]

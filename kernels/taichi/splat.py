@@ -1,4 +1,4 @@
-"""The forward splat, its two transposes, its derivative, and the data term that is made of them.
+"""The forward splat, the data term that is made of it, and what the reference sees of other views.
 
 A GPU gives each pixel of each view a thread, and pixels that land on the same place add up atomically. On a CPU, where
 atomics cost several times as much, a view belongs to one thread.
@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.contract import SplatDataTerm
+from lfgpu.contract import DataTerm
 
-from .landing import inside, land
+from .landing import inside, land, nearest, within
 from .memory import DeviceArray, clear, empty, flat, numpy, optional
 from .runtime import TASK, on_cpu, once, run
 from .sums import GPU_PARTS, Total, share
@@ -99,39 +99,6 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         give(coverage, first, to, height, width, wx * wy, (1 - wx) * wy, wx * (1 - wy), (1 - wx) * (1 - wy))
 
     @ti.func
-    def give_change(
-        image: ti.template(),
-        disparity: ti.template(),
-        tangent: ti.template(),
-        offsets: ti.template(),
-        n: int,
-        p: int,
-        height: int,
-        width: int,
-        softness: float,
-        views: ti.template(),
-    ):
-        du = offsets[2 * n]
-        dv = offsets[2 * n + 1]
-        to = land(p % width, p // width, disparity[p], du, dv)
-        wx = tent(to.ax, softness)
-        wy = tent(to.ay, softness)
-        sx = -du * tent_slope(to.ax, softness)
-        sy = -dv * tent_slope(to.ay, softness)
-        change = image[p] * tangent[p]
-        give(
-            views,
-            n * height * width,
-            to,
-            height,
-            width,
-            change * (sx * wy + wx * sy),
-            change * ((1.0 - wx) * sy - sx * wy),
-            change * (sx * (1.0 - wy) - wx * sy),
-            change * (-sx * (1.0 - wy) - (1.0 - wx) * sy),
-        )
-
-    @ti.func
     def slope_of(
         value,
         d: float,
@@ -209,60 +176,11 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
                 give_weight(disparity, offsets, n, i - n * height * width, height, width, softness, coverage_out)
 
     @ti.kernel
-    def jvp_kernel(
-        image: image_type,
-        disparity: field,
-        tangent: field,
-        offsets: field,
-        softness: float,
-        height: int,
-        width: int,
-        views_out: image_type,
-    ):
-        count = offsets.shape[0] // 2
-        if ti.static(cpu):
-            for task in range(count * TASK):
-                if task % TASK == 0:
-                    n = task // TASK
-                    for p in range(height * width):
-                        give_change(image, disparity, tangent, offsets, n, p, height, width, softness, views_out)
-        else:
-            for i in range(count * height * width):
-                n = i // (height * width)
-                p = i - n * height * width
-                give_change(image, disparity, tangent, offsets, n, p, height, width, softness, views_out)
-
-    @ti.kernel
-    def transpose_kernel(
-        views: image_type,
-        disparity: field,
-        offsets: field,
-        softness: float,
-        height: int,
-        width: int,
-        image_out: image_type,
-    ):
-        for p in range(height * width):
-            total = pixel(0.0)
-            for n in range(offsets.shape[0] // 2):
-                to = land(p % width, p // width, disparity[p], offsets[2 * n], offsets[2 * n + 1])
-                wx = tent(to.ax, softness)
-                wy = tent(to.ay, softness)
-                first = n * height * width
-                upper = at(views, first, to.x, to.y, height, width) * wx
-                upper += at(views, first, to.x + 1, to.y, height, width) * (1.0 - wx)
-                lower = at(views, first, to.x, to.y + 1, height, width) * wx
-                lower += at(views, first, to.x + 1, to.y + 1, height, width) * (1.0 - wx)
-                total += upper * wy + lower * (1.0 - wy)
-            image_out[p] = total
-
-    @ti.kernel
     def vjp_kernel(
         image: image_type,
         disparity: field,
         residual: image_type,
         offsets: field,
-        factor: float,
         softness: float,
         height: int,
         width: int,
@@ -286,7 +204,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
                     width,
                     softness,
                 )
-            gradient_out[p] = factor * total
+            gradient_out[p] = 2.0 * total
 
     @ti.kernel
     def residual_kernel(
@@ -374,18 +292,12 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
     return SimpleNamespace(
         splat=splat_kernel,
         coverage=coverage_kernel,
-        jvp=jvp_kernel,
-        transpose=transpose_kernel,
         vjp=vjp_kernel,
         residual=residual_kernel,
         slice=slice_kernel,
         total=total_kernel,
         curvature=curvature_kernel,
     )
-
-
-def _for_image(image: DeviceArray) -> SimpleNamespace:
-    return _kernels(image.channels, ti.f32, on_cpu())
 
 
 def splat(
@@ -397,7 +309,7 @@ def splat(
     views_out: DeviceArray,
     coverage_out: DeviceArray,
 ) -> None:
-    kernels = _for_image(image)
+    kernels = _kernels(image.channels, ti.f32, on_cpu())
     run(
         kernels.splat,
         image.values,
@@ -408,56 +320,6 @@ def splat(
         clear(views_out).values,
     )
     run(kernels.coverage, disparity.values, offsets.values, softness, *image.shape, clear(coverage_out).values)
-
-
-def splat_transpose(
-    views: DeviceArray, disparity: DeviceArray, offsets: DeviceArray, *, softness: float, image_out: DeviceArray
-) -> None:
-    kernel = _for_image(views).transpose
-    run(kernel, views.values, disparity.values, offsets.values, softness, *disparity.shape, image_out.values)
-
-
-def splat_jvp(
-    image: DeviceArray,
-    disparity: DeviceArray,
-    tangent: DeviceArray,
-    offsets: DeviceArray,
-    *,
-    softness: float,
-    views_out: DeviceArray,
-) -> None:
-    run(
-        _for_image(image).jvp,
-        image.values,
-        disparity.values,
-        tangent.values,
-        offsets.values,
-        softness,
-        *image.shape,
-        clear(views_out).values,
-    )
-
-
-def splat_vjp(
-    image: DeviceArray,
-    disparity: DeviceArray,
-    residual: DeviceArray,
-    offsets: DeviceArray,
-    *,
-    softness: float,
-    gradient_out: DeviceArray,
-) -> None:
-    run(
-        _for_image(image).vjp,
-        image.values,
-        disparity.values,
-        residual.values,
-        offsets.values,
-        1.0,
-        softness,
-        *image.shape,
-        gradient_out.values,
-    )
 
 
 class _DataTerm:
@@ -508,9 +370,50 @@ class _DataTerm:
         clear(self._residuals)
         run(self._kernels.splat, *seen, offsets, self._softness, *disparity.shape, residuals)
         run(self._kernels.residual, *compared, residuals, self._squares.values)
-        gradient = 2.0, self._softness, *disparity.shape, gradient_out.values
-        run(self._kernels.vjp, *seen, residuals, offsets, *gradient)
+        run(self._kernels.vjp, *seen, residuals, offsets, self._softness, *disparity.shape, gradient_out.values)
 
 
-def data_term(shape: Sequence[int], offsets: DeviceArray, *, scale: float, softness: float) -> SplatDataTerm:
+def data_term(shape: Sequence[int], offsets: DeviceArray, *, scale: float, softness: float) -> DataTerm:
     return _DataTerm(shape, offsets, scale, softness)
+
+
+@ti.kernel
+def _seen_kernel(
+    disparity: flat(),
+    offsets: flat(),
+    known: flat(),
+    some_known: ti.template(),
+    valid: flat(),
+    masked: ti.template(),
+    height: int,
+    width: int,
+    seen_out: flat(),
+):
+    size = height * width
+    for i in range(seen_out.shape[0]):
+        n = i // size
+        p = i - n * size
+        # Where a pixel comes from is where one of the reference lands with the opposite offset.
+        place = land(p % width, p // width, disparity[p], -offsets[2 * n], -offsets[2 * n + 1])
+        seen = 0.0
+        if within(place.x, place.ax, width) and within(place.y, place.ay, height):
+            seen = 1.0
+            if ti.static(some_known):
+                if known[nearest(place.y, place.ay) * width + nearest(place.x, place.ax)] == 0.0:
+                    seen = 0.0
+            if ti.static(masked):
+                if valid[i] == 0.0:
+                    seen = 0.0
+        seen_out[i] = seen
+
+
+def seen_by_reference(
+    disparity: DeviceArray,
+    offsets: DeviceArray,
+    known: DeviceArray | None,
+    valid: DeviceArray | None,
+    *,
+    seen_out: DeviceArray,
+) -> None:
+    inputs = disparity.values, offsets.values, *optional(known), *optional(valid), *disparity.shape
+    run(_seen_kernel, *inputs, seen_out.values)

@@ -62,7 +62,7 @@ def capture(work: Callable[[], None], device: str) -> Callable[[], None] | None:
 
 
 def is_deterministic(device: str) -> bool:
-    return True  # `splat` and `splat_jvp` add atomically on a GPU, but no estimate needs them
+    return True  # `splat` adds atomically on a GPU, but no estimate needs it
 
 
 def kernel_cache() -> str | None:

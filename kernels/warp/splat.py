@@ -1,4 +1,4 @@
-"""The forward splat, its two transposes, its derivative, and the data term that is made of them on a CPU."""
+"""The forward splat, and the data term that is made of it on a CPU."""
 
 from collections.abc import Sequence
 from types import SimpleNamespace
@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from lfgpu.contract import SplatDataTerm
+from lfgpu.contract import DataTerm
 
 from .curvature import curvature, curvature_factor
 from .gpu_data_term import GpuDataTerm
@@ -117,54 +117,6 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
             add_weight(coverage_out, n, to.y + 1, to.x + 1, (1.0 - wx) * (1.0 - wy))
 
     @wp.kernel(module=module, enable_backward=False)
-    def transpose_kernel(
-        views: wp.array3d(dtype=pixel),
-        disparity: wp.array2d(dtype=float),
-        offsets: wp.array(dtype=wp.vec2f),
-        softness: float,
-        row: int,
-        lanes: int,
-        image_out: wp.array2d(dtype=pixel),
-    ):
-        i = wp.tid()
-        y = row + i / lanes
-        lane = i % lanes
-        for x in range(lane, disparity.shape[1], lanes):
-            total = pixel()
-            for n in range(offsets.shape[0]):
-                to = land(x, y, disparity[y, x], offsets[n])
-                wx = tent(to.ax, softness)
-                wy = tent(to.ay, softness)
-                upper = at(views, n, to.y, to.x) * wx + at(views, n, to.y, to.x + 1) * (1.0 - wx)
-                lower = at(views, n, to.y + 1, to.x) * wx + at(views, n, to.y + 1, to.x + 1) * (1.0 - wx)
-                total = total + upper * wy + lower * (1.0 - wy)
-            image_out[y, x] = total
-
-    @wp.kernel(module=module, enable_backward=False)
-    def jvp_kernel(
-        image: wp.array2d(dtype=pixel),
-        disparity: wp.array2d(dtype=float),
-        tangent: wp.array2d(dtype=float),
-        offsets: wp.array(dtype=wp.vec2f),
-        softness: float,
-        lanes: int,
-        views_out: wp.array3d(dtype=pixel),
-    ):
-        n, y, lane = wp.tid()
-        offset = offsets[n]
-        for x in range(lane, image.shape[1], lanes):
-            to = land(x, y, disparity[y, x], offset)
-            wx = tent(to.ax, softness)
-            wy = tent(to.ay, softness)
-            sx = -offset[0] * tent_slope(to.ax, softness)
-            sy = -offset[1] * tent_slope(to.ay, softness)
-            change = image[y, x] * tangent[y, x]
-            add(views_out, n, to.y, to.x, change * (sx * wy + wx * sy))
-            add(views_out, n, to.y, to.x + 1, change * ((1.0 - wx) * sy - sx * wy))
-            add(views_out, n, to.y + 1, to.x, change * (sx * (1.0 - wy) - wx * sy))
-            add(views_out, n, to.y + 1, to.x + 1, change * (-sx * (1.0 - wy) - (1.0 - wx) * sy))
-
-    @wp.kernel(module=module, enable_backward=False)
     def vjp_kernel(
         image: wp.array2d(dtype=pixel),
         disparity: wp.array2d(dtype=float),
@@ -252,8 +204,6 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         total=total_kernel,
         splat=splat_kernel,
         coverage=coverage_kernel,
-        transpose=transpose_kernel,
-        jvp=jvp_kernel,
         vjp=vjp_kernel,
         residual=residual_kernel,
     )
@@ -281,30 +231,6 @@ def splat(image: Any, disparity: Any, offsets: Any, *, softness: float, views_ou
         launch(kernels.coverage, dim, [disparity, some, softness, threads], [coverage], device=device)
 
     in_slices(device, views_out.shape[0], some_views)
-
-
-def splat_transpose(views: Any, disparity: Any, offsets: Any, *, softness: float, image_out: Any) -> None:
-    inputs = [views, disparity, as_offsets(offsets), softness]
-    launch_rows(_for_image(views).transpose, inputs, image_out)
-
-
-def splat_jvp(image: Any, disparity: Any, tangent: Any, offsets: Any, *, softness: float, views_out: Any) -> None:
-    kernel, threads, pairs, device = _for_image(image).jvp, lanes(image), as_offsets(offsets), image.device
-    load(device, kernel)
-
-    def some_views(_: int, first: int, last: int) -> None:
-        views = views_out[first:last]
-        views.zero_()
-        inputs = [image, disparity, tangent, pairs[first:last], softness, threads]
-        launch(kernel, (last - first, image.shape[0], threads), inputs, [views], device=device)
-
-    in_slices(device, views_out.shape[0], some_views)
-
-
-def splat_vjp(image: Any, disparity: Any, residual: Any, offsets: Any, *, softness: float, gradient_out: Any) -> None:
-    gradient_out.zero_()
-    inputs = [image, disparity, residual, as_offsets(offsets), 1.0, softness]
-    launch_rows(_for_image(image).vjp, inputs, gradient_out)
 
 
 @wp.kernel
@@ -391,6 +317,6 @@ class _CpuDataTerm:
         curvature(self._image, self._curvature, curvature_out)
 
 
-def data_term(shape: Sequence[int], offsets: Any, *, scale: float, softness: float) -> SplatDataTerm:
+def data_term(shape: Sequence[int], offsets: Any, *, scale: float, softness: float) -> DataTerm:
     kind = _CpuDataTerm if offsets.device.is_cpu else GpuDataTerm
     return kind(shape, offsets, scale, softness)

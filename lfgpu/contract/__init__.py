@@ -31,7 +31,7 @@ from lfgpu.contract.recording import Recording
 from lfgpu.contract.solvers import Lbfgs, Residuals
 from lfgpu.contract.streaming import Lease, Maps, Slot, Streaming, Transport
 from lfgpu.contract.structure_tensor import LocalEstimate, StructureFilters
-from lfgpu.contract.synthesis import DataTerm, Loss, SplatDataTerm
+from lfgpu.contract.synthesis import DataTerm
 
 __all__ = [
     "GRADIENT_REACH",
@@ -52,7 +52,6 @@ __all__ = [
     "Lbfgs",
     "Lease",
     "LocalEstimate",
-    "Loss",
     "Maps",
     "NlmWeights",
     "Normalization",
@@ -64,7 +63,6 @@ __all__ = [
     "Scalar",
     "SideCosts",
     "Slot",
-    "SplatDataTerm",
     "Streaming",
     "StructureFilters",
     "SweepCost",

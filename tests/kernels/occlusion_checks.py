@@ -5,17 +5,12 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-from checks import Desk, Operation, Outputs, Values, compute, largest_error, size
-from lfgpu.kernels.reference.occlusion import nearest, reaching_taps
-from programs import Program
+from checks import Desk, Operation, Outputs, Values, compute
 
 from lfgpu.contract import KernelSet
 
 CLEAR = 1e-4
 """Pixels: what is decided by less is left out of comparisons."""
-
-ROUNDING = 2.0**-23
-"""Of the terms of a gradient, relative to each: twice that of float32."""
 
 
 def splat_z_buffered(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -30,28 +25,6 @@ def splat_z_buffered(desk: Desk, i: SimpleNamespace) -> Outputs:
         coverage_out=out["coverage"],
     )
     return out
-
-
-def z_buffered_data_term(desk: Desk, i: SimpleNamespace) -> Outputs:
-    """The value and the gradient after another light field was loaded and compared, which leaves no trace."""
-    plan = desk.kernels.z_buffered_data_term(
-        i.recorded.shape,
-        desk.field(i.offsets),
-        scale=i.scale,
-        softness=i.softness,
-        sharpness=i.sharpness,
-        least_coverage=i.least_coverage,
-        loss=i.loss,
-        loss_scale=i.loss_scale,
-    )
-    gradient, value = desk.out(i.disparity.shape), desk.number_out()
-    other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
-    plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
-    plan(desk.field(i.disparity[::-1, ::-1]), gradient, value)
-    plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
-    plan(desk.field(i.disparity[::-1, ::-1]), gradient, value)
-    plan(desk.field(i.disparity), gradient, value)
-    return {"value": desk.kernels.number(value), "gradient": gradient}
 
 
 def visible(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -95,41 +68,11 @@ def visible_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNam
     return {"visible": float(differs.mean())}
 
 
-def sizes_of_terms(i: SimpleNamespace) -> Values:
-    """[y, x]: how large what is added up to a pixel's gradient can be, had I and L nothing in common.
-
-    Where one pixel is nearly all that is seen, I - L is 0 but for its rounding. What multiplies it is large where
-    little of that pixel lands: T'/T is 2 / b at a distance of b from the end of the tent.
-    """
-    disparity, total = i.disparity.astype(np.float64), np.zeros(i.disparity.shape)
-    for offset in i.offsets.astype(np.float64):
-        taps = reaching_taps(disparity, offset, i.softness)
-        front, weights = nearest(disparity, taps), np.zeros(disparity.shape)
-        nearness = [np.exp(i.sharpness * (disparity[tap.inside] - front[tap.target])) for tap in taps]
-        for tap, near in zip(taps, nearness, strict=True):
-            np.add.at(weights, tap.target, tap.weight * near)
-        for tap, near in zip(taps, nearness, strict=True):
-            change = np.abs(tap.slope) + i.sharpness * tap.weight
-            total[tap.inside] += change * near / weights[tap.target]
-    return 2 * i.image.shape[2] * size(i.image) * total  # what a residual of 1 in each channel makes of colours
-
-
-def occluding_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
-    """Of the gradient as of the plain data term's, but for the rounding of terms that nearly cancel."""
-    off = np.abs(got["gradient"] - want["gradient"]) - ROUNDING * sizes_of_terms(i)
-    largest = max(float(np.abs(want["gradient"]).max()), 0.1 * size(i.image, i.offsets))
-    return {
-        "value": largest_error(got["value"], want["value"]),
-        "gradient": largest_error(off.clip(0), np.zeros(1), largest),
-    }
-
-
 OPERATIONS = (
     Operation(splat_z_buffered, "occlusion"),
-    Operation(z_buffered_data_term, "occlusion", occluding_errors),
     Operation(visible, "occlusion", visible_errors),
 )
-SPLAT, DATA_TERM, VISIBLE = OPERATIONS
+SPLAT, VISIBLE = OPERATIONS
 
 
 # --- checks that know no truth ---
@@ -142,8 +85,6 @@ def check_safe_whatever_the_range(kernels: KernelSet, device: str, i: SimpleName
     assert np.isfinite(views).all(), "views are not finite"
     low, high = i.image.min() * (1 - 1e-5), i.image.max() * (1 + 1e-5)
     assert ((views[reached] >= low) & (views[reached] <= high)).all(), "a mean lies outside of what it is of"
-    for name, output in compute(kernels, device, DATA_TERM, i).items():
-        assert np.isfinite(output).all(), f"the {name} is not finite"
 
 
 def check_front_hides_back(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
@@ -175,33 +116,3 @@ def check_front_hides_back(kernels: KernelSet, device: str, i: SimpleNamespace) 
         np.testing.assert_allclose(got["views"][n], want, rtol=1e-6, atol=0, err_msg="the front does not hide the back")
         np.testing.assert_array_equal(got["coverage"][n] > 0, covered, "what is uncovered is wrong")
         np.testing.assert_array_equal(got["visible"][n] != 0, square | ~there, "what is visible is wrong")
-
-
-# --- a program of it, for devices that can do work as a whole ---
-
-
-def comparing_what_is_nearest(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
-    """The data term with occlusions of a light field that is loaded each time."""
-    views = values["recorded"]
-    inputs = {name: kernels.image(values[name], device) for name in ("image", "recorded")}
-    inputs |= {name: kernels.field(values[name], device) for name in ("valid", "disparity")}
-    plan = kernels.z_buffered_data_term(
-        views.shape,
-        kernels.field(values["offsets"], device),
-        scale=1.0,
-        softness=0.125,
-        sharpness=1.0,  # so that little that is near never hides all the rest: what follows from it has few digits
-        least_coverage=0.4371,
-        loss="charbonnier",
-        loss_scale=0.1,
-    )
-    gradient, scaled = (kernels.zeros(views.shape[1:3], device) for _ in range(2))
-    value, size = kernels.scalar(0.0, device), kernels.scalar(100.0, device)
-
-    def work() -> None:
-        plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
-        plan(inputs["disparity"], gradient, value)
-        kernels.ratio(value, size, value)
-        kernels.fill(value, scaled)
-
-    return Program(inputs, work, {"gradient": gradient, "value": scaled})

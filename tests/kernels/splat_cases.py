@@ -1,4 +1,4 @@
-"""The cases of the splat, its derivatives and the data term, and of what the reference sees of other views."""
+"""The cases of the splat, the data term, and of what the reference sees of other views."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The checks of the splat, its derivatives and the data term, and of what the reference sees of other views."""
+"""The checks of the splat, the data term, and of what the reference sees of other views."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from checks import (
     compute,
     largest_error,
     relative_to_terms,
-    same_product,
     size,
 )
 
@@ -31,40 +30,6 @@ def splat(desk: Desk, i: SimpleNamespace) -> Outputs:
         coverage_out=out["coverage"],
     )
     return out
-
-
-def splat_transpose(desk: Desk, i: SimpleNamespace) -> Outputs:
-    out = desk.image_out(i.image.shape)
-    desk.kernels.splat_transpose(
-        desk.image(i.views), desk.field(i.disparity), desk.field(i.offsets), softness=i.softness, image_out=out
-    )
-    return {"image": out}
-
-
-def splat_jvp(desk: Desk, i: SimpleNamespace) -> Outputs:
-    out = desk.image_out(i.views.shape)
-    desk.kernels.splat_jvp(
-        desk.image(i.image),
-        desk.field(i.disparity),
-        desk.field(i.tangent),
-        desk.field(i.offsets),
-        softness=i.softness,
-        views_out=out,
-    )
-    return {"views": out}
-
-
-def splat_vjp(desk: Desk, i: SimpleNamespace) -> Outputs:
-    out = desk.out(i.disparity.shape)
-    desk.kernels.splat_vjp(
-        desk.image(i.image),
-        desk.field(i.disparity),
-        desk.image(i.views),
-        desk.field(i.offsets),
-        softness=i.softness,
-        gradient_out=out,
-    )
-    return {"gradient": out}
 
 
 def data_term(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -93,33 +58,13 @@ def seen_by_reference(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 
 SPLAT = Operation(splat, "splat")
-SPLAT_TRANSPOSE = Operation(splat_transpose, "splat", relative_to_terms(image=lambda i: size(i.views)))
-SPLAT_JVP = Operation(splat_jvp, "splat", relative_to_terms(views=lambda i: size(i.image, i.tangent, i.offsets)))
-SPLAT_VJP = Operation(splat_vjp, "splat", relative_to_terms(gradient=lambda i: size(i.image, i.views, i.offsets)))
 DATA_TERM = Operation(data_term, "splat", relative_to_terms(gradient=lambda i: size(i.image, i.offsets)))
 SEEN_BY_REFERENCE = Operation(seen_by_reference, "seen")
 OPERATIONS = (
     SPLAT,
-    SPLAT_TRANSPOSE,
-    SPLAT_JVP,
-    SPLAT_VJP,
     DATA_TERM,
     SEEN_BY_REFERENCE,
 )
-
-
-def check_image_adjoint(kernels: KernelSet, device: str, i: SimpleNamespace) -> float:
-    """⟨A(d) I, V⟩ = ⟨I, A(d)ᵀ V⟩: the splat as a linear operator on images."""
-    forward = compute(kernels, device, SPLAT, i)["views"]
-    backward = compute(kernels, device, SPLAT_TRANSPOSE, i)["image"]
-    return same_product("splat and splat_transpose", kernels, (forward, i.views), (i.image, backward))
-
-
-def check_disparity_adjoint(kernels: KernelSet, device: str, i: SimpleNamespace) -> float:
-    """⟨J t, r⟩ = ⟨t, Jᵀ r⟩: the splat's derivative with respect to the disparity."""
-    forward = compute(kernels, device, SPLAT_JVP, i)["views"]
-    backward = compute(kernels, device, SPLAT_VJP, i)["gradient"]
-    return same_product("splat_jvp and splat_vjp", kernels, (forward, i.views), (i.tangent, backward))
 
 
 def check_masked_pixels_do_not_count(

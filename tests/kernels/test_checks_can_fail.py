@@ -10,7 +10,6 @@ import alignment_checks
 import cases
 import checks
 import numpy as np
-import occlusion_checks
 import programs
 import pytest
 import range_search_checks
@@ -195,10 +194,6 @@ FAULTS: dict[tuple[str, str], tuple[Callable[[Operation], Operation], Check]] = 
     ("nlm_laplacian", "in a program"): (after(double), program(programs.solving)),
     ("multiply", "in a program"): (after(double), program(programs.minimizing)),
     ("data_term", "in a program"): (option("scale", lambda s: 2 * s), program(programs.comparing)),
-    ("z_buffered_data_term", "in a program"): (
-        option("scale", lambda s: 2 * s),
-        program(occlusion_checks.comparing_what_is_nearest),
-    ),
     ("plane_sweep", "in a program"): (option("scale", lambda s: 2 * s), program(sweep_checks.sweeping)),
     ("winner_takes_all", "in a program"): (
         option("step", lambda s: 2 * s),

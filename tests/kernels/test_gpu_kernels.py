@@ -65,7 +65,6 @@ BATCHES = (
     ("semi_global", "_ROOM", 1, "semi_global-(colour|slices-for|wide)"),
     ("semi_global", "_ROOM", 20000, "semi_global-(colour|slices-for|wide)"),
     ("z_buffer", "_BUFFER", 1, "z_buffer-(colour|work-for)"),
-    ("occlusion", "_BUFFER", 1, "z_buffered_data_term-colour-u"),
     ("views", "_BATCH", 2, "normalization-(grey-uint16-masked|one-pixel-high)"),
 )
 """A module, what limits how much it works on at a time, a limit that gives several batches, and cases."""

@@ -108,18 +108,7 @@ SWEEP = sweep_cases.SweepCase("any", offsets=splat_cases.IRREGULAR, masked=True,
 ALIGNMENT = alignment_cases.AlignmentCase("any", offsets=splat_cases.IRREGULAR, masked=True, dtype="uint8")
 WITHOUT_TRUTH: tuple[tuple[str, Callable[..., Any], Callable[[np.random.Generator], tuple[Any, ...]]], ...] = (
     *(
-        ("splat", check, lambda rng: (splat_cases.splat_inputs(SPLAT, rng),))
-        for check in (
-            splat_checks.check_image_adjoint,
-            splat_checks.check_disparity_adjoint,
-        )
-    ),
-    *(
-        (module, check, lambda rng, of=of: (of[0](of[1], rng), of[2]))
-        for module, of in {
-            "splat": (splat_cases.splat_inputs, SPLAT, splat_checks.DATA_TERM),
-            "occlusion": (occlusion_cases.occlusion_inputs, OCCLUSION, occlusion_checks.DATA_TERM),
-        }.items()
+        ("splat", check, lambda rng: (splat_cases.splat_inputs(SPLAT, rng), splat_checks.DATA_TERM))
         for check in (
             splat_checks.check_masked_pixels_do_not_count,
             splat_checks.check_masked_view_is_a_missing_view,

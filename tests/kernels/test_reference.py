@@ -162,28 +162,6 @@ DIFFERENTIABLE = (
 
 
 @pytest.mark.parametrize("case", DIFFERENTIABLE, ids=str)
-def test_splat_jvp_is_the_derivative_of_splat(case: splat_cases.SplatCase, rng: np.random.Generator) -> None:
-    i = away_from_joints(case, rng)
-    tangent = rng.uniform(-1, 1, case.size)
-    up, down = (
-        run(splat_checks.SPLAT, changed(i, disparity=i.disparity + sign * STEP * tangent))["views"] for sign in (1, -1)
-    )
-    got = run(splat_checks.SPLAT_JVP, changed(i, tangent=tangent))["views"]
-    assert checks.largest_error(got, (up - down) / (2 * STEP)) < 1e-6
-
-
-@pytest.mark.parametrize("case", DIFFERENTIABLE, ids=str)
-def test_splat_vjp_is_the_gradient_of_a_product_with_the_splat(
-    case: splat_cases.SplatCase, rng: np.random.Generator
-) -> None:
-    i = away_from_joints(case, rng)
-    want = central_differences(
-        lambda d: float(np.vdot(run(splat_checks.SPLAT, changed(i, disparity=d))["views"], i.views)), i.disparity, rng
-    )
-    assert_gradient(run(splat_checks.SPLAT_VJP, i)["gradient"], want)
-
-
-@pytest.mark.parametrize("case", DIFFERENTIABLE, ids=str)
 def test_data_term_has_its_gradient(case: splat_cases.SplatCase, rng: np.random.Generator) -> None:
     i = away_from_joints(case, rng)
     want = central_differences(

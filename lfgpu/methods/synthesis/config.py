@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from lfgpu.config import Config, Section, choice, number
 from lfgpu.methods.sections import LocalConfig, PriorConfig
-from lfgpu.methods.synthesis.data_terms import NAMES
 
 
 @dataclass(frozen=True)
@@ -47,10 +46,6 @@ class PropagationConfig(Section):
 class RefinementConfig(Section):
     """Refinement: the map is changed until it predicts all views best, under the prior (paper §6)."""
 
-    data_term: str = choice(
-        "additive", NAMES, "prediction of a pixel on which several surfaces land: additive sums them, as in the paper; "
-        "z-buffer keeps the nearest"
-    )  # fmt: skip
     error: str = choice(
         "mean", ("mean", "sum"), "whether the squared error is the mean or the sum over views and channels; sum, "
         "as in the paper"

@@ -6,7 +6,6 @@ import numpy as np
 
 from lfgpu.contract import Array, Device, Float32Array, Scalar
 from lfgpu.data.layout import ViewLayout
-from lfgpu.methods.synthesis import data_terms
 from lfgpu.methods.synthesis.config import RefinementConfig
 
 
@@ -33,7 +32,7 @@ class ForwardModel:
         The layout of the views. The reference view is splatted. It
         predicts itself without error, whatever the disparity.
     config
-        `data_term`, and `softness` of its triangle kernel; `detail_scale` and `contrast_floor` of the normalisation;
+        `softness` of the triangle kernel; `detail_scale` and `contrast_floor` of the normalisation;
         `error` and `rim`.
     device
         The device on which it runs.
@@ -58,9 +57,7 @@ class ForwardModel:
         self._normalize = kernels.normalization(
             shape, device.name, scale=layout.scale, sigma=config.detail_scale, floor=config.contrast_floor
         )
-        self._data_term = data_terms.planned(
-            config.data_term, shape, self._offsets, softness=config.softness, kernels=kernels
-        )
+        self._data_term = kernels.data_term(shape, self._offsets, scale=1.0, softness=config.softness)
 
     def load(self, views: Array, start: Array | None = None) -> None:
         """Take recorded views.
