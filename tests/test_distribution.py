@@ -139,6 +139,7 @@ def test_the_wheel_has_the_code_and_nothing_else(wheel: Path) -> None:
         names = {name for name in archive.namelist() if ".dist-info/" not in name}
     shim = ROOT / "lfgpu" / "kernels.py"
     expected = {path.relative_to(ROOT) for path in CODE - {shim}}
+    expected |= {Path("lfgpu/kernels/warp/native", path.name) for path in (ROOT / "kernels/warp/native").iterdir()}
     expected |= {Path("lfgpu/py.typed")} | {path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "native").iterdir()}
     expected |= {path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "templates").glob("*.html")}
     expected |= {path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "viewer" / "page").iterdir()}

@@ -14,15 +14,11 @@ import warp as wp
 
 from lfgpu.contract import GRADIENT_REACH, Alignment
 
-from .cost_volume import code
-from .cpu_alignment import ALIGN_ROW, PACK_ROW
 from .edges import weigh_edges
-from .gpu_alignment import ALIGN_PIXEL, PACK_PIXEL
 from .memory import pixel_type
+from .native_code import kernel
 from .splat import as_offsets
 from .threads import launch_rows, once
-
-wp.set_module_options({"enable_backward": False})
 
 _AT_REFERENCE = 1e-3  # view steps: what is no farther from the reference is the reference
 _BEFORE, _BORDER = 2, 5  # pixels that copies of views are longer at their left and top, and in all
@@ -31,41 +27,17 @@ _BEFORE, _BORDER = 2, 5  # pixels that copies of views are longer at their left 
 @once
 def _gpu_pack_kernel(channels: int, stored: Any, compact: Any) -> Any:
     pad = 4 if channels == 3 else 2
-    stored_pixel, kept_pixel = pixel_type(channels, stored), pixel_type(pad, compact)
-
-    @wp.func_native(code(PACK_PIXEL, CHANNELS=channels, PAD=pad, BORDER=_BORDER, BEFORE=_BEFORE))
-    def pack_pixel(
-        recorded: wp.array3d(dtype=stored_pixel),
-        valid: wp.array3d(dtype=float),
-        y: int,
-        x: int,
-        packed: wp.array3d(dtype=kept_pixel),
-    ): ...
-
-    @wp.kernel(module=f"lfgpu_gpu_alignment_pack_{channels}_{stored.__name__}", enable_backward=False)
-    def pack_kernel(
-        recorded: wp.array3d(dtype=stored_pixel),
-        valid: wp.array3d(dtype=float),
-        row: int,
-        lanes: int,
-        packed_out: wp.array3d(dtype=kept_pixel),
-    ):
-        i = wp.tid()
-        line = i / lanes
-        pack_pixel(recorded, valid, row + line, i - line * lanes, packed_out)
-
-    return pack_kernel
+    types = {"Stored": pixel_type(channels, stored), "Kept": pixel_type(pad, compact)}
+    numbers = {"CHANNELS": channels, "PAD": pad, "BORDER": _BORDER, "BEFORE": _BEFORE}
+    module = f"lfgpu_gpu_alignment_pack_{channels}_{stored.__name__}"
+    return kernel("alignment.cuh", "pack", module=module, **types, **numbers)
 
 
 @once
 def _kernels(channels: int, stored: Any, compact: Any, on_cpu: bool) -> SimpleNamespace:
     """Views come as `stored` and are kept as `compact` scalars."""
     pad = 4 if channels == 3 else 2
-    pixel, stored_pixel, kept_pixel = (
-        pixel_type(channels),
-        pixel_type(channels, stored),
-        pixel_type(pad, compact),
-    )
+    kept = pixel_type(pad, compact)
     module = f"lfgpu_{'cpu' if on_cpu else 'gpu'}_alignment_{channels}_{stored.__name__}_{compact.__name__}"
     kept_name, bytes_ = {
         wp.uint8: ("unsigned char", 1),
@@ -73,107 +45,29 @@ def _kernels(channels: int, stored: Any, compact: Any, on_cpu: bool) -> SimpleNa
         wp.float16: ("wp::half", 2),
         wp.float32: ("float", 4),
     }[compact]
-    words = {2: "unsigned short", 4: "unsigned", 8: "uint2", 16: "uint4"}[pad * bytes_]
-
-    # A CPU reads a pixel as one integer, and of floats each channel by itself.
-    integers = {2: "unsigned short", 4: "unsigned", 8: "unsigned long long"}
-    word = integers[pad * bytes_] if compact in (wp.uint8, wp.uint16) else f"struct {{ {kept_name} c[{pad}]; }}"
-    numbers: dict[str, int | str] = {
+    is_integer = compact in (wp.uint8, wp.uint16)
+    numbers: dict[str, int | float | str] = {
         "CHANNELS": channels,
         "PAD": pad,
         "KEPT": kept_name,
-        "WORDS": words,
-        "WORD": word,
         "BITS": 8 * bytes_,
-        "IS_FLOAT": int(compact is wp.float32),
-        "IS_INTEGER": int(compact in (wp.uint8, wp.uint16)),
-        "PAIRS": "words.x, words.y" if pad * bytes_ == 8 else "words",
         "BORDER": _BORDER,
         "BEFORE": _BEFORE,
-        "NEAR": f"{_AT_REFERENCE}f",
+        "NEAR": _AT_REFERENCE,
     }
-
-    @wp.func_native(code(ALIGN_ROW if on_cpu else ALIGN_PIXEL, **numbers))
-    def align_row(
-        image: wp.array2d(dtype=pixel),
-        weights: wp.array2d(dtype=float),
-        views: wp.array3d(dtype=kept_pixel),
-        offsets: wp.array(dtype=wp.vec2f),
-        scale: float,
-        robust: float,
-        tolerance: float,
-        share_of_all: float,
-        disparity: wp.array2d(dtype=float),
-        nearest: wp.array3d(dtype=float),
-        y: int,
-        lane: int,
-        lanes: int,
-        curvature: wp.array2d(dtype=float),
-        slope: wp.array2d(dtype=float),
-    ): ...
-
-    if on_cpu:
-
-        @wp.func_native(code(PACK_ROW, **numbers))
-        def pack_row(
-            recorded: wp.array3d(dtype=stored_pixel),
-            valid: wp.array3d(dtype=float),
-            y: int,
-            packed: wp.array3d(dtype=kept_pixel),
-        ): ...
-
-        @wp.kernel(module=module, enable_backward=False)
-        def pack_kernel(
-            recorded: wp.array3d(dtype=stored_pixel),
-            valid: wp.array3d(dtype=float),
-            row: int,
-            lanes: int,
-            packed_out: wp.array3d(dtype=kept_pixel),
-        ):
-            pack_row(recorded, valid, row + wp.tid(), packed_out)
-
-        pack = pack_kernel
-    else:
-        pack = _gpu_pack_kernel(channels, stored, compact)
-
-    @wp.kernel(module=module, enable_backward=False)
-    def align_kernel(
-        image: wp.array2d(dtype=pixel),
-        weights: wp.array2d(dtype=float),
-        views: wp.array3d(dtype=kept_pixel),
-        offsets: wp.array(dtype=wp.vec2f),
-        scale: float,
-        robust: float,
-        tolerance: float,
-        share_of_all: float,
-        disparity: wp.array2d(dtype=float),
-        nearest: wp.array3d(dtype=float),
-        row: int,
-        lanes: int,
-        curvature_out: wp.array2d(dtype=float),
-        slope_out: wp.array2d(dtype=float),
-    ):
-        i = wp.tid()
-        line = i / lanes
-        align_row(
-            image,
-            weights,
-            views,
-            offsets,
-            scale,
-            robust,
-            tolerance,
-            share_of_all,
-            disparity,
-            nearest,
-            row + line,
-            i - line * lanes,
-            lanes,
-            curvature_out,
-            slope_out,
-        )
-
-    return SimpleNamespace(pack=pack, align=align_kernel)
+    if not on_cpu:
+        numbers["WORDS"] = {2: "unsigned short", 4: "unsigned", 8: "uint2", 16: "uint4"}[pad * bytes_]
+        numbers["IS_INTEGER"] = int(is_integer)
+        numbers["PAIRS"] = "words.x, words.y" if pad * bytes_ == 8 else "words"
+        align = kernel("alignment.cuh", "align", module=module, Pixel=pixel_type(channels), Kept=kept, **numbers)
+        return SimpleNamespace(pack=_gpu_pack_kernel(channels, stored, compact), align=align)
+    # A CPU reads a pixel as one integer, and of floats each channel by itself.
+    integers = {2: "unsigned short", 4: "unsigned", 8: "unsigned long long"}
+    numbers["WORD"] = integers[pad * bytes_] if is_integer else f"struct {{ {kept_name} c[{pad}]; }}"
+    numbers["IS_FLOAT"] = int(compact is wp.float32)
+    align = kernel("alignment.h", "align", module=module, Pixel=pixel_type(channels), Kept=kept, **numbers)
+    pack = kernel("alignment.h", "pack", module=module, Stored=pixel_type(channels, stored), Kept=kept, **numbers)
+    return SimpleNamespace(pack=pack, align=align)
 
 
 class _Alignment:

@@ -1,6 +1,6 @@
 """How far a disparity can be trusted; `kernels/reference/confidence.py` says how it is found.
 
-`cpu_confidence.py` has what a CPU does in another way.
+A CPU does in C++, for many columns at a time, what a GPU does in Warp's language.
 """
 
 from collections.abc import Sequence
@@ -8,18 +8,46 @@ from typing import Any
 
 import warp as wp
 
-from . import cpu_confidence
-from .cpu_confidence import LEAST_BEND, LEAST_CONFLICT, LEAST_COST, LEAST_RELIEF, PATHS, SHARPNESS
-from .threads import launch_rows
+from .native_code import kernel
+from .threads import in_slices, launch, launch_rows, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
+_SHARPNESS = wp.constant(2.0)
+_PATHS = wp.constant(8.0)
+_LEAST_CONFLICT = wp.constant(0.03)
+_LEAST_COST = wp.constant(1.0)
+_LEAST_BEND = wp.constant(1e-3)
+_LEAST_RELIEF = wp.constant(0.01)
 _NO_RIVAL = wp.constant(17.0)  # its share is lost in the rounding of the best one's
 _MOST_COST = wp.constant(2.6)
 _UNLIKE = wp.constant(12.0)
 _BLIND = wp.constant(8.0)
 
+_BLOCK = 128  # columns of a CPU
+_AROUND = 2  # pixels on each side, in which the nearest and the farthest are looked for
+
 _Weights = wp.types.vector(length=6, dtype=float)
+
+
+@once
+def _cpu_kernel(name: str) -> Any:
+    numbers = {
+        "SHARPNESS": _SHARPNESS,
+        "PATHS": _PATHS,
+        "LEAST_CONFLICT": _LEAST_CONFLICT,
+        "LEAST_COST": _LEAST_COST,
+        "LEAST_BEND": _LEAST_BEND,
+        "LEAST_RELIEF": _LEAST_RELIEF,
+        "AROUND": _AROUND,
+        "BLOCK": _BLOCK,
+    }
+    return kernel("confidence.h", name, module=f"lfgpu_cpu_{name}", **numbers)
+
+
+@once
+def _line_mean_kernel() -> Any:
+    return kernel("confidence.cuh", "average_line", module="lfgpu_gpu_line_mean")
 
 
 @wp.kernel
@@ -45,52 +73,12 @@ def _evidence_kernel(
             least_path = wp.min(least_path, path_costs[k, y, x])
         rivals = float(0.0)
         for k in range(count):
-            apart = SHARPNESS / unit * (volume[k, y, x] - least)
+            apart = _SHARPNESS / unit * (volume[k, y, x] - least)
             if apart < _NO_RIVAL:
                 rivals += wp.exp(-apart)
-        conflict_out[y, x] = wp.log(wp.max(least_path / PATHS - least, 0.0) / unit + LEAST_CONFLICT)
+        conflict_out[y, x] = wp.log(wp.max(least_path / _PATHS - least, 0.0) / unit + _LEAST_CONFLICT)
         evidence_out[y, x] = -wp.log(step * rivals)
-        cost_out[y, x] = wp.log(wp.max(least / unit, LEAST_COST))
-
-
-_MEAN_ROW = """
-    const int height = values.shape[0], width = values.shape[1], step = down * width + across;
-    for (int x = lane; x < width; x += lanes) {
-        const int place = down ? y : x, size = down ? height : width;
-        const int from = place < reach ? -place : -reach, to = size - 1 - place < reach ? size - 1 - place : reach;
-        const float* const here = values.data + (size_t)y * width + x;
-        float total = 0.f;
-        for (int k = from; k <= to; ++k) total += here[k * step];
-        means.data[(size_t)y * width + x] = total / (float)(to - from + 1);
-    }
-"""
-
-
-@wp.func_native(_MEAN_ROW)
-def _mean_row(
-    values: wp.array2d(dtype=float),
-    down: int,
-    across: int,
-    reach: int,
-    y: int,
-    lane: int,
-    lanes: int,
-    means: wp.array2d(dtype=float),
-): ...
-
-
-@wp.kernel
-def _line_mean_kernel(
-    values: wp.array2d(dtype=float),
-    down: int,
-    across: int,
-    reach: int,
-    row: int,
-    lanes: int,
-    means_out: wp.array2d(dtype=float),
-):
-    i = wp.tid()
-    _mean_row(values, down, across, reach, row + i / lanes, i % lanes, lanes, means_out)
+        cost_out[y, x] = wp.log(wp.max(least / unit, _LEAST_COST))
 
 
 @wp.func
@@ -128,7 +116,7 @@ def _unevenness_kernel(
         bends = float(0.0)
         for dy in range(-1, 2):
             for dx in range(-1, 2):
-                bends += wp.log(_bend(disparity, y + dy, x + dx) + LEAST_BEND)
+                bends += wp.log(_bend(disparity, y + dy, x + dx) + _LEAST_BEND)
         nearest = disparity[y, x]
         farthest = disparity[y, x]
         for qy in range(wp.max(y - 2, 0), wp.min(y + 3, height)):
@@ -136,7 +124,7 @@ def _unevenness_kernel(
                 nearest = wp.max(nearest, disparity[qy, qx])
                 farthest = wp.min(farthest, disparity[qy, qx])
         bend_out[y, x] = bends / 9.0
-        relief_out[y, x] = wp.log(nearest - farthest + LEAST_RELIEF)
+        relief_out[y, x] = wp.log(nearest - farthest + _LEAST_RELIEF)
 
 
 @wp.kernel
@@ -176,20 +164,28 @@ def evidence(
     evidence_out: Any,
     cost_out: Any,
 ) -> None:
-    kernel = cpu_confidence.evidence_kernel if volume.device.is_cpu else _evidence_kernel
-    launch_rows(kernel, [volume, path_costs, step, unit], conflict_out, evidence_out, cost_out)
+    weigh = _cpu_kernel("weigh_evidence") if volume.device.is_cpu else _evidence_kernel
+    launch_rows(weigh, [volume, path_costs, step, unit], conflict_out, evidence_out, cost_out)
 
 
 def line_mean(values: Any, *, axis: int, reach: int, means_out: Any) -> None:
-    kernel = cpu_confidence.line_mean_kernel if values.device.is_cpu else _line_mean_kernel
-    launch_rows(kernel, [values, 1 - axis, axis, reach], means_out)
+    average = _cpu_kernel("average_line") if values.device.is_cpu else _line_mean_kernel()
+    launch_rows(average, [values, 1 - axis, axis, reach], means_out)
 
 
 def unevenness(disparity: Any, *, bend_out: Any, relief_out: Any) -> None:
-    if disparity.device.is_cpu:
-        cpu_confidence.unevenness(disparity, bend_out, relief_out)
-    else:
+    (height, width), device = disparity.shape, disparity.device
+    if not device.is_cpu:
         launch_rows(_unevenness_kernel, [disparity], bend_out, relief_out)
+        return
+    find = _cpu_kernel("find_unevenness")
+    load(device, find)
+    room = wp.empty((len(slices(device, height)), 5 * (width + 2 * _AROUND)), dtype=float, device=device)
+
+    def some_rows(part: int, first: int, last: int) -> None:
+        launch(find, 1, [disparity, first, last, room[part]], [bend_out, relief_out], device=device)
+
+    in_slices(device, height, some_rows)
 
 
 def judge(

@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from .native_code import kernel
 from .threads import launch, launch_tiles, once
 from .vector import BLOCK, dot, partial_dot_kernel
 
@@ -72,57 +73,9 @@ def _turn_kernel(
         rz_out[0] = rz
 
 
-_MOVE = """
-    // Eight sums side by side, which a CPU adds to at once; the order is always the same.
-    const size_t size = x.shape[0];
-    const float alpha = pq.data[0] != 0.0 ? (float)(rz.data[0] / pq.data[0]) : 0.f;
-    const float* __restrict__ const a = p.data;
-    const float* __restrict__ const b = q.data;
-    const float* __restrict__ const m = preconditioner.data;
-    float* __restrict__ const to = x.data;
-    float* __restrict__ const left = r.data;
-    double totals[8] = {};
-    auto move = [&](size_t i, int j) {
-        to[i] += alpha * a[i];
-        left[i] -= alpha * b[i];
-        totals[j] += (double)left[i] * (double)(m[i] * left[i]);
-    };
-    size_t i = 0;
-    for (; i + 8 <= size; i += 8)
-        for (int j = 0; j < 8; ++j) move(i + j, j);
-    for (; i < size; ++i) move(i, 0);
-    double next = 0.0;
-    for (int j = 0; j < 8; ++j) next += totals[j];
-    const float beta = rz.data[0] != 0.0 ? (float)(next / rz.data[0]) : 0.f;
-    float* __restrict__ const along = p.data;
-    for (size_t i = 0; i < size; ++i) along[i] = m[i] * left[i] + beta * along[i];
-    rz.data[0] = next;
-"""
-
-
-@wp.func_native(_MOVE)
-def _move(
-    pq: wp.array(dtype=wp.float64),
-    q: wp.array(dtype=float),
-    preconditioner: wp.array(dtype=float),
-    rz: wp.array(dtype=wp.float64),
-    p: wp.array(dtype=float),
-    x: wp.array(dtype=float),
-    r: wp.array(dtype=float),
-): ...
-
-
-@wp.kernel(module="lfgpu_conjugate_cpu", enable_backward=False)
-def _step_on_cpu_kernel(
-    pq: wp.array(dtype=wp.float64),
-    q: wp.array(dtype=float),
-    preconditioner: wp.array(dtype=float),
-    rz: wp.array(dtype=wp.float64),
-    p: wp.array(dtype=float),
-    x: wp.array(dtype=float),
-    r: wp.array(dtype=float),
-):
-    _move(pq, q, preconditioner, rz, p, x, r)
+@once
+def _step_on_cpu_kernel() -> Any:
+    return kernel("vector.h", "conjugate_step", module="lfgpu_conjugate_cpu")
 
 
 @once
@@ -139,7 +92,7 @@ def conjugate_step(p: Any, q: Any, preconditioner: Any, rz: Any, x: Any, r: Any)
     if device.is_cpu:
         pq = along[:1]
         dot(p, q, pq)
-        launch(_step_on_cpu_kernel, 1, [pq, q, preconditioner, rz, p, x], [r], device=device)
+        launch(_step_on_cpu_kernel(), 1, [pq, q, preconditioner, rz, p, x], [r], device=device)
         return
     threads, options = _BLOCKS * BLOCK, {"dim": [_BLOCKS], "block_dim": BLOCK, "device": device}
     launch_tiles(partial_dot_kernel, inputs=[p, q, threads], outputs=[along], **options)

@@ -14,7 +14,8 @@ from . import gpu_lbfgs
 from .asking import asking
 from .lbfgs_state import LEAST_CURVATURE, State
 from .memory import scalar
-from .threads import in_slices, launch, launch_rows, load
+from .native_code import kernel
+from .threads import in_slices, launch, launch_rows, load, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -158,39 +159,9 @@ def _advance_kernel(
             gradient[y, j] = turned
 
 
-_PRODUCTS = """
-    // Eight sums of each kind side by side, which a CPU adds to at once.
-    const size_t size = (size_t)stack.shape[1] * stack.shape[2];
-    const float* __restrict__ const a = stack.data + row * size;
-    const float* __restrict__ const b[3] = {
-        stack.data + slot * size, stack.data + (memory + slot) * size, stack.data + 2 * memory * size};
-    for (int which = 0; which < 3; ++which) {
-        double total[8] = {};
-        size_t i = 0;
-        for (; i + 8 <= size; i += 8)
-            for (int j = 0; j < 8; ++j) total[j] += (double)a[i + j] * (double)b[which][i + j];
-        for (; i < size; ++i) total[0] += (double)a[i] * (double)b[which][i];
-        double sum = 0.0;
-        for (int j = 0; j < 8; ++j) sum += total[j];
-        sums.data[3 * row + which] = sum;
-    }
-"""
-
-
-@wp.func_native(_PRODUCTS)
-def _three_products(
-    stack: wp.array3d(dtype=float), row: int, slot: int, memory: int, sums: wp.array2d(dtype=wp.float64)
-): ...
-
-
-@wp.kernel(module="lfgpu_lbfgs_cpu", enable_backward=False)
-def _products_on_cpu_kernel(
-    state: State, stack: wp.array3d(dtype=float), row: int, sums_out: wp.array2d(dtype=wp.float64)
-):
-    """Inner products of a row with the new step, the new difference and the projected gradient."""
-    memory = stack.shape[0] / 2
-    if state.accepted[0] == 1:
-        _three_products(stack, wp.tid() + row, (state.newest[0] + 1) % memory, memory, sums_out)
+@once
+def _products_on_cpu_kernel() -> Any:
+    return kernel("vector.h", "find_products", module="lfgpu_lbfgs_cpu", State=State)
 
 
 @wp.kernel
@@ -362,10 +333,11 @@ class _Lbfgs:
         """A new direction from what is in the stack."""
         device, stack, state = self._device, self._stack, self._state
         if device.is_cpu:
-            load(device, _products_on_cpu_kernel)
+            products = _products_on_cpu_kernel()
+            load(device, products)
 
             def some(_: int, first: int, last: int) -> None:
-                launch(_products_on_cpu_kernel, last - first, [state, stack, first], [self._sums], device=device)
+                launch(products, last - first, [state, stack, first], [self._sums], device=device)
 
             in_slices(device, stack.shape[0], some)
         else:

@@ -1,7 +1,4 @@
-"""Non-local-means weights and the two linear operators that they make; `kernels/reference/nlm.py` says which.
-
-`cpu_nlm.py` has the weights of a CPU, but for gradients of whole patches.
-"""
+"""Non-local-means weights and the two linear operators that they make; `kernels/reference/nlm.py` says which."""
 
 from collections.abc import Sequence
 from types import SimpleNamespace
@@ -12,10 +9,9 @@ import warp as wp
 
 from lfgpu.contract import NlmWeights, OverPatch, PatchGradients, half_window
 
-from .cost_volume import code
-from .cpu_nlm import CpuWeights
 from .memory import pixel_type
-from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once
+from .native_code import function, kernel
+from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -93,111 +89,51 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
     return SimpleNamespace(features=features_kernel, patch_weight=patch_weight_kernel)
 
 
-# A block of a GPU has a tile of pixels and one neighbour of each. The distances stay in memory that the block shares.
+@once
+def _cpu_kernels(channels: int) -> SimpleNamespace:
+    pixel, module = pixel_type(channels), f"lfgpu_cpu_nlm_{channels}"
 
-_WEIGH_TILE = """
-    __shared__ float distances[ROWS + 2 * RADIUS][COLUMNS + 2 * RADIUS];
-    const int height = features.shape[0], width = features.shape[1];
-    const int dy = half_window.data[k].c[0], dx = half_window.data[k].c[1];
-    const int wide = COLUMNS + 2 * RADIUS;
-    for (int i = thread; i < (ROWS + 2 * RADIUS) * wide; i += ROWS * COLUMNS) {
-        const int y = top + i / wide - RADIUS, x = left + i % wide - RADIUS;
-        float distance = 0.f;
-        if (y >= 0 && y + dy < height && x >= 0 && x < width && x + dx >= 0 && x + dx < width) {
-            const auto& here = features.data[y * width + x];
-            const auto& there = features.data[(y + dy) * width + x + dx];
-            for (int c = 0; c < FEATURES; ++c) {
-                const float apart = here.c[c] - there.c[c];
-                distance += apart * apart;
-            }
-        }
-        distances[i / wide][i % wide] = distance;
-    }
-    __syncthreads();
-    const int row = thread / COLUMNS, column = thread % COLUMNS, y = top + row, x = left + column;
-    if (y >= height || x >= width) return;
-    float weight = 0.f;
-    if (y + dy < height && x + dx >= 0 && x + dx < width) {
-        float total = 0.f;
-        for (int j = 0; j <= 2 * RADIUS; ++j)
-            for (int i = 0; i <= 2 * RADIUS; ++i) total += distances[row + j][column + i];
-        const int rows = min(y + RADIUS, height - 1 - dy) - max(y - RADIUS, 0) + 1;
-        const int columns = min(x + RADIUS, width - 1 - max(0, dx)) - max(x - RADIUS, max(0, -dx)) + 1;
-        if (is_mean) total /= (float)(rows * columns);
-        weight = fmaxf(expf(-total), floor);
-    }
-    weights.data[((size_t)k * height + y) * width + x] = weight;
-"""
+    @wp.kernel(module=module, enable_backward=False)
+    def features_kernel(
+        image: wp.array2d(dtype=pixel),
+        color: float,
+        gradient: float,
+        row: int,
+        lanes: int,
+        features_out: wp.array3d(dtype=float),
+    ):
+        """Colour and its central differences in x and y, times `color` and `gradient`, as planes."""
+        y = row + wp.tid()
+        height = image.shape[0]
+        width = image.shape[1]
+        for x in range(width):
+            here = image[y, x] * color
+            across = image[y, wp.min(x + 1, width - 1)] - image[y, wp.max(x - 1, 0)]
+            down = image[wp.min(y + 1, height - 1), x] - image[wp.max(y - 1, 0), x]
+            for c in range(wp.static(channels)):
+                features_out[c, y, x] = here[c]
+                features_out[c + wp.static(channels), y, x] = 0.5 * gradient * across[c]
+                features_out[c + wp.static(2 * channels), y, x] = 0.5 * gradient * down[c]
+
+    weigh = kernel("nlm.h", "weigh_neighbors", module=module, FEATURES=3 * channels)
+    return SimpleNamespace(features=features_kernel, weights=weigh)
 
 
 @once
 def _tile_kernel(channels: int, radius: int) -> Any:
-    feature = pixel_type(3 * channels)
     numbers = {"ROWS": _TILE[0], "COLUMNS": _TILE[1], "RADIUS": radius, "FEATURES": 3 * channels}
-
-    @wp.func_native(code(_WEIGH_TILE, **numbers))
-    def weigh_tile(
-        features: wp.array2d(dtype=feature),
-        half_window: wp.array(dtype=wp.vec2i),
-        k: int,
-        top: int,
-        left: int,
-        thread: int,
-        floor: float,
-        is_mean: int,
-        weights: wp.array3d(dtype=float),
-    ): ...
-
-    @wp.kernel(module=f"lfgpu_nlm_gpu_weights_{channels}_{radius}", enable_backward=False)
-    def tile_kernel(
-        features: wp.array2d(dtype=feature),
-        half_window: wp.array(dtype=wp.vec2i),
-        floor: float,
-        is_mean: int,
-        weights_out: wp.array3d(dtype=float),
-    ):
-        i = wp.tid()
-        block = i / wp.static(_TILE[0] * _TILE[1])
-        thread = i - block * wp.static(_TILE[0] * _TILE[1])
-        rows = (features.shape[0] + wp.static(_TILE[0] - 1)) / wp.static(_TILE[0])
-        columns = (features.shape[1] + wp.static(_TILE[1] - 1)) / wp.static(_TILE[1])
-        k = block / (rows * columns)
-        tile = block - k * rows * columns
-        top = tile / columns * wp.static(_TILE[0])
-        left = tile % columns * wp.static(_TILE[1])
-        weigh_tile(features, half_window, k, top, left, thread, floor, is_mean, weights_out)
-
-    return tile_kernel
+    module = f"lfgpu_nlm_gpu_weights_{channels}_{radius}"
+    return kernel("nlm.cuh", "weigh_tile", module=module, Feature=pixel_type(3 * channels), **numbers)
 
 
 # In the two operators the loop over the window is the outer one: what a row adds up stays in cache, and the weights are
-# read in the order in which they lie. Of each pair the second pixel finds the weight at the first. The inner loops are
-# native code because a CPU runs them seven times as fast when it is told that the rows do not overlap.
-
-_ROW_LOOP = """
-    const float* __restrict__ w = weight.data;
-    const float* __restrict__ h = here.data;
-    const float* __restrict__ o = other.data;
-    float* __restrict__ s = sums.data;
-    const int first = dx < 0 ? -dx : 0;
-    const int last = dx < 0 ? here.shape[0] : here.shape[0] - dx;
-    for (int x = first; x < last; ++x) TERM;
-"""
+# read in the order in which they lie.
 
 
 @once
 def _operator(name: str, term: str, keep: float) -> Any:
     """The CPU's kernel that starts from `keep` and the diagonal times the values and adds `term` for each neighbour."""
-
-    @wp.func_native(_ROW_LOOP.replace("TERM", term))
-    def add_row(
-        weight: wp.array(dtype=float),
-        here: wp.array(dtype=float),
-        other: wp.array(dtype=float),
-        dx: int,
-        back: int,
-        sums: wp.array(dtype=float),
-    ): ...
+    add_neighbor = function("nlm.h", "add_neighbor", TERM=term)
 
     @wp.kernel(module=f"lfgpu_nlm_{name}", enable_backward=False)
     def operator_kernel(
@@ -221,93 +157,18 @@ def _operator(name: str, term: str, keep: float) -> Any:
             dy = half_window[k][0]
             dx = half_window[k][1]
             if y + dy < values.shape[0]:
-                add_row(weights[k, y], values[y], values[y + dy], dx, 0, sums_out[y])
+                add_neighbor(weights[k, y], values[y], values[y + dy], dx, 0, sums_out[y])
             if y - dy >= 0:
-                add_row(weights[k, y - dy], values[y], values[y - dy], -dx, -dx, sums_out[y])
+                add_neighbor(weights[k, y - dy], values[y], values[y - dy], -dx, -dx, sums_out[y])
 
     return operator_kernel
-
-
-@wp.func
-def place_in_block(i: int, rows: int, width: int):
-    """(y, x, row of the half window, lane) of a thread: a block has a warp for each row of the half window."""
-    block = i / (wp.static(WARP) * rows)
-    thread = i - block * wp.static(WARP) * rows
-    dy = thread / wp.static(WARP)
-    lane = thread - dy * wp.static(WARP)
-    columns = (width + wp.static(WARP - 1)) / wp.static(WARP)
-    y = block / columns
-    return y, (block - y * columns) * wp.static(WARP) + lane, dy, lane
-
-
-_PIXEL_SUM = """
-    // The warps of a block have the same 32 pixels, and each one row of the half window.
-    __shared__ float parts[RADIUS + 1][32];
-    const int height = values.shape[0], width = values.shape[1], p = y * width + x;
-    const size_t size = (size_t)height * width;
-    float total = 0.f;
-    if (x < width) {
-        const float here = values.data[p];
-        const bool below = y + dy < height, above = y >= dy, inner = x >= RADIUS && x < width - RADIUS;
-        const float* const down = values.data + p + dy * width;
-        const float* const up = values.data + p - dy * width;
-        // Of the row's first neighbour, dx = -RADIUS; the centre row begins at dx = 1, which is neighbour 0.
-        const float* const w = weights.data + ((long long)dy * (2 * RADIUS + 1) - RADIUS - 1) * (long long)size + p;
-        auto add = [&](float weight, float other) { total += weight * TERM; };
-        if (below && above && inner && dy > 0) {  // nearly all; with nothing to decide, all reads are under way at once
-    #pragma unroll
-            for (int dx = -RADIUS; dx <= RADIUS; ++dx) {
-                const float* const at = w + (dx + RADIUS) * size;
-                add(at[0], down[dx]);
-                add(at[-dy * width - dx], up[-dx]);
-            }
-        } else {
-    #pragma unroll
-            for (int dx = -RADIUS; dx <= RADIUS; ++dx) {
-                if (dy == 0 && dx <= 0) continue;
-                const float* const at = w + (dx + RADIUS) * size;
-                if (below && (inner || (unsigned)(x + dx) < (unsigned)width)) add(at[0], down[dx]);
-                if (above && (inner || (unsigned)(x - dx) < (unsigned)width)) add(at[-dy * width - dx], up[-dx]);
-            }
-        }
-    }
-    parts[dy][lane] = total;
-    __syncthreads();
-    if (dy == 0 && x < width) {
-        total = (diagonal.data ? KEEP + diagonal.data[p] : KEEP) * values.data[p];
-        for (int row = 0; row <= RADIUS; ++row) total += parts[row][lane];
-        sums.data[p] = total;
-    }
-"""
 
 
 @once
 def _gpu_operator(name: str, term: str, keep: float, radius: int) -> Any:
     """The same for a GPU: several threads for each pixel."""
-
-    @wp.func_native(code(_PIXEL_SUM, TERM=term, KEEP=f"{keep}f", RADIUS=radius))
-    def add_pixel(
-        weights: wp.array3d(dtype=float),
-        values: wp.array2d(dtype=float),
-        diagonal: wp.array2d(dtype=float),
-        y: int,
-        x: int,
-        dy: int,
-        lane: int,
-        sums: wp.array2d(dtype=float),
-    ): ...
-
-    @wp.kernel(module=f"lfgpu_nlm_gpu_{name}_{radius}", enable_backward=False)
-    def operator_kernel(
-        weights: wp.array3d(dtype=float),
-        values: wp.array2d(dtype=float),
-        diagonal: wp.array2d(dtype=float),
-        sums_out: wp.array2d(dtype=float),
-    ):
-        y, x, dy, lane = place_in_block(wp.tid(), wp.static(radius + 1), values.shape[1])
-        add_pixel(weights, values, diagonal, y, x, dy, lane, sums_out)
-
-    return operator_kernel
+    numbers, module = {"TERM": term, "KEEP": keep, "RADIUS": radius}, f"lfgpu_nlm_gpu_{name}_{radius}"
+    return kernel("nlm.cuh", "add_neighbors", module=module, **numbers)
 
 
 @once
@@ -346,7 +207,7 @@ def nlm_weights(
         return weigh_by_patches
     color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
     if place.is_cpu:
-        return CpuWeights(
+        return _CpuWeights(
             (height, width, channels),
             steps,
             patch=patch,
@@ -368,14 +229,52 @@ def nlm_weights(
     return weigh
 
 
+class _CpuWeights:
+    """Weights of images [y, x, c] of one size, at the places `steps` of a half window.
+
+    Parameters
+    ----------
+    color, gradient
+        What colours and their differences are multiplied by.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int, int],
+        steps: Any,
+        *,
+        patch: int,
+        color: float,
+        gradient: float,
+        floor: float,
+        is_mean: bool,
+    ) -> None:
+        height, width, channels = shape
+        self._kernels, self._steps = _cpu_kernels(channels), steps
+        self._factors, self._numbers = [color, gradient], [patch // 2, floor, int(is_mean)]
+        self._features = wp.empty((3 * channels, height, width), dtype=float, device="cpu")
+        size = width + 2 * (patch // 2) + (1 + patch) * width
+        self._room = wp.empty((len(slices(steps.device, len(steps))), size), dtype=float, device="cpu")
+
+    def __call__(self, image: Any, weights_out: Any) -> None:
+        kernels, features, device = self._kernels, self._features, image.device
+        launch_rows(kernels.features, [image, *self._factors], features)
+        load(device, kernels.weights)
+
+        def some_neighbors(part: int, first: int, last: int) -> None:
+            inputs = [features, self._steps[first:last], *self._numbers, self._room[part]]
+            launch(kernels.weights, 1, inputs, [weights_out[first:last]], device=device)
+
+        in_slices(device, len(self._steps), some_neighbors)
+
+
 def nlm_neighbors(weights: Any, values: Any, *, window: int, sums_out: Any) -> None:
     if values.device.is_cpu:
         _by_rows(
             _operator("neighbors", "s[x] += w[x + back] * o[x + dx]", 1.0), weights, values, None, window, sums_out
         )
     else:
-        kernel = _gpu_operator("neighbors", "other", 1.0, window // 2)
-        launch_pixels(kernel, [weights, values, None], window, sums_out)
+        launch_pixels(_gpu_operator("neighbors", "other", 1.0, window // 2), [weights, values, None], window, sums_out)
 
 
 def nlm_laplacian(weights: Any, values: Any, *, window: int, laplacian_out: Any, diagonal: Any | None = None) -> None:
@@ -383,8 +282,8 @@ def nlm_laplacian(weights: Any, values: Any, *, window: int, laplacian_out: Any,
         flow = "s[x] += w[x + back] * (h[x] - o[x + dx])"
         _by_rows(_operator("laplacian", flow, 0.0), weights, values, diagonal, window, laplacian_out)
     else:
-        kernel = _gpu_operator("laplacian", "(here - other)", 0.0, window // 2)
-        launch_pixels(kernel, [weights, values, diagonal], window, laplacian_out)
+        operator = _gpu_operator("laplacian", "(here - other)", 0.0, window // 2)
+        launch_pixels(operator, [weights, values, diagonal], window, laplacian_out)
 
 
 def _by_rows(kernel: Any, weights: Any, values: Any, diagonal: Any, window: int, result_out: Any) -> None:

@@ -4,6 +4,7 @@ from typing import Any
 
 import warp as wp
 
+from .native_code import kernel
 from .threads import launch, launch_tiles, once
 
 wp.set_module_options({"enable_backward": False})
@@ -123,72 +124,15 @@ def sum_kernel(parts: wp.array(dtype=wp.float64), total_out: wp.array(dtype=wp.f
     wp.tile_store(total_out, wp.tile_sum(wp.tile(total)))
 
 
-_DOT = """
-    // Eight sums side by side, which a CPU adds to at once; the order is always the same.
-    const size_t size = x.shape[0];
-    const float* __restrict__ const a = x.data;
-    const float* __restrict__ const b = y.data;
-    double totals[8] = {};
-    size_t i = 0;
-    for (; i + 8 <= size; i += 8)
-        for (int j = 0; j < 8; ++j) totals[j] += (double)a[i + j] * (double)b[i + j];
-    for (; i < size; ++i) totals[0] += (double)a[i] * (double)b[i];
-    double sum = 0.0;
-    for (int j = 0; j < 8; ++j) sum += totals[j];
-    product.data[0] = sum;
-"""
-
-
-# On a CPU one thread goes through all numbers: what it does to one is what vector units do to many.
-
-_EACH = """
-    #pragma clang fp contract(off)
-    const size_t size = result.shape[0];
-    const float a = alphas.data ? (float)alphas.data[0] : alpha, b = betas.data ? (float)betas.data[0] : beta;
-    const float* const xs = x.data;
-    const float* const ys = y.data;
-    #pragma clang loop vectorize(assume_safety)
-    for (size_t i = 0; i < size; ++i) result.data[i] = EACH;
-"""
+@once
+def _dot_on_cpu_kernel() -> Any:
+    return kernel("vector.h", "dot", module="lfgpu_vector_cpu")
 
 
 @once
 def _cpu_kernel(name: str, each: str) -> Any:
     """result[i] = `each`, made of numbers a and b and of fields xs[i] and ys[i]."""
-
-    @wp.func_native(_EACH.replace("EACH", each))
-    def for_each(
-        alpha: float,
-        alphas: wp.array(dtype=wp.float64),
-        x: wp.array(dtype=float),
-        beta: float,
-        betas: wp.array(dtype=wp.float64),
-        y: wp.array(dtype=float),
-        result: wp.array(dtype=float),
-    ): ...
-
-    @wp.kernel(module=f"lfgpu_vector_cpu_{name}", enable_backward=False)
-    def each_kernel(
-        alpha: float,
-        alphas: wp.array(dtype=wp.float64),
-        x: wp.array(dtype=float),
-        beta: float,
-        betas: wp.array(dtype=wp.float64),
-        y: wp.array(dtype=float),
-        result_out: wp.array(dtype=float),
-    ):
-        for_each(alpha, alphas, x, beta, betas, y, result_out)
-
-    return each_kernel
-
-
-@wp.func_native(_DOT)
-def _whole_dot(x: wp.array(dtype=float), y: wp.array(dtype=float), product: wp.array(dtype=wp.float64)): ...
-
-
-@wp.kernel(module="lfgpu_vector_cpu", enable_backward=False)
-def _dot_on_cpu_kernel(x: wp.array(dtype=float), y: wp.array(dtype=float), product_out: wp.array(dtype=wp.float64)):
-    _whole_dot(x, y, product_out)
+    return kernel("vector.h", "for_each", module=f"lfgpu_vector_cpu_{name}", EACH=each)
 
 
 @once
@@ -199,7 +143,7 @@ def _parts(device: str) -> Any:
 def dot(a: Any, b: Any, product_out: Any) -> None:
     device = a.device
     if device.is_cpu:
-        launch(_dot_on_cpu_kernel, 1, [a.flatten(), b.flatten()], [product_out], device=device)
+        launch(_dot_on_cpu_kernel(), 1, [a.flatten(), b.flatten()], [product_out], device=device)
         return
     parts = _parts(device.alias)
     inputs = [a.flatten(), b.flatten(), _BLOCKS * BLOCK]

@@ -128,6 +128,7 @@ _ROOT = re.compile(r'asm\("sqrt\.approx\.ftz\.f32 %0, %1;" : "=f"\((.*?)\) : "f"
 
 
 def _native(code: str) -> Callable[[Callable[..., Any]], Any]:
+    code = _ROOT.sub(r"\1 = __builtin_sqrtf(\2);", code)
     return cast("Callable[[Callable[..., Any]], Any]", wp.func_native(_PRELUDE + code + _POSTLUDE))
 
 
@@ -139,10 +140,9 @@ class _Loader(SourceFileLoader):
         if Path(self.path).stem not in ON_HOST:
             text = re.sub(r"\b[\w.]+\.is_cpu\b", "False", text)
             text = re.sub(r"\b[\w.]+\.is_cuda\b", "True", text)
-            text = text.replace("@wp.func_native(", "@_native(")
-            text = _ROOT.sub(r"\1 = __builtin_sqrtf(\2);", text)
+            text = text.replace("wp.func_native(", "_native(")
         text = re.sub(r"^(_?PARTS) = 128\b", rf"\1 = {PARTS}", text, flags=re.MULTILINE)
-        text = re.sub(r'(\bmodule ?= ?f?")lfgpu_', rf"\1{NAME}_", text)
+        text = re.sub(r'"lfgpu_(?!room)', f'"{NAME}_', text)
         return compile(text, self.path, "exec", dont_inherit=True)
 
     def exec_module(self, module: ModuleType) -> None:

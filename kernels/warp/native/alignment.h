@@ -1,10 +1,16 @@
-"""A row of the alignment on a CPU, of its weights and of its views; `kernels/reference/alignment.py` says what it is.
+// The alignment on a CPU, of a row and of its views.
+//
+// A thread goes along the row in chunks, view by view, with their sums on its stack. Vector units have a pixel in each
+// lane: pixels of a chunk land anywhere, and what they land on is gathered, a pixel with all its channels at once.
+#pragma once
+#include "lfgpu.h"
 
-A thread goes along the row in chunks, view by view, with their sums on its stack. Vector units have a pixel in each
-lane: pixels of a chunk land anywhere, and what they land on is gathered, a pixel with all its channels at once.
-"""
-
-ALIGN_ROW = """
+// Curvature and slope of the squared differences of a row.
+void align(
+    int tid, Array2<Pixel> image, Array2<float> weights, Array3<Kept> views, Array1<vec2f> offsets, float scale,
+    float robust, float tolerance, float share_of_all, Array2<float> disparity, Array3<float> nearest, int line,
+    int lanes, Array2<float> curvature_out, Array2<float> slope_out) {
+    const int y = line + tid / lanes;
     constexpr int CHUNK = 128;
     const int height = disparity.shape[0], width = disparity.shape[1], count = offsets.shape[0];
     const int wide = width + BORDER;
@@ -190,22 +196,23 @@ ALIGN_ROW = """
                 add(1, c, change[2][c][i] * of_gradients, change[3][c][i] * of_gradients);
                 add(2, c, change[3][c][i] * of_gradients, change[4][c][i] * of_gradients);
             }
-            curvature.data[(size_t)y * width + begin + i] = bend * share_of_all;
-            slope.data[(size_t)y * width + begin + i] = climb * share_of_all;
+            curvature_out.data[(size_t)y * width + begin + i] = bend * share_of_all;
+            slope_out.data[(size_t)y * width + begin + i] = climb * share_of_all;
         }
     }
-"""
+}
 
-PACK_ROW = """
-    // A pixel with whether it is valid; the views go on as at their border.
+// Copy a row of all views, a pixel with whether it is valid; the copies go on as at the border of the views.
+void pack(int tid, Array3<Stored> recorded, Array3<float> valid, int row, int lanes, Array3<Kept> packed_out) {
+    const int y = row + tid;
     const int height = recorded.shape[1], width = recorded.shape[2], wide = width + BORDER;
     const int from_y = wp::min(wp::max(y - BEFORE, 0), height - 1);
     for (int n = 0; n < recorded.shape[0]; ++n) {
-        const auto* const row = recorded.data + ((size_t)n * height + from_y) * width;
+        const auto* const line = recorded.data + ((size_t)n * height + from_y) * width;
         const float* const mask = valid.data + ((size_t)n * height + from_y) * width;
-        auto* const out = packed.data + ((size_t)n * (height + BORDER) + y) * wide;
+        auto* const out = packed_out.data + ((size_t)n * (height + BORDER) + y) * wide;
         auto pack = [&](int x, int from_x, KEPT is_valid) {
-            for (int c = 0; c < CHANNELS; ++c) out[x].c[c] = (KEPT)row[from_x].c[c];
+            for (int c = 0; c < CHANNELS; ++c) out[x].c[c] = (KEPT)line[from_x].c[c];
             for (int c = CHANNELS; c < PAD - 1; ++c) out[x].c[c] = 0;
             out[x].c[PAD - 1] = is_valid;
         };
@@ -219,4 +226,4 @@ PACK_ROW = """
         for (int x = 0; x < BEFORE; ++x) out[x] = out[BEFORE];
         for (int x = width + BEFORE; x < wide; ++x) out[x] = out[width + BEFORE - 1];
     }
-"""
+}

@@ -1,26 +1,33 @@
-"""A pixel of the alignment on a GPU, of its weights and of its views; `kernels/reference/alignment.py` says what it is.
+// The alignment on a GPU, of a pixel and of its views.
+//
+// A thread has one pixel, and goes through all views twice: first for the mean of those that see it, then for what they
+// are apart from that.
+#pragma once
+#include "lfgpu.h"
 
-A thread has one pixel, and goes through all views twice: first for the mean of those that see it, then for what they
-are apart from that.
-"""
-
-# Copies of views continued by their border pixels; what is there last is whether the pixel is valid.
-PACK_PIXEL = """
+// Copy a pixel of all views, with whether it is valid last; the copies go on as at the border of the views.
+void pack(int tid, Array3<Stored> recorded, Array3<float> valid, int row, int lanes, Array3<Kept> packed_out) {
+    const int y = row + tid / lanes, x = tid % lanes;
     const int height = recorded.shape[1], width = recorded.shape[2], wide = width + BORDER, p = y * wide + x;
     const int from_y = min(max(y - BEFORE, 0), height - 1), from_x = min(max(x - BEFORE, 0), width - 1);
     const size_t from = (size_t)from_y * width + from_x, size = (size_t)height * width;
     #pragma unroll 4
     for (int n = 0; n < recorded.shape[0]; ++n) {
         const auto value = recorded.data[n * size + from];
-        auto kept = packed.data[0];
+        auto kept = packed_out.data[0];
         for (int c = 0; c < PAD; ++c) kept.c[c] = 0;
         for (int c = 0; c < CHANNELS; ++c) kept.c[c] = value.c[c];
         if (!valid.data || valid.data[n * size + from] != 0.f) kept.c[PAD - 1] = 1;
-        packed.data[(size_t)n * (height + BORDER) * wide + p] = kept;
+        packed_out.data[(size_t)n * (height + BORDER) * wide + p] = kept;
     }
-"""
+}
 
-ALIGN_PIXEL = """
+// Curvature and slope of the squared differences of a pixel.
+void align(
+    int tid, Array2<Pixel> image, Array2<float> weights, Array3<Kept> views, Array1<vec2f> offsets, float scale,
+    float robust, float tolerance, float share_of_all, Array2<float> disparity, Array3<float> nearest, int line,
+    int lanes, Array2<float> curvature_out, Array2<float> slope_out) {
+    const int y = line + tid / lanes, x = tid % lanes;
     struct Value {
         float c[CHANNELS];
         CUDA_CALLABLE float& operator[](int i) { return c[i]; }
@@ -45,9 +52,9 @@ ALIGN_PIXEL = """
             return r;
         }
     };
-    struct alignas(PAD * sizeof(KEPT)) Kept { KEPT c[PAD]; };
-    const Kept* const recorded = (const Kept*)views.data;
-    const int height = disparity.shape[0], width = disparity.shape[1], count = offsets.shape[0], x = lane;
+    struct alignas(PAD * sizeof(KEPT)) Packed { KEPT c[PAD]; };
+    const Packed* const recorded = (const Packed*)views.data;
+    const int height = disparity.shape[0], width = disparity.shape[1], count = offsets.shape[0];
     const int wide = width + BORDER;
     const size_t size = (size_t)(height + BORDER) * wide;
     const float weaken = 1.f / (3 * CHANNELS * robust * robust);
@@ -56,7 +63,7 @@ ALIGN_PIXEL = """
     // adds its value to it: cheaper for a GPU than a conversion. No x is negative; but if the compiler knew these bits,
     // it would move the selectors of bytes through registers instead.
     const unsigned float_2_23 = 0x4b000000u + (x < 0);
-    auto value_of = [=](const Kept& kept) {
+    auto value_of = [=](const Packed& kept) {
         const WORDS words = *(const WORDS*)&kept;  // one load
         Value value;
     #if IS_INTEGER
@@ -66,7 +73,7 @@ ALIGN_PIXEL = """
             value[i] = __uint_as_float(__byte_perm(pairs[i * BITS / 32], float_2_23, place));
         }
     #else
-        const Kept loaded = *(const Kept*)&words;
+        const Packed loaded = *(const Packed*)&words;
         for (int i = 0; i < CHANNELS; ++i) value[i] = (float)loaded.c[i];
     #endif
         return value;
@@ -100,7 +107,7 @@ ALIGN_PIXEL = """
             if (!inside) continue;
             const int next_x = ax >= 0.5f, next_y = ay >= 0.5f, pixel = (int)row * width + (int)column;
             const float front = nearest.data[(size_t)n * height * width + pixel + next_y * width + next_x];
-            const Kept* const first = recorded + n * size + ((int)row + BEFORE) * wide + (int)column + BEFORE;
+            const Packed* const first = recorded + n * size + ((int)row + BEFORE) * wide + (int)column + BEFORE;
             const bool valid = (float)first[next_y * wide + next_x].c[PAD - 1] != 0.f;
             if ((d >= front - tolerance) & valid) work(du, dv, first, ax, ay);
         }
@@ -112,9 +119,9 @@ ALIGN_PIXEL = """
     const Value own_y = (color_at(y + 1, x) - color_at(y - 1, x)) * 0.5f;
     Value mean = own, mean_x = own_x, mean_y = own_y;
     float sum_k = 1.f;
-    for_views([&](float, float, const Kept* first, float ax, float ay) {
+    for_views([&](float, float, const Packed* first, float ax, float ay) {
         const float bx = 1.f - ax, by = 1.f - ay;
-        const Kept* p = first - wide;
+        const Packed* p = first - wide;
         auto mean_of = [&]() {
             const Value here = value_of(p[0]);
             return here - zero + (value_of(p[1]) - here) * ax;
@@ -153,10 +160,10 @@ ALIGN_PIXEL = """
     Value change_xy = (color_at(y + 1, x + 1) - color_at(y + 1, x - 1) - above) * 0.25f;
     Value right[3] = {}, below[3] = {};
     float uu = 0.f, uv = 0.f, vv = 0.f, sum_change = 1.f;
-    for_views([&](float du, float dv, const Kept* first, float ax, float ay) {
+    for_views([&](float du, float dv, const Packed* first, float ax, float ay) {
         const float bx = 1.f - ax, by = 1.f - ay;
         // Along a row the mean m, twice its difference s, and four times the second one t; rows 0 to 5.
-        const Kept* p = first - 2 * wide;
+        const Packed* p = first - 2 * wide;
         auto m_of = [&]() {
             const Value here = value_of(p[0]);
             return here - zero + (value_of(p[1]) - here) * ax;
@@ -214,6 +221,6 @@ ALIGN_PIXEL = """
     add(0, change_x * share, change_y * share);
     add(1, change_xx * of_gradients, change_xy * of_gradients);
     add(2, change_xy * of_gradients, change_yy * of_gradients);
-    curvature.data[(size_t)y * width + x] = bend * share_of_all;
-    slope.data[(size_t)y * width + x] = climb * share_of_all;
-"""
+    curvature_out.data[(size_t)y * width + x] = bend * share_of_all;
+    slope_out.data[(size_t)y * width + x] = climb * share_of_all;
+}

@@ -1,0 +1,151 @@
+"""Kernels and functions in C++ and CUDA: the files of the folder `native`, and how Warp is given them.
+
+Warp takes the body of a function and a typed stub, and nothing around them. So for a function of a file
+
+- its arguments become those of the stub, with Warp's types;
+- what its body uses of the file, and of the files that this includes, stands before it: constants as they are, `inline`
+  functions as lambdas;
+- what it is specialised for is defined around it for the preprocessor.
+
+The text that Warp gets holds all of that, so that a change of a file compiles anew what depends on it.
+"""
+
+import linecache
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import warp as wp
+
+_FOLDER = Path(__file__).parent / "native"
+_INCLUDE = re.compile(r'^#include "(.+)"$', re.MULTILINE)
+_PART = re.compile(
+    r"^(?:constexpr [^;]*?(?P<constant>\w+)(?:\[\])? = [^;]*;"
+    r"|(?P<kind>inline )?(?P<result>[\w: ]+?) (?P<name>\w+)\((?P<arguments>[^{]*)\) \{\n(?P<body>.*?)^\})",
+    re.MULTILINE | re.DOTALL,
+)
+_ARGUMENT = re.compile(r"(?:Array(?P<dimensions>[1-4])<(?P<element>\w+)>|(?P<type>\w+)) (?P<name>\w+)")
+_TYPES = {"float": float, "int": int, "bool": bool, "double": wp.float64}
+
+
+class _Part(NamedTuple):
+    """A constant or a function of a file."""
+
+    name: str
+    text: str  # as it stands before the body of another function; of what Warp calls, the body
+    arguments: str | None  # of what Warp calls
+
+
+@cache
+def _parts(file: str) -> dict[str, _Part]:
+    """All constants and functions of a file by name, those of the files that it includes first."""
+    text = (_FOLDER / file).read_text(encoding="utf-8")
+    found: dict[str, _Part] = {}
+    for included in _INCLUDE.findall(text):
+        found |= _parts(included)
+    for part in _PART.finditer(text):
+        if part["constant"]:
+            found[part["constant"]] = _Part(part["constant"], f"    {part[0]}\n", None)
+        elif part["kind"]:
+            result = "" if part["result"] == "auto" else f" -> {part['result']}"
+            as_lambda = f"    auto {part['name']} = [&]({part['arguments']}){result} {{\n{part['body']}    }};\n"
+            found[part["name"]] = _Part(part["name"], as_lambda, None)
+        else:
+            found[part["name"]] = _Part(part["name"], part["body"], part["arguments"])
+    return found
+
+
+def _assembled(file: str, name: str, numbers: dict[str, Any]) -> str:
+    """The body of a function with all that it needs before it."""
+    parts = _parts(file)
+    text = parts[name].text
+    for part in reversed([part for part in parts.values() if part.arguments is None]):
+        if re.search(rf"\b{part.name}\b", text):
+            text = part.text + text
+    defined = "".join(f"#define {number} {_written(value)}\n" for number, value in numbers.items())
+    return f"\n{defined}{text}" + "".join(f"#undef {number}\n" for number in numbers)
+
+
+def _written(value: Any) -> str:
+    """A number, or several, in C++."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value}f"
+    return ", ".join(map(_written, value)) if isinstance(value, tuple) else str(value)
+
+
+def _annotations(arguments: str, types: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Names and Warp's types of the arguments of a function."""
+
+    def type_of(name: str) -> Any:
+        return types[name] if name in types else _TYPES[name] if name in _TYPES else getattr(wp, name)
+
+    for argument in arguments.split(","):
+        match = _ARGUMENT.fullmatch(argument.strip())
+        assert match is not None, f"{argument.strip()!r} is no argument that Warp can give"
+        if match["element"]:
+            yield match["name"], wp.array(dtype=type_of(match["element"]), ndim=int(match["dimensions"]))
+        else:
+            yield match["name"], type_of(match["type"])
+
+
+def _defined(name: str, arguments: dict[str, Any], body: str, names: dict[str, Any]) -> Any:
+    """A Python function with these arguments, whose text Warp finds."""
+    text = f"def {name}({', '.join(f'{argument}: {argument}_type' for argument in arguments)}):\n    {body}\n"
+    place = f"<native {name} {len(linecache.cache)}>"
+    linecache.cache[place] = (len(text), None, text.splitlines(keepends=True), place)
+    scope = {"__name__": __name__, **names, **{f"{argument}_type": kind for argument, kind in arguments.items()}}
+    exec(compile(text, place, "exec", dont_inherit=True), scope)
+    return scope[name]
+
+
+def _split(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Types and numbers apart."""
+    types = {name: value for name, value in given.items() if isinstance(value, type) or hasattr(value, "vars")}
+    return types, {name: value for name, value in given.items() if name not in types}
+
+
+def function(file: str, name: str, **given: Any) -> Any:
+    """A function of a file of `native`, for kernels in Warp's language.
+
+    Parameters
+    ----------
+    file, name
+        The file, and the name of the function in it.
+    given
+        What it is specialised for: Warp's types by the names that the arguments have for them, and numbers by the names
+        that stand for them, which are defined for the preprocessor. A tuple is several numbers, text is C++.
+    """
+    types, numbers = _split(given)
+    arguments = _parts(file)[name].arguments
+    assert arguments is not None, f"{name} is for other functions of {file}"
+    stub = _defined(name, dict(_annotations(arguments, types)), "...", {})
+    return wp.func_native(_assembled(file, name, numbers))(stub)
+
+
+def kernel(file: str, name: str, *, module: str, launch_bounds: tuple[int, int] | None = None, **given: Any) -> Any:
+    """A kernel that is a function of a file of `native`.
+
+    An argument `int tid` at the beginning is the index of the thread; the others are given when it is launched.
+
+    Parameters
+    ----------
+    module
+        Name of the module of Warp that it is compiled in: one for each specialisation.
+    launch_bounds
+        Threads of a block on a GPU, and blocks that a multiprocessor is to hold at once.
+    file, name, given
+        As those of `function`.
+    """
+    types, _ = _split(given)
+    native = function(file, name, **given)
+    arguments = dict(_annotations(_parts(file)[name].arguments or "", types))
+    indexed = "tid" in arguments
+    passed = ", ".join("wp.tid()" if argument == "tid" else argument for argument in arguments)
+    names = {"wp": wp, "native": native}
+    called = {argument: kind for argument, kind in arguments.items() if not (indexed and argument == "tid")}
+    defined = _defined(f"{name}_kernel", called, f"native({passed})", names)
+    return wp.kernel(defined, module=module, enable_backward=False, launch_bounds=launch_bounds)

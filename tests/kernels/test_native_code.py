@@ -1,0 +1,172 @@
+"""The files of `kernels/warp/native`: how they are taken apart for Warp, and that Warp's compilers take all of them.
+
+What runs on a CPU is compiled by the test matrix. What runs on a GPU is compiled here, by the compiler for GPUs that
+Warp brings: it needs no GPU.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+wp = pytest.importorskip("warp")
+
+from lfgpu.kernels.warp import (  # noqa: E402
+    alignment,
+    confidence,
+    cost_volume,
+    edges,
+    gpu_data_term,
+    gpu_lbfgs,
+    gpu_plane_sweep,
+    native_code,
+    nlm,
+    nlm_regression,
+    range_search,
+    semi_global,
+    smoothing,
+    views,
+    z_buffer,
+)
+
+NATIVE = Path(native_code.__file__).parent / "native"
+FILES = sorted(path.name for path in NATIVE.iterdir() if path.name != "lfgpu.h")
+ARCHITECTURE = 80  # compute capability
+
+
+def gpu_kernels() -> Iterator[Any]:
+    """One specialisation at least of each kernel for GPUs, for each way in which it differs by preprocessor."""
+    byte, float16 = wp.uint8, wp.float16
+    yield views._copy_kernels(3, byte)
+    yield views._normalization_kernels(3, byte, float16, 1.0)
+    yield range_search._shrink_kernel(3, byte, 1)
+    for name in ("shrink_again", "add_rows", "subtract_means", "add_differences", "find_costs", "find_distinct"):
+        yield range_search._kernel(name, 1)
+    yield [smoothing._tiles_kernel(3, byte), smoothing._reduce_kernel(3, byte)]
+    yield [cost_volume._pixels_kernel(2), cost_volume._add_kernel()]
+    yield [cost_volume._minimum_kernel(name, 1) for name in ("find_least", "find_lowest")]
+    yield [edges._kernel(3, 2, False), confidence._line_mean_kernel()]
+    yield [nlm._tile_kernel(1, 1), nlm._gpu_operator("laplacian", "(here - other)", 0.0, 2)]
+    yield [nlm_regression._gpu_kernel(name, 2) for name in ("divide_sums", "fit_planes")]
+    yield [semi_global._step_costs_kernel(3), semi_global._path_kernel(2), semi_global._turn_kernel()]
+    yield z_buffer._gpu_kernels(2)
+    yield [gpu_lbfgs._products_kernel(), gpu_lbfgs._recursion_kernel(), gpu_lbfgs._combine_kernel(5)]
+    yield gpu_data_term._kernels(3, float16, float16)
+    for stored in (byte, wp.uint16, float16, wp.float32):
+        yield alignment._kernels(1 if stored is byte else 3, stored, stored, False)
+        yield [gpu_plane_sweep.pack_kernel(3, stored), gpu_plane_sweep.mark_kernel(3, stored)]
+        yield gpu_plane_sweep.sweep_kernel(3, stored, 2, False, True, True, 1e-4)
+    yield gpu_plane_sweep.sweep_kernel(1, byte, 1, True, False, False, 1e-4)
+
+
+def each_module() -> dict[str, Any]:
+    """The modules of these kernels, by name."""
+    found = {}
+    for made in gpu_kernels():
+        several = (
+            vars(made).values() if isinstance(made, SimpleNamespace) else made if isinstance(made, list) else [made]
+        )
+        found |= {kernel.module.name: kernel.module for kernel in several}
+    return found
+
+
+def test_gpu_kernels_compile(tmp_path: Path) -> None:
+    wp.init()
+    for module in each_module().values():
+        try:
+            wp.compile_aot_module(module, arch=ARCHITECTURE, module_dir=tmp_path, use_ptx=True)
+        except RuntimeError as error:
+            if "NVRTC" in str(error) and "not available" in str(error):
+                pytest.skip("this build of Warp has no compiler for GPUs")
+            raise
+    assert len(list(tmp_path.glob("*.ptx"))) == len(each_module())
+
+
+def test_every_function_is_used_and_what_is_for_gpus_is_compiled_here() -> None:
+    python = {path.name: path.read_text(encoding="utf-8") for path in NATIVE.parent.glob("*.py")}
+    here = Path(__file__).read_text(encoding="utf-8")
+    for file in FILES:
+        for name, part in native_code._parts(file).items():
+            if part.arguments is not None:
+                users = [text for text in python.values() if f'"{file}"' in text and f'"{name}"' in text]
+                assert users, f"nothing asks for {name} of {file}"
+                if file.endswith(".cuh"):
+                    assert any(module in here for module in python if f'"{file}"' in python[module])
+            else:
+                uses = [(NATIVE / other).read_text(encoding="utf-8") for other in FILES]
+                assert sum(len(re.findall(rf"\b{name}\b", text)) for text in uses) > 1, f"nothing uses {name}"
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_all_of_a_file_is_read(file: str) -> None:
+    """Nothing of it is lost: besides comments and includes there are only parts that the loader knows."""
+    text = (NATIVE / file).read_text(encoding="utf-8")
+    left = native_code._PART.sub("", text)
+    rest = [line for line in left.splitlines() if line and not line.startswith(("//", "#include", "#pragma once"))]
+    assert [line for line in rest if not line.strip().startswith("//")] == []
+    assert max(map(len, text.splitlines())) <= 120
+
+
+FILE = """\
+#pragma once
+#include "other.h"
+
+constexpr int FEW = 2;
+
+// Twice a number.
+inline float twice(float value) {
+    return FEW * value;
+}
+
+// A kernel.
+void scale(int tid, Array1<float> x, Array2<Pixel> y, double by, Array1<float> x_out) {
+    x_out.data[tid] = twice(x.data[tid]) * FACTOR + shifted((float)by) + (float)y.shape[0];
+}
+"""
+OTHER = """\
+inline float shifted(float value) {
+    return value + SHIFT;
+}
+
+inline float unused(float value) {
+    return value;
+}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    (tmp_path / "file.h").write_text(FILE)
+    (tmp_path / "other.h").write_text(OTHER)
+    monkeypatch.setattr(native_code, "_FOLDER", tmp_path)
+    native_code._parts.cache_clear()
+    yield tmp_path
+    native_code._parts.cache_clear()
+
+
+def test_a_kernel_has_what_its_function_uses(folder: Path) -> None:
+    pixel = wp.types.vector(length=3, dtype=wp.uint8)
+    kernel = native_code.kernel("file.h", "scale", module="lfgpu_test_scale", Pixel=pixel, FACTOR=3.0, SHIFT=0.5)
+    x, out = (wp.array(values, dtype=float, device="cpu") for values in ([1.0, 2.0], [0.0, 0.0]))
+    wp.launch(kernel, 2, [x, wp.zeros((4, 5), dtype=pixel, device="cpu"), 10.0], [out], device="cpu")
+    assert out.numpy().tolist() == [20.5, 26.5]
+
+
+def test_text_holds_what_it_depends_on_and_nothing_else(folder: Path) -> None:
+    text = native_code._assembled("file.h", "scale", {"FACTOR": 3.0, "SHIFT": (1, 2), "ON": True})
+    assert text.startswith("\n#define FACTOR 3.0f\n#define SHIFT 1, 2\n#define ON true\n")
+    assert text.endswith("#undef FACTOR\n#undef SHIFT\n#undef ON\n")
+    assert text.index("shifted = ") < text.index("constexpr int FEW") < text.index("twice = ")
+    assert "unused" not in text
+
+
+@pytest.mark.parametrize("argument", ["const float* x", "Array5<float> x", "float"])
+def test_arguments_that_warp_cannot_give_are_refused(argument: str, folder: Path) -> None:
+    (folder / "bad.h").write_text(f"void bad({argument}) {{\n    ;\n}}\n")
+    with pytest.raises(AssertionError, match="is no argument that Warp can give"):
+        native_code.kernel("bad.h", "bad", module="lfgpu_test_bad")
