@@ -320,30 +320,3 @@ def test_what_looks_otherwise_is_not_the_same(device: str) -> None:
     same, _ = _found(device, image, last, [zero] * 4)
     assert (same[8:-8, 4:15] > 0.99).all()
     assert same[8:-8, 30:-8].mean() < 0.2
-
-
-@pytest.mark.parametrize("device", _warp_devices())
-def test_bias_and_blend(device: str, rng: np.random.Generator) -> None:
-    kernels = load("warp")
-    live = kernels.streaming
-    assert live is not None
-    past, trust, frames, rate, disparity = rng.random((5, 9, 11), np.float32)
-    costs = rng.random((5, 9, 11), np.float32)
-    volume = kernels.field(costs, device)
-    fields = [kernels.field(values, device) for values in (past, trust, frames, rate, disparity)]
-    live.bias(fields[0], fields[1], volume, first=-0.5, step=0.4, strength=0.3, reach=1.5)
-    labels = -0.5 + 0.4 * np.arange(5)[:, None, None]
-    want = costs + 0.3 * trust * np.minimum(np.abs(labels - past) / 0.4, 1.5) / 1.5
-    np.testing.assert_allclose(kernels.numpy(volume), want, rtol=1e-5, atol=1e-6)
-
-    names = ("frames_out", "rates_out", "weights_out")
-    outs = {name: kernels.zeros((9, 11), device) for name in names}
-    live.blend(*fields, persistence=0.7, support=0.3, steady=0.8, rate_gain=0.2, **outs)
-    surprise = disparity - past
-    goes_on = trust / (1 + (surprise / 0.3) ** 4)
-    before = 0.7 * goes_on * frames / (1 + (rate / 0.8) ** 2)
-    weight = goes_on * before / (1 + before)
-    wanted = (1 + before, weight * (rate + 0.2 * surprise), weight)
-    for name, values in zip(names, wanted, strict=True):
-        np.testing.assert_allclose(kernels.numpy(outs[name]), values, rtol=1e-4, atol=1e-6)
-    np.testing.assert_allclose(kernels.numpy(fields[4]), past + surprise / (1 + before), rtol=1e-5)

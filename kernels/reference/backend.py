@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from . import streaming
 from .alignment import alignment, z_buffer
 from .boundaries import refine_boundaries
 from .confidence import evidence, judge, line_mean, unevenness
@@ -28,5 +29,4 @@ from .views import intensities, line_of_views, normalization
 name = "reference"
 compiles = False
 dtype = np.float64
-streaming = None
 recording = None

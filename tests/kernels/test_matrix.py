@@ -33,6 +33,8 @@ import solver_cases
 import solver_checks
 import splat_cases
 import splat_checks
+import streaming_cases
+import streaming_checks
 import sweep_cases
 import sweep_checks
 import vector_cases
@@ -67,6 +69,7 @@ INPUTS: dict[str, tuple[tuple[Any, ...], Any]] = {
     "vector": (vector_cases.VECTOR_CASES, vector_cases.vector_inputs),
     "residuals": (solver_cases.RESIDUALS_CASES, solver_cases.residuals_inputs),
     "lbfgs": (solver_cases.LBFGS_CASES, solver_cases.lbfgs_inputs),
+    "streaming": (streaming_cases.STREAMING_CASES, streaming_cases.streaming_inputs),
 }
 """Of each kind of inputs: the cases, and what makes them of a case."""
 OPERATIONS = (
@@ -83,6 +86,7 @@ OPERATIONS = (
     *resampling_checks.OPERATIONS,
     *smoothing_checks.OPERATIONS,
     *range_search_checks.OPERATIONS,
+    *streaming_checks.OPERATIONS,
 )
 PROGRAMS = (
     *programs.PROGRAMS,
@@ -111,7 +115,9 @@ MASKED = [
 def test_matrix_has_every_operation_of_the_contract() -> None:
     facts = {"name", "dtype", "devices", "is_deterministic", "asking", "kernel_cache", "compiles"}
     contract = checks.names_of(types.KernelSet) - facts
-    covered = {str(operation) for operation in OPERATIONS} - {"memory", "image_memory"}
+    streams = {str(operation) for operation in streaming_checks.OPERATIONS}
+    assert streams == checks.names_of(types.Streaming)
+    covered = {str(operation) for operation in OPERATIONS} - {"memory", "image_memory"} - streams
     memory = {
         "field",
         "image",
@@ -179,6 +185,8 @@ def test_operation_equals_the_reference(
     other: Any, operation: checks.Operation, case: Any, record_property: Any
 ) -> None:
     """Twice, with the same bits, except where a GPU decides about the order of sums."""
+    if operation.inputs == "streaming" and other.kernels.streaming is None:
+        pytest.skip("a backend without streams")
     inputs, want = cell(f"{operation}-{case}")
     ordered = other.device == "cpu" or (
         other.kernels.is_deterministic(other.device) and str(operation) not in UNORDERED

@@ -72,7 +72,8 @@ def prepared(name: str) -> tuple[checks.Operation, Any, Any, dict[str, Any]] | N
 def cells_of(module: ModuleType) -> Iterator[tuple[checks.Operation, Any, Any, dict[str, Any]]]:
     """The cells of the matrix whose operation takes something from the module."""
     for param in CELLS:
-        operation = getattr(REFERENCE, str(param.values[0]), None)
+        name = str(param.values[0])
+        operation = getattr(REFERENCE, name, None) or getattr(REFERENCE.streaming, name, None)
         if operation is not None and module.__name__ in used(sys.modules[operation.__module__]):
             found = prepared(str(param.id))
             if found is not None:

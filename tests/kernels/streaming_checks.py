@@ -1,0 +1,104 @@
+"""The checks of what streams need beyond a single estimate."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+from checks import Desk, Operation, Outputs, Values
+
+ROUNDED = 1e-3
+"""What differs by more is not rounding: another motion was chosen."""
+
+DOUBTFUL = 0.02
+"""The share of pixels at which two motions fit so nearly alike that rounding decides between them."""
+
+
+def motion(desk: Desk, i: SimpleNamespace) -> Outputs:
+    """What looks the same, and the past carried along; after another pair of frames, which leaves no trace."""
+    image, last = desk.image(i.image), desk.image(i.last)
+    found, same = desk.kernels.streaming.motion(image), desk.out(i.past.shape)
+    found.find(last, image, tolerance=0.1, same_out=same)
+    found.find(image, last, tolerance=0.01, same_out=same)
+    names = ("past", "frames", "rate", "confidence")
+    out = {name: desk.out(i.past.shape) for name in names}
+    known = [desk.field(getattr(i, name)) for name in names]
+    found.carry(*known, support=0.1, **{f"{name}_out": field for name, field in out.items()})
+    return {"same": same, **out}
+
+
+def bias(desk: Desk, i: SimpleNamespace) -> Outputs:
+    volume = desk.held(i.volume)
+    past, trust = desk.field(i.past), desk.field(i.confidence)
+    desk.kernels.streaming.bias(past, trust, volume, first=-0.5, step=0.4, strength=0.3, reach=1.5)
+    return {"volume": volume}
+
+
+def blend(desk: Desk, i: SimpleNamespace) -> Outputs:
+    disparity, names = desk.held(i.disparity), ("frames", "rates", "weights")
+    out = {name: desk.out(i.past.shape) for name in names}
+    desk.kernels.streaming.blend(
+        *(desk.field(values) for values in (i.past, i.same, i.frames, i.rate)),
+        disparity,
+        persistence=0.7,
+        support=0.3,
+        steady=0.8,
+        rate_gain=0.2,
+        **{f"{name}_out": field for name, field in out.items()},
+    )
+    return {"disparity": disparity, **out}
+
+
+def transport(desk: Desk, i: SimpleNamespace) -> Outputs:
+    """Two frames, and a map of the second: what changed, which views were there, and what came of the work."""
+    kernels, size = desk.kernels, i.past.shape
+    views = kernels.zeros_image(i.views.shape, desk.device, i.views.dtype)
+    disparity, confidence = desk.held(i.disparity), desk.held(i.confidence)
+    numbers = kernels.scalar(0.25, desk.device), kernels.scalar(0.5, desk.device)
+    traffic = kernels.streaming.transport(
+        views, (disparity, confidence, *numbers), reference=1, scale=i.scale, tolerance=0.02, results=1
+    )
+    traffic.enter()
+    shares = []
+    for frame, present in ((i.before, np.ones(3)), (i.views, i.present)):
+        slot = traffic.slot()
+        slot.host[:], slot.present[:] = frame, present
+        traffic.send(slot, 0, 2)
+        traffic.send(slot, 2, 3)
+        shares += traffic.bring(slot)
+    mask, seen = desk.out(i.views.shape[:3]), desk.image_out((*size, i.views.shape[3]))
+
+    def work() -> None:
+        kernels.intensities(views, 2, None, scale=i.scale, fill=0.0, image_out=seen)
+        kernels.axpby(2.0, disparity, 1.0, confidence, disparity)
+
+    maps = traffic.solve(work, lambda: traffic.mask(None if i.base is None else desk.field(i.base), mask))
+    _, trust, moved = traffic.wait(maps)
+    lease = traffic.lease(maps)
+    kernels.fill(7.0, disparity)
+    traffic.synchronize()
+    got = kernels.field(lease.numpy(0), desk.device), kernels.field(lease.numpy(1), desk.device)
+    return {
+        "shares": shares,
+        "numbers": [trust, moved],
+        "mask": mask,
+        "seen": seen,
+        "disparity": got[0],
+        "confidence": got[1],
+    }
+
+
+def motion_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
+    """The share of pixels that differ, less what rounding may decide."""
+    return {
+        name: max(0.0, float((np.abs(got[name] - want[name]) > ROUNDED * np.abs(want[name]).max()).mean()) - DOUBTFUL)
+        for name in want
+    }
+
+
+OPERATIONS = (
+    Operation(motion, "streaming", motion_errors),
+    Operation(bias, "streaming"),
+    Operation(blend, "streaming"),
+    Operation(transport, "streaming"),
+)
