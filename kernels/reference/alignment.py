@@ -1,4 +1,4 @@
-"""What comes near in each view, and Gauss-Newton on how well the views agree: NumPy, float64, one view at a time.
+"""Nearest disparities in each view, and Gauss-Newton steps that align views: NumPy, float64, one view at a time.
 
 Views that show the same surface agree where the disparity is right. Colours alone leave faint texture and changes of
 brightness undecided, so that their differences count too; what something nearer hides takes no part, and what does not
@@ -62,7 +62,7 @@ def differences(values: Array) -> tuple[Array, Array]:
 
 
 def features(intensities: Array) -> Array:
-    """Those of an image [y, x, c] and of what continues it beyond its border, unweighted: [y + 6, x + 6, 3 c]."""
+    """Unweighted features [y + 6, x + 6, 3 c] of an image [y, x, c] that goes on beyond its border."""
     continued = np.pad(intensities, ((BORDER, BORDER), (BORDER, BORDER), (0, 0)), mode="edge")
     return np.concatenate([continued, *differences(continued)], 2)
 
@@ -116,7 +116,7 @@ class Alignment:
         return np.asarray(1 / (1 + (residual**2).mean(2) / self._robust**2) ** 2)
 
     def _seen(self, n: int, disparity: Array, nearest: Array) -> tuple[NDArray[np.bool_], Array, Array, Array]:
-        """Where view n takes part [y, x], its features and their changes across and down [y, x, 3 c].
+        """The pixels [y, x] at which view n takes part, its features and their changes across and down [y, x, 3 c].
 
         Beyond the frame they are 0.
         """

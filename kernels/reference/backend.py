@@ -1,4 +1,4 @@
-"""All operations of the reference backend under one roof: this module is its `KernelSet`."""
+"""The operations of the reference backend under one roof: this module is its `KernelSet`."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""How far a disparity can be trusted: what its costs say, and a share and a variance made of that. NumPy, float64."""
+"""Confidence and variance of a disparity map, from its costs and its shape: NumPy, float64."""
 
 from collections.abc import Sequence
 

@@ -138,7 +138,7 @@ class Lbfgs:
         return float(np.clip(lowest, MOST_SHRINK * step, LEAST_SHRINK * step))
 
     def _flat(self) -> bool:
-        """Whether the last steps lowered the value by next to nothing."""
+        """True if the last steps hardly lowered the value."""
         last = self._trace[-self._patience - 1 :]
         enough = self._patience * self._tolerance * abs(self._trace[0])
         return len(last) == self._patience + 1 and last[0] - last[-1] <= enough

@@ -1,4 +1,4 @@
-"""How well the views agree with the reference view at each of a row of disparities: NumPy, float64, view by view.
+"""Matching costs of the views at a row of disparities: NumPy, float64, view by view.
 
 `PlaneSweep` in `lfgpu/contract` says what is computed. Truncated absolute differences are robust against what is hidden
 or shines (Scharstein and Szeliski 2002); those of gradients bear differences in brightness. Roots of differences make
@@ -29,7 +29,7 @@ class Compared(NamedTuple):
 
 
 class Axis(NamedTuple):
-    """Where the pixels of one axis come from when they are shifted."""
+    """The sources of the pixels along one axis when they are shifted."""
 
     first: NDArray[np.int64]
     second: NDArray[np.int64]

@@ -17,7 +17,7 @@ LEAST_LARGE = 1.2  # of the cost of a larger change, relative to `small`
 def path_costs(
     volume: Array, image: Array, scale: Array, dx: int, small: float, large: float, contrast: float
 ) -> Array:
-    """Of paths that go down a row and `dx` columns to the right with each pixel."""
+    """Costs of the paths that go down a row and `dx` columns to the right with each pixel."""
     costs = volume.copy()
     width = volume.shape[2]
     here, there = slice(max(dx, 0), width + min(dx, 0)), slice(max(-dx, 0), width + min(-dx, 0))

@@ -1,4 +1,4 @@
-"""What streams need beyond a single estimate, without a device: a frame is there as soon as it comes."""
+"""The operations of streams, without a device: a frame is there as soon as it comes."""
 
 import time
 from collections.abc import Callable
@@ -47,7 +47,7 @@ def blend(
 
 
 class Slot:
-    """Where a frame waits."""
+    """Memory for a frame that waits."""
 
     def __init__(self, views: Array) -> None:
         self.host = np.zeros(views.shape)
@@ -86,7 +86,7 @@ class transport:  # noqa: N801 - the contract's name for what makes one
         self._present, self._last = np.ones(len(views)), np.zeros(self._samples().shape)
 
     def _samples(self) -> Array:
-        """Those of the reference view, [j, i, c]: each is in the middle of as many pixels."""
+        """Samples of the reference view, [j, i, c], each in the middle of a block of pixels."""
         image = self._views[self._reference]
         down, across = (max(1, size // SAMPLES) for size in image.shape[:2])
         return image[down // 2 :: down, across // 2 :: across]

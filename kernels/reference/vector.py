@@ -1,4 +1,4 @@
-"""What a solver does with fields and numbers: NumPy, float64. A number is an array of shape [1]."""
+"""Vector operations of solvers: NumPy, float64. A number is an array of shape [1]."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""What comes near in each view, and how well the views agree; `kernels/reference/alignment.py` says what that is.
+"""The nearest disparities in each view, and steps that align the views, as `kernels/reference/alignment.py` has them.
 
 The z-buffers of `z_buffer` have a border, so that what lands beyond the frame comes near, too; the plan holds
 some views at a time. All that the alignment needs from a view at a place are six numbers for each channel, the mean and
@@ -33,7 +33,7 @@ def _nearest_kernel(cpu: bool) -> Any:
 
     @ti.func
     def place_of(p: int, d: float, du: float, dv: float, border: int, height: int, width: int):
-        """Where in a bordered view pixel p lands, -1 beyond it."""
+        """The place in a bordered view at which pixel p lands, -1 beyond it."""
         wide = width + 2 * border
         to = land(p % width, p // width, d, du, dv)
         x = to.x + border + ti.cast(to.ax >= 0.5, ti.i32)

@@ -16,7 +16,7 @@ _RIDGE = 0.3  # pixels²: variance of places below which the plane through colou
 
 @ti.func
 def _reaches(disparity: ti.template(), y: int, x: int, height: int, width: int, step: float, sign: float):
-    """Whether one of the pixels around is farther than this one by more than `step`; nearer, if `sign` is -1."""
+    """True if one of the pixels around is farther than this one by more than `step`; nearer, if `sign` is -1."""
     here = sign * disparity[y * width + x]
     found = False
     for j in range(ti.max(y - 1, 0), ti.min(y + 2, height)):

@@ -1,4 +1,4 @@
-"""How far a disparity can be trusted; `kernels/reference/confidence.py` says how it is found."""
+"""Confidence and variance of a disparity map, as `kernels/reference/confidence.py` defines them."""
 
 from collections.abc import Sequence
 

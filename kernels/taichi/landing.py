@@ -1,11 +1,11 @@
-"""Where reference pixels land in the views."""
+"""Landing places of reference pixels in the views."""
 
 import taichi as ti
 
 
 @ti.dataclass
 class Landing:
-    """Where a reference pixel lands in a view: the pixel above and to the left, and how far beyond it."""
+    """The landing place of a reference pixel in a view: the pixel above and to the left, and the rest beyond it."""
 
     x: ti.i32
     y: ti.i32
@@ -41,5 +41,5 @@ def nearest(whole: int, beyond: float):
 
 @ti.func
 def within(whole: int, beyond: float, size: int):
-    """Whether whole + beyond lies in [0, size - 1]."""
+    """True if whole + beyond lies in [0, size - 1]."""
     return whole >= 0 and (whole < size - 1 or (whole == size - 1 and beyond == 0.0))

@@ -33,7 +33,7 @@ _STEP, _SLOPE, _ACCEPTED, _REJECTED, _JUDGED, _LENGTH, _FLAT, _PAIRS, _NEWEST = 
 
 @ti.func
 def projected(vector: float, x: float, low: float, high: float):
-    """What may be subtracted from x, 0 where that would lead out of the bounds."""
+    """The gradient, 0 where a step against it would lead out of the bounds."""
     result = vector
     if (x <= low and vector > 0.0) or (x >= high and vector < 0.0):
         result = 0.0
@@ -42,7 +42,7 @@ def projected(vector: float, x: float, low: float, high: float):
 
 @ti.func
 def in_use(row: int, slots: int, newest: int, pairs: int):
-    """Whether a row of the stack holds something: the projected gradient, the new pair, or one that is kept."""
+    """True if a row of the stack is in use: the projected gradient, the new pair, or one that is kept."""
     age = (newest - row % slots + slots) % slots
     return row == 2 * slots or age < pairs or age == slots - 1
 
@@ -113,7 +113,7 @@ def _search_kernels() -> SimpleNamespace:
 
 @once
 def _stack_kernels(cpu: bool) -> SimpleNamespace:
-    """What reads and writes the stack [2 slots + 1, pixel]: steps, differences, the projected gradient."""
+    """Kernels that read and write the stack [2 slots + 1, pixel]: steps, differences, the projected gradient."""
     field, numbers = flat(), flat(ti.f64)
 
     @ti.kernel
@@ -135,7 +135,7 @@ def _stack_kernels(cpu: bool) -> SimpleNamespace:
         x: field,
         gradient: field,
     ):
-        """If the trial was accepted: x and its gradient become the trial's; step and difference go into the slot."""
+        """Move x and its gradient to an accepted trial; step and difference go into the slot."""
         size = x.shape[0]
         for i in range(size):
             if state[_ACCEPTED] == 1.0:

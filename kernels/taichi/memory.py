@@ -70,7 +70,7 @@ def _nothing() -> DeviceArray:
 
 
 def optional(array: DeviceArray | None) -> tuple[ti.Ndarray, bool]:
-    """What a kernel gets for a field that need not be there: an array in any case, and whether to look at it."""
+    """The arguments of a kernel for an optional field: an array in any case, and whether it counts."""
     return (_nothing().values, False) if array is None else (array.values, True)
 
 

@@ -64,7 +64,7 @@ def nlm_ratio(
 
 @ti.func
 def _moments(u: float, apart: float, x: int, y: int):
-    """What a neighbour adds to the sums of a regression."""
+    """The terms that a neighbour adds to the sums of a regression."""
     return ti.Vector([u, u * x, u * y, u * x * x, u * x * y, u * y * y, u * apart, u * apart * x, u * apart * y])
 
 

@@ -22,7 +22,7 @@ _ANY_SOFTNESS = 0.5  # whatever it is, the same pixels are reached
 
 @ti.func
 def sides(a: float, first: int, size: int, softness: float):
-    """What a pixel `a` beyond `first` gives to the row or column `first` and to the next one; 0 outside the frame."""
+    """Weights that a pixel `a` beyond `first` gives to the row or column `first` and the next; 0 outside the frame."""
     before = foot(1.0 - a, softness)
     after = foot(a, softness)
     if first < 0 or first >= size:

@@ -1,4 +1,4 @@
-"""How well the views agree with the reference view at each of a row of disparities.
+"""Matching costs of the views at a row of disparities.
 
 `PlaneSweep` in `lfgpu/contract` says what is computed. One disparity after the other, some views at a time: first their
 differences from the reference view, then the costs of these. Views that belong to the same view_sets are added up
@@ -53,7 +53,7 @@ def within(i: int, size: int):
 
 @ti.func
 def rooted(difference: float, softness: float):
-    """As it is while it is small; beyond the softness it counts by its root."""
+    """The difference while it is small; beyond the softness it counts by its root."""
     result = difference
     if softness > 0.0:
         # 2 s (sqrt(1 + x / s) - 1), without the difference of two nearly equal numbers
@@ -254,7 +254,7 @@ def _table(values: NDArray[Any]) -> DeviceArray:
 
 
 class _PlaneSweep:
-    """Which views are shifted by how much, in the order of their view_sets."""
+    """The shifts of the views, in the order of their view sets."""
 
     def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, scale: float) -> None:
         self._shape, self._scale = tuple(shape), scale

@@ -81,7 +81,7 @@ def once(function: Callable[..., Kernels]) -> Callable[..., Kernels]:
 
 
 def on_cpu() -> bool:
-    """Whether the running Taichi computes on the CPU."""
+    """True if the running Taichi computes on the CPU."""
     return _running() == "cpu"
 
 
@@ -95,6 +95,6 @@ def _level() -> str:
 
 
 def _say_only_errors() -> None:
-    """That a machine has no CUDA driver is no news to its owner; whoever uses Taichi already keeps their level."""
+    """Silence the warning about a missing CUDA driver, unless Taichi was set up before."""
     if impl.get_runtime().prog is None:
         ti.set_logging_level(_level())

@@ -112,7 +112,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         width: int,
         softness: float,
     ):
-        """What the residuals of one view say about the disparity `d` of a reference pixel of colour `value`."""
+        """The derivative of one view's squared error by the disparity `d` of a reference pixel of colour `value`."""
         to = land(x, y, d, du, dv)
         wx = tent(to.ax, softness)
         wy = tent(to.ay, softness)

@@ -72,7 +72,7 @@ class Total:
 
 @once
 def _room() -> tuple[DeviceArray, Total]:
-    """Where the partial sums of a product are kept, and what adds them up."""
+    """Memory for the partial sums of a product, and their total."""
     return empty((_CPU_PARTS if on_cpu() else GPU_PARTS,), scalar=ti.f64), Total()
 
 

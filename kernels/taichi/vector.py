@@ -1,4 +1,4 @@
-"""What a solver does with fields and scalars, on the device."""
+"""Vector operations of solvers, on the device."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +11,7 @@ from .runtime import once, run
 
 @once
 def _linear_kernels(kind: Any) -> SimpleNamespace:
-    """What fields (float32) and scalars (float64) have in common."""
+    """Kernels of both fields (float32) and scalars (float64)."""
     array, scalar = flat(kind), flat(ti.f64)
 
     @ti.func

@@ -1,4 +1,4 @@
-"""What becomes of views before they are compared: intensities, lines of views, local contrast normalisation.
+"""Preparation of views: intensities, lines of views, local contrast normalisation.
 
 `kernels/reference/views.py` says what the last is.
 """
@@ -113,7 +113,7 @@ def _gaussian_kernel(block: int) -> Any:
 
 @once
 def _normalization_kernels(channels: int, stored: Any, detail: Any, masked: bool) -> SimpleNamespace:
-    """Where there is a mask, it is one more channel of what is summed: its sum is the valid share of the Gaussian."""
+    """The passes of the normalisation. A mask is one more channel: its sum is the valid share of the Gaussian."""
     views_type, detail_type, pixels = flat(stored, channels), flat(detail, channels), flat(channels=channels)
     pixel, colors, energies = ti.types.vector(channels, ti.f32), channels + masked, 1 + masked
 
@@ -126,7 +126,7 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any, masked: bool
 
     @ti.func
     def inverse_share(sums: ti.template(), i: int):
-        """What makes a sum a mean, by the share that lies at `i`."""
+        """The factor that makes a sum a mean, from the share that lies at `i`."""
         result = 1.0
         if ti.static(masked):
             result = 0.0
@@ -161,7 +161,7 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any, masked: bool
         details_out: pixels,
         energies_out: flat(),
     ):
-        """What the local mean leaves, and its mean square over the channels."""
+        """The detail that the local mean leaves, and its mean square over the channels."""
         for p in range(count):
             value = scale * ti.cast(views[first + p], ti.f32)
             for c in ti.static(range(channels)):

@@ -1,4 +1,4 @@
-"""How well the views agree; `kernels/reference/alignment.py` says what that is.
+"""Steps that align the views, as `kernels/reference/alignment.py` defines them.
 
 All that the alignment needs from a view at a place are six numbers for each channel, the mean and its first and second
 differences, which six by six stored pixels give: nothing else is precomputed. `load` copies the views with a border, a

@@ -1,4 +1,4 @@
-"""Who may ask a device for work, and when.
+"""A lock that lets one thread at a time ask a device for work.
 
 Warp has one current stream for each device, whatever the thread. It changes it for a moment in `wp.array` and in
 `.numpy()`, and a capture concerns the whole process. So threads take turns.

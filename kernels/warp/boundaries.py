@@ -18,7 +18,7 @@ _RIDGE = 0.3  # pixels²: variance of places below which the plane through colou
 
 @wp.func
 def _reaches(disparity: wp.array2d(dtype=float), y: int, x: int, step: float, sign: float):
-    """Whether one of the pixels around is farther than this one by more than `step`; nearer, if `sign` is -1."""
+    """True if one of the pixels around is farther than this one by more than `step`; nearer, if `sign` is -1."""
     here = sign * disparity[y, x]
     found = bool(False)
     for j in range(wp.max(y - 1, 0), wp.min(y + 2, disparity.shape[0])):

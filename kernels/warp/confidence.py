@@ -1,4 +1,4 @@
-"""How far a disparity can be trusted; `kernels/reference/confidence.py` says how it is found.
+"""Confidence and variance of a disparity map, as `kernels/reference/confidence.py` defines them.
 
 A CPU does in C++, for many columns at a time, what a GPU does in Warp's language.
 """

@@ -80,7 +80,7 @@ def _step_on_cpu_kernel() -> Any:
 
 @once
 def _parts(device: str) -> Any:
-    """Of both inner products; of the second one, what there was as well."""
+    """Partial sums of both inner products; the second one keeps its last value as well."""
     return [wp.empty(_BLOCKS + 1, dtype=wp.float64, device=device) for _ in range(2)]
 
 

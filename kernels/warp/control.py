@@ -26,7 +26,7 @@ def _continue_kernel(
 
 @once
 def _counters(pointer: int, device: str) -> tuple[Any, Any]:
-    """How often a loop ran and whether it runs on; made when it first runs, as captured work must not allocate."""
+    """The turns of a loop and whether it goes on; made when it first runs, as captured work must not allocate."""
     return wp.zeros(1, dtype=int, device=device), wp.zeros(1, dtype=int, device=device)
 
 

@@ -14,13 +14,13 @@ LANES = 128  # of a chunk: its columns, and one at either side for differences
 
 
 def kept_type(stored: Any) -> Any:
-    """What views are kept as: as they are stored, if a CPU can make vectors of that."""
+    """The type that views are kept as: as they are stored, if a CPU can make vectors of that."""
     return wp.float32 if stored is wp.float16 else stored
 
 
 @once
 def loading_kernels(channels: int, stored: Any) -> SimpleNamespace:
-    """What keeps `views` of scalar type `stored`, and the reference `image`."""
+    """The kernels that keep `views` of scalar type `stored`, and the reference `image`."""
     pixel, stored_pixel, kept = pixel_type(channels), pixel_type(channels, stored), kept_type(stored)
     module = f"lfgpu_plane_sweep_load_{channels}_{stored.__name__}"
 

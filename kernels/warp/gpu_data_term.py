@@ -100,7 +100,7 @@ def _kernels(channels: int, stored: Any, compact: Any) -> SimpleNamespace:
 
 
 def _tiling(size: int, most: int) -> tuple[int, int]:
-    """How many tiles of at most `most` pixels cover `size` pixels and the place before them, and their own size."""
+    """The number and size of the tiles of at most `most` pixels that cover `size` pixels and the place before them."""
     count = -(-(size + 1) // most)
     return count, -(-(size + 1) // count)
 

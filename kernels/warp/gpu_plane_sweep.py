@@ -22,13 +22,13 @@ _WORDS = {2: "unsigned short", 4: "unsigned", 8: "uint2", 16: "uint4"}  # by the
 
 
 def threads_of(labels: int, height: int, width: int, *, seen: bool, gradients: bool) -> int:
-    """How many threads a sweep is launched with."""
+    """The number of threads of a sweep."""
     strips, columns = -(-height // _STRIPS[seen, gradients]), -(-width // (_WARP - 2 * gradients))
     return -(-labels * _WARP // BLOCK) * BLOCK * strips * columns
 
 
 def kept_type(channels: int, stored: Any) -> Any:
-    """What a pixel of the views is kept as."""
+    """The type that a pixel of the views is kept as."""
     return pixel_type(4 if channels == 3 else 2, stored)
 
 

@@ -142,7 +142,7 @@ def _advance_kernel(
     x: wp.array2d(dtype=float),
     gradient: wp.array2d(dtype=float),
 ):
-    """If the trial was accepted: x and its gradient become the trial's; the step and the difference go into a slot."""
+    """Move x and its gradient to an accepted trial; the step and the difference go into a slot."""
     i = wp.tid()
     y = row + i / lanes
     lane = i % lanes

@@ -1,4 +1,4 @@
-"""What a limited-memory BFGS solver keeps besides its vectors."""
+"""The numbers that a limited-memory BFGS solver keeps besides its vectors."""
 
 import warp as wp
 

@@ -147,7 +147,7 @@ def number(scalar: Any) -> float:
 
 
 def _bytes(array: Any) -> Any:
-    """What a contiguous array on a GPU is made of."""
+    """The bytes of a contiguous array on a GPU."""
     count = array.size * wp.types.type_size_in_bytes(array.dtype)
     return wp.array(ptr=array.ptr, dtype=wp.uint8, shape=count, device=array.device, copy=False)
 

@@ -1,4 +1,4 @@
-"""Where the surfaces of the reference view moved from one frame to the next, and what is known of them moves along.
+"""Motion of the reference view from frame to frame, as `kernels/reference/motion.py` defines it.
 
 A pixel at p now was at p + w in the last frame. w minimises the squared differences of grey values over a window (Lucas
 and Kanade 1981), found by Gauss-Newton steps from w = 0. It stays 0 where motion explains hardly more of the window
@@ -26,7 +26,7 @@ _BETTER = 0.8  # of the change with the own motion, below which another one is t
 _SLIP = 0.4  # pixels by which motion may be wrong: so much of the gradients is no change
 
 Sums = wp.types.vector(length=6, dtype=wp.float32)
-"""Of a window: squared gradients xx, xy and yy, gradients times the difference to explain x and y, and its square."""
+"""Sums over a window: squared gradients xx, xy and yy, gradients times the difference in x and y, and its square."""
 
 
 @once

@@ -40,7 +40,7 @@ class _Part(NamedTuple):
 
 @cache
 def _parts(file: str) -> dict[str, _Part]:
-    """All constants and functions of a file by name, those of the files that it includes first."""
+    """The constants and functions of a file by name, those of the files that it includes first."""
     text = (_FOLDER / file).read_text(encoding="utf-8")
     found: dict[str, _Part] = {}
     for included in _INCLUDE.findall(text):

@@ -22,7 +22,7 @@ _ANY_SOFTNESS = 0.5  # whatever it is, the same pixels are reached
 
 @wp.struct
 class Taps:
-    """Where a reference pixel lands, and what it gives to the columns and rows there and next; 0 outside the frame."""
+    """Landing place of a reference pixel, and its weights in the columns and rows there and next; 0 outside."""
 
     x: wp.int32
     y: wp.int32

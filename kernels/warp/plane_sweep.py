@@ -1,4 +1,4 @@
-"""How well the views agree with the reference view at each of a row of disparities.
+"""Matching costs of the views at a row of disparities.
 
 `PlaneSweep` in `lfgpu/contract` says what is computed. At one disparity all pixels of a view are shifted alike: rows
 are interpolated as a whole, with the same weights everywhere. Views that belong to the same view_sets are added up
@@ -26,7 +26,7 @@ _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 
 
 class _PlaneSweep:
-    """Which views are shifted by how much, in the order of their view_sets, and the views as the device likes them."""
+    """The shifts of the views, in the order of their view sets, and the views as the device reads them."""
 
     def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, scale: float) -> None:
         offsets: Any = views.offsets

@@ -78,7 +78,7 @@ def details(shape: Sequence[int], device: str, *, factor: int, window: int) -> D
 
 
 class _SideCosts:
-    """Which views are shifted by how much, side by side, and room for the sums of some disparities."""
+    """The shifts of the views, side by side, and memory for the sums of some disparities."""
 
     def __init__(
         self,

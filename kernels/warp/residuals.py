@@ -1,4 +1,4 @@
-"""What is left after each iteration of a linear solver, kept on the device."""
+"""The residual after each iteration of a linear solver, kept on the device."""
 
 from typing import Any
 

@@ -17,7 +17,7 @@ from .threads import check_size, in_slices, lanes, launch, launch_rows, load, on
 
 @wp.struct
 class Landing:
-    """Where a reference pixel lands in a view: the pixel above and to the left, and how far beyond it."""
+    """The landing place of a reference pixel in a view: the pixel above and to the left, and the rest beyond it."""
 
     x: wp.int32
     y: wp.int32
@@ -49,7 +49,7 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
 
     @wp.func
     def inside(to: Landing, height: int, width: int) -> bool:
-        """Whether all four taps lie in the frame: the common case, for which one test is enough."""
+        """True if all four taps lie in the frame: the common case, for which one test is enough."""
         return to.x >= 0 and to.x < width - 1 and to.y >= 0 and to.y < height - 1
 
     @wp.func

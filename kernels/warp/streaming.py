@@ -1,4 +1,4 @@
-"""What streams need beyond a single estimate (`lfgpu/contract/streaming.py`): the traffic, and the past of a map."""
+"""The operations of streams (`lfgpu/contract/streaming.py`): the traffic, and the past of a map."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""All cores of a CPU: Warp runs a launch on one thread, so that work is cut into slices, each launched from its own.
+"""Slices of work for the cores of a CPU: Warp runs each launch on one thread, so every slice is launched from its own.
 
 How the work is cut does not depend on the number of threads, so neither do the results.
 """
@@ -159,7 +159,7 @@ def check_size(*threads: int) -> None:
 
 
 def lanes(array: Any) -> int:
-    """How many kernel threads share a row of pixels: one for each pixel on a GPU; one for the whole row on a CPU.
+    """The number of kernel threads that share a row: one for each pixel on a GPU; one for the whole row on a CPU.
 
     A CPU runs the threads of a launch one after the other, and a plain loop costs it less than a thread per pixel.
     """
@@ -206,7 +206,7 @@ def _forgotten(module: Any) -> bool:
 
 
 def cache_is_closed(error: OSError) -> BackendError:
-    """What to say where Warp cannot write what it compiles."""
+    """The error to raise where Warp cannot write what it compiles."""
     return BackendError(
         f"Warp cannot keep its compiled kernels in {error.filename or wp.config.kernel_cache_dir} "
         f"({error.strerror or error}); set WARP_CACHE_PATH to a folder that may be written to."

@@ -75,7 +75,7 @@ def _mask_kernel(base: wp.array3d(dtype=float), present: wp.array(dtype=float), 
 
 
 class Slot:
-    """Where a frame waits: on the way to a GPU there is memory on both sides."""
+    """Memory for a frame that waits: on the way to a GPU there is memory on both sides."""
 
     def __init__(self, views: Any) -> None:
         on_gpu = views.device.is_cuda
@@ -89,7 +89,7 @@ class Slot:
 
 
 class Maps(NamedTuple):
-    """Where maps go: fields on the device and their copies on the host, with what tells when they are there."""
+    """Memory for maps: fields on the device, their copies on the host, and events that tell when they are there."""
 
     fields: tuple[Any, Any]
     hosts: tuple[Any, Any]

@@ -1,4 +1,4 @@
-"""What a solver does with fields and scalars, on the device."""
+"""Vector operations of solvers, on the device."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""What becomes of views before they are compared: intensities, lines of views, and local contrast normalisation."""
+"""Preparation of views: intensities, lines of views, and local contrast normalisation."""
 
 from collections.abc import Sequence
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""What comes near in each view; `kernels/reference/alignment.py` says what that is.
+"""The nearest disparities in each view, as `kernels/reference/alignment.py` defines them.
 
 The z-buffers have a border, so that what lands beyond the frame comes near, too. The plan has one for each slice of the
 views on a CPU, and as many as fit into the cache on a GPU.

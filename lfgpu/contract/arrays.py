@@ -1,4 +1,4 @@
-"""What operations work on: arrays and numbers of a backend."""
+"""The arrays and numbers of a backend."""
 
 from __future__ import annotations
 

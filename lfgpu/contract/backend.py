@@ -31,11 +31,11 @@ class KernelSet(
 
     @property
     def dtype(self) -> type[np.floating[Any]]:
-        """What fields are made of: float32 on devices, float64 in the reference."""
+        """The type of fields: float32 on devices, float64 in the reference."""
 
     @property
     def compiles(self) -> bool:
-        """Whether operations are compiled when they are first used."""
+        """True if operations are compiled when they are first used."""
 
     @property
     def streaming(self) -> Streaming | None:

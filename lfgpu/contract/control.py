@@ -10,10 +10,10 @@ from lfgpu.contract.arrays import Scalar
 
 
 class Control(Protocol):
-    """How a device is asked for work."""
+    """Loops, captured work and locks of a device."""
 
     def is_deterministic(self, device: str) -> bool:
-        """Whether an estimate on this device has the same bits each time, whatever the number of threads."""
+        """Tell whether an estimate on this device has the same bits each time, for any number of threads."""
 
     def kernel_cache(self) -> str | None:
         """The folder in which compiled kernels are kept from one process to the next; None if none are."""

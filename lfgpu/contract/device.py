@@ -31,7 +31,7 @@ class Device:
 
     @property
     def is_gpu(self) -> bool:
-        """Whether the device has memory of its own."""
+        """True if the device has memory of its own."""
         return self.name != "cpu"
 
     def zeros(self, shape: Sequence[int]) -> Array:

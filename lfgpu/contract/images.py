@@ -8,7 +8,7 @@ from typing import Protocol
 from lfgpu.contract.arrays import Array
 
 WHITE = 65535
-"""What intensity 1 is in views that are smoothed or reduced: these are uint16."""
+"""Stored value of intensity 1 in smoothed and reduced views, which are uint16."""
 
 SMOOTHING_REACH = 3
 """Rows and columns from a pixel to the farthest ones that `Images.smooth_views` averages."""
@@ -32,7 +32,7 @@ class Normalization(Protocol):
 
 
 class Images(Protocol):
-    """What is done to views before they are compared."""
+    """Preparation of views before they are compared."""
 
     def intensities(
         self, views: Array, index: int, valid: Array | None, *, scale: float, fill: float, image_out: Array

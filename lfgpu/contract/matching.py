@@ -1,4 +1,4 @@
-"""How well views agree with each other, and the surface through that."""
+"""Matching: costs of disparities, the surface of least cost, and its confidence."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class ViewSets:
 
 
 class PlaneSweep(Protocol):
-    """How well the views agree with the reference view if all of the scene lay at one disparity, for a row of them.
+    """Matching costs of the views at each of a row of disparities, planned for one camera array.
 
     Planned for light fields of one kind: views [n, y, x, c] and `Disparities` d_l; each call has a `SweepCost`. With
     W_n(p) = scale * recorded_n at p - d_l o_n (bilinear, the position moved into the frame), D = W_n - I and G its
@@ -233,7 +233,7 @@ class Matching(Protocol):
         evidence_out: Array,
         cost_out: Array,
     ) -> None:
-        """What the costs C [l, y, x] and the sums S [l, y, x] of `semi_global` over them say about each pixel.
+        """Derive evidence about each pixel from costs C [l, y, x] and their sums S [l, y, x] by `semi_global`.
 
         conflict = log(max(min S / 8 - min C, 0) / unit + 0.03): how much more the best surface through a pixel costs
         than its best disparity.
@@ -249,7 +249,7 @@ class Matching(Protocol):
         """
 
     def unevenness(self, disparity: Array, *, bend_out: Array, relief_out: Array) -> None:
-        """How far a map [y, x] is from a plane, and from one disparity, around each pixel.
+        """Measure how far a map [y, x] is from a plane, and from one disparity, around each pixel.
 
         b_q = (|d_(q+r) - 2 d_q + d_(q-r)| + ..) / 4 with the steps r to the right, down and along both diagonals; bend
         is the mean of log(b_q + 0.001) over 3 x 3 pixels, relief = log(max d - min d + 0.01) over 5 x 5. Beyond its
@@ -303,7 +303,7 @@ class Matching(Protocol):
 
 
 def sweep_shifts(offsets: NDArray[Any], disparities: Disparities) -> Float64Array:
-    """What a plane sweep adds to positions, [l, n, 2] in x and y: -d_l o_n.
+    """Compute the shifts [l, n, 2] that a plane sweep adds to positions in x and y: -d_l o_n.
 
     Rounded to whole multiples of 2^-16: position and shift then add up exactly, and a shift that should be whole is.
     """

@@ -12,7 +12,7 @@ from lfgpu.contract.arrays import Array, Scalar
 
 
 class Memory(Protocol):
-    """How arrays come to a device and back."""
+    """Arrays on a device: making, writing and reading them."""
 
     def devices(self) -> tuple[str, ...]:
         """Names of the devices that can be used here, the default first."""
@@ -48,7 +48,7 @@ class Memory(Protocol):
         """
 
     def numpy(self, array: Array) -> NDArray[Any]:
-        """What a field or an image holds, as a NumPy array with the channels last; waits for the device."""
+        """Copy a field or an image to a NumPy array with the channels last; wait for the device."""
 
     def number(self, scalar: Scalar) -> float:
-        """What a scalar holds; waits for the device."""
+        """Read a scalar; wait for the device."""

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from lfgpu.contract.arrays import Array
 
 OverPatch: TypeAlias = Literal["mean", "sum"]
-"""Whether the distance of two patches is the mean or the sum over their pixels."""
+"""Reduction of the distance of two patches over their pixels: mean or sum."""
 
 PatchGradients: TypeAlias = Literal["central", "patch"]
-"""What the gradient of a patch pixel is: its central difference, or its difference from the middle of the patch."""
+"""Gradient of a patch pixel: its central difference, or its difference from the middle of the patch."""
 
 
 class NlmWeights(Protocol):

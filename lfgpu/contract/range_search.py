@@ -1,4 +1,4 @@
-"""What it takes to find the disparities of a scene: views of a lower resolution, compared side by side."""
+"""Search for the disparities of a scene: views of a lower resolution, compared side by side."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Details(Protocol):
 
 
 class SideCosts(Protocol):
-    """How much the views to each side differ from the reference at a row of disparities; planned for one camera array.
+    """Differences between the reference and the views to each side at a row of disparities; planned once.
 
     D_n is the detail of view n, D_r that of the reference, d_l = first + l * step, l < count. The cost of a side at p
     is the mean of |D_n(q - d_l o_n) - D_r(q)| (bilinear) over its views n and the 3 x 3 pixels q around p. A term has a
@@ -73,7 +73,7 @@ class RangeSearch(Protocol):
         """
 
     def distinct_minimum(self, volume: Array, *, apart: int, found_out: Array) -> None:
-        """Where the costs of all lines are least, and by how much less than elsewhere: found [5, y, x].
+        """Find the least cost over all lines, its place, and by how much it is less than elsewhere: found [5, y, x].
 
         With C_l the mean over one or two lines of min(volume [m, l, y, x], 1), and k the first l of the least C_l:
         0: k + t, t the minimum of the parabola through C_(k-1), C_k and C_(k+1), in -1 to 1, 0 where it does not bend

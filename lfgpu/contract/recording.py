@@ -10,7 +10,7 @@ from lfgpu.contract.arrays import Array
 
 
 class Recording(Protocol):
-    """How the work of a pipeline becomes a file."""
+    """Recording of the work of a pipeline as a file."""
 
     def version(self) -> str:
         """The version of the backend's library. A file can be replayed by this version only."""

@@ -9,7 +9,7 @@ from lfgpu.contract.arrays import Array, Scalar
 
 
 class Residuals(Protocol):
-    """What is left after each iteration of a linear solver, and whether that is little enough, on a device."""
+    """Residuals of a linear solver after each iteration, and its stopping rule, on a device."""
 
     go_on: Scalar
     """1 while there is something to do, else 0."""
@@ -56,7 +56,7 @@ class Lbfgs(Protocol):
         """
 
     def learn(self, x: Array, gradient: Array, trial: Array, trial_gradient: Array) -> None:
-        """If the trial was accepted: keep s = trial - x and y = trial_gradient - gradient, if s . y is clearly positive
+        """Move to an accepted trial: keep s = trial - x and y = trial_gradient - gradient, if s . y is clearly positive
         (> 1e-10 |s| |y|), and let x and gradient become those of the trial. The next direction is that of the two-loop
         recursion (Nocedal 1980) on the gradient, with 0 where the bounds stop it, and its step is 1. A pixel at a bound
         that its gradient holds there does not move, whatever the recursion says.
@@ -68,7 +68,7 @@ class Lbfgs(Protocol):
 
 
 class Solvers(Protocol):
-    """What solvers keep from one iteration to the next."""
+    """State of solvers from one iteration to the next."""
 
     def residuals(self, device: str, *, tolerance: float, most: int) -> Residuals:
         """Plan the bookkeeping of an iterative linear solver that makes at most `most` iterations."""

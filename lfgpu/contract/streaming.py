@@ -15,13 +15,13 @@ Maps: TypeAlias = Any
 
 
 class Slot(Protocol):
-    """Where a frame waits for its turn."""
+    """Memory for a frame that waits for its turn."""
 
     host: NDArray[Any]
     """The views [n, y, x, c], as stored, in memory of the host."""
 
     present: NDArray[np.float32]
-    """Which views are there, 1 or 0, [n]."""
+    """Presence of the views, 1 or 0, [n]."""
 
 
 class Lease(Protocol):
@@ -38,7 +38,7 @@ class Transport(Protocol):
     """The traffic of one stream. Each thread that asks the device, or waits for it, calls `enter` once."""
 
     made: int
-    """How many results there is memory for."""
+    """Number of results that there is memory for."""
 
     def enter(self) -> None:
         """Prepare the calling thread for the device."""
@@ -107,7 +107,7 @@ class Motion(Protocol):
         rate_out: Array,
         confidence_out: Array,
     ) -> None:
-        """What was known of each pixel's surface in the last frame, fields [y, x]: each output is its input at p + w.
+        """Carry fields [y, x] of the last frame along the motion: each output is its input at p + w.
 
         That is the mean of the four pixels around, weighted linearly, without those whose `past` differs by more than
         `support` from that of the nearest one. past_out is the map that is expected now: past + rate.
@@ -115,7 +115,7 @@ class Motion(Protocol):
 
 
 class Streaming(Protocol):
-    """What streams need beyond the operations of a single estimate."""
+    """Operations of streams, beyond those of a single estimate."""
 
     def transport(
         self,

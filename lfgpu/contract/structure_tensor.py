@@ -61,7 +61,7 @@ class StructureTensors(Protocol):
         best_disparity_out: Array,
         best_coherence_out: Array,
     ) -> None:
-        """Where an estimate is better than the best so far, it becomes the best.
+        """Replace the best estimate so far by another one where that is better.
 
         It is if |disparity - shear| <= reach, low <= disparity / unit <= high, `trusted` (a field of its shape) is not
         0 or None, and its coherence is larger; the best disparity becomes disparity / unit. If `vertical`, estimate and

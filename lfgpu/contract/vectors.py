@@ -8,34 +8,34 @@ from lfgpu.contract.arrays import Array, Scalar
 
 
 class Vectors(Protocol):
-    """What a solver does with fields."""
+    """Vector operations of solvers."""
 
     def dot(self, a: Array, b: Array, product_out: Scalar) -> None:
-        """Sum of products, accumulated in float64."""
+        """Compute the inner product, accumulated in float64."""
 
     def ratio(self, numerator: Scalar, denominator: Scalar, ratio_out: Scalar, *, factor: float = 1.0) -> None:
-        """factor * numerator / denominator; 0 where the denominator is 0. `ratio_out` may be one of them."""
+        """Compute factor * numerator / denominator; 0 where the denominator is 0. `ratio_out` may be one of them."""
 
     def copy(self, source: Array, target_out: Array) -> None:
-        """target = source, for fields, or for scalars."""
+        """Copy a field to a field, or a scalar to a scalar."""
 
     def axpby(self, alpha: float | Scalar, x: Array, beta: float | Scalar, y: Array, y_out: Array) -> None:
-        """y_out = alpha x + beta y; `y_out` may be `x` or `y`. Also for scalars x, y and y_out, with plain numbers."""
+        """Compute y_out = alpha x + beta y; `y_out` may be `x` or `y`. Scalars x, y and y_out take plain numbers."""
 
     def multiply(self, x: Array, y: Array, product_out: Array) -> None:
-        """Element by element; `product_out` may be `x` or `y`."""
+        """Multiply element by element; `product_out` may be `x` or `y`."""
 
     def divide(self, x: Array, y: Array, quotient_out: Array) -> None:
-        """Element by element, 0 where y is 0; `quotient_out` may be `x` or `y`."""
+        """Divide element by element, 0 where y is 0; `quotient_out` may be `x` or `y`."""
 
     def fill(self, value: float | Scalar, x_out: Array) -> None:
-        """Each element becomes `value`."""
+        """Set each element to `value`."""
 
     def select(self, condition: Array, x: Array, y: Array, chosen_out: Array) -> None:
-        """x where the condition is > 0, else y, element by element; `chosen_out` may be any of them."""
+        """Take x where condition > 0, else y, element by element; `chosen_out` may be any of them."""
 
     def threshold(self, x: Array, threshold: float, x_out: Array) -> None:
-        """x where x >= threshold, else 0; `x_out` may be `x`."""
+        """Keep x where x >= threshold, else 0; `x_out` may be `x`."""
 
     def clamp(self, x: Array, low: float, high: float, x_out: Array) -> None:
-        """Each element moved into [low, high]; `x_out` may be `x`."""
+        """Move each element into [low, high]; `x_out` may be `x`."""
