@@ -96,9 +96,8 @@ def test_every_function_is_used_and_what_is_for_gpus_is_compiled_here() -> None:
                 users = [text for text in python.values() if f'"{file}"' in text and f'"{name}"' in text]
                 assert users, f"nothing asks for {name} of {file}"
                 if file.endswith(".cuh"):
-                    assert any(
-                        f"    {Path(module).stem},\n" in here for module in python if f'"{file}"' in python[module]
-                    )
+                    modules = [Path(module).stem for module, text in python.items() if f'"{file}"' in text]
+                    assert any(f"    {module},\n" in here for module in modules)
             else:
                 uses = [(NATIVE / other).read_text(encoding="utf-8") for other in FILES]
                 assert sum(len(re.findall(rf"\b{name}\b", text)) for text in uses) > 1, f"nothing uses {name}"
