@@ -20,7 +20,7 @@ from benchmarks.misalignment import recording
 from benchmarks.options import DeviceName, Out, Preset, Scenes, check_out, save, say
 from benchmarks.tables import Table
 from lfgpu import LightField, estimate_depth, explain, read
-from lfgpu.calibration import judged
+from lfgpu.pipelines.verdict import judged
 
 _TURN = 22.5  # degrees by which the direction that is found may differ: half the way between two of eight directions
 _NOISE = 0.005, 0.03  # standard deviation that is added, at least and at most

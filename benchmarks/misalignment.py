@@ -17,10 +17,11 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.options import DeviceName, Out, Preset, Scenes, check_out, collected, listed, say
 from benchmarks.tables import NONE, Table
 from lfgpu import DepthResult, LightField, estimate_depth, evaluate, read, scenes
-from lfgpu.calibration import Camera, Misalignment, consensus, disturb, refine
+from lfgpu.calibration import Camera, Misalignment, disturb, refine
 from lfgpu.calibration.misalign import displacements
 from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.calibration.resample import through
+from lfgpu.cameras import consensus
 from lfgpu.errors import LightFieldError
 
 ARRAYS = ("9x9", "5x5", "star", "row", "irregular")

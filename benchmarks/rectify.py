@@ -18,7 +18,7 @@ from lfgpu._backends import backend_named, open_device
 from lfgpu.calibration import Calibration, Misalignment, disturb, rectify
 from lfgpu.contract import Device
 from lfgpu.methods import method_of
-from lfgpu.pipelines.rectifier import Rectification
+from lfgpu.pipelines.rectifier import DeviceViews
 
 RIG = Misalignment(shift=1.0, roll=0.1, scale=0.002, distortion=0.02, gain=0.05, vignetting=0.05)
 """The misalignment of the cameras that are rectified."""
@@ -77,7 +77,7 @@ def command(
     out: Out = None,
 ) -> None:
     """Time the rectification of raw frames on the device, by itself and as a part of a frame."""
-    rows = run([cases.parse(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
+    rows = run([cases.find(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
     about = {"rig": asdict(RIG)}
     found = collected(rows, out, about=about, as_json=lambda row: {**asdict(row), "added_ms": row.added_ms})
     Table.of("", 2, found, COLUMNS).show()
@@ -122,7 +122,7 @@ def _measured(
     used = method_of(preset).used_views(rectified.layout)
 
     def timed(**options: Any) -> float:
-        work = Rectification(rectifier, pictures, device, **options).work
+        work = DeviceViews(rectifier, pictures, device, **options).work
         return 1000 * clock.measure_on(device, work, repeats=_REPEATS, budget=seconds).seconds.median
 
     def frame(pipeline: DepthPipeline) -> float:
@@ -154,6 +154,6 @@ def _measured(
 def _error(pictures: LightField, rectifier: Rectifier, rectified: LightField) -> float:
     """Compare with the reference in the last view."""
     reference = open_device("reference")
-    found = Rectification(rectifier, pictures, reference, used=[len(pictures.views) - 1])
+    found = DeviceViews(rectifier, pictures, reference, used=[len(pictures.views) - 1])
     found.work()
     return float(np.abs(reference.kernels.numpy(found.views)[0] - rectified.views[-1]).max())

@@ -17,7 +17,7 @@ from lfgpu.data import hooks as _hooks
 
 if TYPE_CHECKING:
     from lfgpu._backends import BackendInfo, describe_backends, list_backends
-    from lfgpu.calibration import Explanation, explain
+    from lfgpu.cameras import Explanation, explain
     from lfgpu.config import Config
     from lfgpu.data.filling import fill_unknown
     from lfgpu.data.geometry import Geometry
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from lfgpu.pipelines.rectifier import Rectifier
     from lfgpu.pipelines.stream import DepthStream
     from lfgpu.pipelines.stream_result import FrameDroppedError, StreamResult
+    from lfgpu.pipelines.verdict import judged
     from lfgpu.reports.report import write_report
     from lfgpu.threads import get_threads, set_threads
     from lfgpu.viewer import Viewer
@@ -55,7 +56,7 @@ _HOMES = {
     "DepthResult": "data.result",
     "DepthStream": "pipelines.stream",
     "DisparityMap": "data.result",
-    "Explanation": "calibration",
+    "Explanation": "cameras",
     "FrameDroppedError": "pipelines.stream_result",
     "FrameGroup": "pipelines.grouper",
     "FrameGrouper": "pipelines.grouper",
@@ -78,10 +79,11 @@ _HOMES = {
     "estimate_all_views": "pipelines.all_views",
     "estimate_depth": "pipelines.estimate",
     "evaluate": "metrics",
-    "explain": "calibration",
+    "explain": "cameras",
     "export_pipeline": "pipelines.export",
     "fill_unknown": "data.filling",
     "get_threads": "threads",
+    "judged": "pipelines.verdict",
     "list_backends": "_backends",
     "load": "io",
     "point_cloud": "data.points",
@@ -128,6 +130,7 @@ __all__ = [
     "export_pipeline",
     "fill_unknown",
     "get_threads",
+    "judged",
     "list_backends",
     "load",
     "point_cloud",
@@ -155,13 +158,9 @@ def _later(home: str, name: str) -> Callable[..., Any]:
     return lambda *arguments, **options: getattr(importlib.import_module(home), name)(*arguments, **options)
 
 
-_hooks.attach("save", _later("lfgpu.io", "save"))
-_hooks.attach("explanation_html", _later("lfgpu.reports.report", "explanation_html"))
-_hooks.attach("judged", _later("lfgpu.calibration.trust", "judged"))
-_hooks.attach("light_field_html", _later("lfgpu.viz.notebook", "light_field_html"))
-_hooks.attach("map_html", _later("lfgpu.viz.notebook", "map_html"))
-_hooks.attach("result_html", _later("lfgpu.viz.notebook", "result_html"))
-_hooks.attach("views_html", _later("lfgpu.viz.notebook", "views_html"))
+_hooks.save = _later("lfgpu.io", "save")
+_hooks.html = _later("lfgpu.viz.notebook", "html")
+_hooks.explanation_html = _later("lfgpu.reports.report", "explanation_html")
 
 
 def __dir__() -> list[str]:

@@ -23,7 +23,7 @@ FLOORS = (
     ("reports",),
     ("viz", "calibration"),
     ("pipelines",),
-    ("io", "comparison"),
+    ("io", "comparison", "cameras"),
     ("methods", "scenes", "metrics", "region_metrics"),
     ("data", "solvers", "kernels"),
     ("_backends",),

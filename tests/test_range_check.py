@@ -11,14 +11,14 @@ from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import DepthPipeline, scenes
-from lfgpu._backends import load
+from lfgpu._backends import open_device
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci
-from lfgpu.methods import range_check
+from lfgpu.pipelines.verdict import judged, views_alone
 
-WHERE = load("warp"), "cpu"
+WHERE = open_device("warp", "cpu")
 
 
 @pytest.fixture(scope="module")
@@ -28,23 +28,20 @@ def lf() -> LightField:
 
 @pytest.mark.parametrize("given", [(3.0, 5.0), (-9.0, -5.0)])
 def test_a_range_without_the_scene(lf: LightField, given: tuple[float, float]) -> None:
-    doubt = range_check.doubt_about(lf, given, *WHERE)
-    assert doubt is not None
-    assert "the map may be wrong everywhere" in doubt.note
     result = lfgpu.estimate_depth(lf, disparity_range=given, config="fast")
-    assert doubt.note in result.notes
-    assert doubt.note in repr(result)
-    assert doubt.note in result._repr_html_()
+    assert "the map may be wrong everywhere" in result.notes[0]
+    assert result.notes[0] in repr(result)
+    assert result.notes[0] in result._repr_html_()
 
 
 def test_a_range_with_the_scene(lf: LightField) -> None:
     assert lf.truth is not None
     low, high = float(lf.truth.disparity.min()), float(lf.truth.disparity.max())
-    for given in ((low, high), (low - 1, high + 1), (low - 20, high + 20), (low, (low + 2 * high) / 3)):
-        assert range_check.doubt_about(lf, given, *WHERE) is None
-    assert range_check.doubt_about(lf, None, *WHERE) is None
-    assert range_check.shows_nothing(lf, *WHERE) is None
-    assert lfgpu.estimate_depth(lf, disparity_range=(-3, 3), config="fast").notes == ()
+    result = lfgpu.estimate_depth(lf, disparity_range=(-3, 3), config="fast")
+    assert result.notes == ()
+    for given in ((low, high), (low - 1, high + 1), (low - 20, high + 20), (low, (low + 2 * high) / 3), None):
+        assert judged(lf, result, disparity_range=given).notes == ()
+    assert views_alone(lf, WHERE) == ((), ())
 
 
 def test_the_map_of_a_pipeline_says_so_itself(lf: LightField) -> None:
@@ -115,7 +112,9 @@ def noise(kind: str) -> LightField:
 @pytest.mark.parametrize("kind", NOISE)
 def test_noise_is_said_to_be_nothing_and_is_not_believed(kind: str, tmp_path: Path) -> None:
     views = noise(kind)
-    assert range_check.shows_nothing(views, *WHERE)
+    notes, remarks = views_alone(views, WHERE)
+    assert "Nowhere do the views look alike" in notes[0]
+    assert remarks == ()
     with pytest.raises(LightFieldError, match="nowhere do views look alike"):
         lfgpu.estimate_depth(views)
     result = lfgpu.estimate_depth(views, disparity_range=(-2, 2))

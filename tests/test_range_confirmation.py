@@ -13,7 +13,7 @@ from lfgpu._backends import load
 from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.disparity_range import find_disparity_range
-from lfgpu.methods.range_confirmation import confirm
+from lfgpu.pipelines.range_confirmation import confirm
 
 KERNELS = load("warp")
 

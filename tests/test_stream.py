@@ -215,7 +215,7 @@ def test_a_closed_stream_returns_its_memory_and_results_keep_theirs() -> None:
     stream = made()
     result = stream.push(frames()[0].views)
     want = result.numpy()
-    parts = [weakref.ref(part) for part in (stream._plan, stream._transport, stream._views)]
+    parts = [weakref.ref(part) for part in (stream._engine._plan, stream._engine.transport, stream._engine._front)]
     stream.close()
     stream.close()
     gc.collect()
@@ -230,7 +230,7 @@ def test_a_device_that_fails_is_said_so_and_logged(
 ) -> None:
     with made() as stream:
         with monkeypatch.context() as patch:
-            patch.setattr(stream._transport, "solve", lambda *_: 1 / 0)
+            patch.setattr(stream._engine.transport, "solve", lambda *_: 1 / 0)
             failed = [stream.push(lf.views) for lf in frames()[:2]]
             assert all(result.wait(LONG) for result in failed)
         np.testing.assert_array_equal(stream.push(frames()[0].views).numpy(), alone("fast", 0))
@@ -326,9 +326,9 @@ def test_budget_picks_the_work() -> None:
     """As much as fits by what it took; times are set, as those of this machine are not known."""
     config = lfgpu.PRESETS["accurate"].with_values({"alignment.iterations": 3})
     with made(config=config, budget_ms=10.0) as stream:
-        for level in stream._cold:
+        for level in stream._engine._cold:
             level.seconds = 1.0
-        for steps, level in enumerate(stream._warm, 1):
+        for steps, level in enumerate(stream._engine._warm, 1):
             assert level.steps == steps
             level.seconds = 0.004 * steps
         first, second = (stream.push(lf.views) for lf in frames()[:2])

@@ -25,8 +25,8 @@ from lfgpu.io.disk import on_disk
 from lfgpu.methods import method_of, preset
 from lfgpu.methods.footprint import Footprint, parse_memory
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.range_check import notes_of
 from lfgpu.pipelines import tiles
+from lfgpu.pipelines.verdict import map_notes
 
 ROOT = Path(__file__).parents[1]
 RANGE = (-0.8, 0.8)
@@ -113,10 +113,9 @@ def test_tiles_are_doubted_together() -> None:
     found = estimate_depth(lf, config="fast", disparity_range=bounds, device="cpu", max_memory=memory)
     assert " tiles of " in found.status
     assert any("lies at its far end" in note for note in found.notes)
-    assert set(notes_of(found.disparity, found.confidence, bounds)) <= set(found.notes)
+    assert set(map_notes(found.disparity, found.confidence, bounds)) <= set(found.notes)
 
 
-@pytest.mark.thorough
 def test_without_a_halo_the_map_would_differ(
     scene: LightField, parameters: Config, whole: DepthResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -272,7 +271,7 @@ from benchmarks.memory import host_peak, reset_host_peak
 from lfgpu import DepthPipeline, LightField
 from lfgpu.methods import method_of
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.range_check import notes_of
+from lfgpu.pipelines.verdict import map_notes
 
 name, device = sys.argv[1:]
 on_gpu = device != "cpu"

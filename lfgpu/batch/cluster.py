@@ -1,4 +1,4 @@
-"""Running jobs on a Dask cluster: their order, and what happens when a worker or the scheduler dies.
+"""Jobs on a Dask cluster: their order, and their fate when a worker or the scheduler dies.
 
 Dask repeats a job whose worker died, up to a limit. A job over the limit may be innocent, if another job on the same
 worker was the cause; so it is tried once more at the end, alone. Jobs that are lost with a scheduler are submitted
@@ -53,7 +53,7 @@ class _Task:
     worker: str | None = None
     errors: list[str] = field(default_factory=list)
     since: float = 0.0
-    """When it was given to a worker, or last seen to wait for one."""
+    """Time when it was given to a worker, or last seen to wait for one."""
 
 
 class Cluster:
@@ -152,7 +152,7 @@ class Cluster:
 
     @property
     def size(self) -> int:
-        """How many jobs can run at the same time: the number of threads of all workers."""
+        """Number of jobs that can run at the same time: the threads of all workers."""
         with suppress(Exception):
             return sum(self._client.nthreads().values())
         return 0
@@ -225,8 +225,7 @@ class Cluster:
         self._client = self._stack.enter_context(Client(cluster))
 
     def _local(self) -> Any:
-        """A local cluster whose workers have begun; one that dies meanwhile, for want of memory perhaps, is a reason
-        to begin anew."""
+        """Start a local cluster; if a worker dies meanwhile, perhaps for want of memory, start it anew."""
         from distributed import LocalCluster
         from distributed.security import Security
         from distributed.system import MEMORY_LIMIT
@@ -271,7 +270,7 @@ class Cluster:
         self._stack.callback(lambda: self._client.close(timeout=5))
 
     def _is_there(self) -> bool:
-        """Whether the scheduler answers. If it is lost, wait for it to come back."""
+        """Ask whether the scheduler answers. If it is lost, wait for it to come back."""
         if self._client.status == "running":
             return True
         if self._scheduler is None:
@@ -299,7 +298,7 @@ class Cluster:
             self._complete = now
 
     def _give_up_late(self) -> list[Entry]:
-        """What the manifest shall say of items that took too long, whose workers are started anew."""
+        """Give up items that took too long and restart their workers; returns their manifest entries."""
         now = time.monotonic()
         late = [future for future, task in self._running.items() if now - task.since > self._item_timeout]
         if not late:
@@ -334,7 +333,7 @@ class Cluster:
         self._running[future] = task
 
     def _results(self, ended: Sequence[Any]) -> dict[Any, tuple[str, Entry]]:
-        """The results of jobs, fetched together; missing ones have to be fetched one by one."""
+        """Fetch the results of jobs together; missing ones have to be fetched one by one."""
         finished = [future for future in ended if future.status == "finished"]
         if len(finished) > 1:
             with suppress(Exception):  # some results were lost
@@ -343,7 +342,7 @@ class Cluster:
         return {}
 
     def _outcome(self, future: Any, result: tuple[str, Entry] | None, task: _Task) -> Entry | None:
-        """The manifest entry of a task, or None if it is to be tried again."""
+        """Make the manifest entry of a task; None if it is to be tried again."""
         from distributed import KilledWorker
 
         if future.status == "finished":
@@ -380,7 +379,7 @@ class Cluster:
         return self._entry(task, f"{task.errors[-1]}, tried {self._retries + 1} times.", self._retries + 1)
 
     def _entry(self, task: _Task, error: str, attempts: int) -> Entry:
-        """What the manifest says of an item that failed."""
+        """Make the manifest entry of an item that failed."""
         job = task.job
         return {
             "item": job.item.name,
@@ -408,7 +407,7 @@ def _ctrl_c_for_nobody() -> Iterator[None]:
 
 
 def _on_worker(job: Job, devices: tuple[str, ...], threads: int | None) -> tuple[str, Entry]:
-    """Runs on a worker: does the job, and returns the address of the worker and the manifest entry."""
+    """Do a job on a worker; returns the address of the worker and the manifest entry."""
     from distributed import get_worker
 
     worker = get_worker()

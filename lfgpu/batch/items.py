@@ -1,4 +1,4 @@
-"""Finding the items of a batch: light fields in folders, from patterns, and frames of sequences."""
+"""Items of a batch: light fields in folders, from patterns, and frames of sequences."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def find_items(
     inputs
         Light fields, folders that hold light fields at any depth, or patterns (`*`, `?`, `[..]`, `**`) of these.
     sequence
-        Whether the light fields of a folder are the frames of a sequence, in natural order of their names.
+        True: the light fields of a folder are the frames of a sequence, in natural order of their names.
     format_name
         Format of all light fields. Then each path that an input names is a light field. Default None: light fields are
         recognised.
@@ -122,7 +122,7 @@ def _times(path: Path, pattern: str | None) -> int:
 
 
 def fingerprint(source: str, *, leave_out: Path | None = None) -> str:
-    """A hash of the names, sizes and times of the files of a light field, which tells whether the input changed.
+    """Hash the names, sizes and times of the files of a light field; another hash means that the input changed.
 
     The output folder `leave_out` is not part of it.
     """
@@ -174,7 +174,7 @@ class _Search:
         self._seen: set[Path] = set()
 
     def below(self, folder: Path) -> list[Path]:
-        """The folder, if it is a light field; else the light fields inside. None if the folder holds outputs."""
+        """Return the folder if it is a light field, else the light fields inside; nothing if it holds outputs."""
         where = real(folder)
         if where in self._seen:
             return []
@@ -216,7 +216,7 @@ class _Search:
 
 
 def real(path: Path) -> Path:
-    """Where a path leads by its links; where these go in a circle, or may not be looked at, the path itself."""
+    """Resolve the links of a path; if they go in a circle, or may not be looked at, return the path itself."""
     try:
         return path.resolve()
     except (OSError, RuntimeError):
@@ -231,7 +231,7 @@ def _is_folder(path: Path) -> bool:
 
 
 def _is_circle(path: Path) -> bool:
-    """Whether a link leads back to itself."""
+    """Tell whether a link leads back to itself."""
     try:
         path.stat()
     except OSError as error:
@@ -240,7 +240,7 @@ def _is_circle(path: Path) -> bool:
 
 
 def _kind(path: Path) -> str | None:
-    """The name of its format; None if it is no light field, or cannot be looked at."""
+    """Name the format of a file; None if it is no light field, or cannot be looked at."""
     try:
         return recognised(path)
     except (LightFieldError, OSError):
@@ -248,7 +248,7 @@ def _kind(path: Path) -> str | None:
 
 
 def recognised(path: Path) -> str | None:
-    """The name of the format of a file or folder; None if it is of none, or holds several light fields.
+    """Name the format of a file or folder; None if it has none, or holds several light fields.
 
     LightFieldError if it cannot be looked at.
     """
@@ -259,7 +259,7 @@ def recognised(path: Path) -> str | None:
 
 
 def _without_light_field(file: Path) -> bool:
-    """Whether a file of a known format says that it holds other things: a focal stack, a depth table."""
+    """Tell whether a file of a known format says that it holds other things: a focal stack, a depth table."""
     try:
         return inside(file, format=recognised(file) or "").no_depth is not None
     except LightFieldError:  # damaged: whoever reads it says so
@@ -267,14 +267,14 @@ def _without_light_field(file: Path) -> bool:
 
 
 def _outweighs(found: Path, own: int) -> bool:
-    """Whether a light field inside a folder shows that the folder's `own` images are not views but, say, thumbnails."""
+    """Tell whether a light field inside a folder means that its `own` images are thumbnails, not views."""
     if found.is_dir():
         return _kind(found) not in _LOOSE or len(image_files(found)) > own
     return found.suffix.lower() not in IMAGE_SUFFIXES
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """The last parts of paths, as many as it takes to tell all from each other: places below the folder of outputs.
+    """Name paths by their last parts, as many as tell all from each other: places below the folder of outputs.
 
     What is not printable in them is written out, so that manifests, pages and folders have the same names.
     """
@@ -291,13 +291,13 @@ def _names(paths: Sequence[Path]) -> dict[Path, str]:
 
 
 def _parts(path: Path) -> list[str]:
-    """The parts of an absolute path without "..", which would lead out of the folder of outputs."""
+    """Split an absolute path into parts without "..", which would lead out of the folder of outputs."""
     found = [printable(part) for part in Path(os.path.normpath(path)).parts if part != path.anchor]
     return [f"_{part}" if _is_taken(part) else part for part in found] or ["root"]
 
 
 def _is_taken(part: str) -> bool:
-    """Whether a folder of outputs of that name would be taken for what a batch itself keeps there."""
+    """Tell whether a folder of outputs of that name would be taken for a file of the batch itself."""
     return part in OWN or part.startswith(LEFT_OVER)
 
 

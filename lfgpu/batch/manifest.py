@@ -23,13 +23,13 @@ _LONGEST_LINE = 1 << 24  # bytes; what goes on is damaged
 
 
 def key_of(config: Config, options: Mapping[str, Any]) -> str:
-    """A hash of all parameters that results depend on."""
+    """Hash all parameters that results depend on."""
     text = json.dumps({"config": asdict(config), **options}, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def read_manifest(folder: Path) -> dict[str, dict[str, Any]]:
-    """What holds of each item, by name, in the order of the lines; damaged lines are skipped.
+    """Read the newest entry of each item, by name, in the order of the lines; damaged lines are skipped.
 
     LightFieldError if the file cannot be read.
     """
@@ -37,7 +37,7 @@ def read_manifest(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def damaged_lines(folder: Path) -> int:
-    """How many lines of a manifest say nothing that can be used: a crash or somebody else left them so."""
+    """Count the damaged lines of a manifest: a crash or somebody else left them so."""
     return _read(folder)[1]
 
 
@@ -63,7 +63,7 @@ def _read(folder: Path) -> tuple[dict[str, dict[str, Any]], int]:
 
 
 def _parsed(line: bytes) -> dict[str, Any] | None:
-    """What a line says; None if it is damaged, that is not as `Manifest.add` writes it."""
+    """Parse a line; None if it is damaged, that is not as `Manifest.add` writes it."""
     try:
         entry = json.loads(line)
     except (ValueError, RecursionError):
@@ -78,7 +78,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _are(fits: Callable[[Any], bool]) -> Callable[[Any], bool]:
-    """A table of names and values."""
+    """Make a check for tables whose values all pass a check."""
     return lambda value: isinstance(value, dict) and all(map(fits, value.values()))
 
 
@@ -98,11 +98,11 @@ _FITS: dict[str, Callable[[Any], bool]] = {
         ("notes", "remarks"), lambda value: isinstance(value, list) and all(isinstance(v, str) for v in value)
     ),
 }
-"""What the entries of a line have to be that are used."""
+"""Checks of the entries that are used."""
 
 
 def is_done(entry: Mapping[str, Any] | None, item: Item, parameters: str, input_key: str, out: Path) -> bool:
-    """Whether an item is up to date: done from these files, with these parameters, and its outputs exist."""
+    """Tell whether an item is up to date: done from these files, with these parameters, and its outputs exist."""
     if entry is None or entry.get("status") != DONE:
         return False
     if (entry.get("parameters_key"), entry.get("input_key")) != (parameters, input_key):
@@ -111,7 +111,7 @@ def is_done(entry: Mapping[str, Any] | None, item: Item, parameters: str, input_
 
 
 def standing(entries: Mapping[str, dict[str, Any]], out: Path) -> dict[str, dict[str, Any]]:
-    """The entries of a manifest that still describe the output folder.
+    """Select the entries of a manifest that still describe the output folder.
 
     Left out are entries whose outputs are missing, and those whose input was done again under another name.
     """
@@ -209,7 +209,7 @@ class Manifest:
 
 
 def _line(entry: Mapping[str, Any]) -> bytes:
-    """A line of JSON in UTF-8; bytes of names that are not UTF-8 come back as they were, by way of escapes."""
+    """Write an entry as a line of JSON in UTF-8; bytes of names that are not UTF-8 become escapes."""
     try:
         return json.dumps(entry, ensure_ascii=False).encode() + b"\n"
     except UnicodeEncodeError:

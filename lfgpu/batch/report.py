@@ -55,7 +55,7 @@ def write_report(summary: Summary, out: Path, title: str) -> Path:
 
 
 def _lead(summary: Summary) -> str:
-    """When the items were computed, and by which preset."""
+    """Say when the items were computed, and by which preset."""
     ends = [entry["began"] + entry.get("seconds", 0.0) for entry in summary.entries.values() if "began" in entry]
     when = [f"finished {date(datetime.fromtimestamp(max(ends)).astimezone())}"] if ends else []
     by = [] if summary.settings is None else [f"preset {preset(summary.settings.config)}"]
@@ -79,7 +79,7 @@ def _tiles(summary: Summary) -> list[Tile]:
 
 
 def facts(summary: Summary) -> list[tuple[str, str]]:
-    """Counts, times and mean scores, as pairs of label and text."""
+    """List counts, times and mean scores, as pairs of label and text."""
     done = [entry for entry in summary.entries.values() if entry.get("status") == DONE]
     share = 100 * len(done) / len(summary.items) if summary.items else 100.0
     lines = [
@@ -107,7 +107,7 @@ def facts(summary: Summary) -> list[tuple[str, str]]:
 
 
 def mean_scores(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """The mean of each metric over the items with ground truth; empty if there is none."""
+    """Average each metric over the items with ground truth; empty if there is none."""
     scored = [entry["metrics"] for entry in entries if entry.get("metrics")]
     if not scored:
         return {}
@@ -116,12 +116,12 @@ def mean_scores(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def _means(entries: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, str]]:
-    """The means of the scores with their units."""
+    """Average the scores; returns names, means and units."""
     return [(name, value, _UNITS.get(name, "")) for name, value in mean_scores(entries).items()]
 
 
 def _score(name: str, value: float) -> str:
-    """A score with the digits that say something: shares in per cent have two."""
+    """Format a score: two digits after the point for shares in per cent, else three."""
     return f"{value:.2f}" if name in _UNITS else f"{value:.3f}"
 
 
@@ -130,7 +130,7 @@ def _typeset(name: str) -> str:
 
 
 def _link(name: str) -> str:
-    """A name as part of an address, also one that is not UTF-8, or that a damaged manifest holds."""
+    """Quote a name for an address, also one that is not UTF-8, or comes from a damaged manifest."""
     try:
         return quote(name.encode(errors="surrogateescape"))
     except UnicodeEncodeError:
@@ -167,7 +167,7 @@ def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _scale(found: Mapping[str, float]) -> Scale | None:
-    """The scale of an item's map; None if its entry does not say."""
+    """Make the scale of an item's map; None if its entry has none."""
     if not {"low", "high"} <= found.keys():
         return None
     beyond = {name: bool(found.get(name)) for name in ("below", "above", "undefined")}

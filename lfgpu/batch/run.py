@@ -1,4 +1,4 @@
-"""A batch as a whole: which items are to be done, running them, and the summary."""
+"""Batch as a whole: the choice of items to do, their run, and the summary."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Summary:
     settings: Settings | None = None
     """The settings of the estimates."""
     damaged: int = 0
-    """How many lines of the manifest were skipped, as they say nothing that can be used."""
+    """Number of damaged lines of the manifest, which were skipped."""
 
     @property
     def left(self) -> int:
@@ -58,7 +58,7 @@ class Progress:
 
 
 class Batch:
-    """A batch. It computes the items that are missing, failed or out of date.
+    """Batch that computes the items that are missing, failed or out of date.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def _jobs(items: Sequence[Item], out: Path, settings: Settings) -> list[Job]:
 
 
 def _sequences(jobs: Sequence[Job]) -> list[list[Job]]:
-    """The jobs of each sequence in order; other jobs are sequences of one."""
+    """Group the jobs of each sequence, in order; other jobs are sequences of one."""
     found: dict[str, list[Job]] = defaultdict(list)
     for job in jobs:
         found[job.item.sequence or f"\0{job.item.name}"].append(job)
@@ -198,7 +198,7 @@ def _sequences(jobs: Sequence[Job]) -> list[list[Job]]:
 
 
 def _parameter_sets(jobs: Sequence[Job]) -> list[Entry]:
-    """A manifest line for each set of parameters; items refer to it by its key."""
+    """Make a manifest line for each set of parameters; items refer to it by its key."""
     sets = {job.keys["parameters_key"]: job for job in jobs}
     return [
         {

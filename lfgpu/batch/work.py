@@ -1,4 +1,4 @@
-"""The work on one item: read, estimate, score, write. It runs in any process and does not use Dask."""
+"""Work on one item: read, estimate, score, write. It runs in any process and does not use Dask."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,20 +19,18 @@ from lfgpu.batch.items import Item
 from lfgpu.batch.manifest import DONE, FAILED
 from lfgpu.batch.names import PREVIEW_FILE, VIEW_FILE
 from lfgpu.config import Config
-from lfgpu.contract import Device
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.io.names import REPORT_FILE
 from lfgpu.machine import device_name
 from lfgpu.methods import method_of
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.range_check import doubt_about, doubted
 from lfgpu.printable import message, printable
 
 if TYPE_CHECKING:
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult
-    from lfgpu.pipelines.pipeline import DepthPipeline
+    from lfgpu.pipelines.resident import Resident
 
 _PREVIEW = 250_000  # pixels at most of the pictures for the page, such as 577 x 433
 _MEMORY = "out of memory; use fewer views (--views cross), smaller ones, or fewer workers."
@@ -51,7 +50,7 @@ class Settings:
     backend: BackendName = DEFAULT
     deterministic: bool = False
     report: bool = False
-    """Whether each item gets a report; results do not depend on it."""
+    """Write a report of each item; results do not depend on it."""
     command: str = ""
     """The command line, for the reports."""
 
@@ -69,7 +68,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Job:
-    """One item, and all that a worker needs for it.
+    """Item with all that a worker needs for it.
 
     Parameters
     ----------
@@ -113,20 +112,19 @@ def work(job: Job, device: str | None = None) -> dict[str, Any]:
 
 
 def _done(job: Job, device: str | None) -> dict[str, Any]:
-    from lfgpu.calibration import judged
     from lfgpu.io import atomic_folder
+    from lfgpu.pipelines.verdict import judged
 
     clock = _Clock()
     lf = _read(job.item, job.settings)
     clock.lap("read")
-    kernels = load(job.settings.backend)
-    device = pick_device(kernels, device)
-    result = _estimate(lf, job, device)
+    result = _estimate(lf, job, pick_device(load(job.settings.backend), device))
     clock.lap("estimate")
     if not job.item.sequence:  # it would be said of each frame
-        result = doubted(result, doubt_about(lf, job.settings.disparity_range, Device(kernels, device)))
-        with suppress(LightFieldError):  # the map says nothing of the cameras
-            result = judged(lf, result, backend=job.settings.backend, device=result.device, quickly=True)
+        settings = job.settings
+        result = judged(
+            lf, result, disparity_range=settings.disparity_range, backend=settings.backend, device=result.device
+        )
     clock.lap("judge")
     scores = _scores(lf, result)
     out = Path(job.out, job.item.name)
@@ -167,19 +165,29 @@ def _read(item: Item, settings: Settings) -> LightField:
 def _estimate(lf: LightField, job: Job, device: str) -> DepthResult:
     settings, start = job.settings, time.perf_counter()
     measured = _measured(job.first, settings, device) if job.first else None
-    pipeline, is_new = _RESIDENT.pipeline(lf, measured, settings, device)
-    if is_new:
-        result = pipeline.estimate()  # which confirms a range that was found
-    else:
-        pipeline.upload(lf.views)
-        pipeline.run()
-        result = pipeline.result()
-    timings = {"total": time.perf_counter() - start}
-    return replace(result, name=lf.name, geometry=lf.geometry, timings=timings)
+    result = _resident().estimate(
+        lf,
+        measured or method_of(settings.config).given(lf.layout, settings.disparity_range),
+        captured=True,
+        config=settings.config,
+        disparity_range=settings.disparity_range,
+        backend=settings.backend,
+        device=device,
+        deterministic=settings.deterministic,
+    )
+    return replace(result, timings={"total": time.perf_counter() - start})
+
+
+@cache
+def _resident() -> Resident:
+    """Return the pipeline that this process keeps."""
+    from lfgpu.pipelines.resident import Resident
+
+    return Resident()
 
 
 def _measured(first: tuple[Item, ...], settings: Settings, device: str) -> Measured | None:
-    """Range and noise of a sequence, measured on its first readable frame; None if no frame is readable."""
+    """Measure range and noise of a sequence on its first readable frame; None if no frame is readable."""
     from lfgpu.pipelines.pipeline import measured_on
 
     key = (first, device, repr(settings))
@@ -203,49 +211,8 @@ def _measured(first: tuple[Item, ...], settings: Settings, device: str) -> Measu
 _MEASURED: dict[Any, Measured | None] = {}
 
 
-class _Resident:
-    """Keeps the last pipeline, and uses it again if the result does not depend on earlier items.
-
-    That is the case if the method measures nothing, or if range and noise were measured on the sequence. Otherwise each
-    item gets its own pipeline.
-    """
-
-    def __init__(self) -> None:
-        self._key: Any = None
-        self._pipeline: DepthPipeline | None = None
-
-    def pipeline(
-        self, lf: LightField, measured: Measured | None, settings: Settings, device: str
-    ) -> tuple[DepthPipeline, bool]:
-        """A pipeline for a light field, and whether it is new, so that it already holds the views."""
-        from lfgpu.pipelines.pipeline import DepthPipeline
-
-        measured = measured or method_of(settings.config).given(lf.layout, settings.disparity_range)
-        key = (
-            *(lf.views.shape, lf.views.dtype.str, lf.scale, lf.positions.tobytes(), lf.reference_index),
-            *(None if lf.valid is None else lf.valid.tobytes(), measured, settings.config, settings.backend, device),
-        )
-        if self._pipeline is not None and measured is not None and key == self._key:
-            return self._pipeline, False
-        self._pipeline = None  # frees its memory first
-        self._pipeline = DepthPipeline(
-            lf,
-            config=settings.config,
-            disparity_range=settings.disparity_range,
-            backend=settings.backend,
-            device=device,
-            deterministic=settings.deterministic,
-            measured=measured,
-        )
-        self._key = key
-        return self._pipeline, True
-
-
-_RESIDENT = _Resident()
-
-
 def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | None:
-    """The metrics by name, None if not finite; or None if the ground truth of the reference view is unknown."""
+    """Compute the metrics by name, None if not finite; or None if the truth of the reference view is unknown."""
     from lfgpu.metrics import evaluate
 
     truth = lf.reference_truth()
@@ -294,7 +261,7 @@ def _write_report(folder: Path, lf: LightField, result: DepthResult, job: Job) -
 
 
 class _Clock:
-    """Measures the seconds of consecutive steps."""
+    """Stopwatch of consecutive steps, seconds."""
 
     def __init__(self) -> None:
         self.laps: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""A camera as it is: where it stands, how it is turned, and what its lens does. Conventions are those of OpenCV.
+"""Calibrated cameras: their place, rotation and lens. Conventions are those of OpenCV.
 
 World to camera: X' = R X + t, with x' to the right, y' down and z' away from the camera. A ray (x, y) = (x'/z', y'/z')
 is distorted and lands at pixel (fx x + cx, fy y + cy); the centre of the first pixel is (0, 0).
@@ -31,7 +31,7 @@ _WIDEST = 1000  # sides of a picture to its focal length
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One calibrated camera.
+    """Calibrated camera.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Camera:
     translation
         [3], world to camera, in the unit of the calibration.
     name
-        The file of its picture, or what it is called.
+        File of its picture, or another name.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class Camera:
                 f"of {min(self.focal_length):g}."
             )
         if np.abs(rotation @ rotation.T - np.eye(3)).max() > _TURN:
-            raise LightFieldError(f"{self.name}: the rotation is no rotation: its rows are not orthonormal.")
+            raise LightFieldError(f"{self.name}: the rotation must have orthonormal rows; found others.")
         if np.linalg.det(rotation) < 0:
             raise LightFieldError(
                 f"{self.name}: the rotation mirrors (its determinant is -1); an axis has a wrong sign."
@@ -104,24 +104,24 @@ class Camera:
 
     @property
     def centre(self) -> Float64Array:
-        """[3], where it stands in the world."""
+        """Place of the camera in the world, [3]."""
         return np.asarray(-np.asarray(self.rotation).T @ np.asarray(self.translation))
 
     @property
     def matrix(self) -> Float64Array:
-        """[3, 3], the camera matrix K."""
+        """Camera matrix K, [3, 3]."""
         (fx, fy), (cx, cy) = self.focal_length, self.principal_point
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
 
     def project(self, rays: ArrayLike) -> Float64Array:
-        """Pixels [..., 2] of directions [..., 3] in the camera's frame; NaN of what is behind it."""
+        """Project directions [..., 3] in the camera's frame to pixels [..., 2]; NaN for those behind the camera."""
         directions = np.asarray(rays, np.float64)
         with np.errstate(divide="ignore", invalid="ignore"):
             plane = directions[..., :2] / np.where(directions[..., 2:] > 0, directions[..., 2:], np.nan)
         return self._distorted(plane) * self.focal_length + self.principal_point
 
     def rays(self, pixels: ArrayLike) -> Float64Array:
-        """Directions [..., 3] in the camera's frame, z = 1, of pixels [..., 2]; the inverse of `project`.
+        """Find the directions [..., 3] in the camera's frame, z = 1, of pixels [..., 2]; the inverse of `project`.
 
         NaN where the lens cannot be undone: no ray lands there.
         """
@@ -150,7 +150,7 @@ class Camera:
         return np.concatenate([found, np.ones((*found.shape[:-1], 1))], axis=-1)
 
     def _distorted(self, plane: Float64Array) -> Float64Array:
-        """Where rays through (x, y) of the plane z = 1 appear to go, [..., 2]."""
+        """Distort places (x, y) [..., 2] of the plane z = 1 as the lens does."""
         if not any(self.distortion):
             if self.model == "fisheye":
                 return plane * _angle_over_radius(plane)[0][..., None]
@@ -182,7 +182,7 @@ def _angle_over_radius(plane: Float64Array) -> tuple[Float64Array, Float64Array]
 
 
 def turned(vector: ArrayLike) -> Float64Array:
-    """[3, 3], the rotation about a vector [3] by its length in radians (Rodrigues)."""
+    """Make the rotation [3, 3] about a vector [3] by its length in radians (Rodrigues)."""
     v = np.asarray(vector, np.float64).ravel()
     angle = float(np.linalg.norm(v))
     if angle < 1e-12:
@@ -193,10 +193,10 @@ def turned(vector: ArrayLike) -> Float64Array:
 
 
 def of_quaternion(w: float, x: float, y: float, z: float) -> NDArray[np.float64]:
-    """[3, 3], the rotation of a quaternion, which need not have length 1; LightFieldError if it has length 0."""
+    """Make the rotation [3, 3] of a quaternion of any length; LightFieldError if its length is 0."""
     length = math.hypot(w, x, y, z)
     if not 0 < length < math.inf:
-        raise LightFieldError(f"({w:g}, {x:g}, {y:g}, {z:g}) is the quaternion of no rotation.")
+        raise LightFieldError(f"({w:g}, {x:g}, {y:g}, {z:g}) is the quaternion of no rotation; its length must be > 0.")
     w, x, y, z = np.array([w, x, y, z]) / length
     return np.array(
         [

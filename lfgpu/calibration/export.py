@@ -1,4 +1,4 @@
-"""A light field with its maps as a scene of COLMAP and nerfstudio: cameras, depth of views, coloured points."""
+"""Export of a light field with its maps as a scene of COLMAP and nerfstudio: cameras, depths, coloured points."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from lfgpu.io import atomic_folder, check_writable
 from lfgpu.io.png import write_png
 
 POINTS = 200_000
-"""About as many points are written at most."""
+"""Largest number of points that are written, about."""
 
 _SURE = 0.5  # confidence from which on a pixel gives a point
 _LARGEST = 65535  # units that a depth picture holds at most
@@ -43,8 +43,7 @@ def export_scene(
     The world is in metres: x to the right, y down, z away from the camera whose frame is not shifted.
 
     - `images/`: the views.
-    - `sparse/0/`: COLMAP's cameras, images and points, binary and as text; a lens for each view, as their frames are
-      shifted.
+    - `sparse/0/`: COLMAP's cameras, images and points, binary; a lens for each view, as their frames are shifted.
     - `stereo/depth_maps/NAME.geometric.bin`: COLMAP's depth of each view with a map, float32, 0 where unknown.
     - `transforms.json`: nerfstudio's frames, with `depth_file_path`; OpenGL axes of cameras.
     - `depths/`: its depth of each view with a map, uint16, 0 where unknown or beyond what 16 bits hold; in millimetres,
@@ -105,7 +104,7 @@ def export_scene(
 def _maps(
     lf: LightField, maps: ViewsResult | DepthResult | DisparityMap, geometry: Geometry
 ) -> dict[int, DisparityMap]:
-    """The maps by the index of their view, in the common world."""
+    """Collect the maps by the index of their view, in the common world."""
     if isinstance(maps, ViewsResult):
         if maps.disparities.shape != lf.views.shape[:3] or not np.allclose(maps.positions, lf.positions, atol=1e-6):
             raise LightFieldError(f"the maps are not those of the {len(lf.views)} views of {lf.name}.")
@@ -140,7 +139,7 @@ def _points(lf: LightField, maps: dict[int, DisparityMap]) -> tuple[Float32Array
 
 
 def _bytes(lf: LightField, index: int) -> NDArray[np.uint8]:
-    """A view as uint8 [y, x, c]."""
+    """Convert a view to uint8 [y, x, c]."""
     view = lf.views[index]
     return view if view.dtype == np.uint8 else np.rint(255 * np.clip(lf.image(index), 0, 1)).astype(np.uint8)
 

@@ -1,7 +1,7 @@
-"""Cameras of a light field made worse on purpose, with the calibration that an honest checkerboard would give.
+"""Misaligned cameras, made on purpose, with the calibration that an honest checkerboard would give.
 
-For tests of what lines cameras up: the light field is what a rig would record whose cameras are turned, have other
-focal lengths, lenses and sensors. Everything follows from a seed.
+`lfgpu scene --misalign` and tests of calibration use it: the light field is the one of a rig whose cameras are turned
+and have other focal lengths, lenses and sensors. Everything follows from a seed.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import numpy as np
 
 from lfgpu.calibration.cameras import Camera, turned
 from lfgpu.calibration.parallel import ideal_cameras
-from lfgpu.calibration.tones import squared_radius
+from lfgpu.calibration.resample import pixels
+from lfgpu.cameras.tones import squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -20,7 +21,7 @@ from lfgpu.errors import LightFieldError
 
 @dataclass(frozen=True)
 class Misalignment:
-    """How far cameras are from what they should be: standard deviations of independent draws for each view.
+    """Size of the faults of cameras: standard deviations of independent draws for each view.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ class Misalignment:
 
     @classmethod
     def parse(cls, text: str) -> Misalignment:
-        """ "shift=1,gain=0.1" as a misalignment; LightFieldError for names that there are not, or no numbers."""
+        """Parse a text such as "shift=1,gain=0.1"; LightFieldError if a name is unknown or a number is none."""
         known = [field.name for field in fields(cls)]
         found: dict[str, float] = {}
         for part in text.split(","):
@@ -79,23 +80,23 @@ class Misalignment:
 
 
 CHECKERBOARD = Misalignment(shift=0.15, roll=0.01, scale=2e-4, distortion=1e-3, position=0.01)
-"""What an ordinary calibration with a checkerboard leaves of each camera."""
+"""Faults of each camera that an ordinary calibration with a checkerboard leaves."""
 
 
 @dataclass(frozen=True, eq=False)
 class Disturbed:
-    """A light field of cameras as they are.
+    """Light field of misaligned cameras.
 
     Parameters
     ----------
     light_field
-        What the cameras record, at the positions that they should have.
+        The views that the cameras record, at the positions that they should have.
     cameras
-        What they are, exactly.
+        The cameras, exactly.
     calibrated
-        What a checkerboard says that they are.
+        The cameras by the calibration with a checkerboard.
     gain, offset
-        float64 [n, c]: a view shows gain * t + offset of what it should show in its middle.
+        float64 [n, c]: the middle of a view shows gain * t + offset where it should show t.
     """
 
     light_field: LightField
@@ -106,21 +107,21 @@ class Disturbed:
 
 
 def displacements(count: int, reference: int, sigma: float, seed: int) -> Float64Array:
-    """[n, 2], view steps by which cameras stand beside their places; the reference stands where it should."""
+    """Draw displacements of cameras [n, 2], view steps; the reference stays at its place."""
     moved = np.random.default_rng([seed, 0]).normal(0, sigma, (count, 2)) if sigma else np.zeros((count, 2))
     moved[reference] = 0
     return moved
 
 
 def disturb(lf: LightField, how: Misalignment, *, seed: int = 0, moved: Float64Array | None = None) -> Disturbed:
-    """What cameras that are misaligned record of the scene of a light field, in which all is right.
+    """Record the scene of a light field, whose cameras are right, with misaligned cameras.
 
     Parameters
     ----------
     lf
         The light field; its geometry must be known. The reference view stays as it is, but for noise.
     how
-        How far cameras are off. Positions cannot be changed here: give what `displacements` said and views from there.
+        Size of the faults. Positions cannot be changed here: give the `displacements` and views from there.
     seed
         Decides every draw, >= 0.
     moved
@@ -153,7 +154,7 @@ def disturb(lf: LightField, how: Misalignment, *, seed: int = 0, moved: Float64A
     offset = draws.normal(0, how.offset, (count, lf.channels)) if how.offset else np.zeros((count, lf.channels))
     falloff = np.abs(draws.normal(0, how.vignetting, count)) if how.vignetting else np.zeros(count)
     gain[reference], offset[reference], falloff[reference] = 1, 0, 0
-    across = squared_radius(*lf.size)
+    across = squared_radius_at(pixels(*lf.size), lf.size)
     views = np.empty_like(lf.views)
     for n in range(count):
         view = _seen(lf.image(n), ideal[n], cameras[n])
@@ -168,7 +169,7 @@ def disturb(lf: LightField, how: Misalignment, *, seed: int = 0, moved: Float64A
 def _worse(
     cameras: tuple[Camera, ...], how: Misalignment, draws: np.random.Generator, *, skip: int
 ) -> tuple[Camera, ...]:
-    """Cameras turned about their centres, with other focal lengths and lenses; the one numbered `skip` as it was."""
+    """Turn cameras about their centres and change focal lengths and lenses; the one numbered `skip` stays."""
     found = []
     for n, camera in enumerate(cameras):
         x, y, z, scale, k1 = draws.normal(size=5)
@@ -195,7 +196,7 @@ def _worse(
 
 
 def _seen(image: Float32Array, ideal: Camera, real: Camera) -> Float32Array:
-    """What the real camera records where an ideal one at its place records the image [y, x, c]."""
+    """Resample the image [y, x, c] of an ideal camera to that of the real one at its place."""
     from scipy import ndimage  # slow to import, and rarely needed
 
     if real is ideal:

@@ -1,4 +1,4 @@
-"""The parallel cameras of a light field, one by one: for programs that know cameras, but no light fields."""
+"""Parallel cameras of a light field, one by one, for programs that know cameras but no light fields."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lfgpu.errors import LightFieldError
 
 
 def world_of(lf: LightField) -> Geometry:
-    """The geometry with a frame that all views share: of the camera whose frame is not shifted, else the reference.
+    """Give the geometry a frame that all views share: of the camera whose frame is not shifted, else the reference.
 
     LightFieldError if the light field has no geometry.
     """
@@ -28,7 +28,7 @@ def world_of(lf: LightField) -> Geometry:
 
 
 def ideal_cameras(lf: LightField, moved: Float64Array | None = None) -> tuple[Camera, ...]:
-    """The cameras that the geometry of a light field says: parallel, in a plane, their frames shifted (in metres)."""
+    """Make the cameras of a light field by its geometry: parallel, in a plane, their frames shifted (in metres)."""
     geometry = lf.geometry
     assert geometry is not None
     height, width = lf.size
@@ -52,7 +52,7 @@ def ideal_cameras(lf: LightField, moved: Float64Array | None = None) -> tuple[Ca
 
 @dataclass(frozen=True, eq=False)
 class CameraInfo:
-    """A camera as ROS's `sensor_msgs/CameraInfo` has it, without the message: lists in row order.
+    """Camera in the terms of `sensor_msgs/CameraInfo` of ROS: lists in row order.
 
     Parameters
     ----------
@@ -85,9 +85,9 @@ class CameraInfo:
 
 
 def camera_info(lf: LightField, index: int | None = None) -> CameraInfo:
-    """The camera of one view in the terms of ROS and OpenCV. Its depth image (REP 118) is `result.depth`.
+    """Describe the camera of one view in the terms of ROS and OpenCV. Its depth image (REP 118) is `result.depth`.
 
-    That is float32 in metres, NaN where unknown, infinity beyond the horizon.
+    The depth image is float32 in metres, NaN where unknown, infinity beyond the horizon.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def camera_info(lf: LightField, index: int | None = None) -> CameraInfo:
     Raises
     ------
     LightFieldError
-        If the geometry is not known, or there is no such view.
+        If the geometry is unknown, or there is no such view.
     """
     geometry = world_of(lf)
     n = lf.reference_index if index is None else index

@@ -1,4 +1,4 @@
-"""The numbers of a rectification: as a file, and as the `Rectifier` of further pictures of the same cameras."""
+"""Numbers of a rectification: as a file, and as the `Rectifier` of further pictures of the same cameras."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.refine import Refinement
 from lfgpu.calibration.resample import pixels, through
 from lfgpu.calibration.rig import Rig
-from lfgpu.calibration.tones import Tones, squared_radius_at
+from lfgpu.cameras.tones import Tones, squared_radius_at
 from lfgpu.contract import Float64Array
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import LightField
@@ -32,9 +32,9 @@ _OF_RIGS = (
 
 
 def read_rectifier(folder: str | os.PathLike[str]) -> Rectifier:
-    """The rectifier of a folder that `lfgpu rectify` wrote.
+    """Read the rectifier of a folder that `lfgpu rectify` wrote.
 
-    LightFieldError if it is none, or is damaged.
+    LightFieldError if the folder holds none, or is damaged.
     """
     path = Path(folder)
     if not (path / NUMBERS).is_file():
@@ -54,7 +54,7 @@ def read_rectifier(folder: str | os.PathLike[str]) -> Rectifier:
 
 
 def rectifier_of(lf: LightField, rig: Rig | None, found: Refinement | None) -> Rectifier:
-    """The rectifier behind a rectified light field; LightFieldError if the frame shows nothing of a camera."""
+    """Make the rectifier of a rectified light field; LightFieldError if the frame shows nothing of a camera."""
     count = len(lf.views)
     if rig is not None and len(rig.cameras) != count:
         raise LightFieldError(
@@ -68,7 +68,7 @@ def rectifier_of(lf: LightField, rig: Rig | None, found: Refinement | None) -> R
 
 
 def numbers(lf: LightField, rig: Rig | None, found: Refinement | None) -> dict[str, NDArray[Any]]:
-    """The numbers to go back from a rectified light field to the original pictures, by the name of their array."""
+    """Collect the numbers that lead from a rectified light field back to the pictures, by the name of their array."""
     count = len(lf.views)
     identity = np.tile(np.eye(3), (count, 1, 1))
     told: dict[str, NDArray[Any]] = {

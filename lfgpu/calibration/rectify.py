@@ -1,4 +1,4 @@
-"""From pictures, or a light field, to a light field whose cameras are parallel and alike."""
+"""Rectification of pictures, or a light field, to a light field whose cameras are parallel and alike."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from lfgpu.calibration.rectifiers import NUMBERS, numbers, rectifier_of
 from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.resample import pixels, through
 from lfgpu.calibration.rig import Rig, fit_rig, matched, told_by_order
-from lfgpu.calibration.tones import squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult, DisparityMap
@@ -30,16 +29,16 @@ _BY_ORDER = ("Kalibr", "LLFF")  # formats that have no names of pictures
 
 @dataclass(frozen=True, eq=False)
 class Rectified:
-    """What `rectify` made.
+    """Result of `rectify`.
 
     Parameters
     ----------
     light_field
-        Parallel cameras in a plane; masks say what no picture shows.
+        Views of parallel cameras in a plane; masked where no picture shows anything.
     rig
-        What the calibration became; None without a calibration.
+        Rig of the calibration; None without a calibration.
     refinement
-        What self-calibration or equalisation found; None if neither was asked for.
+        Result of self-calibration or equalisation; None if neither was asked for.
     disparity_range
         (low, high) of the disparities, as told, or of the depths that are known; None if neither is.
     """
@@ -50,14 +49,14 @@ class Rectified:
     disparity_range: tuple[float, float] | None = None
 
     def rectifier(self) -> Rectifier:
-        """The same for other pictures of these cameras: `lfgpu.DepthPipeline` and `lfgpu.DepthStream` take it.
+        """Make a rectifier of other pictures of these cameras, for `lfgpu.DepthPipeline` and `lfgpu.DepthStream`.
 
         LightFieldError if the common frame shows nothing of a camera.
         """
         return rectifier_of(self.light_field, self.rig, self.refinement)
 
     def original_depth(self, result: DepthResult | DisparityMap) -> Float32Array:
-        """Metric depth in the frame of a camera and in its original picture, lens and all, float32 [y, x].
+        """Compute metric depth in the frame of a camera and in its original picture, lens and all, float32 [y, x].
 
         Parameters
         ----------
@@ -66,8 +65,8 @@ class Rectified:
 
         Returns
         -------
-        Distance along the camera's own axis in the unit of the calibration; NaN where the map does not reach or is not
-        known, infinity beyond the horizon.
+        Distance along the camera's own axis in the unit of the calibration; NaN where the map does not reach or is
+        unknown, infinity beyond the horizon.
 
         Raises
         ------
@@ -94,7 +93,7 @@ class Rectified:
 
 
 def calibration_beside(folder: Path) -> Path | None:
-    """The calibration that lies in a folder of pictures, or above it; None if there is none."""
+    """Find the calibration in a folder of pictures, or above it; None if there is none."""
     for place in (folder, folder.parent):
         for name in BESIDE:
             if (place / name).exists():
@@ -126,13 +125,14 @@ def rectify(
     unit
         Unit of the lengths in the file, "mm", "cm" or "m", as for `read_calibration`. Default None: metres.
     model
-        Also line views up by what they show: "shift", "similarity" or "homography", as for `refine`; None does not.
+        Also line views up by their contents: "shift", "similarity" or "homography", as for `refine`. Default None: no.
     positions
-        Whether `refine` looks for the positions of the cameras, too.
+        True: `refine` looks for the positions of the cameras, too. Default False.
     tones
-        Give all views the brightness of the reference. Lining up does so, too.
+        True: give all views the brightness of the reference. Lining up does so, too. Default False.
     depths
-        (near, far) of the scene in the unit of the calibration; None takes what the calibration says, if it does.
+        (near, far) of the scene in the unit of the calibration; Default None: those of the calibration, if
+        it has some.
     disparity_range, backend, device
         As for `refine`.
 
@@ -213,7 +213,7 @@ def _doubt(baseline: float) -> str:
 
 
 def _loaded(path: Path, calibrated: bool) -> LightField:
-    """The pictures of a calibrated folder, unless it is a light field with a known truth; else a light field."""
+    """Load the pictures of a calibrated folder; a light field with a known truth, or without calibration, as such."""
     if not path.is_dir() or not (calibrated or calibration_beside(path) is not None):
         return read(path, allow_missing=True)
     try:
@@ -224,7 +224,7 @@ def _loaded(path: Path, calibrated: bool) -> LightField:
 
 
 def _range(rig: Rig, depths: tuple[float, float] | None) -> tuple[float, float] | None:
-    """The disparities of these depths, and a tenth more on either side."""
+    """Compute the disparities of the depths, and add a tenth on either side."""
     if depths is None:
         return None
     near, far = (float(rig.geometry.disparity(depth)) for depth in depths)
@@ -232,7 +232,7 @@ def _range(rig: Rig, depths: tuple[float, float] | None) -> tuple[float, float] 
 
 
 def _with_truth(lf: LightField, pictures: LightField, rig: Rig) -> LightField:
-    """With the grid and the truth of a light field whose reference view did not change by a pixel."""
+    """Keep the grid and the truth of a light field whose reference view did not change by a pixel."""
     truth = pictures.reference_truth()
     if truth is None or len(lf.views) != len(pictures.views):
         return lf
@@ -244,12 +244,11 @@ def _with_truth(lf: LightField, pictures: LightField, rig: Rig) -> LightField:
 
 
 def _composed(pictures: LightField, rig: Rig, found: Refinement) -> LightField:
-    """The refined light field, resampled from the pictures in one go."""
+    """Resample the refined light field from the pictures in one go."""
     grid = pixels(*pictures.size)
 
-    def tone(view: Float32Array, n: int, _: Float64Array | None) -> Float32Array:
-        radius2 = squared_radius_at(through(found.homographies[n], grid), pictures.size)
-        return found.tones.equalised(view, n, across=radius2)
+    def tone(view: Float32Array, n: int, _: Float64Array) -> Float32Array:
+        return found.tones.equalised(view, n, through(found.homographies[n], grid))
 
     once = rig.light_field(pictures, homographies=found.homographies, tone=tone)
     return replace(found.light_field, views=once.views, valid=once.valid)

@@ -1,11 +1,11 @@
-"""Self-calibration: how each view must be moved, turned, scaled and brightened so that one map explains them all.
+"""Self-calibration: views are moved, turned, scaled and brightened so that one map explains them all.
 
-A coarse map and the cameras are found in turns, from coarse pictures to fine ones. The map says which points are seen
-where; photometric bundle adjustment (`lfgpu.calibration.bundle`) then moves the cameras and, with them, the disparities
-of its points. In the end every view is resampled once. The judge compares before and after: what does not explain the
-views better is not kept.
+A coarse map and the cameras are found in turns, from coarse pictures to fine ones. The map tells which views see a
+point; photometric bundle adjustment (`lfgpu/cameras/bundle.py`) then moves the cameras and, with them, the disparities
+of its points. In the end every view is resampled once. `explain` compares before and after: a change that does not
+explain the views better is not kept.
 
-What the views cannot tell stays as it was: the reference view, and the plane of disparity 0.
+The reference view and the plane of disparity 0, which the views cannot tell, stay as they were.
 """
 
 from __future__ import annotations
@@ -14,13 +14,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, BackendName, backend_named, open_device
-from lfgpu.calibration.bundle import MODELS, Bundle, choose_points, most_points
-from lfgpu.calibration.judge import explain
-from lfgpu.calibration.quick_look import measure_tones
 from lfgpu.calibration.resample import pixels, resampled, through
-from lfgpu.calibration.tones import Tones, squared_radius, squared_radius_at
+from lfgpu.cameras.bundle import MODELS, Bundle, homographies, most_points
+from lfgpu.cameras.explanation import explain
+from lfgpu.cameras.looking import measured_tones
+from lfgpu.cameras.points import choose_points
+from lfgpu.cameras.tones import Tones
 from lfgpu.contract import Device, Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
@@ -44,7 +46,7 @@ _LEVEL_MATTERS = 0.005  # pixels per view step: half of what the finest BadPix a
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """What self-calibration found. n views, c colours.
+    """Result of self-calibration. n views, c colours.
 
     Parameters
     ----------
@@ -68,9 +70,9 @@ class Refinement:
     psnr_before, psnr_after
         dB, of the views as predicted from the reference and a coarse map.
     kept
-        Whether anything was changed.
+        True if anything was changed.
     status
-        What was done and why, a sentence.
+        A sentence on the changes and their reason.
     """
 
     light_field: LightField
@@ -104,9 +106,9 @@ def refine(
     lf
         The light field; its cameras look nearly the same way, off by some pixels.
     model
-        What a view may be off by: "shift", "similarity" (default: shift, rotation, scale) or "homography".
+        Kind of the faults: "shift", "similarity" (default: shift, rotation, scale) or "homography".
     positions
-        Whether the positions of the cameras are looked for, too. Default False.
+        True: the positions of the cameras are looked for, too. Default False.
     disparity_range
         As for `estimate_depth`.
     backend, device
@@ -145,7 +147,7 @@ def equalise(
 
 
 class _Search:
-    """The unknowns so far, and rounds that improve them."""
+    """Search for the unknowns in rounds that improve them."""
 
     def __init__(
         self,
@@ -158,7 +160,7 @@ class _Search:
         self._lf, self._model, self._positions = lf, model, positions
         self._range, self._device = disparity_range, device
         count = len(lf.views)
-        self.warps = np.zeros((count, len(MODELS[model])))
+        self.warps = np.zeros((count, MODELS[model]))
         self.shifted = np.zeros((count, 2))
         self.tones = _by_moments(lf)
         self._radius = float(np.hypot(*lf.size)) / 2
@@ -166,7 +168,7 @@ class _Search:
         self._moving = False
 
     def round(self, coarseness: int, *, moving: bool = True) -> float:
-        """A coarse map of the views as they would be now, and the cameras with it; pixels that a view moved at most."""
+        """Estimate a coarse map of the views as they would be now, then the cameras; returns the largest move."""
         lf = self._lf
         factor = max(1, max(lf.size) // coarseness)
         small = self._now(factor)
@@ -200,19 +202,14 @@ class _Search:
             bundle.warps[:] = self.warps
         else:
             distance = 0.0
-        gain, offset, falloff = measure_tones(moved, bundle, vignetting=True)
+        gain, offset, falloff = measured_tones(moved, bundle, vignetting=True)
         self.tones = Tones(gain, offset, falloff)
         return distance
 
     def result(self) -> Refinement:
         lf, bundle = self._lf, self._bundle
         assert bundle is not None
-        middle = (np.array(lf.size[::-1]) - 1) / 2
-        generators = np.array(MODELS[self._model], np.float64)
-        normal = np.eye(3) + np.einsum("nk,kij->nij", self.warps, generators)
-        to = np.array([[1, 0, -middle[0]], [0, 1, -middle[1]], [0, 0, self._radius]]) / self._radius
-        homographies = np.linalg.inv(to) @ normal @ to
-        homographies = homographies / homographies[:, 2:, 2:]
+        back = homographies(self.warps, lf.size)
         rms = float(np.sqrt((self.warps**2).sum(1).mean())) * self._radius
         level = float(np.clip(np.median(bundle.brightness), 0.05, 1))
         unequal = self.tones.brightness(level) - 1
@@ -226,7 +223,7 @@ class _Search:
         rotation = np.rad2deg(self.warps[:, 2]) if shape > 2 else np.zeros(len(lf.views))
         scale = self.warps[:, 3].copy() if shape > 2 else np.zeros(len(lf.views))
         found = Refinement(
-            lf, homographies, self.warps[:, :2] * self._radius, error, rotation, scale, 0.0, self.shifted, self.tones,
+            lf, back, self.warps[:, :2] * self._radius, error, rotation, scale, 0.0, self.shifted, self.tones,
             np.nan, np.nan, False, "nothing is worth changing: the views fit together as they are.",
         )  # fmt: skip
         if not geometric and tonal < _AUDIBLE:
@@ -241,7 +238,7 @@ class _Search:
                 f"({after:.1f} dB instead of {before:.1f}).",
             )
         moved = f"lined up ({rms:.2f} px rms)" if geometric else "left where they are"
-        lined_up = self._full(homographies if geometric else None)
+        lined_up = self._full(back if geometric else None)
         level_error = _level_error(found.shift, lf.offsets) if geometric else 0.0
         if level_error > _LEVEL_MATTERS:
             lined_up = replace(lined_up, notes=(*lined_up.notes, _level_note(lf, bundle, level_error)))
@@ -249,7 +246,7 @@ class _Search:
             found,
             light_field=lined_up,
             level_error=level_error,
-            homographies=homographies if geometric else np.tile(np.eye(3), (len(lf.views), 1, 1)),
+            homographies=back if geometric else np.tile(np.eye(3), (len(lf.views), 1, 1)),
             psnr_before=before,
             psnr_after=after,
             kept=True,
@@ -259,21 +256,10 @@ class _Search:
 
     # --- helpers ---
 
-    def _full(self, homographies: Float64Array | None) -> LightField:
-        """The light field at full size, each view resampled once at most."""
+    def _full(self, back: Float64Array | None) -> LightField:
+        """Make the light field at full size, each view resampled once at most."""
         lf = self._lf
-        grid, across = pixels(*lf.size), squared_radius(*lf.size)
-
-        def places(n: int) -> Float64Array | None:
-            if homographies is None or np.allclose(homographies[n], np.eye(3), atol=1e-9):
-                return None
-            return through(homographies[n], grid)
-
-        def tone(view: Float32Array, n: int, at: Float64Array | None) -> Float32Array:
-            radius2 = across if at is None else squared_radius_at(at, lf.size)
-            return self.tones.equalised(view, n, across=radius2)
-
-        views, valid = resampled(lf, places, tone)
+        views, valid = self._resampled(lf, back)
         moved = bool((self.shifted != 0).any())
         return replace(
             lf,
@@ -281,31 +267,28 @@ class _Search:
             valid=valid,
             positions=lf.positions + self.shifted,
             grid_shape=None if moved else lf.grid_shape,
-            truth=None if moved and lf.truth is None else lf.truth,
             files=(),
         )
 
     def _now(self, factor: int) -> LightField:
-        """The light field as it would be now, shrunk by `factor`."""
+        """Make the light field as it would be now, shrunk by `factor`."""
         lf = self._lf
         small = lf.downsampled(factor) if factor > 1 else replace(lf, geometry=None, truth=None, files=())
-        generators = np.array(MODELS[self._model], np.float64)
-        height, width = small.size
-        grid, middle, radius = pixels(height, width), (np.array([width, height]) - 1) / 2, self._radius / factor
-        to = np.array([[1, 0, -middle[0]], [0, 1, -middle[1]], [0, 0, radius]]) / radius
-        across = squared_radius(height, width)
-
-        def places(n: int) -> Float64Array | None:
-            if not self.warps[n].any():
-                return None
-            normal = np.eye(3) + np.einsum("k,kij->ij", self.warps[n], generators)
-            return through(np.linalg.inv(to) @ normal @ to, grid)
-
-        views, valid = resampled(small, places, lambda view, n, _: self.tones.equalised(view, n, across=across))
+        views, valid = self._resampled(small, homographies(self.warps, small.size))
         return replace(small, views=views, valid=valid, positions=lf.positions + self.shifted, grid_shape=None)
 
+    def _resampled(self, lf: LightField, back: Float64Array | None) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+        """Look up the views of a light field through homographies (None: not moved) and equalise them; also masks."""
+        grid = pixels(*lf.size)
+
+        def places(n: int) -> Float64Array | None:
+            still = back is None or np.allclose(back[n], np.eye(3), atol=1e-9)
+            return None if back is None or still else through(back[n], grid)
+
+        return resampled(lf, places, self.tones.equalised)
+
     def _map(self, lf: LightField, bounds: tuple[float, float] | None) -> DepthResult:
-        """A coarse map of a light field."""
+        """Estimate a map of a shrunk light field."""
         return estimate_depth(
             lf,
             config="fast",
@@ -316,11 +299,11 @@ class _Search:
         )
 
     def _bounds(self, factor: int) -> tuple[float, float] | None:
-        """The range of disparities that was given, for views shrunk by `factor`."""
+        """Scale the range of disparities that was given to views shrunk by `factor`."""
         return None if self._range is None else (self._range[0] / factor, self._range[1] / factor)
 
     def _score(self, now: LightField | None) -> float:
-        """PSNR with which a light field, or the given one, is predicted from a coarse map of its own."""
+        """Predict a light field, or the given one, from a coarse map of its own; returns the PSNR."""
         if now is None:
             factor = max(1, max(self._lf.size) // _MIDDLE)
             now = self._lf.downsampled(factor) if factor > 1 else self._lf
@@ -331,7 +314,7 @@ class _Search:
 
 
 def _by_moments(lf: LightField) -> Tones:
-    """Gain and offset of each view and colour by which its mean and contrast are those of the reference."""
+    """Match mean and contrast of each view and colour to those of the reference; returns gains and offsets."""
     count = len(lf.views)
     mean, contrast = np.empty((count, lf.channels)), np.empty((count, lf.channels))
     for n in range(count):
@@ -345,9 +328,9 @@ def _by_moments(lf: LightField) -> Tones:
 
 
 def _with_reference_fixed(warps: Float64Array, reference: int, offsets: Float64Array) -> Float64Array:
-    """Warps after those of the reference, and without a part in proportion to the offsets.
+    """Remove from warps the warp of the reference, and the part in proportion to the offsets.
 
-    To first order, which is all that it takes near the identity.
+    The composition is of first order, which is enough near the identity.
     """
     fixed = warps - warps[reference]
     total = float((offsets**2).sum())
@@ -357,7 +340,7 @@ def _with_reference_fixed(warps: Float64Array, reference: int, offsets: Float64A
 
 
 def _level_error(shift: Float64Array, offsets: Float64Array) -> float:
-    """How far a part of independent shifts [n, 2] in proportion to the offsets may be, pixels per view step."""
+    """Estimate the part of independent shifts [n, 2] that is in proportion to the offsets, pixels per view step."""
     free = 2 * len(shift) - 3  # the reference stands still, and one part in proportion is taken out
     return float(np.sqrt((shift**2).sum() / max(free, 1) / (offsets**2).sum()))
 
@@ -378,14 +361,14 @@ def _level_note(lf: LightField, bundle: Bundle, error: float) -> str:
 
 
 def _without_scale(shifted: Float64Array, lf: LightField) -> Float64Array:
-    """Changes of positions less that of the reference and a common scale, which disparities take up."""
+    """Remove from changes of positions that of the reference and a common scale, which disparities take up."""
     fixed = shifted - shifted[lf.reference_index]
     offsets = lf.offsets
     return np.asarray(fixed - (fixed * offsets).sum() / (offsets**2).sum() * offsets)
 
 
 def _enlarged(map_: Float32Array, factor: int, size: tuple[int, int]) -> Float32Array:
-    """A map of shrunken views for views of full size."""
+    """Enlarge a map of shrunk views to views of full size."""
     if factor == 1:
         return map_
     full = np.repeat(np.repeat(map_ * factor, factor, axis=0), factor, axis=1)

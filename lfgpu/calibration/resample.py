@@ -1,4 +1,4 @@
-"""Views resampled once: where each pixel comes from, cubic splines, and what lies outside of the picture."""
+"""Resampling of views, each once: places of pixels, cubic splines, masks of places outside of the picture."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ def pixels(height: int, width: int) -> Float64Array:
 
 
 def through(homography: Float64Array, at: Float64Array) -> Float64Array:
-    """Places [..., 2] mapped by a homography [3, 3]."""
+    """Map places [..., 2] by a homography [3, 3]."""
     mapped = at @ homography[:, :2].T + homography[:, 2]
     return np.asarray(mapped[..., :2] / mapped[..., 2:])
 
 
 def looked_up(image: Float32Array, at: Float64Array) -> tuple[Float32Array, NDArray[np.bool_]]:
-    """Colours of an image [y, x, c] at places (x, y) [h, w, 2] by cubic splines, and whether they lie in it, [h, w].
+    """Look up an image [y, x, c] at places (x, y) [h, w, 2] by cubic splines; True [h, w] for places inside of it.
 
-    NaN places lie outside; what is outside is the nearest pixel of the border.
+    NaN places lie outside; a place outside shows the nearest pixel of the border.
     """
     from scipy import ndimage
 
@@ -55,18 +55,18 @@ def looked_up(image: Float32Array, at: Float64Array) -> tuple[Float32Array, NDAr
 def resampled(
     lf: LightField,
     places: Callable[[int], Float64Array | None],
-    tone: Callable[[Float32Array, int, Float64Array | None], Float32Array] | None = None,
+    tone: Callable[[Float32Array, int, Float64Array], Float32Array] | None = None,
 ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-    """All views of a light field, looked up where `places` says, and which of their pixels are valid.
+    """Look up all views of a light field at given places; returns views and masks.
 
     Parameters
     ----------
     lf
         The light field.
     places
-        Of a view's index the places (x, y) [y, x, 2] to look it up at; None where it is as it should be.
+        Called with the index of a view: returns the places (x, y) [y, x, 2] to look it up at; None leaves it.
     tone
-        Called with a view in [0, 1], its index and the places: what to show instead; None shows it as it is.
+        Called with a view in [0, 1], its index and the places: returns the view to show instead. None changes nothing.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def resampled(
                 share, _ = looked_up(lf.valid[n][..., None].astype(np.float32), at)
                 valid[n] &= share[..., 0] > 0.99
         if tone is not None:
-            view = tone(view, n, at)
+            view = tone(view, n, pixels(*lf.size) if at is None else at)
         views[n] = stored(view, lf)
 
     in_threads(work, range(len(lf.views)))
@@ -95,6 +95,6 @@ def resampled(
 
 
 def stored(view: Float32Array, lf: LightField) -> NDArray[Any]:
-    """A view in [0, 1] in the type that the light field is stored in."""
+    """Convert a view in [0, 1] to the type that the light field is stored in."""
     view = np.clip(view, 0, 1)
     return view if lf.views.dtype == np.float32 else np.rint(view / lf.scale).astype(lf.views.dtype)

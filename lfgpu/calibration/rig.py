@@ -1,4 +1,4 @@
-"""From cameras as they are to parallel cameras in a plane: the plane, the rotation, where each pixel comes from.
+"""Rig of parallel cameras in a plane for calibrated ones: the plane, the rotation, the sources of pixels.
 
 The rectified cameras stand at the centres of the real ones, moved into one plane, and look the same way: along the
 plane's normal. They share one focal length, and their frames are shifted such that what all of them look at is at
@@ -32,7 +32,7 @@ _SAME = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Parallel cameras in a plane that stand for calibrated ones.
+    """Rig of parallel cameras in a plane that stand for calibrated ones.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Rig:
     positions
         float64 [n, 2], (u, v) in view steps; the reference stands at (0, 0).
     ahead
-        float64 [n], how far each camera stands before the plane, in the unit of the calibration.
+        float64 [n], distance of each camera before the plane, in the unit of the calibration.
     geometry
         Focal length, length of a view step and distance of the plane of disparity 0.
     reference
@@ -51,7 +51,7 @@ class Rig:
     corrected_at
         Depth at which cameras off the plane are corrected exactly; infinity corrects nothing.
     notes
-        What had to be left, one sentence each.
+        Remaining faults, one sentence each.
     """
 
     cameras: tuple[Camera, ...]
@@ -64,7 +64,7 @@ class Rig:
     notes: tuple[str, ...]
 
     def places(self, index: int, at: Float64Array) -> Float64Array:
-        """Pixels [..., 2] of picture `index` that its rectified pixels `at` [..., 2] show; NaN if none."""
+        """Find the pixels [..., 2] of picture `index` that its rectified pixels `at` [..., 2] show; NaN if none."""
         geometry = self.geometry
         assert geometry.principal_point is not None
         shift = self.positions[index] * geometry.baseline_m * geometry.focal_length_px / geometry.focus_distance_m
@@ -74,7 +74,7 @@ class Rig:
         return camera.project(np.concatenate([plane, depth], axis=-1) @ self.rotation @ np.asarray(camera.rotation).T)
 
     def back(self, index: int, at: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """The inverse of `places`: rectified pixels [..., 2] of pixels `at` [..., 2] of a picture, and directions.
+        """Invert `places`: find the rectified pixels [..., 2] of pixels `at` [..., 2] of a picture, and directions.
 
         The directions [..., 3] are those of the pixels' rays in the common frame, 1 long along the camera's own axis.
         """
@@ -92,9 +92,9 @@ class Rig:
         pictures: LightField,
         *,
         homographies: Float64Array | None = None,
-        tone: Callable[[Float32Array, int, Float64Array | None], Float32Array] | None = None,
+        tone: Callable[[Float32Array, int, Float64Array], Float32Array] | None = None,
     ) -> LightField:
-        """The rectified light field of pictures [n, y, x, c] of these cameras; each is resampled once.
+        """Rectify pictures [n, y, x, c] of these cameras to a light field; each is resampled once.
 
         Parameters
         ----------
@@ -139,7 +139,7 @@ class Rig:
 def fit_rig(
     cameras: Sequence[Camera], *, depths: tuple[float, float] | None = None, reference: int | None = None
 ) -> Rig:
-    """The rig of parallel cameras in a plane that is nearest to calibrated ones.
+    """Fit the rig of parallel cameras in a plane that is nearest to calibrated ones.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def matched(
     *,
     rig: Sequence[Camera] = (),
 ) -> list[Camera]:
-    """The camera of each picture: by name where the calibration has names of pictures, else by order.
+    """Find the camera of each picture: by name where the calibration has names of pictures, else by order.
 
     If no picture is one that was calibrated, the cameras of the calibration's `rig` are taken, if it has one. Cameras
     are scaled to the size of the pictures if these have the same shape. LightFieldError if a picture has no camera, two
@@ -269,7 +269,7 @@ def matched(
 
 
 def told_by_order(cameras: Sequence[Camera], names: Sequence[str]) -> str | None:
-    """A sentence if none of the pictures has the name of the camera that it was `matched` with; else None."""
+    """Say so if no picture has the name of the camera that it was `matched` with; else None."""
     if any(_stem(camera.name) == _stem(name) for camera, name in zip(cameras, names, strict=True)):
         return None
     return (
@@ -300,7 +300,7 @@ def _scaled(camera: Camera, size: tuple[int, int], source: str) -> Camera:
 
 
 def _axes(centres: Float64Array, forward: Float64Array, right: Float64Array) -> Float64Array:
-    """[3, 3], rows x, y, z of the common frame."""
+    """Find the axes of the common frame, [3, 3]: rows x, y, z."""
     spread = centres - centres.mean(0)
     _, sizes, directions = np.linalg.svd(spread, full_matrices=True)
     sizes = np.concatenate([sizes, np.zeros(3)])[:3]
@@ -321,7 +321,7 @@ def _axes(centres: Float64Array, forward: Float64Array, right: Float64Array) -> 
 
 
 def _step(places: Float64Array) -> float:
-    """The median distance of each camera from its nearest neighbour."""
+    """Measure the median distance of the cameras from their nearest neighbours."""
     gaps = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
     np.fill_diagonal(gaps, np.inf)
     return float(np.median(gaps.min(1)))
@@ -330,8 +330,10 @@ def _step(places: Float64Array) -> float:
 def _frames(
     cameras: Sequence[Camera], axes: Float64Array, positions: Float64Array, baseline: float, focal: float
 ) -> tuple[tuple[float, float], float]:
-    """Principal point of the reference and distance of the plane of disparity 0, such that what the middles of the
-    pictures show is about in the middle of the rectified ones."""
+    """Find the principal point of the reference and the distance of the plane of disparity 0.
+
+    The middles of the pictures come to lie about in the middles of the rectified ones.
+    """
     seen = []
     for camera in cameras:
         height, width = camera.size

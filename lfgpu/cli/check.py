@@ -29,7 +29,7 @@ from lfgpu.cli.options import (
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lfgpu.calibration import Explanation
+    from lfgpu.cameras import Explanation
     from lfgpu.cli.depth import Estimation
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult, DisparityMap
@@ -73,7 +73,7 @@ def check(
     The reference view and its map predict every other view. The differences show how far each view is shifted, turned
     and scaled, how much brighter it is, and whether the signs of the axes are right.
     """
-    from lfgpu.calibration import explain
+    from lfgpu.cameras import explain
     from lfgpu.cli.console import output
     from lfgpu.io import check_writable, read
 
@@ -147,7 +147,7 @@ def _write(
     """Write the numbers, the map of what is unexplained, and a residual picture of each view."""
     import numpy as np
 
-    from lfgpu.calibration import residual_pictures
+    from lfgpu.cameras import residual_pictures
     from lfgpu.io import atomic_folder, write_pfm
     from lfgpu.io.png import write_png
 

@@ -36,7 +36,7 @@ _JUDGED = 40_000_000  # pixels of all views: of larger light fields a report doe
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from lfgpu.calibration import Explanation
+    from lfgpu.cameras import Explanation
     from lfgpu.config import Config
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult
@@ -62,7 +62,6 @@ class Estimation:
 
     def prepare(self) -> None:
         """Import what an estimate needs, and check the device."""
-        import lfgpu.calibration.trust
         import lfgpu.pipelines.estimate  # noqa: F401
 
         self.check_device()
@@ -176,7 +175,7 @@ def depth(
         lf = read(source, lazy=max_memory is not None, **reading)
     lf = _chosen(lf, place, pattern)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
-    result = _judged(lf, views.reference, estimation) if views else estimation.run(lf, quiet=quiet)
+    result = views.reference if views else estimation.run(lf, quiet=quiet)
     if fill:
         result = filled(result)
     if views:
@@ -201,16 +200,6 @@ def depth(
     summary.show_outputs(console, out, files)
 
 
-def _judged(lf: LightField, result: DepthResult, estimation: Estimation) -> DepthResult:
-    """The result after a look at the cameras; as it is where the map says nothing of them."""
-    from lfgpu.calibration import judged
-
-    try:
-        return judged(lf, result, backend=estimation.backend, device=estimation.device)
-    except LightFieldError:
-        return result
-
-
 def _write_report(
     folder: Path, ctx: typer.Context, source: Path, lf: LightField, result: DepthResult, estimation: Estimation
 ) -> tuple[str, str]:
@@ -229,7 +218,7 @@ def _write_report(
 
 def _explanation(lf: LightField, result: DepthResult, estimation: Estimation) -> Explanation | None:
     """What the judge says; None where the map says nothing, or the light field would take minutes."""
-    from lfgpu.calibration import explain
+    from lfgpu.cameras import explain
 
     if lf.views[..., 0].size > _JUDGED:
         return None

@@ -1,4 +1,4 @@
-"""`lfgpu info`: how a light field is read, and what stands out about its cameras at a glance."""
+"""`lfgpu info`: the way a light field is read, and faults that all its cameras share."""
 
 from __future__ import annotations
 
@@ -27,14 +27,13 @@ def info(
 ) -> None:
     """Show how a light field is read: format, grid, views, cameras, ground truth. Missing views are no error here.
 
-    A note says so if views show nothing, or if a glance finds cameras that do not fit together (see lfgpu check).
+    It also tells if the views show nothing, or if the cameras do not fit together (see lfgpu check).
     """
     from lfgpu._backends import DEFAULT, open_device
-    from lfgpu.calibration import glance
     from lfgpu.cli import values
     from lfgpu.cli.console import heading, lines, output, waiting
     from lfgpu.io import inside, read, recognise, write_description
-    from lfgpu.methods.range_check import shows_nothing
+    from lfgpu.pipelines.verdict import views_alone
     from lfgpu.reports import facts
 
     shape = values.parse_grid(grid)
@@ -50,8 +49,7 @@ def info(
         return
     with waiting(f"reading {source.name}"):
         lf = read(source, format=name, allow_missing=True, grid=shape, every=every, flip=flip)
-        doubt = shows_nothing(lf, open_device(DEFAULT, "cpu"))
-        fault = glance(lf) if doubt is None else None
+        doubts, remarks = views_alone(lf, open_device(DEFAULT, "cpu"))
     left_out: tuple[str, ...] = ()
     if write is not None:
         told = {"path": source, "format": name, "grid": shape, "every": every, "flip": flip}
@@ -63,8 +61,8 @@ def info(
             ("format", f"{name}, {reason}"),
             *facts.rows(lf),
             *held.facts,
-            *(("note", note) for note in (*lf.notes, doubt) if note),
-            *((("cameras", fault),) if fault else ()),
+            *(("note", note) for note in (*lf.notes, *doubts)),
+            *(("cameras", sentence) for sentence in remarks),
             *((("written", str(write)),) if write is not None else ()),
             *(("left out", sentence) for sentence in left_out),
         ],

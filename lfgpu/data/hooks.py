@@ -1,21 +1,17 @@
-"""Hooks to higher packages: how results are saved and shown in notebooks, and how their cameras are judged.
+"""Functions of higher rooms that results call: to save themselves, and to show themselves in notebooks.
 
-`lfgpu/__init__.py` attaches the functions, so that this package does not import them.
+`lfgpu/__init__.py` sets them, so that this room imports none of those above it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
-_attached: dict[str, Callable[..., Any]] = {}
+save: Callable[..., None]
+"""`lfgpu.io.save`."""
 
+html: Callable[[object], str]
+"""`lfgpu.viz.notebook.html`."""
 
-def attach(name: str, function: Callable[..., Any]) -> None:
-    """Attach a function to a name, for `call`."""
-    _attached[name] = function
-
-
-def call(name: str, *arguments: Any, **options: Any) -> Any:
-    """Call the function that is attached to a name."""
-    return _attached[name](*arguments, **options)
+explanation_html: Callable[[object], str]
+"""`lfgpu.reports.report.explanation_html`."""

@@ -330,7 +330,7 @@ class LightField:
 
     def _repr_html_(self) -> str:
         """The HTML for notebooks."""
-        return str(hooks.call("light_field_html", self))
+        return hooks.html(self)
 
     # --- derived light fields ---
 

@@ -70,11 +70,11 @@ class DepthResult:
         float32 [y, x], the expected error of the disparity as a standard deviation, pixels per view step; NaN where the
         disparity is. None if the method does not tell (synthesis).
     notes
-        What may be wrong with the map although nothing went wrong, one sentence each: a given range that leaves out
-        what the views show, views that show nothing, a map that goes on beyond its range, or is confident nowhere.
+        Doubts about the map, one sentence each: the views show nothing, or the given range excludes them; surfaces may
+        lie beyond the range; the map is confident nowhere.
     remarks
-        What stands out about the cameras, one sentence each, from `lfgpu.calibration.judged`, which lowers the
-        confidence accordingly; empty if nothing does, or if nobody looked. `lfgpu.estimate_depth` looks.
+        Faults of the cameras, one sentence each, from `lfgpu.judged`, which lowers the confidence accordingly; empty if
+        there is none, or if nobody looked. `lfgpu.estimate_depth` looks.
     """
 
     disparity: Float32Array
@@ -117,7 +117,7 @@ class DepthResult:
 
     def _repr_html_(self) -> str:
         """The HTML for notebooks."""
-        return str(hooks.call("result_html", self))
+        return hooks.html(self)
 
     @property
     def map(self) -> DisparityMap:
@@ -134,7 +134,7 @@ class DepthResult:
 
     def save(self, path: str | os.PathLike[str], *, image: ArrayLike | None = None) -> None:
         """Write the result (.npz), its map (.pfm, .png, .tif, .exr) or its point cloud (.ply); see `lfgpu.save`."""
-        hooks.call("save", self, path, image=image)
+        hooks.save(self, path, image=image)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +172,7 @@ class DisparityMap:
 
     def _repr_html_(self) -> str:
         """The HTML for notebooks."""
-        return str(hooks.call("map_html", self))
+        return hooks.html(self)
 
     @property
     def depth(self) -> NDArray[np.float32] | None:
@@ -181,7 +181,7 @@ class DisparityMap:
 
     def save(self, path: str | os.PathLike[str], *, image: ArrayLike | None = None) -> None:
         """Write the map (.npz, .pfm, .png, .tif, .exr) or its point cloud (.ply); see `lfgpu.save`."""
-        hooks.call("save", self, path, image=image)
+        hooks.save(self, path, image=image)
 
 
 def _map_lines(values: DisparityMap) -> str:

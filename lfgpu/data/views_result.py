@@ -61,7 +61,7 @@ class ViewsResult:
 
     def _repr_html_(self) -> str:
         """The HTML for notebooks."""
-        return str(hooks.call("views_html", self))
+        return hooks.html(self)
 
     def index_of(self, row: float, column: float) -> int:
         """Index of the view at position v = `row`, u = `column`; LightFieldError if there is none."""
@@ -87,7 +87,7 @@ class ViewsResult:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write all maps as .npz; see `lfgpu.save`."""
-        hooks.call("save", self, path)
+        hooks.save(self, path)
 
     @property
     def geometry(self) -> Geometry | None:

@@ -23,8 +23,8 @@ from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.range_check import doubt_about, doubted
 from lfgpu.pipelines.pipeline import DepthPipeline, Progress
+from lfgpu.pipelines.verdict import verdict_of
 
 _KEYS = 9
 _LEAST_VALID = 0.5  # smallest share of valid pixels of a key view
@@ -42,6 +42,7 @@ def estimate_all_views(
     backend: BackendName = DEFAULT,
     device: str | None = None,
     deterministic: bool = False,
+    check_cameras: bool = True,
     on_progress: Progress | None = None,
 ) -> ViewsResult:
     """Estimate consistent disparity maps of all views of a light field.
@@ -54,9 +55,9 @@ def estimate_all_views(
         Number of key views, >= 1; default 9. The first is the reference view. Each further one is the view that is
         farthest from those before, among the views with at least half of their pixels valid. The time is nearly
         proportional to this number. If it is the number of views or more, all views are key views.
-    config, disparity_range, backend, device, deterministic
-        As for `estimate_depth`. Range and noise are measured once, on the reference view. Disparities that differ by up
-        to `Method.same_surface` belong to the same surface.
+    config, disparity_range, backend, device, deterministic, check_cameras
+        As for `estimate_depth`. Range and noise are measured once, on the reference view, and the cameras are looked at
+        with its map. Disparities that differ by up to `Method.same_surface` belong to the same surface.
     on_progress
         Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
         view. The stage "keys" estimates the key views, "join" makes the maps of all views. The value is the share that
@@ -83,8 +84,8 @@ def estimate_all_views(
         estimates.append(pipeline.estimate())
         report("keys", len(estimates), len(estimates) / len(chosen))
     place = open_device(backend, device)
-    doubt = doubt_about(lf, disparity_range, place)
-    estimates = [doubted(estimate, doubt) for estimate in estimates]
+    verdict = verdict_of(lf, estimates[0], place, disparity_range=disparity_range, check_cameras=check_cameras)
+    estimates = [verdict.on(lf.with_reference(n), one) for n, one in zip(chosen, estimates, strict=True)]
     estimated = perf_counter()
 
     report("join", 0, 0.0)
@@ -141,7 +142,7 @@ def _pipelines(
     device: str | None,
     deterministic: bool,
 ) -> Iterator[DepthPipeline]:
-    """One pipeline per key view, each made when it is needed; range and noise are those of the first view."""
+    """Make a pipeline per key view, each when it is needed; range and noise are those of the first view."""
     measured: Measured | None = None
     for index in chosen:
         pipeline = DepthPipeline(
@@ -158,7 +159,7 @@ def _pipelines(
 
 
 class Join:
-    """Makes the map of any view from the maps of the key views.
+    """Join of the maps of the key views to the map of any view.
 
     Parameters
     ----------
@@ -212,7 +213,7 @@ class Join:
         return mean.astype(np.float32), trust / np.maximum(agreeing + opposed, 1)
 
     def _most_agreed(self, steps: Sequence[Float64Array]) -> Float32Array:
-        """The disparity at each pixel that wins the vote among those that land there; 0 if nothing lands.
+        """Find the disparity at each pixel that wins the vote among those that land there; 0 if nothing lands.
 
         A key view votes for a disparity if its own map agrees at the corresponding point. It votes against if its map
         is farther there, because then it sees through the assumed surface. It abstains if its map is nearer, because
@@ -243,7 +244,7 @@ class Join:
         return votes
 
     def _carried(self, key: int, step: Float64Array) -> Float32Array:
-        """The map [y, x] of a key view, warped into a view `-step` away from it; < _LANDED where nothing lands."""
+        """Warp the map [y, x] of a key view into a view `-step` away from it; < _LANDED where nothing lands."""
         offset = self._device.field(-step[None])
         carry = self._device.kernels.z_buffer((1, *self._size, 1), offset, reach=0)
         carry(self._landing[key], self._landed)

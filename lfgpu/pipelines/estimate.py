@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from lfgpu._backends import DEFAULT, BackendName, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName
 from lfgpu.config import Config
-from lfgpu.contract import Device
-from lfgpu.data import hooks
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
-from lfgpu.errors import LightFieldError
 from lfgpu.methods import PresetName, configured
 from lfgpu.methods.footprint import parse_memory
-from lfgpu.methods.range_check import doubt_about, doubted, with_notes_anew
 from lfgpu.pipelines.pipeline import DepthPipeline, Progress
 from lfgpu.pipelines.tiles import estimate_in_tiles
+from lfgpu.pipelines.verdict import judged
 
 
 def estimate_depth(
@@ -47,16 +44,15 @@ def estimate_depth(
     device
         "cpu", "cuda" or "cuda:1". Default None: the first GPU that the backend can use, else the CPU.
     deterministic
-        Whether to refuse a backend whose maps are not bit-identical from run to run on the same device. "warp" and
+        True: refuse a backend whose maps are not bit-identical from run to run on the same device. "warp" and
         "reference" are always deterministic, "taichi" on a CPU only. Default False.
     max_memory
         Memory limit, as "8GiB", "500MB" or a number of bytes. It applies to the process on a CPU, and to each GPU.
         Light fields that do not fit are estimated in overlapping tiles, on all GPUs unless `device` names one. Read
         large light fields with `lfgpu.read(..., lazy=True)`. Default None: no limit, and no tiles.
     check_cameras
-        Whether to look, with the map, at whether the cameras stand and look where they should. It takes a fraction of a
-        second where nothing may be wrong, and a few seconds where something may be. With `max_memory` it looks at some
-        of the views. Default True.
+        Look, with the map, whether the cameras stand and look where they should. It takes a fraction of a second where
+        nothing can be wrong, and a few seconds else. With `max_memory` it looks at some of the views. Default True.
     on_progress
         Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
         iteration of those that have some: value is the root mean square step in pixels per view step (align), the
@@ -65,10 +61,10 @@ def estimate_depth(
     Returns
     -------
     DepthResult
-        Disparity, confidence and depth of the reference view, each [y, x] at full resolution. Its `notes` say so if the
-        given range leaves out what the views show, if they show nothing, if the map goes on beyond its range, or if it
-        is confident nowhere. Its `remarks` say what stands out about the cameras, and the confidence is lower then
-        (`lfgpu.calibration.judged`).
+        Disparity, confidence and depth of the reference view, each [y, x] at full resolution. Its `notes` tell if the
+        given range excludes the scene, if the views show nothing, if surfaces may lie beyond the range, or if the map
+        is confident nowhere. Its `remarks` tell what stands out about the cameras; then the confidence is lower
+        (`lfgpu.judged`).
 
     Raises
     ------
@@ -89,8 +85,6 @@ def estimate_depth(
             on_progress=on_progress,
             max_memory=parse_memory(max_memory),
         )
-        kernels = load(backend)
-        device = pick_device(kernels, device)
     else:
         pipeline = DepthPipeline(
             lf,
@@ -101,13 +95,12 @@ def estimate_depth(
             deterministic=deterministic,
         )
         result = pipeline.estimate(on_progress=on_progress)
-        kernels, device = pipeline.kernels, pipeline.device
-    doubt = doubt_about(lf, disparity_range, Device(kernels, device))
-    result = doubted(result, doubt)
-    if not check_cameras:
-        return result
-    try:
-        result = hooks.call("judged", lf, result, backend=backend, device=device, quickly=max_memory is not None)
-    except LightFieldError:  # the map says nothing of the cameras
-        return result
-    return result if doubt is not None and doubt.is_of_nothing else with_notes_anew(result)
+    return judged(
+        lf,
+        result,
+        disparity_range=disparity_range,
+        backend=backend,
+        device=result.device,
+        check_cameras=check_cameras,
+        in_part=max_memory is not None,
+    )

@@ -23,8 +23,9 @@ from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import LivePlan
 from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.pipelines.pipeline import measured_on
-from lfgpu.pipelines.rectifier import Rectification, Rectifier
-from lfgpu.pipelines.stream import CUT, SEEN_CHANGE
+from lfgpu.pipelines.rectifier import DeviceViews, Rectifier
+from lfgpu.pipelines.stream import CUT
+from lfgpu.pipelines.stream_engine import SEEN_CHANGE
 from lfgpu.threads import limited_threads
 
 _SOURCES = "lfgpu_replay.h", "lfgpu_replay.cpp", "replay.cpp", "CMakeLists.txt"
@@ -121,28 +122,21 @@ def export_pipeline(
             measured, _ = measured_on(
                 lf, config=config, disparity_range=disparity_range, backend=backend, device=device
             )
-            some = lf if len(used) == len(lf.views) else lf.subset(used)
-            rectification = None
-            if rectifier is not None:
-                rectification = Rectification(rectifier, pictures, place, used=used)
-                frames, views = rectification.pictures, rectification.views
-            else:
-                frames = views = place.image(some.views)
-            plan = method.live_plan(some.layout, measured, place, streaming=streaming, prior=prior or TemporalPrior())
+            front = DeviceViews(rectifier, pictures, place, used=used)
+            plan = method.live_plan(
+                lf.layout.subset(used), measured, place, streaming=streaming, prior=prior or TemporalPrior()
+            )
 
-            def whole(work: Callable[[Array], None]) -> Callable[[], None]:
-                def call() -> None:
-                    if rectification is not None:
-                        rectification.work()
-                    work(views)
+            def whole(work: Callable[[Array], None]) -> None:
+                front.work()
+                work(front.views)
 
-                return call
-
-            cold, warm = whole(plan.levels[-1][1]), None if prior is None else whole(plan.warm_levels[-1][1])
+            cold = partial(whole, plan.levels[-1][1])
+            warm = None if prior is None else partial(whole, plan.warm_levels[-1][1])
             for work in (cold, *([warm] if warm is not None else [])):
                 work()
         with atomic_folder(out) as folder:
-            save = partial(_save, plan, frames, recording, folder, device)
+            save = partial(_save, plan, front.frame, recording, folder, device)
             found = save("pipeline.wrp", cold, state_in=False)
             if warm is not None:
                 found |= save("warm.wrp", warm, state_in=True)

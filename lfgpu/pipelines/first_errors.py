@@ -1,4 +1,4 @@
-"""Exceptions that go to the log once for each line of code that raises them: a stream may meet one with every frame."""
+"""Log of exceptions, once for each line of code that raises them: a stream may meet one with every frame."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import logging
 
 
 class FirstErrors:
-    """Logs exceptions with their traceback, of those from one line of code only the first."""
+    """Log of exceptions with their traceback; of those from one line of code only the first."""
 
     def __init__(self, log: logging.Logger) -> None:
         self._log, self._known = log, set[tuple[object, ...]]()
 
     def log(self, what: str, error: BaseException) -> None:
-        """Log an exception unless one of its kind from the same line was; `what` says what failed."""
+        """Log an exception unless one of its kind from the same line was; `what` names the failure."""
         place = error.__traceback__
         while place is not None and place.tb_next is not None:
             place = place.tb_next

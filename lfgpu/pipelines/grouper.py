@@ -1,4 +1,4 @@
-"""`FrameGrouper`: pictures of cameras that each have their own time stamps become frames of all cameras."""
+"""`FrameGrouper`: frames of all cameras, from pictures of cameras that each have their own time stamps."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ class FrameGroup:
     views
         [n, y, x, c]; 0 where a camera is missing.
     valid
-        bool [n], which cameras are there: `DepthStream.push(group.views, valid=group.valid, stamps=group.stamps)`.
+        bool [n], True for cameras with a picture. `DepthStream.push(group.views, valid=group.valid,
+        stamps=group.stamps)` takes them.
     stamps
         float64 [n], seconds, as the recorder gave them; NaN where a camera is missing.
     """
@@ -54,7 +55,7 @@ class _Open:
 
 
 class FrameGrouper:
-    """Groups pictures by their time stamps.
+    """Grouper of pictures by their time stamps.
 
     Recorders add pictures from any thread and are never made to wait::
 
@@ -135,7 +136,8 @@ class FrameGrouper:
 
         Returns
         -------
-        Whether it became a part of a group; False if it came too late, or if its camera is in that group already.
+        True if the picture became a part of a group; False if it came too late, or if its camera is in that group
+        already.
 
         Raises
         ------
@@ -202,7 +204,7 @@ class FrameGrouper:
     # --- steps; the caller holds the lock ---
 
     def _group_for(self, camera: int, stamp: float) -> _Open | None:
-        """The group that a picture belongs to, a new one if there is none; None if it may not be in any."""
+        """Find the group of a picture, or open one; None if the picture may not be in any."""
         near = [group for group in self._open if abs(stamp - group.first) <= self._tolerance]
         if near:
             chosen = min(near, key=lambda group: abs(stamp - group.first))

@@ -1,4 +1,4 @@
-"""The queue in which the frames of a stream wait, and its policies for frames that come too fast."""
+"""Queue of the frames of a stream, and its policies for frames that come too fast."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Slot = TypeVar("Slot")
 
 
 class Inbox(Generic[Frame, Slot]):
-    """A queue of frames in order, each with a slot that holds its data. It may be used from any thread.
+    """Queue of frames in order, each with a slot that holds its data. It may be used from any thread.
 
     Parameters
     ----------
@@ -38,14 +38,14 @@ class Inbox(Generic[Frame, Slot]):
         self._changed = threading.Condition()
         self._closed = False
         self.reason = ""
-        """Why it was closed, if not by its owner."""
+        """Reason of the end, if the owner did not close it."""
 
     def __len__(self) -> int:
         return len(self._waiting)
 
     @property
     def closed(self) -> bool:
-        """Whether new frames are refused."""
+        """True if new frames are refused."""
         return self._closed
 
     def slot(self) -> Slot:

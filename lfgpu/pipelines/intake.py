@@ -1,4 +1,4 @@
-"""How frames come into a stream: they are checked, and copied to where they wait for the device."""
+"""Intake of frames into a stream: they are checked, and copied to the memory where they wait for the device."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _MOST_COPIERS = 8
 
 
 class Intake:
-    """Takes frames of one kind, from any thread.
+    """Intake of frames of one kind, from any thread.
 
     Parameters
     ----------
     lf
         A light field of that kind, with all views.
     used
-        Indices of the views that are used; the others are not looked at.
+        Indices of the views that are used; the others are not read.
     device
         Where the stream is.
     """
@@ -42,7 +42,7 @@ class Intake:
 
     @property
     def count(self) -> int:
-        """How many views a frame has."""
+        """Number of views of a frame."""
         return int(self._expected[0][0])
 
     def close(self) -> None:
@@ -50,7 +50,7 @@ class Intake:
         self._copiers.shutdown()
 
     def checked_valid(self, valid: Any) -> NDArray[np.bool_]:
-        """Which cameras have a picture, bool [n]; LightFieldError if that cannot be."""
+        """Check the mask of the cameras with a picture, bool [n]; LightFieldError if it is none."""
         there = np.asarray(valid)
         if there.shape != self._expected[0][:1] or there.dtype != np.bool_:
             raise LightFieldError(
@@ -67,7 +67,7 @@ class Intake:
         return there
 
     def checked(self, frame: Any) -> tuple[Any, bool]:
-        """The frame as [n, y, x, c], a NumPy array if it is on the host; and whether it is on the GPU.
+        """Check a frame: [n, y, x, c], a NumPy array if it is on the host; and True if it is on the GPU.
 
         LightFieldError if it is of another kind; whatever the library of the frame raises.
         """
@@ -93,7 +93,7 @@ class Intake:
         return frame, True
 
     def fill(self, slot: Slot, frame: Any, valid: NDArray[np.bool_], transport: Transport, *, on_gpu: bool) -> None:
-        """Copy a checked frame to where it waits; what is there goes to the device while the rest is copied."""
+        """Copy a checked frame to its slot; copied views go to the device while the rest is copied."""
         slot.present[:] = valid[self._used]
         transport.enter()
         if on_gpu:

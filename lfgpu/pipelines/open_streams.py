@@ -1,4 +1,4 @@
-"""Streams that are closed when the interpreter exits, because no device work may run then."""
+"""Open streams, which are closed when the interpreter exits, because no device work may run then."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class _Closes(Protocol):
 
 
 OPEN: weakref.WeakSet[_Closes] = weakref.WeakSet()
-"""Those that are open."""
+"""Streams that are open."""
 
 
 def _close_all() -> None:

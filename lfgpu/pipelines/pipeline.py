@@ -22,10 +22,10 @@ from lfgpu.machine import version_of
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.range_check import notes_of
-from lfgpu.methods.range_confirmation import confirm
-from lfgpu.pipelines.rectifier import Rectification, Rectifier
+from lfgpu.pipelines.range_confirmation import confirm
+from lfgpu.pipelines.rectifier import DeviceViews, Rectifier
 from lfgpu.pipelines.rehearsal import Rehearsal
+from lfgpu.pipelines.verdict import map_notes
 
 _LOG = logging.getLogger(__name__)
 _NOT_FINITE = "views hold NaN or infinity; mask or replace these values."
@@ -35,7 +35,7 @@ Progress = Callable[[str, int, float], None]
 
 
 class DepthPipeline:
-    """A depth estimator for many light fields of one kind. All memory is allocated once.
+    """Depth estimator for many light fields of one kind. All memory is allocated once.
 
         pipeline = DepthPipeline(lf, disparity_range=(-2, 2))
         pipeline.upload(views)          # [n, y, x, c], like lf.views
@@ -56,9 +56,9 @@ class DepthPipeline:
         The disparity range and the noise, if they were measured before; then `disparity_range` is not used. Default
         None: measured on the views of `lf`.
     rectifier
-        Rectifies raw pictures on the device before each estimate, in the same graph. Then `lf` and what is uploaded are
-        raw pictures in the order of its cameras (`Rectifier.pictures`); positions, reference view, masks and geometry
-        are those of the rectifier. Default None: views are as they should be.
+        Rectifier of raw pictures, which works on the device before each estimate, in the same graph. Then `lf` and all
+        uploads are raw pictures in the order of its cameras (`Rectifier.pictures`); positions, reference view, masks
+        and geometry are those of the rectifier. Default None: frames are views of parallel cameras.
 
     Raises
     ------
@@ -90,38 +90,33 @@ class DepthPipeline:
         pictures = lf
         if rectifier is not None:
             lf = rectifier.rectified(pictures, place)
-        self._lf, self._backend = lf, backend
+        self._lf, self._backend, self._is_raw = lf, backend, rectifier is not None
         self._timings: dict[str, float] = {}
         self._graph: Callable[[], None] | None = None
         self._runs = 0
-        self._is_found = measured is None and disparity_range is None  # and no map has confirmed that range
+        self._is_found = measured is None and disparity_range is None  # and no map has confirmed the range
         self._notes: tuple[str, ...] = ()  # about that range
-        self._unseen = False  # whether the views came from a GPU, where NaN is not looked for
-        used = self.method.used_views(lf.layout)
+        self._unseen = False  # True if the views came from a GPU, where nobody looks for NaN
+        used = self.method.used_views(lf.layout)  # no others go to the device
         self._used = used if len(used) < len(lf.views) else None
-        some = lf if self._used is None else lf.subset(used)  # no others go to the device
-        with place.asking():
+        self._layout = lf.layout if self._used is None else lf.layout.subset(used)
+        with self._device.asking():
             with self._timed("compile"):
                 if measured is None:
                     Rehearsal(self.method, lf, place).measure(disparity_range)
             with self._timed("measure"):
-                self._rectification = None
-                if rectifier is not None:
-                    self._rectification = Rectification(rectifier, pictures, place, used=used)
-                    self._input, self._views = self._rectification.pictures, self._rectification.views
-                else:
-                    self._input = self._views = place.image(some.views)
+                self._front = DeviceViews(rectifier, pictures, place, used=used)
                 self.measured = measured or self.method.measure(
                     lf,
                     place,
                     disparity_range=disparity_range,
-                    views=self._views if rectifier is None and self._used is None else None,
+                    views=self._front.views if rectifier is None and self._used is None else None,
                 )
             with self._timed("compile"):
-                Rehearsal(self.method, some, place).run(self.measured)
+                Rehearsal(self.method, lf, place, used=self._used).run(self.measured)
             with self._timed("measure"):
                 self._waited_for = place.scalar(0.0)  # who reads it waits for all that was asked
-                self._plan: Plan = self.method.plan(some.layout, self.measured, place)
+                self._plan: Plan = self.method.plan(self._layout, self.measured, place)
 
     def upload(self, views: Any) -> None:
         """Replace the views.
@@ -171,7 +166,7 @@ class DepthPipeline:
             raise LightFieldError(f"views are on {place}, but the pipeline is on {self.device}; copy them there first.")
         try:
             with self._device.asking():
-                self.kernels.upload(views, self._input, chosen=self._used)
+                self.kernels.upload(views, self._front.frame, chosen=self._used)
         except (BufferError, RuntimeError) as error:  # raised by the library of the array
             raise LightFieldError(f"views cannot be read: {' '.join(str(error).split())}") from error
         self._unseen = place != "cpu" and expected.dtype.kind == "f"
@@ -217,7 +212,7 @@ class DepthPipeline:
         return self.kernels.shared(self._plan.confidence)
 
     def disparity(self) -> Float32Array:
-        """The map of the last run, float32 [y, x]; waits for the device.
+        """Download the map of the last run, float32 [y, x]; waits for the device.
 
         Raises
         ------
@@ -249,11 +244,11 @@ class DepthPipeline:
     def confirm_range(self) -> tuple[str, ...]:
         """Take a wider disparity range where the first map shows surfaces at the ends of the one that was found.
 
-        Only the first stage runs; waits for the device. A range that was given stays, and so does any after a run.
+        Only the first stage runs; waits for the device. A range that was given stays; after a run, any range does.
 
         Returns
         -------
-        A sentence if surfaces may lie beyond the range all the same; else nothing.
+        A sentence if surfaces may lie beyond the widest range, too; else nothing.
         """
         stage = self.method.MATCHED
         if stage is not None and self._is_found and self._runs == 0:
@@ -263,7 +258,10 @@ class DepthPipeline:
         return self._notes
 
     def result(self) -> DepthResult:
-        """The result of the last run; waits for the device. Raises as `disparity`."""
+        """Return the result of the last run; waits for the device. Raises as `disparity`.
+
+        Its notes are those that the map alone gives; `lfgpu.judged` adds the verdict of the views.
+        """
         self._check()
         lf, solution, maps = self._lf, self._plan.solution(), self._plan.maps()
         position = lf.positions[lf.reference_index]
@@ -288,26 +286,25 @@ class DepthPipeline:
             },
             geometry=lf.geometry,
             name=lf.name,
-            notes=(*self._notes, *notes_of(disparity, confidence, self.bounds)),
+            notes=(*self._notes, *map_notes(disparity, confidence, self.bounds)),
         )
 
     def stages(self) -> dict[str, Work]:
-        """The work of each stage, by name and in order; each stage needs those before it, and rectified views.
+        """Return the work of each stage, by name and in order; each stage needs those before it, and rectified views.
 
         `method.stages` describes the stages. Call a stage with a callback(iteration, value), which it calls after each
         iteration, or with None; it can be captured only with None. `run` and `estimate` do all stages.
         """
-        return self._plan.stages(self._views)
+        return self._plan.stages(self._front.views)
 
     def work(self) -> None:
         """Start all stages, one operation after the other. `run` does this until it has captured them."""
-        if self._rectification is not None:
-            self._rectification.work()
+        self._front.work()
         for stage in self.stages().values():
             stage(None)
 
     def _do(self, stage: str, on_progress: Progress | None) -> None:
-        """One stage; waits for the device."""
+        """Run one stage; waits for the device."""
         work = self.stages()[stage]
         with self._timed(stage):
             if on_progress is not None:
@@ -317,24 +314,23 @@ class DepthPipeline:
             self.kernels.number(self._waited_for)
 
     def _rectify(self) -> None:
-        if self._rectification is not None:
+        if self._is_raw:
             with self._timed("rectify"):
                 with self._device.asking():
-                    self._rectification.work()
+                    self._front.work()
                 self.kernels.number(self._waited_for)
 
     def _widen(self, stage: str, on_progress: Progress | None) -> None:
-        """Do the first stage again, within a wider range, where surfaces lie at the ends of the found one; once."""
+        """Repeat the first stage within a wider range if surfaces lie at the ends of the found one; once."""
         if not self._is_found:
             return
         self._is_found = False
 
         def match(bounds: tuple[float, float]) -> Float32Array:
             with self._timed("measure"), self._device.asking():
-                some = self._lf.layout if self._used is None else self._lf.layout.subset(self._used)
                 self.measured = self.method.measured(self._lf, bounds, self._device)
                 del self._plan  # its memory first
-                self._plan = self.method.plan(some, self.measured, self._device)
+                self._plan = self.method.plan(self._layout, self.measured, self._device)
             self._do(stage, on_progress)
             return self._plan.maps()[stage]
 
@@ -370,11 +366,11 @@ def measured_on(
     backend: str,
     device: str,
 ) -> tuple[Measured, tuple[str, ...]]:
-    """What a method measures on the first of many light fields; a range that is found is confirmed (`confirm_range`).
+    """Measure range and noise on the first of many light fields; a range that is found is confirmed (`confirm_range`).
 
     Returns
     -------
-    What is measured, and a sentence if surfaces may lie beyond the range that was found, which is also logged.
+    The measures, and a sentence if surfaces may lie beyond the range that was found, which is also logged.
 
     Raises
     ------

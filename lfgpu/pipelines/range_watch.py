@@ -1,12 +1,13 @@
-"""Whether the disparity range of a stream is too small for what comes.
+"""Watch over the disparity range of a stream: frames may show surfaces beyond it.
 
-Maps are clamped to the range, so surfaces beyond it often lie exactly at one of its ends. But what has no texture may
-lie there by chance, and what has some may take any other disparity. So the ends of the maps only raise a suspicion; the
-views decide, by the range that is found in them.
+Maps are clamped to the range, so surfaces beyond it often lie exactly at one of its ends. But surfaces without texture
+may lie there by chance, and those with texture may take any other disparity. So the ends of the maps only raise a
+suspicion; the views decide, by the range that is found in them.
 """
 
 from __future__ import annotations
 
+import logging
 import threading
 from time import monotonic
 
@@ -15,25 +16,32 @@ from lfgpu.contract import Float32Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
-from lfgpu.methods.range_check import at_ends
+from lfgpu.pipelines.first_errors import FirstErrors
+from lfgpu.pipelines.snapshots import Snapshots
+from lfgpu.pipelines.stream_result import StreamResult
+from lfgpu.pipelines.verdict import at_ends
 from lfgpu.threads import alone_here
 
 _BEYOND = 0.25  # of the found range, beyond an end: more than the found one has as a margin
 _BEYOND_IF_SUSPECTED = 0.05
 _PAUSE = 10.0  # seconds between two searches
 
+_LOG = logging.getLogger(__name__)
+
 
 class RangeWatch:
-    """Looks at the maps of a stream, and says once for each end that the range is too small.
+    """Watch over the maps of a stream; it says once for each end that the range is too small.
 
     Parameters
     ----------
     bounds
         (low, high) of the disparities, pixels per view step.
+    first
+        The first views, if the range was given. Default None: it was found in them, or there are none.
     """
 
-    def __init__(self, bounds: tuple[float, float]) -> None:
-        self._bounds = bounds
+    def __init__(self, bounds: tuple[float, float], first: LightField | None = None) -> None:
+        self._bounds, self._first = bounds, first
         self._said: dict[str, str] = {}
         self._suspected: dict[str, float] = {}  # share of the map at each end, since the last search
         self._changed = threading.Condition()
@@ -42,7 +50,7 @@ class RangeWatch:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What has been said, one sentence for each end of the range."""
+        """Sentences so far, one for each end of the range."""
         return tuple(self._said.values())
 
     def look(self, disparity: Float32Array, *, is_new: bool) -> bool:
@@ -50,7 +58,7 @@ class RangeWatch:
 
         Returns
         -------
-        Whether many pixels of the map lie at one end of the range (`at_ends`).
+        True if many pixels of the map lie at one end of the range (`at_ends`).
         """
         beyond = at_ends(disparity, self._bounds)
         if is_new or beyond.keys() - self._said.keys():
@@ -60,7 +68,27 @@ class RangeWatch:
                 self._changed.notify()
         return bool(beyond)
 
-    def wait(self) -> bool:
+    def run(self, asked_for: Snapshots[tuple[LightField, StreamResult]], errors: FirstErrors) -> None:
+        """Find the range in the first views, if there are any, and whenever it is wanted; the loop of a thread.
+
+        `asked_for` gives the views of a frame, `errors` takes exceptions. New sentences are logged.
+        """
+        lf, what, self._first = self._first, "the first views", None
+        while True:
+            try:
+                new = () if lf is None else self.search(lf, what)
+            except Exception as error:  # the maps do not need it
+                errors.log("the disparity range of a frame could not be found", error)
+                return
+            for sentence in new:
+                _LOG.warning(sentence)
+            lf = None  # its memory is not needed any more
+            shown = asked_for.get(None) if self._wait() else None
+            if shown is None:
+                return
+            lf, what = shown[0], f"the views of frame {shown[1].index}"
+
+    def _wait(self) -> bool:
         """Wait until views are to be searched. False after `close`."""
         with self._changed:
             self._changed.wait_for(lambda: self._wanted or self._closed)
@@ -68,7 +96,7 @@ class RangeWatch:
             return not self._closed
 
     def search(self, lf: LightField, what: str) -> tuple[str, ...]:
-        """Find the range in views; `what` they are. Returns the sentences that are new."""
+        """Find the range in views, which `what` names. Returns the sentences that are new."""
         with self._changed:
             self._next, self._wanted = monotonic() + _PAUSE, False
             suspected, self._suspected = self._suspected, {}
@@ -87,7 +115,7 @@ class RangeWatch:
         return tuple(new.values())
 
     def close(self) -> None:
-        """No search is wanted any more."""
+        """End the watch: no search is wanted any more."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -96,6 +124,6 @@ class RangeWatch:
         low, high = self._bounds
         part = "" if share is None else f", and {100 * share:.0f} % of a map lies at its {end} end"
         return (
-            f"The disparity range from {low:.3g} to {high:.3g} px per view step is too small for what comes: {what} "
+            f"The disparity range from {low:.3g} to {high:.3g} px per view step is too small for the frames: {what} "
             f"show about {found[0]:.3g} to {found[1]:.3g}{part}; move the {end} end further out."
         )

@@ -1,4 +1,4 @@
-"""`Rectifier`: how raw pictures of a rig become views of parallel, equal cameras, planned once for many frames."""
+"""`Rectifier`: the way from raw pictures of a rig to views of parallel, equal cameras, planned once for many frames."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lfgpu.errors import LightFieldError
 
 @dataclass(frozen=True, eq=False)
 class Rectifier:
-    """Where each pixel of the rectified views comes from, and how bright the cameras are: n cameras, c colours.
+    """Sources of the pixels of rectified views, and tones of the cameras: n cameras, c colours.
 
         rectifier = lfgpu.calibration.read_rectifier("rectified")       # what `lfgpu rectify` wrote
         stream = lfgpu.DepthStream(rectifier.pictures(frame), rectifier=rectifier)
@@ -46,7 +46,7 @@ class Rectifier:
     grid_shape
         (rows, columns) if the positions are places of a grid; None if not.
     name
-        What to call the rig in messages.
+        Name of the rig in messages.
 
     Raises
     ------
@@ -87,7 +87,7 @@ class Rectifier:
         return int(self.places.shape[1]), int(self.places.shape[2])
 
     def pictures(self, frame: ArrayLike, *, white: int | None = None) -> LightField:
-        """Raw pictures [n, y, x, c] of one frame as what pipelines and streams take together with this rectifier.
+        """Make raw pictures [n, y, x, c] of one frame a light field for pipelines and streams with this rectifier.
 
         `white` is that of `LightField`. LightFieldError if the pictures are of another rig.
         """
@@ -96,9 +96,9 @@ class Rectifier:
         return LightField(views, self.positions, reference=self.reference, name=self.name, white=white)
 
     def rectified(self, pictures: LightField, device: Device) -> LightField:
-        """The rectified light field of raw pictures, made by the kernels that streams use."""
+        """Rectify raw pictures to a light field, by the kernels that streams use."""
         self._check(pictures.views.shape)
-        plan = Rectification(self, pictures, device)
+        plan = DeviceViews(self, pictures, device)
         with device.asking():
             plan.work()
         views = np.asarray(device.kernels.numpy(plan.views))
@@ -117,7 +117,7 @@ class Rectifier:
         )
 
     def with_tones(self, tones: Float64Array) -> Rectifier:
-        """The same with other tones."""
+        """Return the same rectifier with other tones."""
         return replace(self, tones=np.asarray(tones, np.float64))
 
     def _check(self, shape: Sequence[int]) -> None:
@@ -129,15 +129,15 @@ class Rectifier:
             )
 
 
-class Rectification:
-    """A rectifier on a device: raw pictures there, rectified views there, and the work between them.
+class DeviceViews:
+    """Views on a device for a plan: those of each frame as they are, or rectified there from raw pictures.
 
     Parameters
     ----------
     rectifier
-        The plan.
+        The rectifier of the raw pictures; None if frames are views.
     pictures
-        Raw pictures: the first input, and the stored type.
+        The first frame, which also gives the stored type.
     device
         Where; the caller holds `device.asking()`, or nobody else asks it.
     used
@@ -146,28 +146,33 @@ class Rectification:
 
     def __init__(
         self,
-        rectifier: Rectifier,
+        rectifier: Rectifier | None,
         pictures: LightField,
         device: Device,
         *,
         used: Sequence[int] | None = None,
     ) -> None:
-        chosen = list(range(len(rectifier.places))) if used is None else list(used)
-        self._device, self._scale, self._used = device, pictures.scale, chosen
-        table = np.concatenate([rectifier.places[chosen], rectifier.squared_radius[chosen][..., None]], axis=-1)
-        self._table = device.field(table)
-        self._tones = device.field(self._stored(rectifier.tones))
-        self.pictures: Array = device.image(pictures.views[chosen])
+        chosen = list(range(len(pictures.views)) if used is None else used)
+        self._device, self._scale, self._chosen = device, pictures.scale, chosen
+        whole = len(chosen) == len(pictures.views)
+        self.frame: Array = device.image(pictures.views if whole else pictures.views[chosen])
         """[n, y, x, c], as stored; to be written to."""
-        shape = (len(chosen), *rectifier.size, pictures.channels)
-        self.views: Array = device.zeros_image(shape, pictures.views.dtype.type)
-        """[n, y, x, c], as stored, after `work`."""
+        self.views: Array = self.frame
+        """[n, y, x, c], as stored; for the plan, after `work`."""
+        self._table: Array | None = None
+        if rectifier is not None:
+            table = np.concatenate([rectifier.places[chosen], rectifier.squared_radius[chosen][..., None]], axis=-1)
+            self._table = device.field(table)
+            self._tones = device.field(self._stored(rectifier.tones))
+            shape = (len(chosen), *rectifier.size, pictures.channels)
+            self.views = device.zeros_image(shape, pictures.views.dtype.type)
 
     def work(self) -> None:
-        """Start rectifying the current pictures; may be captured."""
-        self._device.kernels.resample(
-            self.pictures, self._table, self._tones, white=1.0 / self._scale, views_out=self.views
-        )
+        """Start rectifying the current frame, if it is one of raw pictures; may be captured."""
+        if self._table is not None:
+            self._device.kernels.resample(
+                self.frame, self._table, self._tones, white=1.0 / self._scale, views_out=self.views
+            )
 
     def set_tones(self, tones: Float64Array) -> None:
         """Use other tones [n, 3, c] of all cameras from the next work on, also if it was captured."""
@@ -176,9 +181,9 @@ class Rectification:
 
     def _stored(self, tones: Float64Array) -> NDArray[Any]:
         """Tones of the cameras that are used, with offsets as stored."""
-        found = np.array(tones[self._used], np.float32)
+        found = np.array(tones[self._chosen], np.float32)
         found[:, 1] /= self._scale
         return found
 
 
-__all__ = ["Rectification", "Rectifier"]
+__all__ = ["DeviceViews", "Rectifier"]

@@ -1,8 +1,9 @@
-"""Kernels compiled and loaded before the clock of an estimate starts: a method runs once on a corner of the views."""
+"""Rehearsal of a method on a small part of the views: kernels are compiled and loaded before its clock starts."""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -12,14 +13,14 @@ from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Method
 from lfgpu.methods.measured import Measured
 
-_SIDE = 32  # pixels of the corner
+_SIDE = 32  # pixels of the part
 
 _known: set[tuple[object, ...]] = set()
 _lock = threading.Lock()
 
 
 class Rehearsal:
-    """A method on the middle of the views of a light field, whose results nobody looks at.
+    """Method on the middle of the views of a light field; its results are thrown away.
 
     Kernels are compiled when they are first used, which takes seconds to a minute, and kept on the disk. Which ones are
     used depends on the method, the stored type, channels, number and masks of the views, and a little on the range.
@@ -27,24 +28,29 @@ class Rehearsal:
     Parameters
     ----------
     method, lf, device
-        What will run, and where.
+        The method that will run, a light field of the kind, and where.
+    used
+        Indices of the views that are used; None (default) uses all.
     """
 
-    def __init__(self, method: Method[Any], lf: LightField, device: Device) -> None:
+    def __init__(
+        self, method: Method[Any], lf: LightField, device: Device, *, used: Sequence[int] | None = None
+    ) -> None:
         self._method, self._device = method, device
-        views = lf.views.dtype.str, lf.channels, lf.valid is None, len(lf.views)
-        self._kind = method.config, device, *views
         (top, bottom), (left, right) = (_middle(side) for side in lf.size)
-        self._lf = lf.crop(slice(top, bottom), slice(left, right))
+        middle = lf.crop(slice(top, bottom), slice(left, right))
+        self._lf = middle if used is None else middle.subset(used)
+        views = lf.views.dtype.str, lf.channels, lf.valid is None, len(self._lf.views)
+        self._kind = method.config, device, *views
 
     def measure(self, disparity_range: tuple[float, float] | None) -> None:
-        """Load what finds the range and the noise."""
+        """Load the kernels that find the range and the noise."""
         if self._is_new("found" if disparity_range is None else "given"):
             with suppress(LightFieldError):  # so little of the views may show nothing
                 self._method.measure(self._lf, self._device, disparity_range=disparity_range)
 
     def run(self, measured: Measured) -> None:
-        """Load what the stages use; waits for the device."""
+        """Load the kernels of the stages; waits for the device."""
         if not self._is_new("stages"):
             return
         views = self._device.image(self._lf.views)
@@ -55,7 +61,7 @@ class Rehearsal:
         self._device.kernels.number(waited_for)
 
     def _is_new(self, part: str) -> bool:
-        """Whether that part of such a kind has not been loaded in this process; from now on it counts as loaded."""
+        """Tell whether that part of such a kind was never loaded in this process; from now on it counts as loaded."""
         with _lock:
             before = len(_known)
             _known.add((part, *self._kind))

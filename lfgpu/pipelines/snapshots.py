@@ -1,4 +1,4 @@
-"""Something that one thread shows when others ask for it."""
+"""Snapshots that one thread shows when others ask for them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Shown = TypeVar("Shown")
 
 
 class Snapshots(Generic[Shown]):
-    """Others ask and wait; who has something looks whether it is `wanted`, and puts it."""
+    """Exchange of snapshots: threads ask and wait; the owner puts the next one if it is `wanted`."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -19,11 +19,11 @@ class Snapshots(Generic[Shown]):
 
     @property
     def wanted(self) -> bool:
-        """Whether somebody waits."""
+        """True if a thread waits."""
         return self._asking > 0
 
     def get(self, timeout: float | None) -> Shown | None:
-        """Wait for what is put next, at most `timeout` seconds; None if nothing was, or after `close`."""
+        """Wait for the next snapshot, at most `timeout` seconds; None if there was none, or after `close`."""
         with self._changed:
             before = self._count
             self._asking += 1
@@ -36,14 +36,14 @@ class Snapshots(Generic[Shown]):
                     self._latest = None
 
     def put(self, shown: Shown) -> None:
-        """Give it to all who wait."""
+        """Give a snapshot to all threads that wait."""
         with self._changed:
             self._latest = shown
             self._count += 1
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Nothing will be put any more."""
+        """End the exchange: no snapshot will come any more."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

@@ -1,4 +1,4 @@
-"""Whether the pictures of a frame were taken together: the time stamps of its cameras."""
+"""Time stamps of the cameras of a frame, and a watch over cameras that do not record together."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lfgpu.errors import LightFieldError
 
 
 def checked_tolerance(tolerance: float | None) -> float | None:
-    """LightFieldError if it is not None, nor a number of seconds > 0."""
+    """Check a tolerance: None, or a number of seconds > 0; else LightFieldError."""
     if tolerance is None:
         return None
     if not isinstance(tolerance, Real) or isinstance(tolerance, bool) or not 0 < tolerance < math.inf:
@@ -24,7 +24,7 @@ def checked_tolerance(tolerance: float | None) -> float | None:
 
 
 def checked_stamps(stamps: Any, valid: NDArray[np.bool_]) -> Float64Array:
-    """Stamps of all cameras, float64 [n], NaN where a camera has no picture; LightFieldError if they are none."""
+    """Check the stamps of all cameras: float64 [n], NaN where a camera has no picture; else LightFieldError."""
     try:
         found = np.array(stamps, np.float64)
     except (TypeError, ValueError) as error:
@@ -41,14 +41,14 @@ def checked_stamps(stamps: Any, valid: NDArray[np.bool_]) -> Float64Array:
 
 
 class StampWatch:
-    """Looks at the stamps of a stream's frames and says, once, that cameras do not record together.
+    """Watch over the stamps of a stream's frames; it says once that cameras do not record together.
 
     Parameters
     ----------
     tolerance
         Seconds by which the stamps of a frame may differ; None is any.
     used
-        The views that maps are made from.
+        Indices of the views that maps are made from.
     """
 
     def __init__(self, tolerance: float | None, used: Sequence[int]) -> None:
@@ -57,11 +57,11 @@ class StampWatch:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What has been said: a sentence, or nothing."""
+        """The sentence that was said, or nothing."""
         return self._said
 
     def look(self, index: int, stamps: Float64Array | None) -> tuple[bool, tuple[str, ...]]:
-        """Whether the stamps of a frame differ by too much, and the sentences that are new."""
+        """Compare the stamps of a frame: True if they differ by too much, and the sentences that are new."""
         if stamps is None or self._tolerance is None:
             return False, ()
         used = stamps[self._used]

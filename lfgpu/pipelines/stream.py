@@ -6,9 +6,7 @@ import logging
 import os
 import queue
 import threading
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
+from collections.abc import Sequence
 from time import perf_counter
 from typing import Any
 
@@ -30,25 +28,21 @@ from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.open_streams import OPEN
 from lfgpu.pipelines.pipeline import measured_on
 from lfgpu.pipelines.range_watch import RangeWatch
-from lfgpu.pipelines.rectifier import Rectification, Rectifier
+from lfgpu.pipelines.rectifier import Rectifier
 from lfgpu.pipelines.snapshots import Snapshots
-from lfgpu.pipelines.stamps import StampWatch, checked_stamps, checked_tolerance
-from lfgpu.pipelines.stream_levels import Level, fitting, prepared
+from lfgpu.pipelines.stamps import StampWatch, checked_stamps
+from lfgpu.pipelines.stream_engine import Engine, Level, fault
 from lfgpu.pipelines.stream_options import check_options, most_waiting
 from lfgpu.pipelines.stream_result import FrameDroppedError, OnResult, StreamResult
 
 _USUAL_NOISE = 0.004  # intensity: the noise of cameras of which nothing is known
-SEEN_CHANGE = 4.0
-"""In units of the noise: a larger change of a sample counts as a change of the scene."""
-
 CUT = 0.5
-"""Share of the samples that must have changed for a frame to start without the previous map."""
-
+"""Share of the samples whose change makes a frame start without the previous map."""
 _LOG = logging.getLogger(__name__)
 
 
 class DepthStream:
-    """Estimates disparity maps for a stream of frames from the same cameras, in real time.
+    """Stream of disparity maps for frames from the same cameras, in real time.
 
         with lfgpu.DepthStream(lf, disparity_range=(-2, 2)) as stream:
             for frame in camera:                # [n, y, x, c], like lf.views
@@ -61,34 +55,26 @@ class DepthStream:
     the scene has not changed (`TemporalPrior`). A frame without a previous map gets the same map as from
     `estimate_depth`.
 
-    If a frame is wrong (shape, type, values, missing reference view), its result has an `error`, and the stream
-    continues.
+    The result of a wrong frame (shape, type, values, missing reference view) has an `error`; the stream continues.
 
     Parameters
     ----------
     lf
         Gives the cameras, size, stored type, masks and reference view. The noise, and the disparity range if it is not
         given, are measured on its views. Without a first frame, use `for_cameras`.
-    config
-        All parameters, or the name of a preset: "accurate" (default) or "fast".
-    disparity_range
-        (low, high) of the disparities in pixels per view step; larger is nearer. Default None: found from the views,
-        and confirmed by the first map of them.
+    config, disparity_range, device, measured
+        As for `DepthPipeline`; the presets "accurate" (default) and "fast" run on streams.
     backend
         "warp" (default), the only backend with streams.
-    device
-        "cpu", "cuda" or "cuda:1". Default None: the first GPU, else the CPU.
     prior
-        How strongly a map follows the previous one; None estimates each frame independently. Default
-        `TemporalPrior()`.
+        Strength of the link to the previous map, default `TemporalPrior()`; None: frames are independent.
     cut
-        Share of the reference view, 0 to 1, that must have changed for a frame to start without the previous map;
-        default 0.5.
+        Share of the reference view, default 0.5, whose change makes a frame start without the previous map; 0 to 1.
     policy
-        What happens to frames that come too fast. "latest" (default): one frame waits, and a newer one replaces it.
+        Fate of frames that come too fast. "latest" (default): one frame waits, and a newer one replaces it.
         "block": `push` waits. "queue": several frames wait; if there are too many, the oldest is dropped.
     waiting
-        How many frames may wait, >= 1. Default None: 1 for "latest" (the only value), 2 for "block", 4 for "queue".
+        Number of frames that may wait, >= 1. Default None: 1 for "latest" (the only value), 2 "block", 4 "queue".
     budget_ms
         Device time per frame, milliseconds, > 0. The stream reduces the work per frame to fit, judging by the times of
         earlier frames; if nothing fits, it does the least it can. Default None: all work that `config` asks for.
@@ -97,19 +83,13 @@ class DepthStream:
         Its exceptions are counted (`stats`) and logged by `logging`, the first one from each line of code with its
         traceback. It is also an attribute that may be set at any time. Default None.
     end_on_error
-        Whether an exception of `on_result` ends the stream: `on_result` is not called any more, waiting frames are
+        True: an exception of `on_result` ends the stream. `on_result` is not called any more, waiting frames are
         dropped, and `push` raises an LfgpuError that names the exception. Default False.
-    measured
-        The disparity range and the noise, if they were measured before; then `disparity_range` is not used. Default
-        None: measured on the views of `lf`.
     rectifier
-        Rectifies the raw pictures of each frame on the device, in the same graph as the estimate. Then `lf` and all
-        frames are raw pictures in the order of its cameras (`Rectifier.pictures`). Default None: views are as they
-        should be.
+        Rectifier of raw pictures, as for `DepthPipeline`: `lf` and all frames are raw pictures then.
     tolerance
-        Seconds by which the `stamps` of one frame may differ, > 0. Frames whose stamps differ by more are counted
-        (`frames_out_of_step`) and a sentence is added to `warnings`, once; they are estimated all the same. Default
-        None: any.
+        Seconds by which the `stamps` of one frame may differ, > 0; default None: any. Other frames are estimated, too,
+        but they are counted (`frames_out_of_step`), and `warnings` has a sentence about the first.
 
     Raises
     ------
@@ -137,22 +117,18 @@ class DepthStream:
         rectifier: Rectifier | None = None,
         tolerance: float | None = None,
     ) -> None:
-        check_options(cut, budget_ms)
-        checked_tolerance(tolerance)
+        check_options(cut, budget_ms, tolerance)
         most = most_waiting(policy, waiting)
         given = disparity_range is not None or measured is not None
         method, kernels = method_of(config), load(backend)
         streaming = kernels.streaming
         if streaming is None:
             raise BackendError(f"backend {backend!r} has no streams; use backend {DEFAULT!r}.")
-        place = open_device(backend, device)
+        place, pictures = open_device(backend, device), lf
         self.device = place.name
-        pictures = lf
-        if rectifier is not None:
-            lf = rectifier.rectified(pictures, place)
-        self._device, self._rectifier = place, rectifier
+        lf = pictures if rectifier is None else rectifier.rectified(pictures, place)
         self.config, self.geometry, self.name = configured(config), lf.geometry, lf.name
-        self._used = method.used_views(lf.layout)
+        self._used, self._rectifier = method.used_views(lf.layout), rectifier
         self._intake = Intake(lf, self._used, self.device)
 
         with place.asking():
@@ -162,38 +138,25 @@ class DepthStream:
                     lf, config=self.config, disparity_range=disparity_range, backend=backend, device=self.device
                 )
             self.measured = measured
-            lf = lf if len(self._used) == len(lf.views) else lf.subset(self._used)
-            self._rectification: Rectification | None = None
-            if rectifier is not None:
-                self._rectification = Rectification(rectifier, pictures, place, used=self._used)
-                frames, self._views = self._rectification.pictures, self._rectification.views
-            else:
-                frames = self._views = place.image(lf.views)
-            self._like = lf
-            self._plan = method.live_plan(
-                lf.layout, self.measured, place, streaming=streaming, prior=prior or TemporalPrior()
-            )
-            self._transport = streaming.transport(
-                frames,
-                (self._plan.disparity, self._plan.confidence, *self._plan.numbers),
-                reference=lf.reference_index,
-                scale=lf.scale,
-                tolerance=SEEN_CHANGE * self._plan.noise,
+            self._engine = Engine(
+                lf,
+                pictures,
+                rectifier,
+                place,
+                streaming,
+                method=method,
+                measured=measured,
+                prior=prior,
+                budget_ms=budget_ms,
                 results=most + 4,
             )
-            self._base = None if lf.valid is None else place.field(lf.valid)
-            self._mask = place.field(np.ones(lf.views.shape[:3]))
-            self._present = np.ones(len(lf.views), bool)
-            self._set_mask()
-        self._budget = budget_ms
-        self._cold = self._prepared(self._plan.levels)
-        self._warm = self._prepared(self._plan.warm_levels) if prior is not None else []
+        self._engine.prepare()
         self._cut = cut
-        self._fresh = True  # whether there is no previous map to start from
+        self._fresh = True  # True if there is no previous map to start from
         self.on_result, self._end_on_error = on_result, end_on_error
-        self._watch = RangeWatch(self.bounds)
         # A range that was found was found in these views; a stream that was made without a frame has none.
-        self._first = self._like if given and np.any(self._like.views) else None
+        first = self._engine.like if given and np.any(self._engine.like.views) else None
+        self._watch = RangeWatch(self.bounds, first)
         self._stamps = StampWatch(tolerance, self._used)
         self._errors = FirstErrors(_LOG)
         self._process = os.getpid()
@@ -202,12 +165,15 @@ class DepthStream:
         self._index, self._numbering = 0, threading.Lock()
         self._asked_for: Snapshots[tuple[LightField, StreamResult]] = Snapshots()
         self._returned, self._buffers = False, 0
-        slots = [self._transport.slot() for _ in range(most + 2)]
+        slots = [self._engine.transport.slot() for _ in range(most + 2)]
         self._inbox: Inbox[StreamResult, Any] = Inbox(policy, most, slots, self._drop)
         self._under_way: queue.SimpleQueue[tuple[StreamResult, Any, Level] | None] = queue.SimpleQueue()
         self._threads = [
-            threading.Thread(target=target, name=f"lfgpu-{name}", daemon=True)
-            for name, target in (("solve", self._serve), ("deliver", self._deliver), ("range", self._watch_range))
+            threading.Thread(target=self._serve, name="lfgpu-solve", daemon=True),
+            threading.Thread(target=self._deliver, name="lfgpu-deliver", daemon=True),
+            threading.Thread(
+                target=self._watch.run, args=(self._asked_for, self._errors), name="lfgpu-range", daemon=True
+            ),
         ]
         for thread in self._threads:
             thread.start()
@@ -235,13 +201,11 @@ class DepthStream:
             As for `LightField`: [n, 2], (u, v) of each camera in view steps.
         size
             (height, width) of the views in pixels.
-        disparity_range
-            As for `DepthStream`.
         dtype, channels
             uint8 (default), uint16 or float32 in [0, 1]; 1 or 3 (default).
         noise
             Root mean square difference between views that show the same point, intensity; default 0.004.
-        config, options
+        config, disparity_range, options
             As for `DepthStream`.
         """
         places = np.asarray(positions, np.float64)
@@ -257,10 +221,9 @@ class DepthStream:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is wrong with the stream as a whole, a sentence each: a disparity range that is too small, cameras that
-        do not record together.
+        """Faults of the stream as a whole, a sentence each: a range that is too small, cameras not in step.
 
-        The range is held against the one that is found in the first views, in those after a cut, and in those of a map
+        The range is compared with the one that is found in the first views, in those after a cut, and in those of a map
         of which at least 1 % lies at one end; at most every ten seconds, beside the work on frames. Each sentence is
         also logged once by `logging`.
         """
@@ -326,7 +289,7 @@ class DepthStream:
             self._fail(result, _cannot_be_taken(error))
             return result
         try:
-            self._intake.fill(slot, checked, result.valid, self._transport, on_gpu=on_gpu)
+            self._intake.fill(slot, checked, result.valid, self._engine.transport, on_gpu=on_gpu)
         except Exception as error:  # the library of the frame may raise anything; only this frame fails
             self._inbox.give_back(slot)
             known = error if isinstance(error, LightFieldError) else _cannot_be_taken(error)
@@ -336,7 +299,7 @@ class DepthStream:
         return result
 
     def snapshot(self, *, timeout: float | None = None) -> tuple[LightField, StreamResult] | None:
-        """The views of the next frame that is solved, rectified, and its result; for looks at the cameras now and then.
+        """Take the views of the next frame that is solved, rectified, and its result; for looks at the cameras.
 
         Waits for that frame; the stream waits while its views are copied to the host.
 
@@ -354,7 +317,7 @@ class DepthStream:
 
     @property
     def rectifier(self) -> Rectifier | None:
-        """What frames are rectified with; None if they are not."""
+        """The rectifier of frames; None if they are views already."""
         return self._rectifier
 
     @property
@@ -371,8 +334,8 @@ class DepthStream:
             raise LightFieldError("the stream has no rectifier, so it cannot equalise its cameras; give it one.")
         with self._numbering:  # `close` returns the memory
             self._rectifier = self._rectifier.with_tones(tones)
-            if self._rectification is not None:
-                self._rectification.set_tones(self._rectifier.tones)
+            if not self._returned:
+                self._engine.set_tones(self._rectifier.tones)
 
     def restart(self) -> None:
         """Forget the previous map: the next frame starts without it."""
@@ -396,11 +359,11 @@ class DepthStream:
             **self._counters.stats(),
             "warnings": len(self.warnings),
             "frames_waiting": len(self._inbox),
-            "result_buffers": self._buffers if self._returned else self._transport.made,
+            "result_buffers": self._buffers if self._returned else self._engine.transport.made,
         }
 
     def prometheus(self) -> str:
-        """`stats` in the text format of Prometheus."""
+        """Format `stats` as text for Prometheus."""
         return stream_stats.prometheus(self.stats())
 
     def close(self, *, finish: bool = True) -> None:
@@ -421,11 +384,9 @@ class DepthStream:
         OPEN.discard(self)
         with self._numbering:
             if not self._returned:
-                self._returned, self._buffers = True, self._transport.made
-                self._cold, self._warm = [], []
+                self._returned, self._buffers = True, self._engine.transport.made
                 self._inbox.forget_slots()
-                self._rectification = None
-                del self._plan, self._transport, self._views, self._base, self._mask
+                del self._engine
 
     def __enter__(self) -> DepthStream:
         return self
@@ -435,92 +396,55 @@ class DepthStream:
 
     # --- the work ---
 
-    def _prepared(self, works: Sequence[tuple[int, Callable[[Any], None]]]) -> list[Level]:
-        """Levels of work on the views of the stream, which are rectified before if they must be."""
-        bound = [(steps, partial(self._rectified, work, self._views)) for steps, work in works]
-        return prepared(bound, self._budget, self._transport, self._device)
-
-    def _rectified(self, work: Callable[[Any], None], views: Any) -> None:
-        """Work on views that are rectified before, if they must be."""
-        if self._rectification is not None:
-            self._rectification.work()
-        work(views)
-
     def _serve(self) -> None:
-        """The loop of the thread that starts work on the device."""
-        self._transport.enter()
+        """Start work on the device, frame by frame; the loop of a thread."""
+        engine = self._engine
+        engine.transport.enter()
         while (taken := self._inbox.get()) is not None:
             result, slot = taken
             read = False
             try:
-                changed, unscaled = self._transport.bring(slot)
+                changed, unscaled = engine.transport.bring(slot)
                 self._inbox.give_back(slot, filled=True)
                 read = True
                 if unscaled > 0:
                     self._fresh = True
                     self._fail(result, LightFieldError("views have values far outside [0, 1]; scale float views."))
                     continue
-                result.cut = not self._fresh and bool(self._warm) and changed > self._cut
-                result.cold = self._fresh or result.cut or not self._warm
-                level = fitting(self._cold if result.cold else self._warm, self._budget)
+                result.cut = not self._fresh and engine.has_prior and changed > self._cut
+                result.cold = self._fresh or result.cut or not engine.has_prior
+                level = engine.level(cold=result.cold)
                 result.steps, self._fresh = level.steps, False
-                maps = self._transport.solve(level.work, self._masking(result.valid[self._used]))
-                self._show_views(result)
+                maps = engine.solve(level, result.valid[self._used])
+                if self._asked_for.wanted:
+                    self._asked_for.put((engine.shown(result.valid[self._used]), result))
             except Exception as error:  # if the device fails, the result must not stay pending
                 if not read:
                     self._inbox.give_back(slot, filled=True)
-                self._fresh, self._present = True, np.zeros_like(self._present)
+                self._fresh = True
+                engine.forget_mask()
                 self._fail(result, self._failed(error))
                 continue
             self._under_way.put((result, maps, level))
         self._under_way.put(None)
         self._asked_for.close()
 
-    def _show_views(self, result: StreamResult) -> None:
-        """Copy the views that the device works on now, if somebody asked for them."""
-        if self._asked_for.wanted:
-            views = self._device.kernels.numpy(self._views)
-            present = result.valid[self._used]
-            valid = self._like.valid
-            if not present.all():
-                there = np.ones(self._like.views.shape[:3], np.bool_) if valid is None else valid
-                valid = there & present[:, None, None]
-            self._asked_for.put((replace(self._like, views=views, valid=valid, truth=None, files=()), result))
-
-    def _masking(self, present: NDArray[np.bool_]) -> Callable[[], None] | None:
-        """The update of the mask, if other cameras are valid than in the last frame; else None."""
-        if np.array_equal(present, self._present):
-            return None
-        self._present = present
-        return self._set_mask
-
-    def _set_mask(self) -> None:
-        if self.device == "cpu" and self._base is None and self._present.all():
-            self._plan.mask(None)  # no mask is faster; a graph captured on a GPU reads it anyway
-            return
-        self._transport.mask(self._base, self._mask)
-        self._plan.mask(self._mask)
-
     def _deliver(self) -> None:
-        """The loop of the thread that waits for the device."""
-        self._transport.enter()
+        """Wait for the device, frame by frame; the loop of a thread."""
+        transport = self._engine.transport
+        transport.enter()
         while (item := self._under_way.get()) is not None:
             result, maps, level = item
             try:
-                work, trust, moved = self._transport.wait(maps)
+                work, trust, moved = transport.wait(maps)
             except Exception as error:
                 self._fresh = True
                 self._fail(result, self._failed(error))
                 continue
             level.took(work)
-            problem = None
-            if not np.isfinite(moved):
-                problem = "views hold NaN or infinity; mask or replace these values."
-            elif not trust > 0:
-                problem = "no pixel matches in other views: the views have no texture, or all pixels are masked."
-            if problem is not None:
+            if (problem := fault(trust, moved)) is not None:
                 self._fresh = True
-                self._transport.give(maps)
+                transport.give(maps)
                 self._fail(result, LightFieldError(f"frame {result.index}: {problem}"))
                 continue
             self._complete(result, maps, work)
@@ -528,17 +452,16 @@ class DepthStream:
 
     def _complete(self, result: StreamResult, maps: Any, work: float) -> None:
         result.latency, result.work = perf_counter() - result._pushed, work
-        over = self._budget is not None and work * 1000 > self._budget
         apart, warned = self._stamps.look(result.index, result.stamps)
         extra = {
             "frames_cold": result.cold,
             "scene_cuts": result.cut,
             "frames_with_missing_views": not result.valid.all(),
-            "frames_over_budget": over,
+            "frames_over_budget": self._engine.is_over_budget(work),
             "frames_out_of_step": apart,
         }
         self._counters.done(result.latency, work, *(name for name, counts in extra.items() if counts))
-        result._finish(self._transport.lease(maps))
+        result._finish(self._engine.transport.lease(maps))
         callback = self.on_result
         if callback is not None and not (self._end_on_error and self._inbox.reason):
             try:
@@ -554,25 +477,8 @@ class DepthStream:
         for sentence in warned:
             _LOG.warning(sentence)
 
-    def _watch_range(self) -> None:
-        """The loop of the thread that finds the range of some frames, to hold it against that of the stream."""
-        lf, what = self._first, "the first views"
-        self._first = None
-        while True:
-            try:
-                new = () if lf is None else self._watch.search(lf, what)
-            except Exception as error:  # the maps do not need it
-                self._errors.log("the disparity range of a frame could not be found", error)
-                return
-            for sentence in new:
-                _LOG.warning(sentence)
-            shown = self._asked_for.get(None) if self._watch.wait() else None
-            if shown is None:
-                return
-            lf, what = shown[0], f"the views of frame {shown[1].index}"
-
     def _failed(self, error: Exception) -> LfgpuError:
-        """The sentence about a failure of the device."""
+        """Make the sentence about a failure of the device."""
         self._errors.log("the device failed", error)
         remedy = "" if self.device == "cpu" else "; if all frames fail from now on, start the program again"
         return LfgpuError(f"the device failed ({' '.join(str(error).split()).rstrip('.')}){remedy}.")

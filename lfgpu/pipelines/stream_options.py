@@ -1,4 +1,4 @@
-"""What users may ask of a stream, checked."""
+"""Checks of the options of a stream."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from numbers import Integral, Real
 
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.inbox import POLICIES
+from lfgpu.pipelines.stamps import checked_tolerance
 
 _MOST_WAITING = 1000
 
 
-def check_options(cut: float, budget_ms: float | None) -> None:
-    """LightFieldError unless `cut` is a share and `budget_ms` a time, or None."""
+def check_options(cut: float, budget_ms: float | None, tolerance: float | None) -> None:
+    """Check that `cut` is a share, `budget_ms` and `tolerance` times, or None; else LightFieldError."""
+    checked_tolerance(tolerance)
     if not (_is_number(cut) and 0 <= cut <= 1):
         raise LightFieldError(f"cut must be a share, 0 to 1, not {cut!r}.")
     if budget_ms is not None and not (_is_number(budget_ms) and 0 < budget_ms < math.inf):
@@ -20,7 +22,7 @@ def check_options(cut: float, budget_ms: float | None) -> None:
 
 
 def most_waiting(policy: str, waiting: int | None) -> int:
-    """How many frames may wait; LightFieldError if there is no such policy, or so many may not wait with it."""
+    """Find the number of frames that may wait; LightFieldError if the policy is unknown, or forbids the number."""
     if policy not in POLICIES:
         raise LightFieldError(f"policy must be one of {', '.join(POLICIES)}, not {policy!r}.")
     if waiting is None:

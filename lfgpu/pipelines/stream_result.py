@@ -1,4 +1,4 @@
-"""`StreamResult`: what becomes of one frame of a stream."""
+"""`StreamResult`: the map of one frame of a stream, or its error."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from lfgpu.errors import LfgpuError
 
 
 class FrameDroppedError(LfgpuError):
-    """A frame was dropped, because frames came too fast or the stream was closed."""
+    """Error of a frame that was dropped, because frames came too fast or the stream was closed."""
 
 
 class StreamResult:
-    """The result of one frame. At first it is pending; then it holds a map and a confidence, or an error.
+    """Result of one frame. At first it is pending; then it holds a map and a confidence, or an error.
 
     Attributes
     ----------
@@ -28,13 +28,13 @@ class StreamResult:
     tag
         The `tag` that was given to `push`, such as a time stamp.
     cold
-        Whether the map was estimated without the previous one. `cut` is True if a change of the scene was the reason.
+        True if the map was estimated without the previous one. `cut` is True if a change of the scene was the reason.
     steps
         Number of alignment steps.
     latency
         Seconds from `push` to the map on the host; NaN until then. `work` is the device time, seconds.
     stamps
-        float64 [n], when each picture was taken, seconds, as given to `push`; NaN where a camera has none. None if they
+        float64 [n], time of each picture, seconds, as given to `push`; NaN where a camera has none. None if they
         were not given.
     """
 
@@ -49,17 +49,17 @@ class StreamResult:
 
     @property
     def done(self) -> bool:
-        """Whether there is a map or an error."""
+        """True if there is a map or an error."""
         return self._ready.is_set()
 
     @property
     def dropped(self) -> bool:
-        """Whether the frame was dropped."""
+        """True if the frame was dropped."""
         return isinstance(self._error, FrameDroppedError)
 
     @property
     def error(self) -> LfgpuError | None:
-        """Why there is no map; None if there is a map, or if the result is pending."""
+        """The reason that there is no map; None if there is one, or if the result is pending."""
         return self._error
 
     def wait(self, timeout: float | None = None) -> bool:
@@ -67,11 +67,11 @@ class StreamResult:
         return self._ready.wait(timeout)
 
     def numpy(self) -> Float32Array:
-        """A copy of the disparity, float32 [y, x], pixels per view step. Waits; raises `error` if there is one."""
+        """Copy the disparity, float32 [y, x], pixels per view step. Waits; raises `error` if there is one."""
         return np.asarray(self._maps().numpy(0))
 
     def confidence(self) -> Float32Array:
-        """A copy of the confidence, float32 [y, x], 0 to 1. Waits and raises as `numpy`."""
+        """Copy the confidence, float32 [y, x], 0 to 1. Waits and raises as `numpy`."""
         return np.asarray(self._maps().numpy(1))
 
     @property

@@ -1,4 +1,4 @@
-"""The statistics of a stream: counts and times."""
+"""Statistics of a stream: counts and times."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Counters:
             self._ends.append(perf_counter())
 
     def stats(self) -> dict[str, Any]:
-        """All statistics as plain numbers."""
+        """Return all statistics as plain numbers."""
         with self._lock:
             counts, ends = dict(self._counts), list(self._ends)
             latencies, work = np.array(self._latencies), np.array(self._work)
@@ -68,7 +68,7 @@ class Counters:
 
 
 def prometheus(stats: dict[str, Any], prefix: str = "lfgpu_stream") -> str:
-    """Statistics in the text format of Prometheus (version 0.0.4)."""
+    """Format statistics as text for Prometheus (version 0.0.4)."""
     lines = []
     for name, value in stats.items():
         if name.endswith("_ms"):
@@ -88,13 +88,13 @@ def prometheus(stats: dict[str, Any], prefix: str = "lfgpu_stream") -> str:
 
 
 def _percentiles(name: str, seconds: Any) -> dict[str, float]:
-    """Percentiles over the latest frames, milliseconds; NaN if there is none."""
+    """Compute percentiles over the latest frames, milliseconds; NaN if there is none."""
     values = np.percentile(seconds * 1000, (50, 95, 99)) if len(seconds) else np.full(3, np.nan)
     return {f"{name}_p{quantile}_ms": float(value) for quantile, value in zip((50, 95, 99), values, strict=True)}
 
 
 def _rate(ends: list[float]) -> float:
-    """Results per second over the last seconds; 0 if there were none."""
+    """Count the results per second over the last seconds; 0 if there were none."""
     now = perf_counter()
     recent = [end for end in ends if now - end <= _RECENT]
     if len(recent) < 2:

@@ -32,9 +32,10 @@ from lfgpu.methods import method_of
 from lfgpu.methods.base import Method
 from lfgpu.methods.footprint import Footprint
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.range_check import notes_of
-from lfgpu.methods.range_confirmation import confirm
-from lfgpu.pipelines.pipeline import DepthPipeline, Progress
+from lfgpu.pipelines.pipeline import Progress
+from lfgpu.pipelines.range_confirmation import confirm
+from lfgpu.pipelines.resident import Resident
+from lfgpu.pipelines.verdict import map_notes
 
 _RAMP = 16  # pixels: width of the blend between two tiles
 _LEAST_STRIDE = 16  # pixels: smallest distance from a tile to the next
@@ -42,7 +43,7 @@ _LEAST_STRIDE = 16  # pixels: smallest distance from a tile to the next
 
 @dataclass(frozen=True)
 class Plan:
-    """The layout of tiles of one size (height, width): `starts` holds their (top, left), row by row."""
+    """Layout of tiles of one size (height, width): `starts` holds their (top, left), row by row."""
 
     size: tuple[int, int]
     starts: tuple[tuple[int, int], ...]
@@ -53,7 +54,7 @@ class Plan:
 def plan_tiles(
     size: tuple[int, int], halo: tuple[int, int], needed: Footprint, limit: int, *, taken: int = 0, devices: int = 1
 ) -> Plan:
-    """The layout of tiles that takes the least time within a memory limit.
+    """Find the layout of tiles that takes the least time within a memory limit.
 
     Parameters
     ----------
@@ -64,7 +65,7 @@ def plan_tiles(
     needed
         Memory of the estimate of one tile.
     limit, taken
-        Memory limit, and what other things take of it, bytes.
+        Memory limit, and the part of it that is taken already, bytes.
     devices
         Number of devices that work at the same time. The time is taken to be proportional to the pixels of the device
         with the most tiles.
@@ -108,7 +109,7 @@ def estimate_in_tiles(
     on_progress: Progress | None,
     max_memory: int,
 ) -> DepthResult:
-    """`estimate_depth` within `max_memory` bytes, of the process on a CPU, or of each GPU.
+    """Estimate as `estimate_depth` within `max_memory` bytes, of the process on a CPU, or of each GPU.
 
     If `device` is None, tiles are spread over all GPUs. On a CPU, views in memory count against the limit; views on
     disk (`lfgpu.read(..., lazy=True)`) do not.
@@ -158,7 +159,7 @@ def _estimate_all(
     options: dict[str, Any],
     on_progress: Progress | None,
 ) -> list[DepthResult | None]:
-    """The result of each tile; None if a tile has no estimate. Each device takes the next tile when it is free."""
+    """Estimate each tile; None if a tile has no estimate. Each device takes the next tile when it is free."""
     used = method.used_views(lf.layout)
     results: list[DepthResult | None] = [None] * len(plan.starts)
     left: queue.SimpleQueue[int] = queue.SimpleQueue()
@@ -169,14 +170,15 @@ def _estimate_all(
 
     def go(device: str) -> None:
         nonlocal done
-        estimate = _Estimator(device, options)
+        resident = Resident()
         while not stop.is_set():
             try:
                 index = left.get_nowait()
             except queue.Empty:
                 return
             try:
-                results[index] = estimate(_tile(lf, used, plan.starts[index], plan.size))
+                tile = _tile(lf, used, plan.starts[index], plan.size)
+                results[index] = resident.estimate(tile, device=device, **options)
             except LightFieldError as error:  # the tile may lack texture; an error only if all tiles fail
                 failed.append(error)
             with lock:
@@ -200,23 +202,6 @@ def _estimate_all(
     if len(failed) == len(results):
         raise failed[0]
     return results
-
-
-class _Estimator:
-    """Estimates tiles of one size on one device; tiles without masks share a pipeline."""
-
-    def __init__(self, device: str, options: dict[str, Any]) -> None:
-        self._options = {**options, "device": device}
-        self._pipeline: DepthPipeline | None = None
-
-    def __call__(self, tile: LightField) -> DepthResult:
-        if self._pipeline is None or tile.valid is not None:
-            self._pipeline = None  # frees its memory first
-            self._pipeline = DepthPipeline(tile, **self._options)
-        else:
-            self._pipeline.upload(tile.views)
-        # Stage by stage, because a capture concerns all threads of the process, and others may be working.
-        return self._pipeline.estimate()
 
 
 def _tile(lf: LightField, used: Sequence[int], start: tuple[int, int], size: tuple[int, int]) -> LightField:
@@ -277,18 +262,18 @@ def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None], s
         trace=_mean_trace([result.trace for result in there]),
         geometry=lf.geometry,
         name=lf.name,
-        notes=notes_of(disparity.values, sure, first.disparity_range),
+        notes=map_notes(disparity.values, sure, first.disparity_range),
     )
 
 
 class _Weights:
-    """The weights of a tile: 0 in the halo, 1 inside, with a ramp between; 1 up to the edges of the image."""
+    """Weights of a tile: 0 in the halo, 1 inside, with a ramp between; 1 up to the edges of the image."""
 
     def __init__(self, size: tuple[int, int], plan: Plan) -> None:
         self._size, self._plan = size, plan
 
     def of(self, start: tuple[int, int]) -> NDArray[np.float32]:
-        """Weights [y, x] of the tile that begins at `start`."""
+        """Make the weights [y, x] of the tile that begins at `start`."""
         rows, columns = (
             _ramps(first, side, length, edge)
             for first, side, length, edge in zip(start, self._plan.size, self._size, self._plan.halo, strict=True)
@@ -297,7 +282,7 @@ class _Weights:
 
 
 class _Join:
-    """Joins maps of tiles: the weighted mean where they agree, else the map with the larger weight."""
+    """Join of maps of tiles: the weighted mean where they agree, else the map with the larger weight."""
 
     def __init__(self, size: tuple[int, int], same: float) -> None:
         self.values = np.full(size, np.nan, np.float32)
@@ -326,7 +311,7 @@ class _Join:
 
 
 def _cuts(length: int, edge: int) -> list[tuple[int, int]]:
-    """All useful (number, length) of tiles along one axis, beginning with one tile."""
+    """List all useful (number, length) of tiles along one axis, beginning with one tile."""
     overlap, found = 2 * edge + _RAMP + REDUCTION, [(1, length)]
     for count in itertools.count(2):
         side = math.ceil((length + (count - 1) * overlap) / count)
@@ -338,13 +323,13 @@ def _cuts(length: int, edge: int) -> list[tuple[int, int]]:
 
 
 def _places(length: int, side: int, count: int) -> list[int]:
-    """Where tiles begin: at multiples of REDUCTION, so that reduced views are those of the whole."""
+    """Place tiles at multiples of REDUCTION, so that reduced views are those of the whole; returns their starts."""
     steps = (length - side) // REDUCTION
     return [REDUCTION * round(k * steps / max(count - 1, 1)) for k in range(count)]
 
 
 def _ramps(first: int, side: int, length: int, edge: int) -> NDArray[np.float64]:
-    """Weights along one axis of a tile."""
+    """Make the weights along one axis of a tile."""
     places = np.arange(side) + 0.5
     rising = np.ones(side) if first == 0 else (places - edge) / _RAMP
     falling = np.ones(side) if first + side == length else (side - edge - places) / _RAMP
@@ -352,7 +337,7 @@ def _ramps(first: int, side: int, length: int, edge: int) -> NDArray[np.float64]
 
 
 def _mean_trace(traces: Sequence[tuple[float, ...]]) -> tuple[float, ...]:
-    """The mean trace of all tiles; a shorter trace is continued with its last value."""
+    """Average the traces of all tiles; a shorter trace is continued with its last value."""
     longest = max(map(len, traces))
     padded = [trace + trace[-1:] * (longest - len(trace)) for trace in traces]
     return tuple(float(np.mean(values)) for values in zip(*padded, strict=True))

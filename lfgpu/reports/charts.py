@@ -18,7 +18,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from lfgpu.calibration import Explanation
+from lfgpu.cameras import Explanation
 from lfgpu.methods.base import Stage
 from lfgpu.metrics import Reliability, Sparsification
 from lfgpu.viz.figures import scale_limits

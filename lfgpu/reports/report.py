@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from lfgpu.calibration import Explanation
+from lfgpu.cameras import Explanation
 from lfgpu.config import parameters, value_of
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult

@@ -184,7 +184,8 @@ def _result(contents: Contents, name: str, entry: Entry) -> dict[str, Any]:
     scores, result = contents.scores(name), entry.result
     about = ""
     if result is not None:
-        about = f"{_preset(result.config)}; {result.backend} on {result.device}{_took(result)}. {result.status}"
+        run = f"{_preset(result.config)}; {result.backend} on {result.device}{_took(result)}. {result.status}"
+        about = " ".join([run, *result.notes, *result.remarks])
     return {
         "name": name,
         "isTruth": name == TRUTH and name not in contents.entries,

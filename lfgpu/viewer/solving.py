@@ -104,7 +104,6 @@ class Solver:
                 request.lf,
                 config=config,
                 disparity_range=request.disparity_range,
-                check_cameras=False,
                 on_progress=show,
             )
         except _Stopped:

@@ -4,20 +4,31 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data.views_result import ViewsResult
 from lfgpu.viz.cards import Card, drawn_card, map_card, view_card
 from lfgpu.viz.pages import rendered
 from lfgpu.viz.panels import epi_of_column, epi_of_row, rgb
 
-if TYPE_CHECKING:
-    from lfgpu.data.lightfield import LightField
-    from lfgpu.data.result import DepthResult, DisparityMap
-    from lfgpu.data.views_result import ViewsResult
-
 _WIDE = 640  # pixels: the width of an EPI
+
+
+def html(shown: object) -> str:
+    """Make the HTML of a light field, a result, a map, or maps of all views."""
+    match shown:
+        case LightField():
+            return light_field_html(shown)
+        case DepthResult():
+            return result_html(shown)
+        case DisparityMap():
+            return map_html(shown)
+        case ViewsResult():
+            return views_html(shown)
+    raise TypeError(f"{type(shown).__name__} has no HTML.")
 
 
 def light_field_html(lf: LightField) -> str:

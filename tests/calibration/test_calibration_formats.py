@@ -193,7 +193,7 @@ LAUGHS = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9) if n else '1'}]\n
         ("left: {K: [1, 2], image_size: [4, 4]}", "9 numbers were expected, found 2"),
         ("left: {K: [" + "1" * 400 + ", 0, 0, 0, 0, 0, 0, 0, 0], image_size: [4, 4]}", "numbers were expected, found"),
         ("left: !!python/object/apply:os.getcwd []", "not valid YAML"),
-        ("Ks: []\nRs: []", "there are none"),
+        ("Ks: []\nRs: []", "Ks is empty"),
         ("Ks: 5", "9 numbers were expected, found 1"),
         ("cam0: {camera_model: pinhole, distortion_model: radtan, intrinsics: [1, 1, 1e300, 1]}", "numbers up to"),
         ("cam0: {camera_model: pinhole, distortion_model: [], intrinsics: []}", "wrong entries"),
@@ -229,7 +229,7 @@ def test_aliases_of_yaml_that_stay_small_are_read(tmp_path: Path) -> None:
         ('{"frames": [{"w": 4, "h": 4, "camera_angle_x": 0}]}', "angle between 0 and pi"),
         ('{"frames": [{"w": 4, "h": 4, "fl_x": 4, "transform_matrix": [[1, 0, 0, 0]]}]}', "3 or 4 rows"),
         ('{"frames": []}', "has no cameras"),
-        ('{"frames": 5}', "no transforms.json"),
+        ('{"frames": 5}', "frames must be a list of tables"),
         (
             '{"left": {"K": {"type_id": "opencv-matrix", "rows": -1, "cols": 3, "data": []}, "image_size": [4, 4]}}',
             "-1",

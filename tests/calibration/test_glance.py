@@ -13,11 +13,20 @@ from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.calibration import Misalignment, disturb, glance, judged
-from lfgpu.calibration.quick_look import part_of
+from lfgpu._backends import open_device
+from lfgpu.calibration import Misalignment, disturb
+from lfgpu.cameras.looking import look, part_of
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import write_hci
+from lfgpu.pipelines.verdict import judged
+
+
+def glance(lf: LightField) -> str | None:
+    """The first finding of a look without a map."""
+    found = look(lf, None, open_device("warp", "cpu"), budget="screen")
+    return found.findings[0] if found is not None and found.findings else None
+
 
 DATA = Path(os.environ.get("LFGPU_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
@@ -73,7 +82,7 @@ def test_the_part_that_is_looked_at_is_bounded_and_keeps_its_places(boxes: Light
 def test_a_quick_judgement_finds_what_all_cameras_have(boxes: LightField) -> None:
     wrong = disturb(boxes, Misalignment(shift=0.5), seed=1).light_field
     result = lfgpu.estimate_depth(wrong, config="fast", disparity_range=(-2, 2), device="cpu")
-    quick = judged(wrong, result, device="cpu", quickly=True)
+    quick = judged(wrong, result, device="cpu", in_part=True)
     assert "out of line" in quick.remarks[0]
     assert np.nanmean(quick.confidence) < np.nanmean(result.confidence) - 0.1
 

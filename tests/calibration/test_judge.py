@@ -14,10 +14,9 @@ from typer.testing import CliRunner
 import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import residual_pictures
-from lfgpu.calibration.consensus import outliers, without_gauge
-from lfgpu.calibration.hiding import order_of_depth
-from lfgpu.calibration.signs import near_and_far_swapped
-from lfgpu.calibration.tones import match_tones, squared_radius
+from lfgpu.cameras.consensus import outliers, without_gauge
+from lfgpu.cameras.signs import near_and_far_swapped, order_of_depth
+from lfgpu.cameras.tones import match_tones, squared_radius_at
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -169,7 +168,7 @@ def test_tones_are_found_despite_noise(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(found[0], gain, atol=0.03)
     np.testing.assert_allclose(found[1], offset, atol=0.015)
     np.testing.assert_allclose(found[2], falloff, atol=0.03)
-    assert squared_radius(3, 5)[0, 0] == pytest.approx((1 + 4) / (34 / 4))
+    assert squared_radius_at(np.zeros(2), (3, 5)) == pytest.approx((1 + 4) / (34 / 4))
 
 
 def test_check_on_the_command_line(boxes: LightField, tmp_path) -> None:

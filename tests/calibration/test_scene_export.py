@@ -47,22 +47,6 @@ def test_cameras_come_back(file: str, tmp_path: Path) -> None:
         np.testing.assert_allclose(camera.centre, want.centre, rtol=0, atol=1e-12)
 
 
-def test_text_is_the_binary_model(tmp_path: Path) -> None:
-    export_scene(scene(), true_map(), tmp_path / "out")
-    model = tmp_path / "out" / "sparse" / "0"
-    binary = read_calibration(model).cameras
-    for file in model.glob("*.bin"):
-        file.unlink()
-    for camera, want in zip(read_calibration(model).cameras, binary, strict=True):
-        assert camera.name == want.name
-        np.testing.assert_array_equal(camera.matrix, want.matrix)
-        np.testing.assert_allclose(camera.centre, want.centre, rtol=0, atol=1e-12)
-    rows = [line.split() for line in (model / "points3D.txt").read_text().splitlines()[1:]]
-    points = PlyData.read(str(tmp_path / "out" / "points.ply"))["vertex"]
-    assert len(rows) == points.count
-    assert float(rows[7][3]) == pytest.approx(float(points["z"][7]), rel=1e-5)
-
-
 def test_points_are_seen_where_the_depth_says(tmp_path: Path) -> None:
     """Every point lands on its pixel in the reference, at its depth, with its colour."""
     lf = scene()

@@ -11,10 +11,13 @@ from scipy import ndimage
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.calibration import Misalignment, disturb, judged
-from lfgpu.calibration.screening import worth_a_look
+from lfgpu.calibration import Misalignment, disturb
+from lfgpu.cameras import points
+from lfgpu.cameras.points import Points
+from lfgpu.cameras.screening import worth_a_look
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
+from lfgpu.pipelines.verdict import judged
 
 
 @pytest.fixture(scope="module")
@@ -71,13 +74,14 @@ def test_wrong_axes_are_worth_it(
 def test_no_look_is_taken_where_none_is_worth_it(boxes: LightField, monkeypatch: pytest.MonkeyPatch) -> None:
     looks: list[LightField] = []
 
-    def look(lf: LightField, *_: object, **__: object) -> None:
+    def choose_points(lf: LightField, *arguments: object, **options: object) -> Points:
         looks.append(lf)
+        return points.choose_points(lf, *arguments, **options)
 
-    monkeypatch.setattr("lfgpu.calibration.trust.look", look)
+    monkeypatch.setattr("lfgpu.cameras.looking.choose_points", choose_points)
     result = lfgpu.estimate_depth(boxes, config="fast", disparity_range=(-2, 2), device="cpu", check_cameras=False)
     assert isinstance(result, DepthResult)
-    assert judged(boxes, result, device="cpu") is result
+    assert judged(boxes, result, device="cpu").remarks == ()
     assert not looks
     moved = with_view(boxes, 3, lambda image: np.roll(image, 1, axis=1))
     judged(moved, result, device="cpu")

@@ -12,11 +12,12 @@ from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.calibration import Misalignment, disturb, judged
+from lfgpu.calibration import Misalignment, disturb
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.io import read_result, write_hci
+from lfgpu.pipelines.verdict import judged
 
 INNER = (slice(15, -15), slice(15, -15))
 
@@ -93,7 +94,9 @@ def test_rotations_count_more_away_from_the_middle(planes: LightField) -> None:
 
 def test_nothing_changes_where_cameras_are_right(planes: LightField) -> None:
     result = estimated(planes)
-    assert judged(planes, result, device="cpu") is result
+    after = judged(planes, result, device="cpu")
+    assert (after.notes, after.remarks) == (result.notes, ())
+    assert after.confidence is result.confidence
 
 
 def test_brightness_is_said_and_leaves_the_confidence(planes: LightField) -> None:

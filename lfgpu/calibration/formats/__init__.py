@@ -1,4 +1,4 @@
-"""Files of calibrations: a table of what is read."""
+"""Files of calibrations, and the table of their readers."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ BESIDE = (
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a file says of cameras.
+    """Cameras that a file describes.
 
     Parameters
     ----------
@@ -48,9 +48,9 @@ class Calibration:
     source
         The file.
     format
-        What kind of file it is.
+        Name of the format.
     depths
-        Nearest and farthest depth of the scene; None if the file does not say.
+        Nearest and farthest depth of the scene; None if the file has none.
     rig
         The cameras of a rig by themselves, where `cameras` are those of images that it took from several places; else
         empty.

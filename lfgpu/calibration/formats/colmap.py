@@ -43,15 +43,14 @@ _IS_CAMERA = 0  # among COLMAP's kinds of sensors
 
 
 def holds_colmap(folder: Path) -> bool:
-    """Whether a folder holds a model."""
+    """Tell whether a folder holds a model."""
     return any(
-        (folder / f"cameras{suffix}").is_file() and (folder / f"images{suffix}").is_file()
-        for suffix in (".bin", ".txt")
+        all((folder / f"{name}{suffix}").is_file() for name in ("cameras", "images")) for suffix in (".bin", ".txt")
     )
 
 
 def read_colmap(folder: Path) -> list[Camera]:
-    """The cameras of all images of a model, in the order of their names."""
+    """Read the cameras of all images of a model, in the order of their names."""
     with _sentences(folder, "model"):
         lenses, poses = _lenses(folder), _poses(folder)
         _check_known({key for _, _, key, _ in poses}, lenses, "images name")
@@ -59,7 +58,7 @@ def read_colmap(folder: Path) -> list[Camera]:
 
 
 def read_rig(folder: Path) -> list[Camera]:
-    """The cameras of a model's rig in the rig's frame, named after the folders of their images; [] without a rig.
+    """Read the cameras of a model's rig in its frame, named after the folders of their images; [] without a rig.
 
     Of several rigs it is the one with the most cameras. Rigs are those of COLMAP 3.12 and later (rigs.bin, rigs.txt).
     """
@@ -83,7 +82,7 @@ def read_rig(folder: Path) -> list[Camera]:
 
 @contextmanager
 def _sentences(folder: Path, what: str) -> Iterator[None]:
-    """Errors of reading become sentences about the folder."""
+    """Turn errors of reading into sentences about the folder."""
     try:
         yield
     except OSError as error:
@@ -120,7 +119,7 @@ def _check_known(keys: set[int], lenses: Mapping[int, Lens], who: str) -> None:
 
 
 def _folders(poses: list[Pose]) -> dict[int, str]:
-    """The folder that all images of a camera lie in, by the number of the camera, where there is one."""
+    """Folder of all images of a camera, by the number of the camera, where they share one."""
     found: dict[int, set[str]] = {}
     for _, _, key, name in poses:
         parent, slash, _name = name.replace("\\", "/").rpartition("/")
@@ -236,26 +235,8 @@ def _unpacked(file: BinaryIO, form: str) -> tuple[Any, ...]:
     return struct.unpack(form, data)
 
 
-def write_colmap(
-    folder: Path, cameras: Sequence[Camera], points: NDArray[np.float32], colors: NDArray[np.uint8]
-) -> None:
-    """Write a model, binary and as text: a lens and an image for each camera, and points without tracks.
-
-    Parameters
-    ----------
-    folder
-        An existing folder.
-    cameras
-        Their names are those of the images.
-    points, colors
-        [n, 3], in the world of the cameras, and red, green, blue.
-    """
-    _write_text(folder, cameras, points, colors)
-    _write_binary(folder, cameras, points, colors)
-
-
 def _lens_of(camera: Camera) -> tuple[str, tuple[float, ...]]:
-    """The name of COLMAP's model and its parameters."""
+    """Choose the model of COLMAP for a lens; returns its name and parameters."""
     pinhole = (*camera.focal_length, *(place + 0.5 for place in camera.principal_point))
     k = camera.distortion
     if camera.model == "fisheye":
@@ -273,29 +254,20 @@ def _pose_of(camera: Camera) -> tuple[float, ...]:
     return (*map(float, np.roll(w_last, 1)), *map(float, np.asarray(camera.translation)))
 
 
-def _write_text(
+def write_colmap(
     folder: Path, cameras: Sequence[Camera], points: NDArray[np.float32], colors: NDArray[np.uint8]
 ) -> None:
-    lenses, images = [], []
-    for n, camera in enumerate(cameras, 1):
-        model, values = _lens_of(camera)
-        height, width = camera.size
-        lenses.append(f"{n} {model} {width} {height} {' '.join(map(repr, values))}\n")
-        images.append(f"{n} {' '.join(map(repr, _pose_of(camera)))} {n} {camera.name}\n\n")
-    (folder / "cameras.txt").write_text("# CAMERA_ID MODEL WIDTH HEIGHT PARAMS[]\n" + "".join(lenses), encoding="utf-8")
-    head = "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of POINTS2D[]\n"
-    (folder / "images.txt").write_text(head + "".join(images), encoding="utf-8")
-    rows = (
-        f"{n} {x:.7g} {y:.7g} {z:.7g} {r} {g} {b} -1\n"
-        for n, ((x, y, z), (r, g, b)) in enumerate(zip(points.tolist(), colors.tolist(), strict=True), 1)
-    )
-    head = "# POINT3D_ID X Y Z R G B ERROR TRACK[]\n"
-    (folder / "points3D.txt").write_text(head + "".join(rows), encoding="utf-8")
+    """Write a binary model: a lens and an image for each camera, and points without tracks.
 
-
-def _write_binary(
-    folder: Path, cameras: Sequence[Camera], points: NDArray[np.float32], colors: NDArray[np.uint8]
-) -> None:
+    Parameters
+    ----------
+    folder
+        An existing folder.
+    cameras
+        Their names are those of the images.
+    points, colors
+        [n, 3], in the world of the cameras, and red, green, blue.
+    """
     lenses, images = [struct.pack("<Q", len(cameras))], [struct.pack("<Q", len(cameras))]
     for n, camera in enumerate(cameras, 1):
         model, values = _lens_of(camera)
@@ -312,6 +284,6 @@ def _write_binary(
 
 
 def write_depth(path: Path, depth: NDArray[np.float32]) -> None:
-    """Write a depth map [y, x] as COLMAP stores those of its stereo: float32, 0 where it is not known."""
+    """Write a depth map [y, x] as COLMAP stores those of its stereo: float32, 0 where it is unknown."""
     known = np.where(np.isfinite(depth), depth, 0).astype("<f4")
     path.write_bytes(f"{depth.shape[1]}&{depth.shape[0]}&1&".encode() + known.tobytes())

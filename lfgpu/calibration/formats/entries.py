@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +24,29 @@ _MOST_SHOWN = 60  # characters of a wrong value
 _MOST_NODES = 1 << 18  # of a YAML file, those of its aliases counted each time
 
 
+@contextmanager
+def entries_of(path: Path, what: str = "") -> Iterator[None]:
+    """Turn errors of wrong or missing entries into LightFieldErrors that name the file, and the camera `what`."""
+    where = f"{path}: {what}" if what else str(path)
+    try:
+        yield
+    except LightFieldError as error:
+        raise LightFieldError(f"{path}: {error}") from error
+    except KeyError as error:
+        raise LightFieldError(f"{where} has no {error.args[0]}.") from error
+    except (TypeError, ValueError, AttributeError) as error:
+        raise LightFieldError(f"{where} has wrong entries: {error}.") from error
+
+
 def numbers(value: Any, *shape: int) -> Float64Array:
-    """A number, lists of numbers, or a matrix of OpenCV as an array.
+    """Convert a number, lists of numbers, or a matrix of OpenCV to an array.
 
     Parameters
     ----------
     value
-        Whatever stands in a file.
+        An entry of a file.
     shape
-        The shape that the array has to have; nothing takes any, -1 any length.
+        Shape of the array; -1 is any length, nothing any shape.
 
     Raises
     ------
@@ -57,7 +72,7 @@ def numbers(value: Any, *shape: int) -> Float64Array:
 
 
 def whole(value: Any) -> int:
-    """A whole number; ValueError if it is none."""
+    """Convert an entry to a whole number; ValueError if it is none."""
     number = float(numbers(value, 1)[0])
     if not number.is_integer():
         raise ValueError(f"a whole number was expected, found {number:g}")
@@ -65,7 +80,7 @@ def whole(value: Any) -> int:
 
 
 def _matrix(node: Mapping[Any, Any]) -> Any:
-    """The array of a matrix of OpenCV: rows and cols, or sizes, and data."""
+    """Array of a matrix of OpenCV: rows and cols, or sizes, and data."""
     if "data" not in node:
         raise ValueError("a matrix without data was found")
     shape = [whole(side) for side in _listed(node.get("sizes") or [node.get("rows"), node.get("cols")])]
@@ -82,7 +97,7 @@ def _listed(value: Any) -> list[Any]:
 
 
 def read_yaml(path: Path) -> Any:
-    """What a YAML file says, plain values only; matrices of OpenCV are the tables that they are written as.
+    """Read a YAML file, plain values only; matrices of OpenCV stay tables.
 
     Raises
     ------
@@ -114,7 +129,7 @@ def read_yaml(path: Path) -> Any:
 
 
 def _unfolded(node: Any, known: dict[int, int]) -> int:
-    """How many nodes there are below a node of YAML, those of aliases counted each time; ValueError for a circle."""
+    """Count the nodes below a node of YAML, those of aliases each time; ValueError for a circle."""
     if id(node) in known:
         if not known[id(node)]:
             raise ValueError("it has an alias of something that it is in")

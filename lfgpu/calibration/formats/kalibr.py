@@ -9,25 +9,25 @@ from typing import Any
 import numpy as np
 
 from lfgpu.calibration.cameras import Camera
-from lfgpu.calibration.formats.entries import numbers, whole
+from lfgpu.calibration.formats.entries import entries_of, numbers, whole
 from lfgpu.errors import LightFieldError
 
 _LENSES = {"radtan": "pinhole", "equidistant": "fisheye", "none": "pinhole"}
 
 
 def kalibr_cameras(path: Path, table: Mapping[Any, Any]) -> list[Camera]:
-    """The cameras of a camchain; the first one's frame is the world."""
+    """Read the cameras of a camchain; the first one's frame is the world."""
     names = [name for name in table if isinstance(name, str) and name.startswith("cam")]
     names.sort(key=lambda name: (len(name), name))
     found: list[Camera] = []
     pose = np.eye(4)
     for name in names:
-        entry = table[name]
-        try:
+        with entries_of(path, name):
+            entry = table[name]
             if entry["camera_model"] != "pinhole" or entry["distortion_model"] not in _LENSES:
                 raise LightFieldError(
-                    f"{name} is {entry['camera_model']} with {entry['distortion_model']}; lenses that are "
-                    "known are pinhole with radtan, equidistant or none."
+                    f"{name} is {entry['camera_model']} with {entry['distortion_model']}; lenses that are known are "
+                    "pinhole with radtan, equidistant or none."
                 )
             if found:
                 with np.errstate(all="ignore"):  # a camera is asked for numbers that are finite
@@ -47,19 +47,13 @@ def kalibr_cameras(path: Path, table: Mapping[Any, Any]) -> list[Camera]:
                     name=name,
                 )
             )
-        except LightFieldError as error:
-            raise LightFieldError(f"{path}: {error}") from error
-        except KeyError as error:
-            raise LightFieldError(f"{path}: {name} has no {error.args[0]}.") from error
-        except (TypeError, ValueError, AttributeError) as error:
-            raise LightFieldError(f"{path}: {name} has wrong entries: {error}.") from error
     if not found:
         raise LightFieldError(f"{path} has no cam0, cam1, ...; give a camchain of Kalibr.")
     return found
 
 
 def is_kalibr(table: object) -> bool:
-    """Whether a YAML file holds a camchain."""
+    """Tell whether a YAML file holds a camchain."""
     return isinstance(table, Mapping) and any(
         isinstance(entry, Mapping) and "camera_model" in entry and "intrinsics" in entry for entry in table.values()
     )

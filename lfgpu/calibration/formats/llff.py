@@ -11,25 +11,21 @@ from pathlib import Path
 import numpy as np
 
 from lfgpu.calibration.cameras import Camera
-from lfgpu.calibration.formats.entries import numbers
+from lfgpu.calibration.formats.entries import entries_of, numbers
 from lfgpu.errors import LightFieldError
 from lfgpu.io.numpy_arrays import load_arrays
 
 
 def read_llff(path: Path) -> tuple[list[Camera], tuple[float, float]]:
-    """The cameras, and the nearest and farthest depth of the scene."""
+    """Read the cameras, and the nearest and farthest depth of the scene."""
     rows = load_arrays(path, ("poses",))["poses"]
     if rows.ndim != 2 or rows.shape[1] != 17 or not len(rows):
         raise LightFieldError(f"{path} must hold 17 numbers for each picture, found shape {rows.shape}.")
-    try:
-        rows = numbers(rows)
-    except ValueError as error:
-        raise LightFieldError(f"{path} has wrong entries: {error}.") from error
     cameras = []
-    for index, row in enumerate(rows):
-        down, right, back, centre, (height, width, focal) = row[:15].reshape(3, 5).T
-        rotation = np.stack([right, down, -back])
-        try:
+    with entries_of(path):
+        for index, row in enumerate(rows := numbers(rows)):
+            down, right, back, centre, (height, width, focal) = row[:15].reshape(3, 5).T
+            rotation = np.stack([right, down, -back])
             cameras.append(
                 Camera(
                     size=(round(height), round(width)),
@@ -40,6 +36,4 @@ def read_llff(path: Path) -> tuple[list[Camera], tuple[float, float]]:
                     name=f"picture {index}",
                 )
             )
-        except LightFieldError as error:
-            raise LightFieldError(f"{path}: {error}") from error
     return cameras, (float(rows[:, 15].min()), float(rows[:, 16].max()))

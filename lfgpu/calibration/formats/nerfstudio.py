@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lfgpu.calibration.cameras import Camera
-from lfgpu.calibration.formats.entries import numbers, whole
+from lfgpu.calibration.formats.entries import entries_of, numbers, whole
 from lfgpu.errors import LightFieldError
 from lfgpu.io.folders import IMAGE_SUFFIXES
 from lfgpu.io.images import image_size
@@ -24,24 +24,17 @@ _LENS = {"pinhole": ("k1", "k2", "p1", "p2", "k3"), "fisheye": ("k1", "k2", "k3"
 
 
 def nerfstudio_cameras(path: Path, table: Mapping[str, Any]) -> list[Camera]:
-    """The cameras of all frames, in their order."""
-    try:
+    """Read the cameras of all frames, in their order."""
+    with entries_of(path):
         frames = table["frames"]
         if not isinstance(frames, list) or not all(isinstance(frame, Mapping) for frame in frames):
             raise ValueError("frames must be a list of tables")
         sized = "w" in table and "h" in table
         return [_camera({**table, **(frame if sized else _with_size(path, frame))}) for frame in frames]
-    except LightFieldError as error:
-        raise LightFieldError(f"{path}: {error}") from error
-    except KeyError as error:
-        raise LightFieldError(f"{path} has no {error.args[0]}.") from error
-    except (TypeError, ValueError) as error:
-        raise LightFieldError(f"{path} is no transforms.json: {error}.") from error
 
 
 def _with_size(path: Path, frame: Mapping[str, Any]) -> Mapping[str, Any]:
-    """A frame with the size of its picture, where the file does not have it: NeRF's own form has camera_angle_x alone,
-    and names without suffix."""
+    """Add the size of its picture to a frame: NeRF's own form has camera_angle_x alone, and names without suffix."""
     if "w" in frame and "h" in frame:
         return frame
     name = str(frame["file_path"])

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from lfgpu.calibration.cameras import Camera, turned
-from lfgpu.calibration.formats.entries import numbers, whole
+from lfgpu.calibration.formats.entries import entries_of, numbers, whole
 from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
 
@@ -26,74 +26,64 @@ _SHIFT = ("T", "t", "translation", "tvec")
 
 
 def opencv_cameras(path: Path, table: Any) -> list[Camera]:
-    """The cameras of a calibration of OpenCV."""
+    """Read the cameras of a calibration of OpenCV."""
     if not isinstance(table, Mapping):
         raise LightFieldError(f"{path} is no calibration: it must have entries with names.")
     if "Ks" in table:
-        return _multiview(path, table)
+        with entries_of(path):
+            return _multiview(table)
     listed = table.get("cameras", table)
     if isinstance(listed, Mapping):
         listed = [{"name": name, **entry} for name, entry in listed.items() if isinstance(entry, Mapping)]
     if not isinstance(listed, list) or not listed:
         raise LightFieldError(f"{path} has no cameras; give a list `cameras`, or an entry for each.")
-    return [_camera(path, index, entry) for index, entry in enumerate(listed)]
+    found = []
+    for index, entry in enumerate(listed):
+        if not isinstance(entry, Mapping):
+            raise LightFieldError(f"{path}: camera {index} must have entries with names.")
+        name = str(entry.get("name", f"camera {index}"))
+        with entries_of(path, name):
+            found.append(_camera(entry, name))
+    return found
 
 
-def _multiview(path: Path, table: Mapping[str, Any]) -> list[Camera]:
-    try:
-        matrices = numbers(table["Ks"], -1, 3, 3)
-        count = len(matrices)
-        if not count:
-            raise ValueError("there are none")
-        turns = numbers(table["Rs"], count, -1)
-        shifts = numbers(table["Ts"], count, 3)
-        lenses = numbers(table["distortions"], count, -1)
-        sizes = numbers(table["image_sizes"], count, 2)
-        models = numbers(table.get("models", [0] * count), count)
-        names = str(table.get("cam_ids", "")).split(",")
-        names = names if len(names) == count else [f"camera {n}" for n in range(count)]
-        return [
-            _made(matrices[n], lenses[n], turns[n], shifts[n], sizes[n], bool(models[n]), names[n].strip())
-            for n in range(count)
-        ]
-    except LightFieldError as error:
-        raise LightFieldError(f"{path}: {error}") from error
-    except KeyError as error:
-        raise LightFieldError(f"{path} has no {error.args[0]}.") from error
-    except ValueError as error:
-        raise LightFieldError(f"{path}: the cameras' entries do not fit together ({error}).") from error
+def _multiview(table: Mapping[str, Any]) -> list[Camera]:
+    matrices = numbers(table["Ks"], -1, 3, 3)
+    count = len(matrices)
+    if not count:
+        raise ValueError("Ks is empty")
+    turns = numbers(table["Rs"], count, -1)
+    shifts = numbers(table["Ts"], count, 3)
+    lenses = numbers(table["distortions"], count, -1)
+    sizes = numbers(table["image_sizes"], count, 2)
+    models = numbers(table.get("models", [0] * count), count)
+    names = str(table.get("cam_ids", "")).split(",")
+    names = names if len(names) == count else [f"camera {n}" for n in range(count)]
+    return [
+        _made(matrices[n], lenses[n], turns[n], shifts[n], sizes[n], bool(models[n]), names[n].strip())
+        for n in range(count)
+    ]
 
 
-def _camera(path: Path, index: int, entry: Any) -> Camera:
-    if not isinstance(entry, Mapping):
-        raise LightFieldError(f"{path}: camera {index} must have entries with names.")
-    name = str(entry.get("name", f"camera {index}"))
-
+def _camera(entry: Mapping[str, Any], name: str) -> Camera:
     def one(keys: tuple[str, ...], default: Any = None) -> Any:
-        for key in keys:
-            if key in entry:
-                return entry[key]
-        if default is None:
+        found = next((entry[key] for key in keys if key in entry), default)
+        if found is None:
             raise LightFieldError(f"{name} has no {keys[0]} ({' or '.join(keys[1:])}).")
-        return default
+        return found
 
-    try:
-        size = entry.get("image_size")
-        if size is None:
-            size = [one(("image_width", "image_size")), one(("image_height", "image_size"))]
-        return _made(
-            numbers(one(_MATRIX), 3, 3),
-            numbers(one(_LENS, ()), -1),
-            numbers(one(_TURN, np.eye(3)), -1),
-            numbers(one(_SHIFT, np.zeros(3)), 3),
-            numbers(size, 2),
-            bool(entry.get("fisheye", False)),
-            name,
-        )
-    except LightFieldError as error:
-        raise LightFieldError(f"{path}: {error}") from error
-    except ValueError as error:
-        raise LightFieldError(f"{path}: {name} has wrong entries: {error}.") from error
+    size = entry.get("image_size")
+    if size is None:
+        size = [one(("image_width", "image_size")), one(("image_height", "image_size"))]
+    return _made(
+        numbers(one(_MATRIX), 3, 3),
+        numbers(one(_LENS, ()), -1),
+        numbers(one(_TURN, np.eye(3)), -1),
+        numbers(one(_SHIFT, np.zeros(3)), 3),
+        numbers(size, 2),
+        bool(entry.get("fisheye", False)),
+        name,
+    )
 
 
 def _made(

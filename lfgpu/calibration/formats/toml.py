@@ -18,49 +18,46 @@ from pathlib import Path
 from typing import Any
 
 from lfgpu.calibration.cameras import Camera
-from lfgpu.calibration.formats.entries import numbers, whole
+from lfgpu.calibration.formats.entries import entries_of, numbers, whole
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_write
 from lfgpu.io.texts import read_json_or_toml
 
-_NEEDED = ("size", "focal_length", "principal_point", "rotation", "translation")
-_KNOWN = {*_NEEDED, "name", "model", "distortion"}
+_KNOWN = {"size", "focal_length", "principal_point", "rotation", "translation", "name", "model", "distortion"}
 
 
 def read_toml(path: Path) -> list[Camera]:
-    """The cameras of a cameras.toml; LightFieldError if it is none."""
+    """Read the cameras of a cameras.toml; LightFieldError if it is none."""
     listed = read_json_or_toml(path).get("cameras")
     if not isinstance(listed, list) or not listed:
         raise LightFieldError(f"{path} has no cameras; list them as [[cameras]], one table each.")
-    return [_camera(path, index, entry) for index, entry in enumerate(listed)]
+    found = []
+    for index, entry in enumerate(listed):
+        with entries_of(path, f"cameras[{index}]"):
+            found.append(_camera(index, entry))
+    return found
 
 
-def _camera(path: Path, index: int, entry: Any) -> Camera:
-    what = f"{path}: cameras[{index}]"
+def _camera(index: int, entry: Any) -> Camera:
     if not isinstance(entry, Mapping):
-        raise LightFieldError(f"{what} must be a table.")
-    if missing := [key for key in _NEEDED if key not in entry]:
-        raise LightFieldError(f"{what} has no {missing[0]}.")
+        raise ValueError("a table was expected")
     if unknown := sorted(set(entry) - _KNOWN):
-        raise LightFieldError(f"{what} has an unknown entry {unknown[0]!r}; known are {', '.join(sorted(_KNOWN))}.")
-    try:
-        height, width = (whole(side) for side in numbers(entry["size"], 2))
-        fx, fy = numbers(entry["focal_length"], 2).tolist()
-        cx, cy = numbers(entry["principal_point"], 2).tolist()
-        return Camera(
-            size=(height, width),
-            focal_length=(fx, fy),
-            principal_point=(cx, cy),
-            distortion=tuple(numbers(entry.get("distortion", ()), -1).tolist()),
-            model=str(entry.get("model", "pinhole")),
-            rotation=numbers(entry["rotation"], 3, 3),
-            translation=numbers(entry["translation"], 3),
-            name=str(entry.get("name", f"camera {index}")),
+        raise LightFieldError(
+            f"cameras[{index}] has an unknown entry {unknown[0]!r}; known are {', '.join(sorted(_KNOWN))}."
         )
-    except LightFieldError as error:
-        raise LightFieldError(f"{path}: {error}") from error
-    except ValueError as error:
-        raise LightFieldError(f"{what} has wrong entries: {error}.") from error
+    height, width = (whole(side) for side in numbers(entry["size"], 2))
+    fx, fy = numbers(entry["focal_length"], 2).tolist()
+    cx, cy = numbers(entry["principal_point"], 2).tolist()
+    return Camera(
+        size=(height, width),
+        focal_length=(fx, fy),
+        principal_point=(cx, cy),
+        distortion=tuple(numbers(entry.get("distortion", ()), -1).tolist()),
+        model=str(entry.get("model", "pinhole")),
+        rotation=numbers(entry["rotation"], 3, 3),
+        translation=numbers(entry["translation"], 3),
+        name=str(entry.get("name", f"camera {index}")),
+    )
 
 
 def write_cameras(cameras: Sequence[Camera], path: Path) -> None:

@@ -77,7 +77,7 @@ SOURCES: tuple[Source, ...] = (
 
 @dataclass(frozen=True)
 class Opened:
-    """A source that was opened.
+    """Source that was opened.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Opened:
     frames
         All frames, the first one included.
     is_live
-        Whether frames come by themselves.
+        True if frames come by themselves.
     """
 
     first: LightField
@@ -102,7 +102,7 @@ def open_source(text: str, options: Options | None = None) -> Opened:
     text
         One of the forms in `SOURCES`.
     options
-        What else is said about it; None for nothing.
+        Further options; None for the defaults.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def open_source(text: str, options: Options | None = None) -> Opened:
 
 
 def _raw(frame: Any, rectifier: Rectifier) -> LightField:
-    """The first frame of raw pictures as what a stream takes."""
+    """Make the first frame of raw pictures a light field for a stream."""
     views = frame[0] if isinstance(frame, tuple) else frame
     if isinstance(views, LightField):
         return rectifier.pictures(views.views, white=views.white)

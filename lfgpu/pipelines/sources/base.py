@@ -1,4 +1,4 @@
-"""What a source of frames is, and what users say about one."""
+"""Sources of frames, and the options of users."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Frames: TypeAlias = Iterator[Any]
 
 @dataclass(frozen=True)
 class Options:
-    """What users say about a source beside its name.
+    """Options of a source.
 
     Parameters
     ----------
@@ -30,8 +30,8 @@ class Options:
     scene
         Further options of `scenes.make`: `size`, `disparity_range`, `noise` and `seed`.
     rectifier
-        What raw pictures are rectified with later: then frames are raw pictures of its cameras, and a source need not
-        begin with a LightField. Default None: frames are light fields.
+        Rectifier of raw pictures: then frames are raw pictures of its cameras, and a source need not begin with a
+        LightField. Default None: frames are light fields.
     stop
         Asked while a source waits for a frame; when it returns True, the frames end. Default: never.
     say
@@ -48,21 +48,20 @@ class Options:
 
 @dataclass(frozen=True)
 class Source:
-    """One entry of the table.
+    """Entry of the table of sources.
 
     Parameters
     ----------
     form
-        How users write it.
+        The form in which users write it.
     description
-        What it is, one line for lists and help, without a full stop.
+        One line for lists and help, without a full stop.
     recognise
-        Whether a text names such a source.
+        Called with a text; True if it names such a source.
     open
         The frames of the source that a text names. It raises LightFieldError with a sentence that names what is wrong.
     is_live
-        Whether frames come by themselves, so that those that come too fast are lost, and not made when they are asked
-        for.
+        True if frames come by themselves, so that those that come too fast are lost.
     """
 
     form: str
@@ -73,7 +72,7 @@ class Source:
 
 
 def light_field(name: str, views: NDArray[Any], options: Options) -> LightField:
-    """The first frame of cameras whose positions only the user, or a rectifier, knows: views [n, y, x, c]."""
+    """Make the first frame [n, y, x, c] of cameras whose positions only the user, or a rectifier, knows."""
     if options.rectifier is not None:
         return replace(options.rectifier.pictures(views), name=name)
     count, like = len(views), options.like

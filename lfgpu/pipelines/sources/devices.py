@@ -1,4 +1,4 @@
-"""Cameras, or streams on a network, that OpenCV opens as a source (extra `opencv`)."""
+"""Source of cameras, or streams on a network, that OpenCV opens (extra `opencv`)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def recognise(source: str) -> bool:
 
 
 def frames(source: str, options: Options) -> Frames:
-    """The pictures of all devices. All are taken before the first is decoded, so that they are close in time.
+    """Yield the pictures of all devices. All are taken before the first is decoded, so that they are close in time.
 
     A device without a picture is missing in that frame. When no device has one, the frames end.
     """
@@ -63,7 +63,7 @@ def frames(source: str, options: Options) -> Frames:
 
 
 def _retrieved(cv2: Any, device: Any) -> NDArray[np.uint8] | None:
-    """The picture that was grabbed, uint8 [y, x, c], colour as RGB; None if it cannot be decoded."""
+    """Decode the picture that was grabbed: uint8 [y, x, c], colour as RGB; None if it cannot be decoded."""
     decoded, picture = device.retrieve()
     if not decoded:
         return None

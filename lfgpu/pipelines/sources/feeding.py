@@ -1,4 +1,4 @@
-"""The loop that feeds a stream from a source."""
+"""Loop that feeds a stream from a source."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A folder of light fields as a source: one sub-folder for each frame, all there or still coming."""
+"""Source of light fields in a folder: one sub-folder for each frame, all there or still coming."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lfgpu.pipelines.sources.recording import VIEWS_FILE
 
 GROWING = "growing:"
 
-_LOOK = 0.1  # seconds between two looks at a folder that grows; what has not changed between two is whole
+_LOOK = 0.1  # seconds between two looks at a folder that grows; a frame that has not changed is whole
 
 
 def recognise(source: str) -> bool:
@@ -32,7 +32,7 @@ def recognise_growing(source: str) -> bool:
 
 
 def frames(source: str, options: Options) -> Frames:
-    """The light fields of a folder, or raw pictures for a rectifier, in the natural order of their names.
+    """Yield the light fields of a folder, or raw pictures for a rectifier, in the natural order of their names.
 
     Of a folder of images of several times for each camera, the times.
     """
@@ -54,7 +54,7 @@ def frames(source: str, options: Options) -> Frames:
 
 
 def growing_frames(source: str, options: Options) -> Frames:
-    """The light fields of a folder as they come, for ever; those that cannot be read are left out with a sentence."""
+    """Yield the light fields of a folder as they come, for ever; unreadable ones are left out with a sentence."""
     path = Path(source.removeprefix(GROWING))
     if not path.is_dir():
         raise LightFieldError(f"{path} is no folder; make it before frames come.")
@@ -71,7 +71,7 @@ def growing_frames(source: str, options: Options) -> Frames:
 
 
 def _whole(path: Path, options: Options) -> Iterator[Path]:
-    """Each new folder once its files have not changed between two looks."""
+    """Yield each new folder once its files have not changed between two looks."""
     done, seen = set[Path](), dict[Path, Any]()
     while not options.stop():
         for folder in _ordered(path):
@@ -86,7 +86,7 @@ def _whole(path: Path, options: Options) -> Iterator[Path]:
 
 
 def _state(folder: Path) -> tuple[Any, ...]:
-    """Names, sizes and times of the files in a folder; empty if there are none, or if they vanish meanwhile."""
+    """List names, sizes and times of the files in a folder; empty if there are none, or if they vanish meanwhile."""
     try:
         files = [(str(file), file.stat()) for file in sorted(folder.rglob("*")) if file.is_file()]
     except OSError:
@@ -112,7 +112,7 @@ def _read(folder: Path, rectifier: Rectifier | None) -> LightField:
 
 
 def _like(first: LightField, lf: LightField, folder: Path) -> Any:
-    """The views of a later frame in the order of the first one, and which cameras have a picture in it."""
+    """Put the views of a later frame in the order of the first one; also a mask of the cameras with a picture."""
     if np.array_equal(lf.positions, first.positions):
         return lf
     places = {tuple(position): index for index, position in enumerate(first.positions.tolist())}

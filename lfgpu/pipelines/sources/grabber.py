@@ -1,4 +1,4 @@
-"""A grabber as a source: a Python function that yields frames."""
+"""Source of frames that a Python function yields, a grabber."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def recognise(source: str) -> bool:
 
 
 def frames(source: str, _: Options) -> Frames:
-    """What module:function yields. The module may be in the current folder."""
+    """Yield the frames of module:function. The module may be in the current folder."""
     module_name, _colon, function_name = source.partition(":")
     here = str(Path.cwd())
     if here not in sys.path:
@@ -33,7 +33,7 @@ def frames(source: str, _: Options) -> Frames:
 
 
 def _takes_nothing(grabber: object) -> bool:
-    """Whether something can be called without arguments, as far as it says so."""
+    """Tell whether an object can be called without arguments, as far as its signature is known."""
     if not callable(grabber):
         return False
     try:

@@ -1,4 +1,4 @@
-"""Frames written as they come, so that they can be played again: `lfgpu live FOLDER`."""
+"""Recording of frames as they come, so that they can be played again: `lfgpu live FOLDER`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ VIEWS_FILE = "views.npz"
 
 
 def recorded(frames: Frames, first: LightField, folder: Path, *, wanted: Callable[[], bool] = lambda: True) -> Frames:
-    """The same frames; each is written before it is handed on, to a folder of its own in `folder`, whole or not at all.
+    """Hand on frames; each is first written to a folder of its own in `folder`, whole or not at all.
 
     Cameras without a picture are left out. Frames that do not fit to the first one, or lack the picture of its
     reference view, are handed on, but not written; neither are those before which `wanted` returns False.
@@ -42,13 +42,13 @@ def recorded(frames: Frames, first: LightField, folder: Path, *, wanted: Callabl
 
 
 def reference_view(frame: Any, first: LightField) -> NDArray[Any] | None:
-    """The picture [y, x, c] of the reference view of a frame, on the host; None if it does not fit to the first one."""
+    """Take the reference view [y, x, c] of a frame, on the host; None if the frame does not fit to the first one."""
     found = _pictures(frame, first)
     return None if found is None else found[0][first.reference_index]
 
 
 def _light_field(frame: Any, first: LightField) -> LightField | None:
-    """A frame as a light field, without truth; None if it does not fit to the first one."""
+    """Make a frame a light field, without truth; None if it does not fit to the first one."""
     if isinstance(frame, LightField):
         return replace(frame, truth=None)
     if (found := _pictures(frame, first)) is None:
@@ -62,7 +62,7 @@ def _light_field(frame: Any, first: LightField) -> LightField | None:
 
 
 def _pictures(frame: Any, first: LightField) -> tuple[NDArray[Any], NDArray[np.bool_]] | None:
-    """The views of a frame, and which are there; None if they do not fit to the first one, or lack the reference."""
+    """Take the views of a frame and their mask; None if they do not fit to the first one, or lack the reference."""
     views, valid = frame if isinstance(frame, tuple) and len(frame) == 2 else (frame, None)
     try:
         found = interop.on_host("views", views.views if isinstance(views, LightField) else views)

@@ -1,4 +1,4 @@
-"""A synthetic scene as a source. One that moves is made once, and then goes round."""
+"""Source of a synthetic scene. The frames of a moving scene are made once, and then go round."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def recognise(source: str) -> bool:
 
 
 def frames(source: str, options: Options) -> Frames:
-    """For ever: the frames of a scene that moves, or the one frame of another scene."""
+    """Yield for ever the frames of a scene that moves, or the one frame of another scene."""
     from lfgpu.scenes import make
 
     given = {**options.scene, "grid": options.grid or _GRID}

@@ -1,4 +1,4 @@
-"""Frames through shared memory as a source: the newest frame of a ring buffer (`lfgpu/io/ring.py`)."""
+"""Source of frames in shared memory: the newest frame of a ring buffer (`lfgpu/io/ring.py`)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def recognise(source: str) -> bool:
 
 
 def frames(source: str, options: Options) -> Frames:
-    """Each newest frame, until the producer ends. At the end it is said how many were passed over."""
+    """Yield each newest frame until the producer ends; then say how many were passed over."""
     path = source.removeprefix(PREFIX)
     passed = 0
     with RingReader(path) as ring:

@@ -1,4 +1,4 @@
-"""Videos as a source: one for each camera, or one whose frames are grids of views (extra `video`)."""
+"""Source of videos: one for each camera, or one whose frames are grids of views (extra `video`)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def recognise_folder(source: str) -> bool:
 
 
 def tiled_frames(source: str, options: Options) -> Frames:
-    """The frames of one video, each cut into rows x columns views."""
+    """Yield the frames of one video, each cut into rows x columns views."""
     if options.grid is None:
         raise LightFieldError(
             f"{source} is one video: say how many views each of its frames holds, such as --grid 3x3, or give a folder "
@@ -46,7 +46,7 @@ def tiled_frames(source: str, options: Options) -> Frames:
 
 
 def frames_of_cameras(source: str, options: Options) -> Frames:
-    """The frames of one video for each camera, side by side until the shortest ends; by the order of their names."""
+    """Yield the frames of one video for each camera, in the order of their names, until the shortest ends."""
     paths = _videos(Path(source))
     with ExitStack() as opened:
         films = [opened.enter_context(closing(ffmpeg.frames(path))) for path in paths]

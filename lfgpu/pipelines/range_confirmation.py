@@ -1,7 +1,7 @@
-"""Whether a range of disparities that was found holds all surfaces, by the first map that is matched within it.
+"""Confirmation of a disparity range that was found, by the first map that is matched within it.
 
-Evidence for a range are pixels that are like others at one disparity only. What has little texture, or much noise, has
-few of them; matched as a whole, it shows where it lies.
+Evidence for a range are pixels that match others at one disparity only. Surfaces with little texture, or much noise,
+have few such pixels; only a map of all pixels shows where they lie.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ import numpy as np
 from lfgpu.contract import Float32Array
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.disparity_range import largest_disparity
+from lfgpu.pipelines.verdict import MANY
 
-_AT_END = 0.03  # of the range: matched surfaces that are so near to an end may lie beyond it,
-_MANY = 0.01  # if they have that share of the pixels,
-_MORE_THAN_BESIDE = 1.25  # and so many times as many as lie beside it on average,
-_BESIDE = 2  # in so many times that part of the range
-_TRIES = 3  # to widen it there
-_FURTHER = 0.5  # by so much of it
-_FEW = 0.0025  # share of the pixels that lie at an end by chance
+_MARGIN = 0.03  # of the range: matched surfaces within this distance from an end may lie beyond it
+_MORE_THAN_BESIDE = 1.25  # times: as many pixels must lie in the margin as on average beside it,
+_BESIDE = 2  # in that many margins
+_TRIES = 3  # to widen the range
+_FURTHER = 0.5  # of the range, at that end
+_FEW = 0.0025  # share of the pixels that lie in a margin by chance
 
 
 def confirm(
@@ -31,8 +31,8 @@ def confirm(
 ) -> str | None:
     """Match within a wider range than the found one while surfaces lie at its ends after all.
 
-    A found range has margins in which no surface lies. What lies beyond it is matched to its ends, and a wider range
-    has nothing there. If it has, as with views of nothing but noise, the last range is the found one again.
+    A found range has margins in which no surface lies. Surfaces beyond it are matched to its ends, and a wider range
+    has nothing there. If it has, as with views of pure noise, the last range is the found one again.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def confirm(
     """
     bounds, most = found, largest_disparity(layout)
     for tries in range(_TRIES + 1):
-        piles = [share > _MANY and share > _MORE_THAN_BESIDE * beside for share, beside in _at_ends(bounds, matched)]
+        piles = [share > MANY and share > _MORE_THAN_BESIDE * beside for share, beside in _at_ends(bounds, matched)]
         if not any(piles):
             break
         further = _FURTHER * (bounds[1] - bounds[0])
@@ -72,9 +72,9 @@ def confirm(
 
 
 def _at_ends(bounds: tuple[float, float], matched: Float32Array) -> list[tuple[float, float]]:
-    """The share of the pixels that lie at the low and at the high end of a range, and of those beside, on average."""
+    """Measure the share of the pixels at the low and at the high end of a range, and of those beside, on average."""
     known, (low, high) = matched[np.isfinite(matched)], bounds
-    close = _AT_END * (high - low)
+    close = _MARGIN * (high - low)
     found = []
     for distance in (known - low, high - known):
         at_end, both = (int((distance <= times * close).sum()) for times in (1, 1 + _BESIDE))

@@ -1,4 +1,4 @@
-"""What most views have in common, and which of them stand out from it."""
+"""Trends that most views follow, and the views that stand out from them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _MANY = 25  # views from which a smooth trend over the array is taken out before
 
 
 def without_gauge(shifts: Float64Array, offsets: Float64Array) -> Float64Array:
-    """Shifts [n, 2] less what views cannot tell: all moved alike, or in proportion to their offsets.
+    """Remove from shifts [n, 2] the part that views cannot tell: all moved alike, or in proportion to their offsets.
 
-    The fit is of least absolute deviations: views that stand out do not spoil it. `shifts` may be [n, 2, t], columns
-    of which are treated alike, with the fit of least squares.
+    The fit is of least absolute deviations: views that stand out do not spoil it. `shifts` may be [n, 2, t]; then the
+    fit to each of the t columns is of least squares.
     """
     count = len(offsets)
     axes = np.zeros((count, 2, 3))
@@ -33,7 +33,7 @@ def without_gauge(shifts: Float64Array, offsets: Float64Array) -> Float64Array:
 
 
 def without_slope(values: Float64Array, offsets: Float64Array) -> Float64Array:
-    """Values [n] (or [n, t]) less their mean and what grows in proportion to the offsets.
+    """Remove from values [n] (or [n, t]) their mean and the part that grows in proportion to the offsets.
 
     The fit is that of `without_gauge`. Rotations and scales of that form are hardly told from a map that is tilted as
     a whole.
@@ -45,11 +45,11 @@ def without_slope(values: Float64Array, offsets: Float64Array) -> Float64Array:
 
 
 def outliers(values: Float64Array, offsets: Float64Array, errors: Float64Array, *, least: float) -> NDArray[np.bool_]:
-    """Which of the values [n, k] of views stand out from a smooth trend over the array.
+    """Find the values [n, k] of views that stand out from a smooth trend over the array.
 
-    One does whose distance from the trend is more than `least`, `_FACTOR` times the usual distance (1.48 times the
-    median), also that of views about as far from the reference, and `_FACTOR` times its standard error. Views from the
-    rim of a lens depart from any trend more than others do.
+    The distance of such a value from the trend exceeds three limits: `least`; `_FACTOR` times the usual distance (1.48
+    times the median), also that of the views about as far from the reference; and `_FACTOR` times its standard error.
+    Views from the rim of a lens depart from any trend more than others do.
     """
     rest = smooth_rest(values, offsets)
     usual = np.full(len(rest), 1.4826 * np.median(np.abs(rest)))
@@ -63,7 +63,7 @@ def outliers(values: Float64Array, offsets: Float64Array, errors: Float64Array, 
 
 
 def smooth_rest(values: Float64Array, offsets: Float64Array) -> Float64Array:
-    """Values [n, k] less a trend: a polynomial of the second degree in the offsets if there are many views, else the
+    """Remove a trend from values [n, k]: a polynomial of degree 2 in the offsets if there are many views, else the
     median."""
     if len(values) < _MANY:
         return values - np.median(values, axis=0)
@@ -73,7 +73,7 @@ def smooth_rest(values: Float64Array, offsets: Float64Array) -> Float64Array:
 
 
 def usual_rest(rest: Float64Array) -> float:
-    """How far values [n, k] usually are from the trend that `smooth_rest` took out (1.48 times the median).
+    """Usual distance of values [n, k] from the trend that `smooth_rest` removed (1.48 times the median).
 
     A fit of least absolute deviations passes through as many values as it has parameters; these do not count.
     """

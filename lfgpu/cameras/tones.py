@@ -1,4 +1,4 @@
-"""Gain, offset and vignetting of each view against the reference, from what all show of the same points."""
+"""Gain, offset and vignetting of each view against the reference, found at points that all of them show."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _FEWEST = 20  # points that a view must share with others
 
 @dataclass(frozen=True, eq=False)
 class Tones:
-    """How bright views are: a view shows (gain + vignetting r²) t + offset where the reference would show t.
+    """Tones of views: a view shows (gain + vignetting r²) t + offset where the reference would show t.
 
     r is the distance from the middle of the view in units of its half diagonal.
 
@@ -32,27 +32,18 @@ class Tones:
     vignetting: Float64Array
 
     def brightness(self, level: float | Float64Array) -> Float64Array:
-        """[n, c], how bright a view shows the intensity `level`, as a share of it, vignetting left out."""
+        """Brightness [n, c] of each view where the reference shows the intensity `level`: a share."""
         return self.gain + self.offset / level
 
-    def equalised(
-        self, view: NDArray[np.float32], index: int, *, across: NDArray[np.float32] | None = None
-    ) -> NDArray[np.float32]:
-        """View `index` [y, x, c] in [0, 1] with the tones of the reference; `across` [y, x] is r² of its pixels."""
-        if across is None:
-            across = squared_radius(*view.shape[:2])
+    def equalised(self, view: NDArray[np.float32], index: int, at: Float64Array) -> NDArray[np.float32]:
+        """Give view `index` [y, x, c] in [0, 1] the tones of the reference; it shows the places `at` [y, x, 2]."""
+        across = squared_radius_at(at, view.shape[:2])
         gain = self.gain[index] + self.vignetting[index] * across[..., None]
         return np.clip((view - self.offset[index]) / np.maximum(gain, 0.05), 0, 1).astype(np.float32)
 
 
-def squared_radius(height: int, width: int) -> NDArray[np.float32]:
-    """float32 [y, x], squared distance from the middle of a view in units of its half diagonal."""
-    y, x = np.mgrid[:height, :width].astype(np.float32)
-    return np.asarray(((x - (width - 1) / 2) ** 2 + (y - (height - 1) / 2) ** 2) / (height**2 + width**2) * 4)
-
-
-def squared_radius_at(at: Float64Array, size: tuple[int, int]) -> NDArray[np.float32]:
-    """float32 [...], the same at places (x, y) [..., 2] of a view of `size`."""
+def squared_radius_at(at: Float64Array, size: tuple[int, ...]) -> NDArray[np.float32]:
+    """Squared distance [...] of places (x, y) [..., 2] from the middle of a view of `size`, half diagonals."""
     height, width = size
     x, y = at[..., 0] - (width - 1) / 2, at[..., 1] - (height - 1) / 2
     return np.asarray((x**2 + y**2) / (height**2 + width**2) * 4, np.float32)
@@ -61,23 +52,23 @@ def squared_radius_at(at: Float64Array, size: tuple[int, int]) -> NDArray[np.flo
 def match_tones(
     shown: Float64Array, weight: Float64Array, radius2: Float64Array, reference: int, *, vignetting: bool
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Gain, offset and vignetting [n] of one colour.
+    """Fit gain, offset and vignetting [n] of one colour.
 
-    What a point is like is the mean of what all views show of it, so that noise of the reference alone does not lower
-    the gains of others; both are found in turns, with robust weights.
+    The intensity of a point is the mean of all views, so that noise of the reference alone does not lower the gains of
+    others. Intensities and tones are found in turns, with robust weights.
 
     Parameters
     ----------
     shown
-        [n, p], what each view shows of each point, in [0, 1].
+        [n, p], intensity of each point in each view, in [0, 1].
     weight
-        [n, p], 0 where it does not.
+        [n, p], 0 where a view does not show a point.
     radius2
         [n, p], squared distance of the point from the middle of the view, half diagonals.
     reference
         Index of the view whose gain is 1 and whose offset is 0.
     vignetting
-        Whether vignetting is looked for; else it is 0.
+        True: vignetting is looked for. Else it is 0.
     """
     weight = weight * ((shown > _DARK) & (shown < _BRIGHT))
     count = len(shown)

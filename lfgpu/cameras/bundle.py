@@ -1,4 +1,4 @@
-"""Photometric bundle adjustment: where the cameras of a light field stand and look, from what their views show.
+"""Photometric bundle adjustment: places and directions of the cameras of a light field, found in their views.
 
 Points of the reference view that have texture are looked up in all views. The residual of point p in view n is
 
@@ -10,50 +10,42 @@ offset b_n; and for each point its disparity d_p and its brightness T_p. Gauss-N
 single residuals and of points as a whole, solve for all of them at once: disparity and brightness of each point are
 eliminated (Schur complement), so that a view that is out of line is not hidden by a map that follows it.
 
-What views cannot tell (the gauge: all of them moved alike, or in proportion to their offsets, which is another plane of
-disparity 0) is decided by weak priors that keep every unknown near where it was.
+Views cannot tell the gauge: all of them moved alike, or in proportion to their offsets, which is another plane of
+disparity 0. Weak priors decide it; they keep every unknown near its start.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfgpu.contract import Device, Float64Array
-from lfgpu.data.channels import mean_of_channels
+from lfgpu.cameras.points import Points, farthest
+from lfgpu.cameras.surface import Surface, grey
+from lfgpu.cameras.tones import squared_radius_at
+from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
-from lfgpu.data.windows import eroded, gradient_size, smoothed, window_max, window_min
+from lfgpu.data.windows import smoothed
 from lfgpu.threads import in_threads
 
-MODELS: dict[str, tuple[tuple[tuple[float, ...], ...], ...]] = {
-    "shift": (((0, 0, 1), (0, 0, 0), (0, 0, 0)), ((0, 0, 0), (0, 0, 1), (0, 0, 0))),
-}
-"""What each parameter of a view's homography adds to the identity, in units of the picture's half diagonal."""
-MODELS["similarity"] = (
-    *MODELS["shift"],
-    ((0, -1, 0), (1, 0, 0), (0, 0, 0)),  # rotation, from x to y: clockwise as y is down
-    ((1, 0, 0), (0, 1, 0), (0, 0, 0)),  # scale
-)
-MODELS["homography"] = (
-    *MODELS["similarity"],
-    ((1, 0, 0), (0, -1, 0), (0, 0, 0)),
-    ((0, 1, 0), (1, 0, 0), (0, 0, 0)),
-    ((0, 0, 0), (0, 0, 0), (1, 0, 0)),
-    ((0, 0, 0), (0, 0, 0), (0, 1, 0)),
-)
+_GENERATORS = np.array(
+    [
+        ((0, 0, 1), (0, 0, 0), (0, 0, 0)),
+        ((0, 0, 0), (0, 0, 1), (0, 0, 0)),
+        ((0, -1, 0), (1, 0, 0), (0, 0, 0)),  # rotation, from x to y: clockwise as y is down
+        ((1, 0, 0), (0, 1, 0), (0, 0, 0)),  # scale
+        ((1, 0, 0), (0, -1, 0), (0, 0, 0)),
+        ((0, 1, 0), (1, 0, 0), (0, 0, 0)),
+        ((0, 0, 0), (0, 0, 0), (1, 0, 0)),
+        ((0, 0, 0), (0, 0, 0), (0, 1, 0)),
+    ],
+    np.float64,
+)  # what each parameter of a homography adds to the identity, in units of the picture's half diagonal
+MODELS = {"shift": 2, "similarity": 4, "homography": 8}
+"""Kinds of homographies, and their number of parameters."""
 
-TOLERANCE = 1.2
-"""Pixels in the farthest view: what is nearer by less hides nothing."""
-
-_TILES = 12  # along the longer side: points are spread over them, and errors within one belong together
-_LEAST_GRADIENT = 0.01  # intensity per pixel: less is no texture
-_EDGE = 1.0  # pixels in the farthest view: where disparities around a point differ by more, it is left out
 _LEAST_NOISE = 0.003  # intensity
 _MEMORY = 3e7  # numbers that couple views with points
-_AT_ONCE = 16  # views whose visibility is looked at together
 _PRIOR_SHIFT = 3.0  # pixels: weak priors, see the head of this file
 _PRIOR_SHAPE = 3.0  # pixels at the half diagonal
 _PRIOR_POSITION = 0.1  # view steps
@@ -64,145 +56,34 @@ _LONGEST = 1.0  # pixels in the farthest view: bound of a step of disparity
 _LONGEST_SHIFT = 2.0  # pixels: bound of a step of a view
 
 
-@dataclass(frozen=True, eq=False)
-class Points:
-    """Points of the reference view that have texture and lie on smooth surfaces.
+def homographies(warps: Float64Array, size: tuple[int, int]) -> Float64Array:
+    """Make homographies [n, 3, 3] of warps [n, k]: from where things should be to where they are, (x, y, 1) in pixels.
 
-    Parameters
-    ----------
-    x, y
-        float64 [p], columns and rows in pixels.
-    disparity
-        float64 [p], pixels per view step.
-    visible
-        float32 [n, p], 1 where a view sees the point, else 0.
-    tile
-        int [p], which part of the picture each lies in.
+    `warps` are in units of the half diagonal, `size` is the (height, width) of the pictures.
     """
-
-    x: Float64Array
-    y: Float64Array
-    disparity: Float64Array
-    visible: NDArray[np.float32]
-    tile: NDArray[np.intp]
-
-
-def grey(lf: LightField, index: int) -> NDArray[np.float32]:
-    """The mean over colours of a view, float32 [y, x] in [0, 1]."""
-    return mean_of_channels(lf.views[index], np.float32) * np.float32(lf.scale)
-
-
-def farthest(lf: LightField) -> float:
-    """How far the farthest camera stands from the reference, view steps."""
-    return float(np.hypot(*lf.offsets.T).max())
-
-
-def choose_points(lf: LightField, disparity: NDArray[np.floating], device: Device, *, most: int) -> Points:
-    """Up to `most` points, those of the strongest gradients in each part of the reference view.
-
-    `disparity` [y, x] is the reference's map; NaN is not known, and no point is taken there.
-    """
-    kernels = device.kernels
-    height, width = lf.size
-    known = np.isfinite(disparity)
-    if lf.valid is not None:
-        known &= lf.valid[lf.reference_index]
-    far = float(np.nanmin(disparity)) if known.any() else 0.0
-    map_ = np.where(known, disparity, far).astype(np.float32)
-    y, x, tile = textured(lf, on_surface(lf, map_) & inner(known), most)
-    visible = np.empty((len(lf.views), len(y)), np.float32)
-    field = device.field(map_)
-    for first in range(0, len(lf.views), _AT_ONCE):
-        offsets = lf.offsets[first : first + _AT_ONCE]
-        seen = device.zeros((len(offsets), height, width))
-        kernels.visible(field, device.field(offsets), tolerance=TOLERANCE / farthest(lf), visible_out=seen)
-        visible[first : first + _AT_ONCE] = kernels.numpy(seen)[:, y, x]
-    return Points(x.astype(np.float64), y.astype(np.float64), map_[y, x].astype(np.float64), visible, tile)
-
-
-def on_surface(lf: LightField, map_: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """[y, x], where no edge of depth is near by."""
-    return window_max(map_, 5) - window_min(map_, 5) <= _EDGE / farthest(lf)
-
-
-def inner(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """[y, x], what is known less a margin of three pixels."""
-    return eroded(known, 3)
-
-
-def textured(
-    lf: LightField, usable: NDArray[np.bool_], most: int
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Rows, columns and tiles of up to `most` pixels of the reference with texture, where they are usable [y, x]."""
-    strength = gradient_size(smoothed(grey(lf, lf.reference_index), 0.7))
-    side = max(lf.size) / _TILES
-    rows, columns = np.nonzero(usable & (strength >= _LEAST_GRADIENT))
-    tiles = (rows / side).astype(np.intp) * _TILES + (columns / side).astype(np.intp)
-    share = max(1, most // max(1, len(np.unique(tiles))))
-    order = np.lexsort((-strength[rows, columns], tiles))
-    starts = np.searchsorted(tiles[order], np.unique(tiles))
-    rank = np.arange(len(order)) - np.repeat(starts, np.diff([*starts, len(order)]))
-    # Of each part every third of the strongest three times as many: neighbours tell the same.
-    kept = order[(rank < 3 * share) & (rank % 3 == 0)] if len(order) > most else order
-    return rows[kept], columns[kept], tiles[kept]
-
-
-class Surface:
-    """A picture between its pixels, and its gradient: cubic B-splines with the pixels as coefficients.
-
-    That smooths by 0.58 px. A spline through the pixels would not do: its noise is weaker halfway between pixels than
-    on them, so that the sum of squares is least where views are looked up halfway, and noisy views drift there by up to
-    0.1 px. Smoothed noise is nearly as strong everywhere.
-    """
-
-    def __init__(self, image: NDArray[np.float32]) -> None:
-        self._height, self._width = image.shape
-        self._padded = np.pad(image, 3, mode="reflect" if min(image.shape) > 3 else "edge")
-
-    def __call__(self, x: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Value and derivatives by x and y at places [p]; those outside the frame are moved to its border."""
-        x0, wx, sx = spline_weights(np.clip(x, 0, self._width - 1))
-        y0, wy, sy = spline_weights(np.clip(y, 0, self._height - 1))
-        stride = self._padded.shape[1]
-        flat, corner = self._padded.ravel(), (y0 + 2) * stride + x0 + 2
-        value, by_x, by_y = (np.zeros(len(x)) for _ in range(3))
-        for j in range(4):
-            row, slope = np.zeros(len(x)), np.zeros(len(x))
-            for i in range(4):
-                taken = flat[corner + (j * stride + i)]
-                row += taken * wx[i]
-                slope += taken * sx[i]
-            value += row * wy[j]
-            by_x += slope * wy[j]
-            by_y += row * sy[j]
-        return value, by_x, by_y
-
-
-def spline_weights(at: Float64Array) -> tuple[NDArray[np.intp], list[Float64Array], list[Float64Array]]:
-    """First of the four taps less one, their weights in the cubic B-spline, and the slopes of these."""
-    whole = np.floor(at).astype(np.intp)
-    t = at - whole
-    s = 1 - t
-    weights = [s**3 / 6, 2 / 3 - t * t * (1 - t / 2), 2 / 3 - s * s * (1 - s / 2), t**3 / 6]
-    slopes = [-s * s / 2, t * (1.5 * t - 2), s * (2 - 1.5 * s), t * t / 2]
-    return whole, weights, slopes
+    height, width = size
+    radius = float(np.hypot(*size)) / 2
+    to = np.array([[1, 0, -(width - 1) / 2], [0, 1, -(height - 1) / 2], [0, 0, radius]]) / radius
+    found = np.linalg.inv(to) @ (np.eye(3) + np.einsum("nk,kij->nij", warps, _GENERATORS[: warps.shape[1]])) @ to
+    return np.asarray(found / found[:, 2:, 2:])
 
 
 class Bundle:
-    """The unknowns of all views and points of one light field, and steps that improve them.
+    """Unknowns of all views and points of one light field, and steps that improve them.
 
     Parameters
     ----------
     lf
         The light field.
     points
-        Where it is looked at.
+        The points that are looked up in all views.
     model
-        What a view's homography may be: "shift", "similarity" or "homography".
+        Kind of the homography of a view: "shift", "similarity" (default) or "homography".
     free_positions
-        Whether positions of cameras are unknowns, too.
+        True: positions of cameras are unknowns, too. Default False.
     smoothing
-        Standard deviation, in pixels, of a Gaussian that views are smoothed with first: steps reach farther with it.
+        Standard deviation, in pixels, of the Gaussian that views are smoothed with first: steps reach farther with it.
+        Default 0: none.
     """
 
     def __init__(
@@ -215,13 +96,13 @@ class Bundle:
         smoothing: float = 0.0,
     ) -> None:
         self._lf, self.points, self._free_positions = lf, points, free_positions
-        self._generators = np.array(MODELS[model], np.float64)
+        self._generators = _GENERATORS[: MODELS[model]]
         self._middle = (np.array(lf.size[::-1]) - 1) / 2
         self.radius = float(np.hypot(*lf.size)) / 2
         self._reach = farthest(lf)
         count = len(lf.views)
         self.warps = np.zeros((count, len(self._generators)))
-        """[n, k], what each parameter of the model is, in units of the half diagonal (`radius`)."""
+        """[n, k], parameters of the homographies, in units of the half diagonal (`radius`)."""
         self.shifted = np.zeros((count, 2))
         """[n, 2], change of each position, view steps."""
         self.tones = np.tile([1.0, 0.0], (count, 1))
@@ -233,38 +114,30 @@ class Bundle:
         self.load(smoothing)
         self.brightness = self._surfaces[lf.reference_index](points.x, points.y)[0]
         self.influence: Float64Array = np.zeros((count, 0, 0))
-        """[n, k + ..., t], by how much each tile of the picture alone would move each unknown of each view: the sum of
-        squares over tiles is its variance. Set by `step`."""
+        """[n, k + ..., t], move of each unknown of each view by each tile of the picture alone; set by `step`.
+
+        The sum of squares over tiles is the variance of the unknown."""
 
     def load(self, smoothing: float) -> None:
         """Look at the views smoothed with a Gaussian of that standard deviation in pixels; 0 is as they are."""
 
         def surface(index: int) -> Surface:
-            image = grey(self._lf, index)
-            return Surface(smoothed(image, smoothing) if smoothing else image)
+            if smoothing:
+                return Surface(smoothed(grey(self._lf, index), smoothing)[..., None])
+            return Surface(self._lf.views[index], self._lf.scale)
 
         self._surfaces = in_threads(surface, range(len(self._lf.views)))
-
-    # --- what comes out ---
-
-    @property
-    def homographies(self) -> Float64Array:
-        """[n, 3, 3], from where things should be to where they are recorded, (x, y, 1) in pixels."""
-        normal = np.eye(3) + np.einsum("nk,kij->nij", self.warps, self._generators)
-        to = np.array([[1, 0, -self._middle[0]], [0, 1, -self._middle[1]], [0, 0, self.radius]]) / self.radius
-        found = np.linalg.inv(to) @ normal @ to
-        return np.asarray(found / found[:, 2:, 2:])
 
     # --- steps ---
 
     def run(self, iterations: int, *, tolerance: float = 1e-3) -> None:
-        """Up to so many steps; fewer if one moves no view by more than `tolerance` pixels."""
+        """Take up to so many steps; fewer if one moves no view by more than `tolerance` pixels."""
         for _ in range(iterations):
             if self.step() < tolerance:
                 break
 
     def step(self) -> float:
-        """One Gauss-Newton step of all unknowns; how far it moved a view at most, in pixels."""
+        """Take a Gauss-Newton step of all unknowns; returns the largest move of a view, pixels."""
         views, count = range(len(self._lf.views)), len(self.points.x)
         looks = in_threads(self._look, views)
         residuals = np.stack([look.residual for look in looks])
@@ -323,25 +196,23 @@ class Bundle:
         self.brightness = self.brightness + second_step
         return moved
 
-    def look_up(self, index: int, channel: int | None = None) -> tuple[Float64Array, Float64Array]:
-        """What a view shows of each point, or one colour of it, and how much it counts, both [p]."""
+    def look_up(self, index: int, channel: int) -> tuple[Float64Array, Float64Array]:
+        """Look the points up in one colour of a view: its intensities, and their weights, both [p]."""
         x, y, inside = self._places(index)[:3]
-        if channel is None:
-            return self._surfaces[index](x, y)[0], inside * self.points.visible[index]
-        image = self._lf.views[index, ..., channel].astype(np.float32) * np.float32(self._lf.scale)
-        return Surface(image)(x, y)[0], inside * self.points.visible[index]
+        one = Surface(self._lf.views[index, ..., channel : channel + 1], self._lf.scale)
+        return one(x, y)[0], inside * self.points.visible[index]
 
     def squared_radii(self) -> Float64Array:
-        """[n, p], squared distance of each point from the middle of each view, half diagonals."""
-        places = [self._places(n)[:2] for n in range(len(self._lf.views))]
-        return np.stack([((x - self._middle[0]) ** 2 + (y - self._middle[1]) ** 2) / self.radius**2 for x, y in places])
+        """Squared distance [n, p] of each point from the middle of each view, half diagonals."""
+        places = [np.stack(self._places(n)[:2], axis=-1) for n in range(len(self._lf.views))]
+        return np.stack([squared_radius_at(at, self._lf.size) for at in places])
 
     # --- helpers ---
 
     def _places(
         self, index: int
     ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array, Float64Array, Float64Array]:
-        """Where a view records the points (x, y), whether within the frame, and homogeneous coordinates before it."""
+        """Places (x, y) of the points in a view, 1 for those in its frame, and their homogeneous coordinates."""
         du, dv = self._lf.offsets[index] + self.shifted[index]
         px = (self.points.x - self.disparity * du - self._middle[0]) / self.radius
         py = (self.points.y - self.disparity * dv - self._middle[1]) / self.radius
@@ -375,7 +246,7 @@ class Bundle:
         return _Look(residual, inside * self.points.visible[index], np.stack(jacobian), along_u * du + along_v * dv)
 
     def _prior(self) -> tuple[Float64Array, Float64Array]:
-        """What the priors hold, and how strongly, for all parameters of all views."""
+        """Distances of all parameters of all views from their priors, and precisions of these."""
         count, shape = self.warps.shape
         widths = np.full(shape, _PRIOR_SHAPE / self.radius)
         widths[:2] = _PRIOR_SHIFT / self.radius
@@ -398,7 +269,7 @@ class Bundle:
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """One view at all points: residual and weight [p], Jacobian [k, p], derivative by disparity [p]."""
+    """View at all points: residual and weight [p], Jacobian [k, p], derivative by disparity [p]."""
 
     residual: Float64Array
     weight: Float64Array
@@ -407,13 +278,13 @@ class _Look:
 
 
 def _spread(residuals: Float64Array, seen: Float64Array) -> float:
-    """Robust standard deviation of the residuals that count."""
+    """Estimate the standard deviation of the residuals that count, robustly."""
     counted = np.abs(residuals[seen > 0])
     return max(_LEAST_NOISE, 1.4826 * float(np.median(counted))) if len(counted) else _LEAST_NOISE
 
 
 def _trust(residuals: Float64Array, weights: Float64Array) -> Float64Array:
-    """How much each point counts [p]: less where its views together fit worse than those of most points.
+    """Weights of the points [p]: lower where the views together fit worse than at most points.
 
     There the map has the wrong surface, such as the wall behind a thin bar, and no disparity near by explains them.
     """
@@ -421,7 +292,6 @@ def _trust(residuals: Float64Array, weights: Float64Array) -> Float64Array:
     return np.asarray(1 / (1 + (fit / max(_HALF * float(np.median(fit)), _LEAST_NOISE)) ** 4))
 
 
-def most_points(views: int, parameters: Sequence[object] | int) -> int:
-    """How many points fit into memory."""
-    columns = parameters if isinstance(parameters, int) else len(parameters)
+def most_points(views: int, columns: int) -> int:
+    """Number of points that fit into memory, for views of `columns` unknowns each."""
     return int(np.clip(_MEMORY / (2 * views * columns), 500, 12000))

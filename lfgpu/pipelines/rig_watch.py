@@ -1,4 +1,4 @@
-"""`RigWatch`: looks at the cameras of a stream now and then, keeps their tones up to date, and says if they moved."""
+"""`RigWatch`: looks at the cameras of a stream now and then; tones that follow, and a sentence when they moved."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from contextlib import suppress
 
 import numpy as np
 
-from lfgpu._backends import DEFAULT, load
-from lfgpu.calibration.quick_look import Look, look
-from lfgpu.contract import Device
+from lfgpu._backends import DEFAULT, open_device
+from lfgpu.cameras.looking import FEWEST, Look, look
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.pipelines.stream import DepthStream
 
@@ -20,15 +19,15 @@ _LARGEST_OFFSET = 0.1  # intensity
 
 
 class RigWatch:
-    """Looks at the cameras of a stream from a thread of its own.
+    """Watch over the cameras of a stream, from a thread of its own.
 
         with lfgpu.DepthStream(rectifier.pictures(frame), rectifier=rectifier) as stream:
             with lfgpu.calibration.RigWatch(stream, on_finding=print):
                 ...
 
-    Each look takes the views of one frame and judges them by their map (`lfgpu.explain`, quickly). If the stream has a
-    rectifier, gains and offsets of its cameras follow what is found, slowly. That a camera has moved is said when two
-    looks in a row find it.
+    Each look takes the views of one frame and compares them by their map (`lfgpu.explain`, quickly). If the stream has
+    a rectifier, gains and offsets of its cameras slowly follow the measured ones. A camera is said to have moved when
+    two looks in a row find it.
 
     Parameters
     ----------
@@ -72,12 +71,12 @@ class RigWatch:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What is known to be wrong about where the cameras stand and look, one sentence each; empty if nothing is."""
+        """Known faults of the places and directions of the cameras, one sentence each; empty if there is none."""
         return self._findings
 
     @property
     def looks(self) -> int:
-        """How many frames were looked at."""
+        """Number of frames that were looked at."""
         return self._looks
 
     def look(self, *, timeout: float | None = _LONGEST_WAIT) -> tuple[str, ...]:
@@ -88,10 +87,10 @@ class RigWatch:
                 return self._findings
             lf, result = shown
             try:
-                found = look(lf, result.numpy(), Device(load(DEFAULT), self._stream.device), axes=False)
+                found = look(lf, result.numpy(), open_device(DEFAULT, self._stream.device), budget="quick")
             except LfgpuError:  # the frame failed, which its own result says
                 return self._findings
-            if found is None:  # too little texture to tell
+            if found is None or found.points < FEWEST:  # too little texture to tell
                 return self._findings
             self._looks += 1
             self._judge(found)
@@ -127,7 +126,7 @@ class RigWatch:
                 self._on_finding(moved)
 
     def _equalise(self, found: Look) -> None:
-        """Tones such that a share of what is left of differences in brightness is gone."""
+        """Change the tones of the rectifier such that a share of the differences in brightness is gone."""
         assert self._stream.rectifier is not None
         tones = self._stream.rectifier.tones.copy()
         gain = np.clip(found.gain, 1 / _LARGEST, _LARGEST) ** self._rate

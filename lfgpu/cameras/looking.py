@@ -1,0 +1,264 @@
+"""Looks at the cameras of a light field: one entry, with a budget from some hundred points to all that views tell.
+
+Points with texture are looked up in all views; photometric bundle adjustment (`lfgpu/cameras/bundle.py`) says how each
+view is moved, turned, scaled and brightened. Without a map the disparities of the points come from a plane sweep.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.cameras import consensus, signs
+from lfgpu.cameras.bundle import Bundle, most_points
+from lfgpu.cameras.findings import SIGNS, Cameras, brightness, placement
+from lfgpu.cameras.points import Points, choose_points, textured
+from lfgpu.cameras.screening import worth_a_look
+from lfgpu.cameras.surface import grey, patches
+from lfgpu.cameras.sweep import LABELS, sweep
+from lfgpu.cameras.tones import match_tones
+from lfgpu.contract import Device, Float64Array
+from lfgpu.data.light_field_checks import array_of_numbers
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.methods.disparity_range import find_disparity_range
+
+Budget = Literal["screen", "quick", "full"]
+"""Effort of a look.
+
+- "screen": for every light field. A screening at some hundred points ends it where nothing can be wrong.
+- "quick": for streams, whose axes are known: 2000 points, gains of each colour, no signs.
+- "full": 5000 points, gains of each colour and signs.
+"""
+
+FEWEST = 50
+"""Points with texture: from fewer nothing is said of cameras."""
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """Work that a budget pays for: points, Gauss-Newton steps of the cameras, gains by colour, and signs of axes."""
+
+    points: int
+    steps: int
+    colours: bool
+    signs: bool
+
+
+_EFFORTS: dict[Budget, _Effort] = {
+    "screen": _Effort(2000, 3, colours=False, signs=True),
+    "quick": _Effort(2000, 3, colours=True, signs=False),
+    "full": _Effort(5000, 5, colours=True, signs=True),
+}
+
+_VIEWS, _PIXELS = 33, 4_000_000  # of the part that a look with a map may be limited to
+
+# Without a map:
+_SEEN, _SEEN_PIXELS = 25, 2_000_000  # views, and pixels of all of them
+_POINTS = 400
+_SWEPT = 12  # views that disparities are found from
+_LEAST = 100  # points at which views agree
+_AGREE = 0.6  # of the contrast: where patches differ by more, the point is hidden or has no disparity in the range
+
+
+@dataclass(frozen=True, eq=False)
+class Look(Cameras):
+    """Result of a look at the cameras; n views, c colours.
+
+    Parameters
+    ----------
+    points
+        Number of points with texture that it rests on.
+    findings
+        What stands out, one sentence each; empty if nothing does.
+    moved
+        The findings about places and directions of cameras.
+    signs
+        "v" if rows and columns of cameras are counted in opposite senses, "uv" if both are counted the wrong way,
+        "transposed" if rows are taken for columns; None if nothing speaks for that.
+    """
+
+    points: int
+    findings: tuple[str, ...]
+    moved: tuple[str, ...]
+    signs: signs.Signs | None
+
+
+def look(
+    lf: LightField,
+    disparity: NDArray[np.float32] | None,
+    device: Device,
+    *,
+    budget: Budget,
+    in_part: bool = False,
+) -> Look | None:
+    """Look at the cameras of a light field.
+
+    Parameters
+    ----------
+    lf
+        The light field.
+    disparity
+        Map of the reference view, [y, x], pixels per view step; NaN where it is unknown. None: there is no map. Then
+        the budget is "screen", and the look finds faults of all cameras together: out of line, of different brightness,
+        one axis with the wrong sign.
+    device
+        Where it is computed which views see the points; others wait meanwhile.
+    budget
+        Effort: "screen", "quick" or "full".
+    in_part
+        Look at 33 of the views and at their middle, 4 million pixels in all: faults of other single views stay hidden.
+        Default False: all views.
+
+    Returns
+    -------
+    The look; None if the screening says that nothing can be wrong, or if the views do not tell.
+    """
+    if disparity is None:
+        return _look_without_map(lf, device)
+    if in_part:
+        lf, window = part_of(lf, views=_VIEWS, pixels=_PIXELS)
+        disparity = disparity[window]
+    if budget == "screen" and not worth_a_look(lf, disparity):
+        return None
+    effort = _EFFORTS[budget]
+    with device.asking():
+        most = min(effort.points, most_points(len(lf.views), 6))
+        points = choose_points(lf, disparity, device, most=most)
+    wrong = signs.wrong_signs(lf, disparity, points) if effort.signs else None
+    cameras = measured(lf, points, steps=effort.steps, colours=effort.colours)
+    moved = placement(lf, cameras) if wrong is None and len(points.x) >= FEWEST else ()
+    bright = brightness(lf, cameras) if wrong is None and len(points.x) >= FEWEST else ()
+    return _made(cameras, len(points.x), moved, bright, wrong)
+
+
+def _look_without_map(lf: LightField, device: Device) -> Look | None:
+    """Look at all cameras together, with disparities from a plane sweep; about a second, whatever the size."""
+    part, _ = part_of(lf, views=_SEEN, pixels=_SEEN_PIXELS)
+    known = np.ones(part.size, np.bool_) if part.valid is None else part.valid[part.reference_index]
+    y, x, tile = textured(part, known, _POINTS)
+    if not len(x):
+        return None
+    try:
+        low, high = find_disparity_range(part, device)
+    except LightFieldError:
+        return None
+    others = np.flatnonzero(np.arange(len(part.views)) != part.reference_index)
+    swept = np.random.default_rng(0).permutation(others)[:_SWEPT]
+    pictures = [grey(part, int(n)) for n in swept]
+    shown = patches(grey(part, part.reference_index), x, y)
+    cost, disparity = sweep(shown, pictures, part.offsets[swept], x, y, np.linspace(low, high, LABELS))
+    points = Points(x.astype(float), y.astype(float), disparity, np.ones((len(part.views), len(x)), np.float32), tile)
+    wrong, agree = signs.wrong_axis(part, points, max(abs(low), abs(high))), cost < _AGREE
+    if wrong is None and agree.sum() < _LEAST:
+        return None
+    effort = _EFFORTS["screen"]
+    cameras = measured(part, points.some(agree), steps=effort.steps, colours=effort.colours)
+    moved = placement(part, cameras, single=False) if wrong is None else ()
+    bright = brightness(part, cameras, single=False) if wrong is None else ()
+    return _made(cameras, int(agree.sum()), moved, bright, wrong)
+
+
+def _made(
+    cameras: Cameras, points: int, moved: tuple[str, ...], bright: tuple[str, ...], wrong: signs.Signs | None
+) -> Look:
+    findings = (*moved, *bright) if wrong is None else (SIGNS[wrong],)
+    return Look(**vars(cameras), points=points, findings=findings, moved=moved, signs=wrong)
+
+
+def part_of(lf: LightField, *, views: int, pixels: int) -> tuple[LightField, tuple[slice, slice]]:
+    """Take some of the views, and a window in their middle; returns that light field, and rows and columns.
+
+    The reference is among the at most `views` views; the others are drawn, the same in every run, so that a fault that
+    many views have is found in them. The window is such that all of them have at most `pixels` pixels.
+    """
+    others = np.flatnonzero(np.arange(len(lf.views)) != lf.reference_index)
+    drawn = np.random.default_rng(0).permutation(others)[: views - 1]
+    chosen = [int(n) for n in np.sort(np.append(drawn, lf.reference_index))]
+    height, width = lf.size
+    share = min(1.0, float(np.sqrt(pixels / (len(chosen) * height * width))))
+    rows, columns = (max(1, round(side * share)) for side in lf.size)
+    top, left = (height - rows) // 2, (width - columns) // 2
+    window = slice(top, top + rows), slice(left, left + columns)
+    part = lf if share == 1 else lf.crop(*window)  # first, so that of mapped views little is read
+    return (part if len(chosen) == len(lf.views) else part.subset(chosen)), window
+
+
+def checked_map(lf: LightField, result: Any) -> NDArray[np.float32]:
+    """Check a result or map; returns its disparity. LightFieldError if it is of another view, or says nothing."""
+    disparity = array_of_numbers("result", getattr(result, "disparity", result), np.float32)
+    position = getattr(result, "position", None)
+    if disparity.shape != lf.size:
+        raise LightFieldError(
+            f"the map must be {lf.size[0]} x {lf.size[1]} as the views of {lf.name} are, found shape {disparity.shape}."
+        )
+    here = lf.positions[lf.reference_index]
+    if position is not None and np.abs(here - position).max() > 1e-6:
+        raise LightFieldError(
+            f"the map belongs to the view at row {position[1]:g}, column {position[0]:g}, the reference of {lf.name} "
+            f"is at row {here[1]:g}, column {here[0]:g}; give the light field with that reference."
+        )
+    if not np.isfinite(disparity).any():
+        raise LightFieldError("the map is undefined everywhere; there is nothing to judge.")
+    return disparity
+
+
+def measured(lf: LightField, points: Points, *, steps: int, colours: bool) -> Cameras:
+    """Measure all cameras at some points; without `colours` all colours of a view have the tones of grey."""
+    count, channels = len(lf.views), lf.channels
+    if len(points.x) < FEWEST:
+        nothing, pairs, tones = (np.full(shape, np.nan) for shape in (count, (count, 2), (count, channels)))
+        return Cameras(pairs, pairs, nothing, nothing, nothing, nothing, tones, tones, nothing)
+    bundle = Bundle(lf, points)
+    bundle.run(steps)
+    offsets, radius, influence = lf.offsets, bundle.radius, bundle.influence
+    shift = consensus.without_gauge(bundle.warps[:, :2] * radius, offsets)
+    moved = consensus.without_gauge(influence[:, :2] * radius, offsets)
+    turned, scaled = (consensus.without_slope(bundle.warps[:, k], offsets) for k in (2, 3))
+    turned_error, scaled_error = (
+        np.sqrt((consensus.without_slope(influence[:, k], offsets) ** 2).sum(1)) for k in (2, 3)
+    )
+    gain, offset = bundle.tones[:, :1], bundle.tones[:, 1:]
+    if colours:
+        gain, offset, _ = measured_tones(lf, bundle, vignetting=False)
+    level = float(np.clip(np.median(bundle.brightness), 0.02, 1.0))
+    return Cameras(
+        shift=shift,
+        shift_error=np.sqrt((moved**2).sum(2)),
+        rotation=np.rad2deg(turned),
+        rotation_error=np.rad2deg(turned_error),
+        scale=scaled,
+        scale_error=scaled_error,
+        gain=gain,
+        offset=offset,
+        brightness=(gain + offset / level).mean(axis=1),
+    )
+
+
+def measured_tones(
+    lf: LightField, bundle: Bundle, *, vignetting: bool
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Measure gain, offset and vignetting [n, c] of each view and colour, at the places of the points in a bundle."""
+    found = []
+    radius2 = bundle.squared_radii()
+    for channel in range(lf.channels):
+        looks = [bundle.look_up(n, channel) for n in range(len(lf.views))]
+        shown, weight = (np.stack(parts) for parts in zip(*looks, strict=True))
+        found.append(match_tones(shown, weight, radius2, lf.reference_index, vignetting=vignetting))
+    gain, offset, falloff = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
+    return gain, offset, falloff
+
+
+__all__ = [
+    "FEWEST",
+    "Budget",
+    "Look",
+    "checked_map",
+    "look",
+    "measured",
+    "measured_tones",
+    "part_of",
+]

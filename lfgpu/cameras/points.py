@@ -1,0 +1,127 @@
+"""Points of the reference view that tell about cameras: with texture, on smooth surfaces, seen by the views."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.cameras.surface import grey
+from lfgpu.contract import Device, Float64Array
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.windows import eroded, gradient_size, smoothed, window_max, window_min
+
+_TOLERANCE = 1.2  # pixels in the farthest view: a surface that is nearer by less hides nothing
+_TILES = 12  # along the longer side: points are spread over them, and errors within one belong together
+_LEAST_GRADIENT = 0.01  # intensity per pixel: less is no texture
+_EDGE = 1.0  # pixels in the farthest view: where disparities around a point differ by more, it is left out
+_AT_ONCE = 16  # views whose visibility is computed together
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points of the reference view that have texture and lie on smooth surfaces.
+
+    Parameters
+    ----------
+    x, y
+        float64 [p], columns and rows in pixels.
+    disparity
+        float64 [p], pixels per view step.
+    visible
+        float32 [n, p], 1 where a view sees the point, else 0.
+    tile
+        int [p], the part of the picture that each point lies in.
+    """
+
+    x: Float64Array
+    y: Float64Array
+    disparity: Float64Array
+    visible: NDArray[np.float32]
+    tile: NDArray[np.intp]
+
+    def some(self, chosen: NDArray[np.bool_]) -> Points:
+        """Select points by a mask [p]."""
+        return Points(
+            self.x[chosen], self.y[chosen], self.disparity[chosen], self.visible[:, chosen], self.tile[chosen]
+        )
+
+
+def farthest(lf: LightField) -> float:
+    """Measure the distance of the farthest camera from the reference, view steps."""
+    return float(np.hypot(*lf.offsets.T).max())
+
+
+def known_pixels(lf: LightField, disparity: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Find the pixels [y, x] of the reference that are valid and have a disparity."""
+    known = np.isfinite(disparity)
+    return known if lf.valid is None else known & lf.valid[lf.reference_index]
+
+
+def choose_points(lf: LightField, disparity: NDArray[np.floating], device: Device, *, most: int) -> Points:
+    """Choose up to `most` points: those of the strongest gradients in each part of the reference view.
+
+    `disparity` [y, x] is the map of the reference view; NaN where it is unknown, and no point is chosen there.
+    """
+    map_, y, x, tile = on_surfaces(lf, disparity, most)
+    visible = np.empty((len(lf.views), len(y)), np.float32)
+    field = device.field(map_)
+    for first in range(0, len(lf.views), _AT_ONCE):
+        offsets = lf.offsets[first : first + _AT_ONCE]
+        seen = device.zeros((len(offsets), *lf.size))
+        device.kernels.visible(field, device.field(offsets), tolerance=_TOLERANCE / farthest(lf), visible_out=seen)
+        visible[first : first + _AT_ONCE] = device.kernels.numpy(seen)[:, y, x]
+    return Points(x.astype(np.float64), y.astype(np.float64), map_[y, x].astype(np.float64), visible, tile)
+
+
+def on_surfaces(
+    lf: LightField, disparity: NDArray[np.floating], most: int
+) -> tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Choose points off the depth edges: the map with unknown pixels at its far end, rows, columns, tiles."""
+    known = known_pixels(lf, disparity)
+    far = float(np.nanmin(disparity)) if known.any() else 0.0
+    map_ = np.where(known, disparity, far).astype(np.float32)
+    smooth = window_max(map_, 5) - window_min(map_, 5) <= _EDGE / farthest(lf)
+    return map_, *textured(lf, known, most, beside=smooth)
+
+
+def textured(
+    lf: LightField, known: NDArray[np.bool_], most: int, *, beside: NDArray[np.bool_] | None = None
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Choose up to `most` pixels with texture, three or more inside the known ones [y, x]: rows, columns, tiles."""
+    usable = eroded(known, 3) if beside is None else eroded(known, 3) & beside
+    strength = gradient_size(smoothed(grey(lf, lf.reference_index), 0.7))
+    side = max(lf.size) / _TILES
+    rows, columns = np.nonzero(usable & (strength >= _LEAST_GRADIENT))
+    tiles = (rows / side).astype(np.intp) * _TILES + (columns / side).astype(np.intp)
+    share = max(1, most // max(1, len(np.unique(tiles))))
+    order = np.lexsort((-strength[rows, columns], tiles))
+    starts = np.searchsorted(tiles[order], np.unique(tiles))
+    rank = np.arange(len(order)) - np.repeat(starts, np.diff([*starts, len(order)]))
+    # Of each part every third of the strongest three times as many: neighbours tell the same.
+    kept = order[(rank < 3 * share) & (rank % 3 == 0)] if len(order) > most else order
+    return rows[kept], columns[kept], tiles[kept]
+
+
+def hidden(
+    lf: LightField, map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp], index: int
+) -> NDArray[np.bool_]:
+    """Find the points [p] of the reference where a nearer surface of its map covers them in a view, on the host.
+
+    A surface that is nearer by k pixels in that view lies k pixels beside the point in the reference, along the offset.
+    """
+    (du, dv), (height, width) = lf.offsets[index], lf.size
+    d, distance = map_[y, x].astype(np.float64), float(np.hypot(du, dv))
+    if distance == 0:
+        return np.zeros(len(d), np.bool_)
+    steps = np.arange(1, int(np.ceil((float(map_.max()) - float(d.min())) * distance)) + 1)[:, None] / distance
+    rows = np.rint(y + steps * dv).astype(np.intp)
+    columns = np.rint(x + steps * du).astype(np.intp)
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    nearer = map_[rows.clip(0, height - 1), columns.clip(0, width - 1)] - d
+    least = np.maximum(steps - 0.7 / distance, _TOLERANCE / farthest(lf))
+    return np.asarray((inside & (nearer >= least) & (nearer <= steps + 0.7 / distance)).any(0))
+
+
+__all__ = ["Points", "choose_points", "farthest", "hidden", "known_pixels", "on_surfaces", "textured"]

@@ -1,0 +1,163 @@
+"""Signs of the axes: rows and columns of cameras that are counted the wrong way, found in the pictures.
+
+Wrong signs of one axis, or rows taken for columns, leave no disparity at which all views agree: a plane sweep at points
+with texture finds the way of counting with which they agree best. Wrong signs of both axes turn every disparity round,
+and views agree as well as before; but then the surfaces that the map has as far hide those that it has as near.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.cameras.points import Points, known_pixels
+from lfgpu.cameras.surface import grey, patches
+from lfgpu.cameras.sweep import LABELS, sweep
+from lfgpu.contract import Float64Array
+from lfgpu.data.lightfield import LightField
+
+Signs = Literal["v", "uv", "transposed"]
+"""Fault of the axes: one has the wrong sign, both have, or they are exchanged."""
+
+_WAYS: tuple[tuple[Signs | None, tuple[tuple[int, int], tuple[int, int]]], ...] = (
+    (None, ((1, 0), (0, 1))),
+    ("v", ((1, 0), (0, -1))),
+    ("transposed", ((0, 1), (1, 0))),
+    ("transposed", ((0, 1), (-1, 0))),  # and one axis turned round: a quarter turn of the array
+)
+_POINTS = 400
+_VIEWS = 12
+_PARALLAX = 6.0  # pixels by which the views that are compared move at most, about
+_AGREE = 0.15  # of the contrast: where patches differ by less, the way that was told is right
+_BETTER = 0.92  # of the median cost: how much better another way must be,
+_SURE = 5.0  # and by how many standard errors of the mean over points
+_SPREAD = 0.5  # view steps: cameras in one line say nothing about the other axis
+
+_FARTHEST = 8  # views in which the order of depth is compared
+_FEWEST = 100  # pixels that tell it
+_HIDES_BETTER = 0.9  # of the loss: how much better the other order of depth must be,
+_SURELY = 2.5  # and by how many standard errors, over parts of the picture
+_GAP = 2.0  # pixels in the farthest view: a surface that is nearer by more hides those behind it
+_DIFFERENT = 0.03  # intensity: colours that can be told apart
+_MOST = 0.1  # intensity: larger differences count as much
+_PARTS = 12  # along the longer side: pixels of one part are of one outline
+
+
+def wrong_signs(lf: LightField, disparity: NDArray[np.float32], points: Points) -> Signs | None:
+    """Find the fault of the axes by the map of the reference view [y, x]; None if there is none, or nobody can tell."""
+    known = disparity[np.isfinite(disparity)]
+    found = wrong_axis(lf, points, float(np.abs(np.percentile(known, [1, 99])).max()))
+    return "uv" if found is None and near_and_far_swapped(lf, disparity) else found
+
+
+def wrong_axis(lf: LightField, points: Points, largest: float) -> Signs | None:
+    """Find an axis with the wrong sign, or exchanged axes; None if there is none, or the pictures do not tell.
+
+    `largest` is the largest absolute disparity, pixels per view step.
+    """
+    offsets = lf.offsets
+    distance = np.hypot(*offsets.T)
+    beside = np.flatnonzero(distance > 0)
+    if min(np.ptp(offsets, axis=0)) < _SPREAD or len(points.x) < _POINTS // 8:
+        return None
+    wanted = _PARALLAX / max(largest, 1e-6)
+    order = beside[np.argsort(np.abs(distance[beside] - wanted), kind="stable")]
+    chosen = _spread_over_angles(order, offsets)
+    step = np.random.default_rng(0).permutation(len(points.x))[:_POINTS]
+    x, y = points.x[step].astype(np.intp), points.y[step].astype(np.intp)
+    patch = patches(grey(lf, lf.reference_index), x, y)
+    pictures = [grey(lf, int(n)) for n in chosen]
+    labels = np.linspace(-1.2 * largest, 1.2 * largest, LABELS)
+    costs: dict[Signs | None, Float64Array] = {}
+    for way, matrix in _WAYS:
+        cost, _ = sweep(patch, pictures, offsets[chosen] @ np.array(matrix, np.float64).T, x, y, labels)
+        if way is None and np.median(cost) < _AGREE:
+            return None
+        if way not in costs or np.median(cost) < np.median(costs[way]):
+            costs[way] = cost
+    best = min(costs, key=lambda way: float(np.median(costs[way])))
+    gain = costs[None] - costs[best]
+    sure = gain.mean() > _SURE * gain.std() / np.sqrt(len(gain))
+    return best if sure and np.median(costs[best]) < _BETTER * np.median(costs[None]) else None
+
+
+def near_and_far_swapped(lf: LightField, disparity: NDArray[np.float32]) -> bool:
+    """Tell whether the far surfaces of the map [y, x] hide its near ones, in several places.
+
+    A single outline that the map has wrong looks like that, too.
+    """
+    order = order_of_depth(lf, disparity, views=_FARTHEST)
+    gain = order.near - order.far
+    sure = gain.sum() > _SURELY * np.sqrt((gain**2).sum())
+    return bool(order.told >= _FEWEST and sure and order.far.sum() < _HIDES_BETTER * order.near.sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Order:
+    """Differences between views and the near or the far one of two surfaces that land at the same pixel.
+
+    Parameters
+    ----------
+    told
+        Number of such pixels in all views that were compared.
+    near, far
+        float64 [t], sums of the absolute differences from the near and from the far surface, intensity, for each part
+        of the picture that has such pixels.
+    """
+
+    told: int
+    near: Float64Array
+    far: Float64Array
+
+
+def order_of_depth(lf: LightField, disparity: NDArray[np.floating], *, views: int) -> Order:
+    """Compare the views that are farthest from the reference with its map [y, x], NaN where it is unknown."""
+    known = known_pixels(lf, disparity)
+    distance = np.hypot(*lf.offsets.T)
+    image, (height, width) = grey(lf, lf.reference_index).ravel(), lf.size
+    map_ = disparity.ravel()
+    order = np.argsort(map_, kind="stable")
+    order = order[known.ravel()[order]].astype(np.int32)
+    d, (rows, columns) = map_[order], np.divmod(order, np.int32(width))
+    side = max(lf.size) / _PARTS
+    told, near, far = 0, np.zeros(_PARTS**2), np.zeros(_PARTS**2)
+    for n in np.argsort(-distance, kind="stable")[:views]:
+        du, dv = lf.offsets[n]
+        x, y = np.rint(columns - d * du).astype(np.int32), np.rint(rows - d * dv).astype(np.int32)
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        if lf.valid is not None:
+            inside[inside] = lf.valid[n][y[inside], x[inside]]
+        landed, place = order[inside], y[inside] * np.int32(width) + x[inside]
+        front, back = np.full(height * width, -1, np.int32), np.full(height * width, -1, np.int32)
+        front[place], back[place[::-1]] = landed, landed[::-1]  # the last one stays
+        there = np.flatnonzero(front >= 0)
+        if not len(there):
+            continue
+        # How bright the whole view is does not say what hides what.
+        shown = grey(lf, int(n)).ravel()
+        brighter = float(image[front[there]].mean()) / max(float(shown[there].mean()), 1e-6)
+        both = np.flatnonzero(front != back)
+        front, back = front[both], back[both]
+        apart = (map_[front] - map_[back] > _GAP / distance.max()) & (np.abs(image[front] - image[back]) > _DIFFERENT)
+        front, back, shown = front[apart], back[apart], brighter * shown[both[apart]]
+        row, column = np.divmod(front, width)
+        part = (row / side).astype(np.intp) * _PARTS + (column / side).astype(np.intp)
+        told += len(part)
+        for loss, seen in ((near, front), (far, back)):
+            loss += np.bincount(part, np.minimum(np.abs(shown - image[seen]), _MOST), len(loss))
+    some = near + far > 0
+    return Order(told, near[some], far[some])
+
+
+def _spread_over_angles(order: NDArray[np.intp], offsets: Float64Array) -> NDArray[np.intp]:
+    """Choose up to `_VIEWS` of the views, in this order, from all directions."""
+    angle = np.arctan2(offsets[order, 1], offsets[order, 0])
+    sector = np.floor((angle + np.pi) / (2 * np.pi) * 8).astype(int) % 8
+    rank = np.array([(sector[:i] == s).sum() for i, s in enumerate(sector)])
+    return np.asarray(order[np.lexsort((np.arange(len(order)), rank))][:_VIEWS])
+
+
+__all__ = ["Order", "Signs", "near_and_far_swapped", "order_of_depth", "wrong_axis", "wrong_signs"]

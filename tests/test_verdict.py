@@ -1,0 +1,138 @@
+"""One verdict: every way to a map gives the same notes and the same remarks, in the same order."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_range_check import noise_in_a_row
+from typer.testing import CliRunner
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.batch.items import Item
+from lfgpu.batch.manifest import DONE
+from lfgpu.batch.work import Job, Settings, work
+from lfgpu.calibration import Misalignment, disturb
+from lfgpu.cli import app
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
+from lfgpu.io import write_hci
+from lfgpu.methods import preset
+from lfgpu.viewer.solving import Request, Solver
+
+Said = tuple[tuple[str, ...], tuple[str, ...]]
+
+
+@cache
+def right() -> LightField:
+    return scenes.make("boxes", grid=(5, 5), size=(96, 112), seed=3, noise=0.004)
+
+
+@cache
+def askew() -> LightField:
+    return disturb(right(), Misalignment(shift=0.5), seed=1).light_field
+
+
+@cache
+def blank() -> LightField:
+    return replace(LightField.from_grid(noise_in_a_row((25, 96, 112, 3), 0, 1).reshape(5, 5, 96, 112, 3)), name="blank")
+
+
+FAULTS: dict[str, tuple[Callable[[], LightField], tuple[float, float], str, str]] = {
+    "none": (right, (-3.0, 3.0), "", ""),
+    "the range excludes the scene": (right, (3.0, 5.0), "may be wrong everywhere", ""),
+    "the range ends within the scene": (right, (0.3, 3.0), "lies at its far end", ""),
+    "cameras askew": (askew, (-3.0, 3.0), "", "out of line"),
+    "cameras askew and a small range": (askew, (0.3, 3.0), "lies at its far end", "out of line"),
+    "no texture": (blank, (-2.0, 2.0), "The map means nothing", ""),
+}
+
+
+def said(result: DepthResult) -> Said:
+    return result.notes, result.remarks
+
+
+def by_estimate(lf: LightField, given: tuple[float, float], _: Path) -> Said:
+    return said(lfgpu.estimate_depth(lf, config="fast", disparity_range=given, device="cpu"))
+
+
+def by_pipeline(lf: LightField, given: tuple[float, float], _: Path) -> Said:
+    """What the map alone tells is a part of the verdict, and the rest comes on demand."""
+    result = lfgpu.DepthPipeline(lf, config="fast", disparity_range=given, device="cpu").estimate()
+    whole = lfgpu.judged(lf, result, disparity_range=given, device="cpu")
+    if "means nothing" not in "".join(whole.notes):
+        assert set(result.notes) <= set(whole.notes)
+    return said(whole)
+
+
+def by_tiles(lf: LightField, given: tuple[float, float], _: Path) -> Said:
+    return said(lfgpu.estimate_depth(lf, config="fast", disparity_range=given, device="cpu", max_memory="1GiB"))
+
+
+def by_all_views(lf: LightField, given: tuple[float, float], _: Path) -> Said:
+    found = lfgpu.estimate_all_views(lf, keys=2, config="fast", disparity_range=given, device="cpu")
+    return said(found.reference)
+
+
+def by_viewer(lf: LightField, given: tuple[float, float], _: Path) -> Said:
+    done: queue.SimpleQueue[Said] = queue.SimpleQueue()
+    solver = Solver(lambda _: None, lambda _, result: done.put(said(result)))
+    assert solver.start(Request(lf, preset("fast"), given))
+    return done.get(timeout=600.0)
+
+
+def by_command(lf: LightField, given: tuple[float, float], folder: Path, *more: str) -> Said:
+    options = ["--preset=fast", f"--disparity-range={given[0]},{given[1]}", "--device=cpu", *more]
+    done = CliRunner().invoke(app, ["depth", str(folder / "lf"), "-o", str(folder / "out"), *options])
+    assert done.exit_code == 0, done.output
+    found = said(lfgpu.load(folder / "out" / "result.npz"))
+    printed = " ".join(done.stdout.split())
+    places = [printed.find(sentence) for sentence in (*found[0], *found[1])]
+    assert min(places, default=0) >= 0
+    assert places == sorted(places)
+    return found
+
+
+def by_command_for_all_views(lf: LightField, given: tuple[float, float], folder: Path) -> Said:
+    return by_command(lf, given, folder, "--all-views")
+
+
+def by_batch(lf: LightField, given: tuple[float, float], folder: Path) -> Said:
+    settings = Settings(preset("fast"), disparity_range=given)
+    entry = work(Job(Item("item", str(folder / "lf")), settings, str(folder / "batch")), "cpu")
+    assert entry["status"] == DONE, entry
+    found = said(lfgpu.load(folder / "batch" / "item" / "result.npz"))
+    assert (tuple(entry["notes"]), tuple(entry["remarks"])) == ((*lf.notes, *found[0]), found[1])
+    return found
+
+
+WAYS = (by_pipeline, by_tiles, by_all_views, by_viewer, by_command, by_command_for_all_views, by_batch)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_all_ways_say_the_same_in_the_same_order(fault: str, tmp_path: Path) -> None:
+    make, given, note, remark = FAULTS[fault]
+    write_hci(make(), tmp_path / "lf")
+    lf = lfgpu.read(tmp_path / "lf")
+    notes, remarks = by_estimate(lf, given, tmp_path)
+    assert note in " ".join(notes)
+    assert remark in " ".join(remarks)
+    assert bool(notes) == bool(note)
+    assert bool(remarks) == bool(remark)
+    for way in WAYS:
+        assert way(lf, given, tmp_path) == (notes, remarks), way.__name__
+
+
+def test_maps_of_all_views_are_less_confident_where_cameras_are_askew() -> None:
+    options = {"keys": 2, "config": "fast", "disparity_range": (-3.0, 3.0), "device": "cpu"}
+    before = lfgpu.estimate_all_views(askew(), **options, check_cameras=False)  # type: ignore[arg-type]
+    after = lfgpu.estimate_all_views(askew(), **options)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(after.disparities, before.disparities)
+    means = (after.confidences.mean((1, 2)), before.confidences.mean((1, 2)))
+    assert (means[0] < means[1] - 0.1).all()
