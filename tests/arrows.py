@@ -118,7 +118,7 @@ def circles() -> list[list[str]]:
 
 
 def implied(graph: dict[str, set[str]], name: str, target: str) -> bool:
-    """Whether a room reaches another one through a third one as well."""
+    """True if a room reaches another one through a third one as well."""
     reached, left = set[str](), list(graph[name] - {target})
     while left:
         place = left.pop()

@@ -1,4 +1,4 @@
-"""What tests of batches share: recorded light fields, settings, clusters on this machine."""
+"""Helpers of tests of batches: recorded light fields, settings, clusters on this machine."""
 
 from __future__ import annotations
 

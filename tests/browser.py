@@ -53,6 +53,6 @@ _FETCH = """async image => {
 
 
 def pixels(element: Any) -> np.ndarray:
-    """What an <img> shows, [y, x, 3], in the pixels of its file."""
+    """Return the pixels of an <img>, [y, x, 3], as its file has them."""
     with Image.open(io.BytesIO(bytes(element.evaluate(_FETCH)))) as image:
         return np.asarray(image.convert("RGB"))

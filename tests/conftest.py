@@ -1,4 +1,4 @@
-"""What all tests share: which backends and devices are tried, the seed of random inputs, real light fields."""
+"""Fixtures of all tests: backends and devices that are tried, the seed of random inputs, real light fields."""
 
 from __future__ import annotations
 

@@ -277,7 +277,7 @@ FAULTS = (
 
 
 def noticed(fault: Fault) -> bool:
-    """Whether its tests fail in a copy of the project with the fault."""
+    """Inject a fault into a copy of the project and return True if its tests fail there."""
     with tempfile.TemporaryDirectory() as folder:
         for name in _COPIED:
             source = ROOT / name

@@ -1,4 +1,4 @@
-"""What tests of solvers share: both solvers, and what they leave."""
+"""Helpers of tests of solvers: both solvers, and their outcome."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ both = pytest.mark.parametrize("solver", [BoundedLbfgs, ScipyLbfgsb])
 
 
 class Found(NamedTuple):
-    """What a solver left on the device, and what it says about it."""
+    """The values that a solver left on the device, and its report."""
 
     values: np.ndarray
     solution: Solution

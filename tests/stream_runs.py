@@ -1,4 +1,4 @@
-"""What tests of streams share: a scene that moves, streams of it, and waiting without an end."""
+"""Helpers of tests of streams: a scene that moves, streams of it, and waiting without an end."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def other_scene() -> LightField:
 
 @cache
 def alone(config: str, index: int) -> np.ndarray:
-    """What a pipeline that was made for the first frame makes of a later one."""
+    """Compute the map of a later frame with a pipeline that was made for the first one."""
     pipeline = lfgpu.DepthPipeline(frames()[0], config=config, disparity_range=RANGE, device="cpu")
     pipeline.upload(frames()[index].views)
     pipeline.run()

@@ -108,7 +108,7 @@ def test_maps_are_better_than_those_of_views_alone_and_agree_more(name: str) -> 
 
 
 def test_the_true_maps_agree() -> None:
-    """What the other tests measure is nothing but mistakes."""
+    """The other tests measure nothing but mistakes."""
     true = truths("boxes")
     found = differences(true, true, scene("boxes").positions)
     assert len(found) > 100_000

@@ -50,7 +50,7 @@ pytestmark = pytest.mark.thorough
 
 @pytest.fixture(scope="module")
 def undisturbed(scene_folders: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the slow settings make of it, without Dask and without anything going wrong but the damaged file."""
+    """The maps of the slow settings, without Dask and without any fault but the damaged file."""
     out = tmp_path_factory.mktemp("undisturbed")
     with Manifest(out) as manifest:
         manifest.add(work(job, "cpu") for job in jobs(scene_folders, out, SLOW))

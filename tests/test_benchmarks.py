@@ -53,7 +53,7 @@ def benchmarks(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 def told(*arguments: str | Path) -> Any:
-    """What the command line says, without a process of its own."""
+    """Return the output of a command, without a process of its own."""
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 

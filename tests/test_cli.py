@@ -1,4 +1,4 @@
-"""What goes well on the command line can be read back."""
+"""Commands that succeed write files that can be read back."""
 
 from __future__ import annotations
 

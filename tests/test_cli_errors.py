@@ -1,4 +1,4 @@
-"""What goes wrong on the command line is one sentence and leaves nothing behind."""
+"""Commands that fail say one sentence and leave nothing behind."""
 
 from __future__ import annotations
 

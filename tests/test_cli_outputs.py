@@ -21,7 +21,7 @@ SAVED = ("map.exr", "map.tif", "map16.png", "cloud.ply", "map.npz", "map.pfm")
 
 
 def run(*arguments: object) -> str:
-    """What a command says that succeeds."""
+    """Run a command that succeeds and return its output."""
     result = CliRunner().invoke(app, [str(argument) for argument in arguments])
     assert result.exit_code == 0, result.output
     return result.stdout

@@ -56,7 +56,7 @@ def scores(lf: LightField, result: DepthResult) -> dict[str, Metrics]:
 
 
 def difference(one: np.ndarray, other: np.ndarray, share: float = 0.95) -> float:
-    """What that share of the differences is at most, pixels per view step."""
+    """Return the bound that a share of the differences keeps, pixels per view step."""
     return float(np.quantile(np.abs(one - other), share))
 
 

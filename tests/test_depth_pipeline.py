@@ -92,7 +92,7 @@ def test_captured_run_is_the_uncaptured_one(target: Any) -> None:
 
 @pytest.mark.parametrize("solver", ["propagation.solver", "refinement.solver"])
 def test_solvers_on_the_host_run_again_too(target: Any, solver: str) -> None:
-    """What needs the host is not captured, and gives the same again."""
+    """A solver that needs the host is not captured, and gives the same again."""
     pipeline = made(scene(), target, CONFIG.with_values({solver: "lbfgsb", "refinement.max_iterations": 5}))
     first = ran(pipeline)
     for _ in range(2):

@@ -1,4 +1,4 @@
-"""What is released works: the archive of sources can be tested, the wheel runs where there is no checkout."""
+"""Releases work: the archive of sources can be tested, the wheel runs where there is no checkout."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ FOLDERS = ("lfgpu", "kernels", "tests", "benchmarks", "docs", "examples")
 
 
 def run(command: Sequence[str | Path], cwd: Path) -> str:
-    """What a command prints, in the environment of these tests less what would show it this checkout."""
+    """Return the output of a command in the environment of these tests, from which this checkout cannot be seen."""
     inherited = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST"))}
     variables = {**inherited, "PYTHONNOUSERSITE": "1"}
     done = subprocess.run(command, cwd=cwd, env=variables, capture_output=True, text=True)

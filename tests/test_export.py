@@ -1,4 +1,4 @@
-"""What is exported gives the same bits without Python as with it."""
+"""Exported pipelines give the same bits without Python as with it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def streamed(config: str, prior: lfgpu.TemporalPrior | None) -> tuple[np.ndarray
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where CMake installed the library and the program."""
+    """The folder into which CMake installed the library and the program."""
     cmake, libraries = shutil.which("cmake"), exporting.libraries()[0]
     if cmake is None or not (libraries / "warp.so").is_file() or shutil.which("c++") is None:
         pytest.skip("no CMake, no C++ compiler, or no libraries of Warp for it to link with, here")

@@ -73,7 +73,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(copy: Path, cwd: Path, *command: str | Path, code: int = 0) -> str:
-    """What a command of Python prints with the copy in place of lfgpu."""
+    """Return the output of Python code with the copy in place of lfgpu."""
     done = subprocess.run(
         [sys.executable, *command], cwd=cwd, env={**os.environ, "PYTHONPATH": str(copy)}, capture_output=True, text=True
     )

@@ -30,7 +30,7 @@ def relief(**options: Any) -> LightField:
 
 
 class Local(NamedTuple):
-    """What the estimator leaves on the device, maps [y, x]."""
+    """The maps that the estimator leaves on the device, [y, x]."""
 
     disparity: np.ndarray
     coherence: np.ndarray

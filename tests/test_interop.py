@@ -69,7 +69,7 @@ class Elsewhere(Tensor):
 
 
 class Interface:
-    """What has nothing but NumPy's array interface, a dtype and a shape."""
+    """An array with nothing but NumPy's array interface, a dtype and a shape."""
 
     def __init__(self, values: np.ndarray) -> None:
         self._values = values

@@ -1,4 +1,4 @@
-"""What is said about streams: motion is true, flicker is found, and a soak would notice what goes wrong."""
+"""Benchmarks of streams: motion is true, flicker is found, and a soak would notice faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the public names say for themselves: short texts, names that type checkers know, sentences for wrong types."""
+"""Public names explain themselves: short texts, names that type checkers know, sentences for wrong types."""
 
 from __future__ import annotations
 

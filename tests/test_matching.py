@@ -387,7 +387,7 @@ def test_noise_that_is_given_is_not_measured() -> None:
 
 
 def test_masked_pixels_say_nothing() -> None:
-    """What stands in masked pixels makes no difference, and a vignette does not break the map.
+    """Values of masked pixels make no difference, and a vignette does not break the map.
 
     Beside them it makes some: what is interpolated between a pixel and a masked one, and its gradient, hold both.
     """

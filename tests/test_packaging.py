@@ -1,4 +1,4 @@
-"""What belongs to the package, what it needs, and what importing it costs."""
+"""The package: its files, its requirements, and the cost of importing it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def run_python(code: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 
 def required() -> set[str]:
-    """What pip calls all that lfgpu and its extras need."""
+    """Return the names that pip has for all requirements of lfgpu and its extras."""
     project = SETTINGS["project"]
     lines = [*project["dependencies"], *chain(*project["optional-dependencies"].values())]
     return {re.match(r"[\w-]+", line)[0] for line in lines} - {"lfgpu"}  # type: ignore[index]

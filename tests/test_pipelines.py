@@ -28,7 +28,7 @@ DEFINED = 0.005  # the share of pixels whose coherence may lie on the other side
 
 
 class Scene(NamedTuple):
-    """What a pipeline is tried on."""
+    """A scene that a pipeline is tried on."""
 
     name: str
     options: tuple[tuple[str, Any], ...] = (("grid", (5, 5)), ("size", (40, 44)))

@@ -158,7 +158,7 @@ def test_a_gpu_that_the_parent_has_used_is_refused(monkeypatch: pytest.MonkeyPat
 
 
 def test_children_know_that_the_parent_has_used_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What runs in a child after it was forked, here without one."""
+    """The hook of a forked child runs here without a child."""
     monkeypatch.setattr(locks, "_gpu_of_parent", False)
     monkeypatch.setattr(locks, "started", ["cpu"])
     locks._in_child()

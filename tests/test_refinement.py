@@ -28,7 +28,7 @@ SCENES = ("relief", "boxes")
 
 
 class Problem(NamedTuple):
-    """What the refinement of a light field minimises on a device, and where it begins."""
+    """The energy that the refinement of a light field minimises on a device, and its start."""
 
     lf: LightField
     target: Any

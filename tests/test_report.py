@@ -68,7 +68,7 @@ def run(*arguments: object) -> tuple[int, str, str]:
 
 
 class Links(HTMLParser):
-    """What a page names: tags and addresses."""
+    """The tags and addresses in a page."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -79,7 +79,7 @@ def opened(browser: Any, path: Path, screen: str = "wide", colours: str = "light
 
 
 def shot(of: Any) -> np.ndarray:
-    """What is seen of a page or an element, [y, x, 3]."""
+    """Take a picture of a page or an element, [y, x, 3]."""
     with Image.open(io.BytesIO(of.screenshot())) as image:
         return np.asarray(image.convert("RGB")).astype(int)
 
@@ -96,7 +96,7 @@ def contrast(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def bars(picture: np.ndarray, stops: tuple[str, ...]) -> int:
-    """How many rows of a picture hold the colours of a scale, from left to right."""
+    """Count the rows of a picture that hold the colours of a scale, from left to right."""
     columns, before = np.arange(picture.shape[1]), np.full(len(picture), -1)
     for stop in stops[1:-1]:
         colour = np.array([int(part) for part in stop[4:-1].split()])

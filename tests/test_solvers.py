@@ -142,7 +142,7 @@ class Functions:
 
     @property
     def least_decrease(self) -> float:
-        """What float32 can still tell from nothing, or float64."""
+        """Return the least decrease that float32, or float64, can tell from none."""
         return 1e-14 if self._kernels.dtype is np.float64 else 1e-8
 
     def minimize(
@@ -167,7 +167,7 @@ def minimise(
 
 
 def accuracy(target: Any) -> float:
-    """How near the minimum values must be; a minimum's value says half as many digits about its place."""
+    """Return the tolerance of values; a minimum's value says half as many digits about its place."""
     return 1e-4 if target.kernels.dtype is np.float64 else 1e-3
 
 

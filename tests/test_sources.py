@@ -190,7 +190,7 @@ def test_a_ring(tmp_path: Path) -> None:
 
 
 class _Camera:
-    """What OpenCV makes of a device: pictures in BGR; None is a picture that does not come."""
+    """A device as OpenCV shows it: pictures in BGR; None is a picture that does not come."""
 
     pictures: dict[Any, list[np.ndarray | None]]
 
@@ -332,7 +332,7 @@ def test_the_command_records_frames_and_says_that_the_range_is_too_small(videos:
 
 
 class _Page:
-    """What the viewer is told."""
+    """A record of the messages to the viewer."""
 
     url = "http://127.0.0.1/"
 

@@ -1,4 +1,4 @@
-"""What frames may be, and what is said about them: wrong ones fail alone, ranges and stamps that do not fit too."""
+"""Frames of all kinds, and the sentences about them: wrong ones fail alone, ranges and stamps that do not fit too."""
 
 from __future__ import annotations
 

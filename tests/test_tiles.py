@@ -63,7 +63,7 @@ def given(lf: LightField, config: Config) -> Measured:
 
 
 def memory_for(lf: LightField, config: Config, height: int, width: int) -> int:
-    """What makes tiles of that size the largest ones that fit."""
+    """Return the memory for which tiles of that size are the largest that fit."""
     needed = method_of(config).footprint(lf.layout, given(lf, config), on_gpu=False).bytes(height, width)
     return needed + lf.views.nbytes + 4 * 8 * lf.size[0] * lf.size[1]
 
@@ -119,7 +119,7 @@ def test_tiles_are_doubted_together() -> None:
 def test_without_a_halo_the_map_would_differ(
     scene: LightField, parameters: Config, whole: DepthResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """That the comparison can fail."""
+    """The comparison can fail."""
     monkeypatch.setattr(type(method_of(parameters)), "halo", lambda *_: (1, 1))
     found = in_tiles(scene, parameters, memory_for(scene, parameters, 48, 48))
     assert np.abs(found.disparity - whole.disparity).max() > 10 * TOLERANCE

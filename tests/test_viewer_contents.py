@@ -1,4 +1,4 @@
-"""What the viewer holds: maps and their scales, what it says of them, and how it saves them."""
+"""The contents of the viewer: maps, their scales, the facts about them, and saved files."""
 
 from __future__ import annotations
 

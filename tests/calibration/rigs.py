@@ -72,7 +72,7 @@ def as_opencv_json(cameras: list[Camera], folder: Path) -> Path:
 
 
 def as_multiview(cameras: list[Camera], folder: Path) -> Path:
-    """What OpenCV's multiview_calibration.py writes: an array for each kind of number, of all cameras."""
+    """Return the output of OpenCV's multiview_calibration.py: an array for each kind of number, of all cameras."""
     count, text = len(cameras), ["%YAML:1.0", "---"]
     arrays = {
         "Ks": np.stack([camera.matrix for camera in cameras]),

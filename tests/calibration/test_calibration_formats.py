@@ -28,7 +28,7 @@ from tests.calibration.rigs import (
 
 
 def as_multiview_of_opencv(cameras: list[Camera], folder: Path) -> Path:
-    """What OpenCV's multiview_calibration.py writes, by OpenCV itself."""
+    """Write the output of OpenCV's multiview_calibration.py with OpenCV."""
     cv2 = pytest.importorskip("cv2")
     storage = cv2.FileStorage(str(folder / "multi.yaml"), cv2.FILE_STORAGE_WRITE)
     storage.write("Ks", np.stack([camera.matrix for camera in cameras]))

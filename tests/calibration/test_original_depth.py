@@ -40,7 +40,7 @@ def rig(rng: np.random.Generator, *, ahead: float) -> list[Camera]:
 
 
 def depth_of_the_plane(camera: Camera) -> np.ndarray:
-    """What a camera sees of the plane, along its own axis."""
+    """Return the depth of the plane along the camera's own axis."""
     rays = camera.rays(pixels(*SIZE)) @ np.asarray(camera.rotation)
     return (OFFSET - NORMAL @ camera.centre) / (rays @ NORMAL)
 

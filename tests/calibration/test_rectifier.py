@@ -30,7 +30,7 @@ WRONG = Misalignment(shift=2, roll=0.5, scale=0.01, distortion=0.2, gain=0.1, vi
 
 @cache
 def disturbed() -> Disturbed:
-    """What a rig of wrong cameras records; calibrated exactly, so that only the tones are not known."""
+    """Record with a rig of wrong cameras; calibrated exactly, so that only the tones are not known."""
     return disturb(scenes.make("boxes", grid=(3, 3), size=(96, 112), seed=1, noise=0.004), WRONG, seed=3)
 
 

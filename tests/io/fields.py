@@ -201,7 +201,7 @@ def blender_depth(lf: LightField) -> Any:
 
 
 def _blender(lf: LightField, place: Path) -> Path:
-    """What the add-on writes: cameras before the wall of a room, turned and off the origin."""
+    """Write what the add-on writes: cameras before the wall of a room, turned and off the origin."""
     import OpenEXR
 
     folder = place / "LFPlane"
@@ -278,7 +278,7 @@ def _coordinates(lf: LightField) -> list[dict[str, float]]:
 
 @dataclass(frozen=True)
 class Sample:
-    """How the scene is written, and what of it comes back."""
+    """A way to write the scene, and the parts of it that come back."""
 
     format: str
     write: Callable[[LightField, Path], Path]

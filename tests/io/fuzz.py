@@ -58,7 +58,7 @@ _WORDS = [b"nan", b"inf", b"-1", b"1e400", b"99999999999999999999", b"0", b"[]",
 
 @dataclass
 class Tally:
-    """What became of the examples."""
+    """Counts of the examples by their outcome."""
 
     read: int = 0
     refused: int = 0
@@ -186,7 +186,7 @@ def damage(root: Path, rng: np.random.Generator) -> None:
 
 
 def _damaged_knowingly(victim: Path, rng: np.random.Generator) -> bool:
-    """Whether a file could be taken apart, and was put together wrongly."""
+    """Take a file apart and put it together wrongly; return False if it cannot be taken apart."""
     before = victim.read_bytes()
     try:
         if victim.suffix == ".h5" or before[:19] == b"MATLAB 7.3 MAT-file":

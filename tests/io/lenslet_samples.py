@@ -126,7 +126,7 @@ def sampled(scene: LightField, camera: Camera, q: Any, offset: Any, colour: Any)
 
 
 def capture(scene: LightField, camera: Camera, *, noise: float = 0.0, seed: int = 0) -> Sample:
-    """What a camera records of a light field whose views are a pixel of the sensor apart."""
+    """Record with a camera a light field whose views are a pixel of the sensor apart."""
     centre, offset = camera.lens()
     light = camera.light(offset)
     raw = sampled(scene, camera, centre, offset, camera.colours()) * light

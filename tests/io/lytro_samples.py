@@ -40,7 +40,7 @@ Part: TypeAlias = tuple[dict[str, Any], list[bytes]]
 
 
 def name(data: bytes) -> str:
-    """What the section of some data is called."""
+    """Return the name of the section of some data."""
     return section(b"C", data)[1]
 
 

@@ -1,4 +1,4 @@
-"""What lfgpu writes, and what reads it back: maps, results, the manifest of a batch."""
+"""Files that lfgpu writes and reads back: maps, results, the manifest of a batch."""
 
 from __future__ import annotations
 

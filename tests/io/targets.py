@@ -1,4 +1,4 @@
-"""What the fuzzer damages: light fields in all formats, raw captures, what lfgpu writes, calibrations of cameras."""
+"""Files that the fuzzer damages: light fields in all formats, raw captures, outputs of lfgpu, calibrations."""
 
 from __future__ import annotations
 

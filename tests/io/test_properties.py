@@ -293,7 +293,7 @@ def test_maps_come_back_bit_for_bit(values: NDArray[np.float32]) -> None:
 
 
 def test_samples_that_are_whole_are_read(tmp_path: Path) -> None:
-    """What the fuzzer starts from is sound: what it finds is its own damage."""
+    """The fuzzer starts from sound files: it finds its own damage only."""
     for name in ("npy", "mosaic"):
         (tmp_path / name).mkdir()
         path = SAMPLES[name].write(scene((3, 3), (36, 34)), tmp_path / name)

@@ -108,7 +108,7 @@ def _name(node: Any) -> bool:
 
 
 def _kept(node: Any) -> bool:
-    """What attributes of the object were set to first stays."""
+    """Keep the first value that attributes of the object were set to."""
     targets = node.targets[0].elts if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Tuple) else ()
     targets = targets or (node.targets[:1] if isinstance(node, ast.Assign) else ())
     if not targets or not all(isinstance(target, ast.Attribute) for target in targets):
@@ -124,7 +124,7 @@ def _kept(node: Any) -> bool:
 
 
 def _added(node: Any) -> bool:
-    """What is written into an array is added to what was in it."""
+    """Add to the content of an array instead of replacing it."""
     if not isinstance(node, ast.Assign) or not isinstance(node.targets[0], ast.Subscript):
         return False
     held = ast.parse(ast.unparse(node.targets[0]), mode="eval").body

@@ -99,7 +99,7 @@ LBFGS_CASES = (
 
 @dataclass(frozen=True)
 class Trial:
-    """What a solver is told about one trial, all in numbers that float32 can hold, but for the value."""
+    """One trial of a solver, all in numbers that float32 can hold, but for the value."""
 
     x: NDArray[np.float32]
     gradient: NDArray[np.float32]

@@ -66,7 +66,7 @@ def changed(i: SimpleNamespace, **values: Any) -> SimpleNamespace:
 
 
 def most(i: SimpleNamespace, name: str) -> float:
-    """What a pixel costs at most in that volume."""
+    """Return the largest cost of a pixel in that volume."""
     if name == "intensities":
         return rooted(INTENSITY_TRUNCATION, i)
     weight, truncation = i.options["gradient_weight"], rooted(i.options["truncation"], i)
@@ -74,7 +74,7 @@ def most(i: SimpleNamespace, name: str) -> float:
 
 
 def rooted(difference: float, i: SimpleNamespace) -> float:
-    """What a difference in intensity costs."""
+    """Return the cost of a difference in intensity."""
     softness = float(i.options["softness"])
     return 2 * softness * (math.sqrt(1 + difference / softness) - 1) if softness else difference
 

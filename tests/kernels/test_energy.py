@@ -121,7 +121,7 @@ def energy_of(kernels: KernelSet, device: str, i: SimpleNamespace) -> Evaluate:
 
 
 def reference_image(kernels: KernelSet, device: str, lf: LightField) -> Any:
-    """What the prior is loaded with, as `DepthPipeline` makes it."""
+    """Make the image that the prior is loaded with, as `DepthPipeline` makes it."""
     image = kernels.zeros_image((*lf.size, lf.channels), device)
     kernels.intensities(
         kernels.image(lf.views, device),
@@ -151,7 +151,7 @@ def test_energy_and_its_gradient(target: Any, case: EnergyCase, rng: np.random.G
 
 
 def test_energy_of_another_light_field_is_that_of_a_fresh_one(target: Any, rng: np.random.Generator) -> None:
-    """What was loaded before leaves no trace: neither its views nor its rim."""
+    """A light field that was loaded before leaves no trace: neither its views nor its rim."""
     kernels, device = target.kernels, target.device
     first, second = (energy_inputs(EnergyCase("masked", masked=True, dtype="uint8"), rng) for _ in range(2))
     second.lf = replace(second.lf, valid=first.lf.valid)  # a mask is part of what a model is made for

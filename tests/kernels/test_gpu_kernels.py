@@ -1,4 +1,4 @@
-"""What the Warp backend has for GPUs, on a CPU: blocks of threads as `gpu_blocks` runs them, against the reference.
+"""The GPU kernels of the Warp backend on a CPU: blocks of threads as `gpu_blocks` runs them, against the reference.
 
 The cases are those that differ in what a GPU decides for itself: tiles, strips, blocks and their edges, channels, how
 pixels are packed, masks. Each kind of kernel takes seconds to compile, so these are not all cases of the matrix:

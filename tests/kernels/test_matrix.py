@@ -160,12 +160,12 @@ def test_example_of_the_page_is_a_backend(monkeypatch: pytest.MonkeyPatch, rng: 
 
 
 def test_backend_and_device_are_here(named: Any) -> None:
-    """What is not here is skipped, with the reason."""
+    """Backends and devices that are not here are skipped, with the reason."""
     assert named.device in named.kernels.devices()
 
 
 class Cell(NamedTuple):
-    """What all backends are given for one operation and one case, and what the reference makes of it."""
+    """The inputs of all backends for one operation and one case, and the outputs of the reference."""
 
     inputs: SimpleNamespace
     want: dict[str, checks.Values]
@@ -173,7 +173,7 @@ class Cell(NamedTuple):
 
 @cache
 def cell(name: str) -> Cell:
-    """That of a name in `CELLS`, computed once for all backends; random inputs follow from the run's seed."""
+    """Compute the cell of a name in `CELLS` once for all backends; random inputs follow from the run's seed."""
     operation, case = next(param.values for param in CELLS if param.id == name)
     rng = np.random.default_rng([int(os.environ[SEED]), *name.encode()])
     inputs = INPUTS[operation.inputs][1](case, rng)

@@ -81,7 +81,7 @@ def cells_of(module: ModuleType) -> Iterator[tuple[checks.Operation, Any, Any, d
 
 
 def noticed(mutant: mutants.Mutant, cells: list[tuple[checks.Operation, Any, Any, dict[str, Any]]]) -> bool:
-    """Whether a cell fails. What errors are relative to is computed by the reference as it is."""
+    """Return True if a cell fails. The unchanged reference computes the scales of errors."""
     for operation, case, inputs, want in cells:
         try:
             with mutant.at_work(), np.errstate(all="ignore"):

@@ -79,7 +79,7 @@ def test_visible_is_what_comparing_every_two_pixels_says(case: OcclusionCase, rn
 
 
 def seen_of_a_slanted_plane(slope: float, offset: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """What is seen of a plane of that slope, and what lands in the frame."""
+    """Return the seen part of a plane of that slope, and the part that lands in the frame."""
     x = np.mgrid[:5, :60][1].astype(float)
     disparity, offsets, seen = slope * (x - 30) + 0.013, np.array([[offset, 0.0]]), np.empty((1, 5, 60))
     REFERENCE.visible(disparity, offsets, tolerance=tolerance, visible_out=seen)

@@ -42,7 +42,7 @@ class Page:
         self.tab.context.close()
 
     def key(self, name: str) -> str:
-        """What a canvas shows when all of it has come: its sources and how they are coloured; else nothing."""
+        """Return the sources and colours of a canvas of which all has come; else nothing."""
         return str(self.tab.evaluate("id => document.getElementById(id).dataset.drawn ?? ''", name))
 
     def pixels(self, name: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What the page asks for: the tiles that are seen, as fine as the screen, and those that come next."""
+"""Tiles that the page asks for: those that are seen, as fine as the screen, and those that come next."""
 
 from __future__ import annotations
 
