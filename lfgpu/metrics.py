@@ -19,6 +19,10 @@ _SHARES = np.arange(20, 0, -1) / 20  # of the pixels that are kept: 1, 0.95 .. 0
 _ROUNDING = 1e-9  # percent
 _BINS = 10  # of a reliability diagram
 _SAME_PLACE = 1e-6  # view steps
+_FEWEST = 100  # pixels that tell that one map is another one in another unit,
+_CLOSE = 0.1  # of the truth's standard deviation: how near the median pixel comes then,
+_RIGHT = 0.1  # and how far from 1 the factor is
+_ORDERED = 0.8  # correlation of ranks
 
 
 @dataclass(frozen=True)
@@ -130,6 +134,36 @@ class Sparsification:
             f"<Sparsification: AUSE {self.ause:.3f} over {self.count} pixels, "
             f"{'' if self.monotone else 'not '}monotone; bad({self.threshold:g}) of those kept: {bad}>"
         )
+
+
+def other_unit(disparity: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None) -> str | None:
+    """A sentence if a map is the truth with the opposite sign, or in another unit; None if it is not, or is right.
+
+    Parameters
+    ----------
+    disparity, truth
+        [y, x]; NaN or infinite where undefined.
+    mask
+        bool [y, x], True where pixels count. Default: everywhere.
+    """
+    found, true = np.asarray(disparity, np.float64), np.asarray(truth, np.float64)
+    if found.shape != true.shape or found.ndim != 2:
+        return None
+    known = np.isfinite(found) & np.isfinite(true) & (True if mask is None else np.asarray(mask, np.bool_))
+    found, true = found[known], true[known]
+    if len(found) < _FEWEST or not true.std() > 0 or not found.std() > 0:
+        return None
+    times = float((found * true).sum() / (true * true).sum())
+    close = np.median(np.abs(found - times * true)) < _CLOSE * abs(times) * true.std()
+    if close and times < 0:
+        size = "" if abs(times + 1) < _RIGHT else f", and is {-times:.3g} times as large"
+        return f"The map has the opposite sign of the truth{size}: turn one of them round."
+    if close and abs(times - 1) > _RIGHT:
+        return f"The map is {times:.3g} times as large as the truth: one of them is in another unit."
+    order = np.corrcoef(found.argsort().argsort(), true.argsort().argsort())[0, 1]
+    if order < -_ORDERED:
+        return "The map rises where the truth falls: one of them has the opposite sign, or is depth and not disparity."
+    return None
 
 
 def sparsification(

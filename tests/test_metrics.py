@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lfgpu.errors import LightFieldError
-from lfgpu.metrics import Metrics, Sparsification, evaluate, reliability, sparsification
+from lfgpu.metrics import Metrics, Sparsification, evaluate, other_unit, reliability, sparsification
 
 NAN = float("nan")
 
@@ -244,3 +244,18 @@ def test_reliability_counts_what_is_right_in_each_bin() -> None:
 def test_a_confidence_that_is_no_share_has_no_reliability(said: float) -> None:
     with pytest.raises(LightFieldError, match="must be from 0 to 1"):
         reliability(np.zeros((4, 4)), np.full((4, 4), said), np.zeros((4, 4)), border=0)
+
+
+def test_a_map_in_another_unit_or_with_the_opposite_sign_is_told() -> None:
+    rng = np.random.default_rng(5)
+    truth = np.repeat(np.linspace(-1.0, 2.0, 60)[None], 40, axis=0) + rng.normal(0, 0.01, (40, 60))
+    noisy = truth + rng.normal(0, 0.02, truth.shape)
+    noisy[3] = np.nan
+    assert other_unit(noisy, truth) is None
+    assert "opposite sign of the truth: turn" in str(other_unit(-noisy, truth))
+    assert "-4" not in str(other_unit(-4 * noisy, truth))
+    assert "is 4 times as large" in str(other_unit(-4 * noisy, truth))
+    assert "The map is 4 times as large as the truth" in str(other_unit(4 * noisy, truth))
+    assert "depth and not disparity" in str(other_unit(1 / (noisy + 3), truth))
+    assert other_unit(rng.normal(0, 1, truth.shape), truth) is None
+    assert other_unit(noisy, np.zeros_like(truth)) is None

@@ -117,6 +117,8 @@ def _score(result: Path, truth: Path, mask: Path | None, border: int | None) -> 
     console = output()
     scores(console, rows)
     remark(console, scored_where(next(iter(rows.values())).count, left_out))
+    if (doubt := metrics.other_unit(list(maps.values())[-1], true.disparity, mask=where)) is not None:
+        remark(console, doubt)
     if truth.is_dir() and (regions := read_region_masks(truth)):
         region_scores(
             console,

@@ -26,7 +26,7 @@ from lfgpu.data.light_field_checks import (
     texts,
     without_mask,
 )
-from lfgpu.data.mapping import each_view
+from lfgpu.data.mapping import check_unchanged, each_view
 from lfgpu.data.reading import NOTHING, Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.printable import printable
@@ -129,6 +129,7 @@ class LightField:
                 raise LightFieldError(f"{name} must be a {kind.__name__}, not {type(value).__name__}.")
         given, masked = without_mask(self.views, self.valid)
         views = array_of_numbers("views", given)
+        check_unchanged(views)
         if views.ndim == 3:
             views = views[..., None]
         if views.ndim != 4 or views.shape[3] not in (1, 3) or 0 in views.shape:
@@ -275,6 +276,7 @@ class LightField:
     def image(self, index: int) -> NDArray[np.float32]:
         """View `index` as float32 [y, x, c] in [0, 1]."""
         check_whole("index of a view", index, -len(self.views), len(self.views) - 1)
+        check_unchanged(self.views)
         return self.views[index].astype(np.float32) * np.float32(self.scale)
 
     def view(self, row: float, column: float) -> NDArray[Any]:
@@ -355,6 +357,7 @@ class LightField:
         kept = self.layout.chosen(which)
         if len(kept) == len(self.views):
             return self
+        check_unchanged(self.views)
         return self._with_views(kept, self.views[kept], None if self.valid is None else self.valid[kept])
 
     def crop(self, y: slice, x: slice) -> LightField:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import mmap
+import os
 from collections.abc import Callable, Sequence
 from typing import IO, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.errors import LightFieldError
 from lfgpu.threads import in_threads
 
 _AT_ONCE = 2**26  # bytes of views after which memory is released,
@@ -21,7 +24,34 @@ def mapped(
 ) -> NDArray[Any]:
     """A read-only array mapped from an open file, beginning at byte `offset`."""
     order: Any = "F" if fortran else "C"
-    return np.asarray(np.memmap(file, dtype, "r", offset=offset, shape=tuple(shape), order=order))
+    array = np.asarray(np.memmap(file, dtype, "r", offset=offset, shape=tuple(shape), order=order))
+    mapping = _mapping(array)
+    if mapping is not None and isinstance(file.name, str | os.PathLike):
+        found = os.fstat(file.fileno())
+        _FILES[mapping] = os.fspath(file.name), (found.st_ino, found.st_mtime_ns, found.st_size)
+    return array
+
+
+_FILES: WeakKeyDictionary[mmap.mmap, tuple[str, tuple[int, int, int]]] = WeakKeyDictionary()
+"""By mapping the name of its file, and what tells that it was written anew."""
+
+
+def check_unchanged(array: NDArray[Any]) -> None:
+    """LightFieldError if the file of a mapped array was cut short or written anew: reading on would end the process, or
+    mix two contents. A file that was replaced is another one, and leaves the array as it is."""
+    mapping = _mapping(array)
+    if mapping is None:
+        return
+    name, before = _FILES.get(mapping, ("the file of the views", None))
+    changed = mapping.size() < len(mapping)
+    if before is not None and not changed:
+        try:
+            found = os.stat(name)  # noqa: PTH116 - the name may be a text
+        except OSError:
+            return
+        changed = found.st_ino == before[0] and (found.st_mtime_ns, found.st_size) != before[1:]
+    if changed:
+        raise LightFieldError(f"{name} was written anew while it was in use; read it again.")
 
 
 def is_mapped(array: NDArray[Any]) -> bool:
@@ -47,6 +77,7 @@ def each_view(views: NDArray[Any], chosen: Sequence[int], work: Callable[[int, N
             work(k, views[index])
         return
     for first in range(0, len(chosen), max(at_once, 1)):
+        check_unchanged(views)
         in_threads(lambda k: work(k, views[chosen[k]]), range(first, min(first + at_once, len(chosen))))
         forget(views)
 

@@ -34,6 +34,8 @@ def read_pfm(path: Path) -> NDArray[np.float32]:
         raise LightFieldError(
             f"{path} is damaged: {width} x {height} float32 values are {4 * width * height} bytes, it has {there}."
         )
+    if not float(header[4]):
+        raise LightFieldError(f"{path} has the scale 0, whose sign cannot tell the order of its bytes; write it anew.")
     order = "<" if header[4].startswith(b"-") else ">"
     data = np.fromfile(path, f"{order}f4", width * height, offset=header.end())
     if len(data) != width * height:

@@ -111,3 +111,9 @@ def test_only_maps_become_pfm(tmp_path: Path, values: NDArray[Any]) -> None:
     text = refusal(lambda: write_pfm(tmp_path / "a.pfm", values))
     assert "a.pfm" in text
     assert str(values.shape) in text
+
+
+@pytest.mark.parametrize("scale", ["0", "-0.0", "0e5"])
+def test_a_scale_of_0_does_not_tell_the_order_of_bytes(scale: str, tmp_path: Path) -> None:
+    (tmp_path / "a.pfm").write_bytes(f"Pf\n2 1\n{scale}\n".encode() + bytes(8))
+    assert "has the scale 0, whose sign cannot tell" in refusal(lambda: read_map(tmp_path / "a.pfm"))
