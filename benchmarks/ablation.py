@@ -22,6 +22,7 @@ from lfgpu import LightField, estimate_depth, evaluate, read, scenes
 from lfgpu.config import Config
 from lfgpu.errors import LfgpuError
 from lfgpu.methods import preset
+from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.metrics import Metrics
 
 KIND = "ablation"
@@ -38,7 +39,8 @@ class Variant:
 
     def config(self) -> Config:
         """Return all parameters: the one place where values are applied, be they of users or of tuning."""
-        return preset(self.preset).with_values(self.values)
+        config = preset(self.preset)
+        return config.with_tuning(self.values) if isinstance(config, MatchingConfig) else config
 
 
 @dataclass(frozen=True)

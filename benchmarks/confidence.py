@@ -32,6 +32,7 @@ from lfgpu.io.atomic import atomic_write
 from lfgpu.methods import method_of
 from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.judging import kind_of
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.metrics import BORDER
 
@@ -52,17 +53,17 @@ _OWN_SHARE, _OWN_SPREAD = 0.2, 0.5  # of scenes of the package in the fits of bo
 _BLURS, _SEEDS = (0.0, 2.0, 4.0, 6.0), range(1, 7)  # of noise, pixels and random numbers
 _NOISY, _NOISE_SIZE, _NOISE_RANGE = 5, (96, 96), (-4.0, 8.0)  # views in a row, pixels, pixels per view step
 _RIDGE = 1e-3
-_HEAD = '''"""Weights of what the confidence and the uncertainty of matching are made of.
+_HEAD = '''"""Weights of the confidence and of the uncertainty of matching.
 
 {written}
-`Judging.run` says what the weights belong to: 1, conflict, evidence, bend, relief, bend times relief.
+They belong to 1, conflict, evidence, bend, relief and bend times relief, see `Judging.run`.
 """
 
 SHARE = {share}
-"""Weights of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `SweepConfig.kind`."""
+"""Weights of the log odds that a pixel is within 0.07 pixels per view step of the truth, by `judging.kind_of`."""
 
 SPREAD = {spread}
-"""Weights of the logarithm of the variance of the disparity, (pixels per view step)², by `SweepConfig.kind`."""
+"""Weights of the logarithm of the variance of the disparity, (pixels per view step)², by `judging.kind_of`."""
 '''
 
 Vector = NDArray[np.float64]
@@ -75,7 +76,7 @@ class Sample:
     scene: str
     preset: str
     kind: str
-    """Which weights it has: `SweepConfig.kind` of the preset."""
+    """The key of its weights: `judging.kind_of` of the preset."""
     features: Mapping[str, Vector]
     """By name, as `MatchingPlan.features`."""
     error: Vector
@@ -377,7 +378,7 @@ def _sample(lf: LightField, scene: str, preset: str, bounds: tuple[float, float]
         scored = np.random.default_rng(0).choice(scored, _MOST, replace=False)
     features = {feature: map_.ravel()[scored].astype(np.float64) for feature, map_ in plan.features().items()}
     low, high = measured.disparity_range
-    return Sample(scene, preset, method.config.sweep.kind, features, error.ravel()[scored], high - low)
+    return Sample(scene, preset, kind_of(method.config.sweep.resweeps), features, error.ravel()[scored], high - low)
 
 
 def _of_nothing(blur: float, seed: int, preset: str) -> Sample:

@@ -1,6 +1,7 @@
 """Parameters of methods: a configuration has sections, and a section has checked numbers and choices.
 
-The configuration class of each method is in `lfgpu/methods/NAME/config.py`.
+The configuration class of each method is in `lfgpu/methods/NAME/config.py`. Numbers that users do not set are no
+parameters: a `Tuning` holds them.
 """
 
 from __future__ import annotations
@@ -50,11 +51,50 @@ class Section:
                 raise LightFieldError(f"{f.name} must be odd, not {value:g}.")
 
 
+def tuned(value: float | str, unit: str, reason: str, *, ablation: str = "") -> Any:
+    """Define a number of a `Tuning`.
+
+    Parameters
+    ----------
+    value
+        The number, or the name of a rule.
+    unit
+        Its unit; "" if it has none.
+    reason
+        What it is, and why it has this value.
+    ablation
+        The variant in `benchmarks/results/ablation.json` that shows what it is worth; "" if none does.
+    """
+    return field(default=value, metadata={"unit": unit, "reason": reason, "ablation": ablation})
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Numbers of a method that users do not set: frozen dataclasses of `tuned` fields, by section.
+
+    Parameters
+    ----------
+    name
+        The name under which files refer to these numbers; "" if they were changed.
+    """
+
+    name: str
+
+    def with_values(self, values: Mapping[str, Any]) -> Self:
+        """Return a copy without a name and with some numbers, by `section.number`, changed: for experiments only."""
+        tuning = dataclasses.replace(self, name="")
+        for name, value in values.items():
+            section, _, number_ = name.partition(".")
+            changed = dataclasses.replace(getattr(tuning, section), **{number_: value}) if number_ else value
+            tuning = dataclasses.replace(tuning, **{section: changed})
+        return tuning
+
+
 @dataclass(frozen=True)
 class Config:
     """All parameters of one method. This is the base class, without parameters, of `MatchingConfig` and the others.
 
-    The fields of a derived class are sections. A parameter is named `section.parameter`.
+    The fields of a derived class are sections, and at most one `Tuning`. A parameter is named `section.parameter`.
     """
 
     method: ClassVar[str] = ""
@@ -62,6 +102,9 @@ class Config:
 
     renamed: ClassVar[Mapping[str, str]] = {}
     """Old names of sections and parameters, with their new names."""
+
+    fixed: ClassVar[frozenset[str]] = frozenset()
+    """Old names of parameters that are numbers of a `Tuning` now."""
 
     known: ClassVar[dict[str, type[Config]]] = {}
     """The configuration classes of all methods, by the name of the method."""
@@ -112,7 +155,11 @@ class Config:
         for old in (name, section):
             if old in self.renamed:
                 now = self.renamed[old] + (f".{parameter}" if old == section else "")
-                return f"parameter {name!r} is called {now!r} now; use that name."
+                if now not in self.fixed:
+                    return f"parameter {name!r} is called {now!r} now; use that name."
+                name = now
+        if name in self.fixed:
+            return f"{name!r} is no parameter any more, but a fixed number of {self.method}; leave it out."
         for kind in self.known.values():
             if kind is not type(self) and name in dict(parameters(kind)):
                 return (
@@ -124,9 +171,16 @@ class Config:
 
 def parameters(config: Config | type[Config]) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
     """All parameters as (`section.parameter`, field). The metadata of the field hold range, meaning and symbol."""
+    for name, section in sections(config):
+        for parameter in dataclasses.fields(section):
+            yield f"{name}.{parameter.name}", parameter
+
+
+def sections(config: Config | type[Config]) -> Iterator[tuple[str, Section]]:
+    """The sections of a configuration, or the defaults of those of a class, by name."""
     for section in dataclasses.fields(config):
-        for parameter in dataclasses.fields(section.default):  # type: ignore[arg-type]  # sections are dataclasses
-            yield f"{section.name}.{parameter.name}", parameter
+        if isinstance(section.default, Section):
+            yield section.name, section.default if isinstance(config, type) else getattr(config, section.name)
 
 
 def value_of(config: Config, name: str) -> Any:
@@ -136,5 +190,45 @@ def value_of(config: Config, name: str) -> Any:
 
 
 def as_dict(config: Config) -> dict[str, Any]:
-    """The parameters as plain values: the name of the method under "method", and a dictionary per section."""
-    return {"method": config.method, **dataclasses.asdict(config)}
+    """The parameters as plain values: the names of method and `Tuning`, and a dictionary per section."""
+    plain = {name: dataclasses.asdict(section) for name, section in sections(config)}
+    held = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
+    return {"method": config.method, **plain, **{k: v.name for k, v in held.items() if isinstance(v, Tuning)}}
+
+
+def restored(values: Mapping[str, Any], presets: Mapping[str, Config]) -> Config:
+    """The parameters that a file holds, as `as_dict` or an older version wrote them.
+
+    The preset with most values in common is taken. It gives what the file lacks; values that this version does not
+    have are left out.
+
+    Raises
+    ------
+    LightFieldError
+        If a value is out of range.
+    TypeError
+        If a section is not a dictionary.
+    """
+
+    def own(config: Config) -> Iterator[tuple[str, Any]]:
+        for f in dataclasses.fields(config):
+            value = getattr(config, f.name)
+            if isinstance(value, Section):
+                yield from ((f"{f.name}.{name}", v) for name, v in dataclasses.asdict(value).items())
+            elif isinstance(value, Tuning):
+                yield f.name, value.name
+                yield from (
+                    (f"{name}.{n}", v)
+                    for name, part in dataclasses.asdict(value).items()
+                    if isinstance(part, dict)
+                    for n, v in part.items()
+                )
+
+    stored = {
+        f"{section}.{name}" if isinstance(part, Mapping) else section: value
+        for section, part in values.items()
+        for name, value in (part.items() if isinstance(part, Mapping) else [("", part)])
+    }
+    nearest = max(presets.values(), key=lambda config: sum(stored.get(name) == value for name, value in own(config)))
+    there = dict(parameters(nearest))
+    return nearest.with_values({name: value for name, value in stored.items() if name in there})

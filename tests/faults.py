@@ -248,8 +248,8 @@ FAULTS = (
     Fault(
         "similarity in proportion to the noise",
         "lfgpu/methods/matching/noise.py",
-        "prior=_times(math.sqrt(times), config.prior",
-        "prior=_times(times, config.prior",
+        "sigma_color=math.sqrt(times) * prior",
+        "sigma_color=times * prior",
         ("tests/test_matching.py", "-k", "noise"),
     ),
     Fault(
@@ -262,8 +262,8 @@ FAULTS = (
     Fault(
         "holes filled with certainties that the noise does not scale",
         "lfgpu/methods/matching/hole_filling.py",
-        "1 / (self._config.stiffness * noise)",
-        "1 / self._config.stiffness",
+        "tuning.hole_filling.stiffness * tuning.alignment.robust**2",
+        "tuning.hole_filling.stiffness * 0.01**2",
         ("tests/test_matching.py", "-k", "filled or outlines"),
     ),
     Fault(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from benchmarks.results import Record, Run
 from benchmarks.runs import WHOLE, tables
 from benchmarks.tables import NONE
 from lfgpu import GroundTruth, estimate_depth, evaluate, scenes
-from lfgpu.config import Config, parameters
 from lfgpu.io import write_hci
 from lfgpu.methods import PRESETS
 from lfgpu.methods.matching.config import MatchingConfig
@@ -62,7 +62,8 @@ def test_variants_differ_from_accurate_and_from_each_other() -> None:
 def test_variants_stay_within_the_ranges_whatever_the_noise(noise: float) -> None:
     """What is 0.004 noise's is multiplied by the same factor in each of them: no range cuts it off."""
     whole = PRESETS["accurate"]
-    factor = in_units_of(noise, whole).alignment.robust / whole.alignment.robust
+    assert isinstance(whole, MatchingConfig)
+    factor = in_units_of(noise, whole).tuning.alignment.robust / whole.tuning.alignment.robust
     assert factor != 1
     for variant in VARIANTS:
         before = variant.config()
@@ -70,8 +71,7 @@ def test_variants_stay_within_the_ranges_whatever_the_noise(noise: float) -> Non
             continue
         after = in_units_of(noise, before)
         for name, power in SCALED.items():
-            stage, parameter = name.split(".")
-            values = [getattr(getattr(config, stage), parameter) for config in (before, after)]
+            values = [dict(_values(config))[name] for config in (before, after)]
             assert values[1] == pytest.approx(factor**power * values[0]), (
                 f"{variant.name}: {name} is cut off by its range"
             )
@@ -82,17 +82,19 @@ def test_every_parameter_that_goes_with_the_noise_is_looked_at() -> None:
     assert {name for name in before if before[name] != after[name]} == {*SCALED, "sweep.noise"}
 
 
-def _values(config: Config) -> Iterator[tuple[str, object]]:
-    for name, _ in parameters(config):
-        stage, parameter = name.split(".")
-        yield name, getattr(getattr(config, stage), parameter)
+def _values(config: MatchingConfig) -> Iterator[tuple[str, Any]]:
+    for whole in (config, config.tuning):
+        for stage, values in asdict(whole).items():
+            if isinstance(values, dict) and stage != "tuning":
+                yield from ((f"{stage}.{name}", value) for name, value in values.items())
 
 
 def test_what_is_not_robust_is_as_stiff_as_what_is() -> None:
     configs = next(v for v in VARIANTS if "alignment.robust" in v.values).config(), PRESETS[WHOLE]
-    assert configs[0].alignment.robust == 100 * configs[1].alignment.robust
+    tunings = [config.tuning for config in configs]
+    assert tunings[0].alignment.robust == 100 * tunings[1].alignment.robust
     for stage in ("alignment", "hole_filling"):
-        loose, whole = (getattr(config, stage).stiffness * config.alignment.robust**2 for config in configs)
+        loose, whole = (getattr(tuning, stage).stiffness * tuning.alignment.robust**2 for tuning in tunings)
         assert loose == pytest.approx(whole)
 
 

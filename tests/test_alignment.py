@@ -12,15 +12,17 @@ from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.measured import Measured
 from lfgpu.pipelines.estimate import estimate_depth
 
+STEP = MatchingConfig().sweep.step / 2  # pixels per view step between disparities, in a grid of 5 x 5 views
+
 
 def test_what_the_alignment_moved_too_far_is_put_back() -> None:
     """With a reach of 0.4 px: pixels that moved less stay where they are, all others return."""
     lf, kernels = scenes.make("boxes", grid=(5, 5), size=(48, 48)), load("warp")
-    matching = MatchingPlan(lf.layout, Measured((-1.0, 1.0), 0.004, None), MatchingConfig(), Device(kernels, "cpu"))
+    config = MatchingConfig().with_tuning({"alignment.reach": 0.4 / STEP})
+    matching = MatchingPlan(lf.layout, Measured((-1.0, 1.0), 0.004, None), config, Device(kernels, "cpu"))
     moved = np.linspace(-0.8, 0.8, 48 * 48, dtype=np.float32).reshape(48, 48)
     map_ = kernels.field(0.1 + moved, "cpu")
-    kernels.copy(kernels.field(np.full((48, 48), 0.1), "cpu"), matching._matched)
-    matching._put_back(map_, 0.4)
+    matching._alignment.put_back(kernels.field(np.full((48, 48), 0.1), "cpu"), map_)
     want = np.where(np.abs(moved) < 0.4, 0.1 + moved, 0.1)
     np.testing.assert_allclose(kernels.numpy(map_), want, atol=1e-6)
 
@@ -32,7 +34,7 @@ def test_a_pixel_that_the_alignment_may_not_move_stays_near_where_it_was_matched
         estimate_depth(
             lf,
             disparity_range=(-1.6, 1.6),
-            config=MatchingConfig().with_values({"alignment.reach": reach}),
+            config=MatchingConfig().with_tuning({"alignment.reach": reach}),
             device="cpu",
             check_cameras=False,
         ).stages

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lfgpu._backends import load
+from lfgpu._backends import open_device
+from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.boundaries import Boundaries
-from lfgpu.methods.matching.config import BoundariesConfig
+from lfgpu.methods.matching.config import MatchingConfig
 
 
 @pytest.mark.parametrize(("share", "goes"), [(0.2, True), (0.4, False)])
@@ -16,9 +17,9 @@ def test_the_second_pixel_of_a_blurred_outline_goes_only_if_that_is_clear(share:
     light = np.zeros((9, 10, 1), np.float32)
     light[:, 5:], light[:, 4] = 1.0, share
     matched = np.where(np.arange(10) >= 3, 1.0, -1.0) * np.ones((9, 1))
-    kernels = load("warp")
-    out, workspace = (kernels.zeros((9, 10), "cpu") for _ in range(2))
-    boundaries = Boundaries(kernels, BoundariesConfig(), step=0.5, workspace=workspace)
-    boundaries.run(kernels.image(np.sqrt(light), "cpu"), kernels.field(matched, "cpu"), out)
+    device = open_device("warp", "cpu")
+    out = device.zeros((9, 10))
+    boundaries = Boundaries(Arena(device), MatchingConfig(), (9, 10), step=0.5)
+    boundaries.run(device.image(np.sqrt(light)), device.field(matched), out)
     want = np.where(np.arange(10) >= (5 if goes else 4), 1.0, -1.0) * np.ones((9, 1))
-    np.testing.assert_allclose(kernels.numpy(out), want, atol=1e-6)
+    np.testing.assert_allclose(device.kernels.numpy(out), want, atol=1e-6)

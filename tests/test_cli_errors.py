@@ -127,7 +127,7 @@ def raising(error: BaseException) -> Callable[..., None]:
 
 
 @pytest.mark.parametrize(
-    "where", ["lfgpu.methods.matching.plan.MatchingPlan._find_surface", "lfgpu.io.write_result", "lfgpu.io.read"]
+    "where", ["lfgpu.methods.matching.aggregation.SemiGlobal.__call__", "lfgpu.io.write_result", "lfgpu.io.read"]
 )
 def test_interruption_leaves_nothing(
     where: str, recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -7,7 +7,9 @@ import pytest
 
 from lfgpu import LightField, estimate_depth, scenes
 from lfgpu._backends import load
+from lfgpu.contract import Device, Disparities
 from lfgpu.methods import preset
+from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.guesses import GuessedSurfaces
 
 COUNT, STEP, SIDE = 41, 0.1, 48
@@ -17,17 +19,10 @@ FAR, NEAR = -2.0, 2.0
 def hiding(surface: np.ndarray, costs: np.ndarray) -> np.ndarray:
     """What of a map hides anything, if its costs [l, y, x] and their paths say the same."""
     kernels = load("warp")
-    fields = [kernels.zeros(surface.shape, "cpu") for _ in range(7)]
-    kernels.fill(1.0, fields[0])
+    ones = kernels.field(np.ones(surface.shape), "cpu")
+    disparities = Disparities(FAR, STEP, COUNT)
     guesses = GuessedSurfaces(
-        kernels,
-        share=0.3,
-        step=STEP,
-        count=COUNT,
-        tolerance=0.3,
-        ones=fields[0],
-        zeros=fields[1],
-        workspace=fields[2:],
+        Arena(Device(kernels, "cpu")), surface.shape, share=0.3, disparities=disparities, tolerance=0.3, ones=ones
     )
     out, volume = kernels.zeros(surface.shape, "cpu"), kernels.field(costs.astype(np.float32), "cpu")
     evidence, *unused = (kernels.zeros(surface.shape, "cpu") for _ in range(3))
@@ -86,16 +81,16 @@ def test_a_wall_of_noise_comes_less_near_in_further_sweeps(rng: np.random.Genera
     lf = square_before_a_wall(0.03, rng)
 
     def near(ambiguity: float) -> float:
-        config = preset("accurate").with_values({"sweep.ambiguity": ambiguity})
+        config = preset("accurate").with_tuning({"sweep.ambiguity": ambiguity})
         result = estimate_depth(lf, disparity_range=(-3, 3), config=config, check_cameras=False)
         return float((result.stages["resweep"] > 1).mean())
 
-    assert near(preset("accurate").sweep.ambiguity) < near(1.0) - 0.05
+    assert near(preset("accurate").tuning.sweep.ambiguity) < near(1.0) - 0.05
 
 
 def test_every_difference_may_be_a_depth_edge() -> None:
     """A tolerance of 0 is in its range."""
     lf = scenes.make("boxes", grid=(5, 5), size=(48, 48))
-    config = preset("accurate").with_values({"sweep.tolerance": 0.0})
+    config = preset("accurate").with_tuning({"sweep.tolerance": 0.0})
     result = estimate_depth(lf, disparity_range=(-2, 2), config=config, check_cameras=False)
     assert np.isfinite(result.disparity).all()

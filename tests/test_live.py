@@ -320,16 +320,3 @@ def test_what_looks_otherwise_is_not_the_same(device: str) -> None:
     same, _ = _found(device, image, last, [zero] * 4)
     assert (same[8:-8, 4:15] > 0.99).all()
     assert same[8:-8, 30:-8].mean() < 0.2
-
-
-def test_a_stream_of_the_reference_is_that_of_warp(rng: np.random.Generator) -> None:
-    """A still scene with noise: what was known of it is carried along."""
-    lf = scenes.make("relief", grid=(3, 3), size=(32, 40), disparity_range=(-0.5, 0.5))
-    noise = rng.integers(-3, 4, (2, *lf.views.shape))
-    frames = [(lf.views + some).clip(0, 255).astype(np.uint8) for some in noise]
-    maps = []
-    for backend in ("reference", "warp"):
-        with lfgpu.DepthStream(lf, config="fast", disparity_range=(-1.0, 1.0), backend=backend, device="cpu") as stream:
-            maps.append([stream.push(frame).numpy() for frame in frames])
-    for reference, found in zip(*maps, strict=True):
-        assert (np.abs(reference - found) > 1e-3).mean() < 0.01

@@ -13,21 +13,16 @@ from lfgpu import scenes
 from lfgpu._backends import BackendName, load
 from lfgpu.config import Config
 from lfgpu.contract import Device
+from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import PRESETS, method_of
-from lfgpu.methods.matching import plan
 from lfgpu.methods.matching.config import SweepConfig
+from lfgpu.methods.matching.disparities import compared_disparities, view_sets
 from lfgpu.methods.matching.noise import in_units_of, measured_grain, measured_noise
-from lfgpu.methods.matching.sweep import (
-    further_sweeps,
-    labels,
-    middle_views,
-    swept_views,
-    used_views,
-    view_sets,
-)
+from lfgpu.methods.matching.passes import ACCURATE, FAST, matching_sweeps, sweeps_of
+from lfgpu.methods.matching.views import are_around, compared_views, every_other_view, used_views
 from lfgpu.metrics import Metrics, evaluate, sparsification
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.pipeline import DepthPipeline
@@ -38,6 +33,11 @@ RANGE = (-1.6, 1.7)
 def grid(rows: int, columns: int) -> np.ndarray:
     v, u = np.mgrid[:rows, :columns]
     return np.stack([u - columns // 2, v - rows // 2], -1).reshape(-1, 2).astype(np.float64)
+
+
+def layout_of(offsets: np.ndarray) -> ViewLayout:
+    reference = int(np.abs(offsets).sum(1).argmin())
+    return ViewLayout(offsets, reference, (8, 8), 1, np.dtype(np.uint8), 1 / 255)
 
 
 def scene(name: str, *, views: int = 5, size: int = 96) -> LightField:
@@ -51,7 +51,8 @@ def scores(lf: LightField, result: DepthResult) -> dict[str, Metrics]:
 
 @pytest.mark.parametrize("bounds", [(-1.5, 1.0), (-1.53, 1.08), (0.25, 0.99), (-3.15, -2.2)])
 def test_disparities_are_at_odd_halves_of_a_step_and_cover_the_range(bounds: tuple[float, float]) -> None:
-    first, step, count = labels(bounds, grid(9, 9), SweepConfig(step=0.4))
+    found = compared_disparities(bounds, 4.0, SweepConfig(step=0.4))
+    first, step, count = found.first, found.step, found.count
     last = first + step * (count - 1)
     assert step == pytest.approx(0.1)
     assert first / step - 0.5 == pytest.approx(round(first / step - 0.5))
@@ -61,21 +62,23 @@ def test_disparities_are_at_odd_halves_of_a_step_and_cover_the_range(bounds: tup
 
 def test_a_wide_range_makes_the_steps_longer_and_a_narrow_one_still_has_three() -> None:
     for shift in np.linspace(0, 1, 7):
-        _, step, count = labels((-50.0 + shift, 50.0 + shift), grid(9, 9), SweepConfig(max_labels=102))
-        assert step == 1.0
-        assert count in (101, 102)
-    assert labels((-50.0, 50.0), grid(9, 9), SweepConfig(max_labels=3))[1:] == (100.0, 3)
-    assert labels((0.0, 1e-3), grid(3, 3), SweepConfig())[2] == 3
+        found = compared_disparities((-50.0 + shift, 50.0 + shift), 4.0, SweepConfig(max_labels=102))
+        assert found.step == 1.0
+        assert found.count in (101, 102)
+    few = compared_disparities((-50.0, 50.0), 4.0, SweepConfig(max_labels=3))
+    assert (few.step, few.count) == (100.0, 3)
+    assert compared_disparities((0.0, 1e-3), 1.0, SweepConfig()).count == 3
 
 
 def test_every_other_view_of_a_large_grid_is_swept_at_first() -> None:
     offsets = grid(9, 9)
-    swept = offsets[swept_views(offsets, "alternate")]
+    swept = offsets[compared_views(layout_of(offsets), "alternate")]
     assert len(swept) == 41
     assert (swept.sum(1) % 2 == 0).all()
-    assert len(swept_views(offsets, "full")) == 81
-    assert len(swept_views(offsets + np.linspace(0, 0.2, 81)[:, None], "alternate")) == 81  # not on a grid
-    assert len(swept_views(grid(5, 5), "alternate")) == 25  # 9 are too few
+    assert len(compared_views(layout_of(offsets), "full")) == 81
+    beside = layout_of(offsets + np.linspace(0, 0.2, 81)[:, None])
+    assert len(compared_views(beside, "alternate")) == 81  # not on a grid
+    assert len(compared_views(layout_of(grid(5, 5)), "alternate")) == 25  # 9 are too few
 
 
 @pytest.mark.parametrize(
@@ -86,32 +89,40 @@ def test_between_the_first_and_the_last_sweep_every_other_row_and_column_is_comp
     places: np.ndarray, columns: list[int]
 ) -> None:
     """From the outermost ones to the reference's; in grids of less than 9 x 9 views they are what is swept."""
-    swept = places[swept_views(places, "alternate")]
-    middle = swept[middle_views(swept, "alternate")]
+    swept = places[compared_views(layout_of(places), "alternate")]
+    middle = swept[every_other_view(layout_of(swept), "alternate")]
     assert len(middle) == 25
     assert sorted(set(middle[:, 0])) == columns
     assert len(swept) == (41 if len(places) == 81 else 25)
-    assert len(middle_views(swept, "full")) == len(swept)
-    assert len(middle_views(grid(5, 5), "alternate")) == 25
+    assert len(every_other_view(layout_of(swept), "full")) == len(swept)
+    assert len(every_other_view(layout_of(grid(5, 5)), "alternate")) == 25
 
 
 @pytest.mark.parametrize(
-    ("places", "count"),
+    ("places", "are"),
     [
-        (grid(3, 3), 3),
-        (grid(9, 9), 3),
-        (np.array([[0, 0], [1, 0], [-1, 1], [-1, -1]]), 3),
-        (grid(1, 9), 1),  # a row
-        (grid(5, 5)[10:], 1),  # below the reference and beside it
-        (grid(3, 3)[4:], 1),
-        (np.array([[0, 0], [1, 1], [-1, -1], [2, 2]]), 1),  # a diagonal
-        (np.array([[0, 0], [1, 0]]), 1),
+        (grid(3, 3), True),
+        (grid(9, 9), True),
+        (np.array([[0, 0], [1, 0], [-1, 1], [-1, -1]]), True),
+        (grid(1, 9), False),  # a row
+        (grid(5, 5)[10:], False),  # below the reference and beside it
+        (grid(3, 3)[4:], False),
+        (np.array([[0, 0], [1, 1], [-1, -1], [2, 2]]), False),  # a diagonal
+        (np.array([[0, 0], [1, 0]]), False),
     ],
 )
-def test_surfaces_are_widened_only_where_views_are_on_all_sides(places: np.ndarray, count: int) -> None:
-    """Elsewhere there is one further sweep, whose surfaces are as they were found; without any there is none."""
-    assert further_sweeps(np.asarray(places, np.float64), SweepConfig(resweeps=3)) == count
-    assert further_sweeps(np.asarray(places, np.float64), SweepConfig(resweeps=0)) == 0
+def test_surfaces_are_widened_only_where_views_are_on_all_sides(places: np.ndarray, are: bool) -> None:
+    assert are_around(np.asarray(places, np.float64)) == are
+
+
+def test_tables_of_sweeps_are_those_of_the_presets() -> None:
+    assert sweeps_of(PRESETS["accurate"]) == ACCURATE
+    assert sweeps_of(PRESETS["fast"]) == FAST
+    for resweeps in range(9):
+        rows = matching_sweeps(resweeps)
+        assert len(rows) == 1 + resweeps
+        assert [row.widening for row in rows] == [0, 0, *[1] * (resweeps - 1)][: 1 + resweeps]
+        assert [row.past for row in rows] == ["view sets", *["surface"] * resweeps]
 
 
 def test_what_is_above_something_near_stays_visible_in_a_row_of_views() -> None:
@@ -338,8 +349,8 @@ def test_noise_is_measured_and_borne() -> None:
     noisy = LightField(
         views=np.clip(lf.views + noise, 0, 255).astype(np.uint8), positions=lf.positions, reference=lf.reference
     )
-    device, sweep = Device(load("reference"), "cpu"), PRESETS["accurate"].sweep
-    assert measured_noise(noisy, RANGE, sweep, device) > 2 * measured_noise(lf, RANGE, sweep, device)
+    device, config = Device(load("reference"), "cpu"), PRESETS["accurate"]
+    assert measured_noise(noisy, RANGE, config, device) > 2 * measured_noise(lf, RANGE, config, device)
     assert lf.truth is not None
     matching, synthesis = (
         evaluate(estimate_depth(noisy, disparity_range=RANGE, config=name).disparity, lf.truth.disparity)
@@ -352,7 +363,7 @@ def test_surfaces_without_texture_end_where_the_image_has_edges() -> None:
     errors = {0.03: 0.0, 2.0: 0.0}
     for seed, contrast in itertools.product((1, 3), errors):
         lf = scenes.make("textureless", seed=seed, grid=(5, 5), size=(192, 192))
-        config = PRESETS["fast"].with_values({"semi_global.contrast": contrast, "sweep.resweeps": 0})
+        config = PRESETS["fast"].with_tuning({"semi_global.contrast": contrast, "sweep.resweeps": 0})
         found = estimate_depth(lf, disparity_range=RANGE, config=config, check_cameras=False)
         assert lf.truth is not None
         errors[contrast] += evaluate(found, lf.truth).mse_100
@@ -372,11 +383,10 @@ def test_differences_of_intensity_go_with_the_noise() -> None:
     config = PRESETS["accurate"]
     twice, most = in_units_of(0.008, config), in_units_of(1.0, config)
     assert twice.semi_global.large_penalty == pytest.approx(math.sqrt(2) * config.semi_global.large_penalty)
-    assert twice.alignment.robust == pytest.approx(2 * config.alignment.robust)
-    assert twice.prior.sigma_color == pytest.approx(math.sqrt(2) * config.prior.sigma_color)
-    for name in ("view_set_penalty", "truncation", "gradient_truncation"):
-        assert getattr(twice.sweep, name) == getattr(config.sweep, name)
-    assert most.alignment.robust == pytest.approx(5 * config.alignment.robust)
+    assert twice.tuning.alignment.robust == pytest.approx(2 * config.tuning.alignment.robust)
+    assert twice.tuning.prior.sigma_color == pytest.approx(math.sqrt(2) * config.tuning.prior.sigma_color)
+    assert twice.tuning.sweep == config.tuning.sweep
+    assert most.tuning.alignment.robust == pytest.approx(5 * config.tuning.alignment.robust)
 
 
 def test_noise_that_is_given_is_not_measured() -> None:
@@ -414,21 +424,20 @@ def test_masked_pixels_say_nothing() -> None:
     assert apart[away >= 16].max() < 1e-5
 
 
-def test_penalties_rise_where_there_is_more_noise_than_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_penalties_rise_where_there_is_more_noise_than_elsewhere() -> None:
     """Noise in the left half of all views: with the penalties of the right half, that half of the map is worse."""
     lf, rng = scene("planes", size=128), np.random.default_rng(6)
     deviation = np.where(np.arange(128) < 64, 16, 1)[:, None]
     views = np.clip(lf.views + rng.normal(0, 1, lf.views.shape) * deviation, 0, 255).astype(np.uint8)
     noisy = LightField(views, lf.positions, reference=lf.reference_index)
 
-    def squared_error() -> float:
-        found = estimate_depth(noisy, disparity_range=RANGE, config="fast").disparity
+    def squared_error(config: Config) -> float:
+        found = estimate_depth(noisy, disparity_range=RANGE, config=config).disparity
         assert lf.truth is not None
         return float(((found - lf.truth.disparity)[15:-15, 15:64] ** 2).mean())
 
-    as_it_is = squared_error()
-    monkeypatch.setattr(plan, "_MOST_NOISY", 1.0)
-    assert as_it_is < 0.7 * squared_error()
+    fast = PRESETS["fast"]
+    assert squared_error(fast) < 0.7 * squared_error(fast.with_tuning({"semi_global.most_noisy": 1.0}))
 
 
 def test_views_without_texture_are_refused() -> None:
@@ -451,19 +460,18 @@ def test_a_pipeline_gives_the_same_map_every_time() -> None:
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
-def test_lengths_are_those_in_the_farthest_view(preset: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lengths_are_those_in_the_farthest_view(preset: str) -> None:
     """Positions counted in steps half as long, with disparities half as large, give the same map to the bit.
 
     What is given as a curvature is the exception: it is counted per view step, so here it is four times as large.
     """
     lf = scenes.make("boxes", grid=(5, 5), size=(40, 48), disparity_range=(-1, 1), noise=0.01, seed=1)
-    config = PRESETS[preset].with_values({"sweep.noise": 0.004, "alignment.longest_step": 0.05})  # which some reach
+    config = PRESETS[preset].with_tuning({"sweep.noise": 0.004, "alignment.longest_step": 0.05})  # which some reach
     found = estimate_depth(lf, config=config, disparity_range=(-1.2, 1.2), device="cpu")
 
     halved = replace(lf, positions=2 * lf.positions, truth=None, grid_shape=None)
-    curvatures = ("alignment.stiffness", "hole_filling.stiffness")
-    config = config.with_values({name: 4 * value_of(config, name) for name in curvatures})
-    monkeypatch.setattr(plan, "_LEAST_CURVATURE", 4 * plan._LEAST_CURVATURE)
+    curvatures = ("alignment.stiffness", "alignment.least_curvature", "hole_filling.stiffness")
+    config = config.with_tuning({name: 4 * value_of(config.tuning, name) for name in curvatures})
     again = estimate_depth(halved, config=config, disparity_range=(-0.6, 0.6), device="cpu")
     for stage, values in found.stages.items():
         assert np.array_equal(2 * again.stages[stage], values), stage

@@ -16,6 +16,7 @@ from lfgpu.data.geometry import Geometry
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import holds_result, read_map, read_result, write_result
+from lfgpu.methods import PRESETS
 from lfgpu.methods.synthesis.config import SynthesisConfig
 
 SHAPE = (6, 7)
@@ -132,9 +133,8 @@ DAMAGES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
     "wrong size": (lambda whole: changed(whole, lambda a, _: a.update(stage_local=np.zeros((2, 2)))), "stage|local"),
     "wrong value": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].update(window=8)), "must be odd"),
     "large value": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].update(window=10**400)), "damaged"),
-    "other parameter": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].update(x=1)), "a version of"),
-    "less parameters": (lambda whole: changed(whole, lambda _, a: a["config"]["prior"].pop("window")), "a version of"),
-    "later layout": (lambda whole: changed(whole, lambda _, about: about.update(layout=3)), "a version of"),
+    "parameters as a list": (lambda whole: changed(whole, lambda _, a: a.update(config=[])), "damaged"),
+    "later layout": (lambda whole: changed(whole, lambda _, about: about.update(layout=3)), "a later version of"),
 }
 
 
@@ -146,6 +146,27 @@ def test_what_is_no_result_is_refused(damage: str, tmp_path: Path) -> None:
     with pytest.raises(LightFieldError, match=words) as caught:
         read_result(bad)
     assert str(bad) in str(caught.value)
+
+
+def test_a_result_of_version_0_2_can_be_read() -> None:
+    """It has 46 parameters, of which this version keeps a few."""
+    result = read_result(Path(__file__).parent / "files" / "result-0.2.npz")
+    assert result.disparity.shape == (24, 28)
+    assert -1.6 <= np.nanmin(result.disparity) < np.nanmax(result.disparity) <= 1.6
+    assert result.config == PRESETS["fast"].with_values({"sweep.step": 0.3})
+    assert result.versions["lfgpu"] == "0.2.0"
+
+
+@pytest.mark.parametrize("name", ["accurate", "fast", "paper", "paper-exact"])
+def test_parameters_that_come_and_go_make_no_file_unreadable(name: str, tmp_path: Path) -> None:
+    def change(_: dict[str, Any], about: dict[str, Any]) -> None:
+        about["config"]["prior"].pop("window")
+        about["config"]["prior"]["breadth"] = 3
+        about["config"]["later"] = {"depth": 1.0}
+
+    write_result(a_result(config=PRESETS[name]), tmp_path / "r.npz")
+    (tmp_path / "other.npz").write_bytes(changed((tmp_path / "r.npz").read_bytes(), change))
+    assert read_result(tmp_path / "other.npz").config == PRESETS[name]
 
 
 def test_pickles_are_not_opened(tmp_path: Path) -> None:

@@ -6,14 +6,13 @@ import json
 import os
 import zipfile
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.config import Config, as_dict
+from lfgpu.config import Config, as_dict, restored
 from lfgpu.data.result import DepthResult
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
@@ -127,12 +126,12 @@ def _result_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> DepthResult:
         raise LightFieldError(f"{path} is not a result of lfgpu: it has no array {ABOUT_KEY!r}.")
     try:
         about = json.loads(str(arrays[ABOUT_KEY]))
-        result = _result(arrays, about) if _is_of_this_version(about) else None
+        result = _result(arrays, about) if _can_be_read(about) else None
     except DAMAGE as error:
         raise LightFieldError(f"{path} is a damaged result of lfgpu: {_reason(error)}.") from error
     if result is None:
         raise LightFieldError(
-            f"{path} was written by a version of lfgpu with other parameters than this one's; "
+            f"{path} was written by a later version of lfgpu, or by a method that this one does not have; "
             "the maps beside it, such as disparity.pfm, can still be read."
         )
     _check_maps(path, result)
@@ -237,13 +236,8 @@ def _load(path: Path) -> dict[str, NDArray[Any]]:
         raise LightFieldError(f"{path} cannot be read as a result: it is damaged or no .npz file.") from error
 
 
-def _is_of_this_version(about: Mapping[str, Any]) -> bool:
-    """Only the very same parameters can be read: a default in place of one that is not there would be a lie."""
-    entry = METHODS.get(about["config"].get("method"))
-    if about["layout"] != _LAYOUT or entry is None:
-        return False
-    ours = {section: set(values) for section, values in as_dict(next(iter(entry.presets.values()))).items()}
-    return {section: set(values) for section, values in about["config"].items()} == {**ours, "method": ours["method"]}
+def _can_be_read(about: Mapping[str, Any]) -> bool:
+    return about["layout"] == _LAYOUT and about["config"].get("method") in METHODS
 
 
 def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> DepthResult:
@@ -272,10 +266,8 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
 
 
 def _config(about: Mapping[str, Any]) -> Config:
-    kind = METHODS[about["method"]].config
-    defaults = next(iter(METHODS[about["method"]].presets.values()))
-    sections = {field.name: type(getattr(defaults, field.name)) for field in fields(kind)}
-    return kind(**{name: section(**about[name]) for name, section in sections.items()})
+    """The parameters of a result, also of an older version: parameters come and go, and the maps stay what they are."""
+    return restored(about, METHODS[about["method"]].presets)
 
 
 def _check_maps(path: Path, result: DepthResult) -> None:

@@ -18,7 +18,8 @@ from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
-from lfgpu.methods.footprint import Footprint
+from lfgpu.methods.dry_run import dry_run
+from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, SPARE, Footprint
 from lfgpu.methods.measured import Measured, checked_range
 from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.solvers.solution import Solution
@@ -225,12 +226,20 @@ class Method(ABC, Generic[C]):
         """Indices of the views that it reads, in order."""
         return list(range(layout.count))
 
-    @abstractmethod
     def footprint(self, layout: ViewLayout, measured: Measured, *, on_gpu: bool) -> Footprint:
         """The memory of a pipeline for light fields of one kind, whose views are on disk.
 
-        It is the memory of a GPU if `on_gpu`, else that of the process.
+        It is the memory of a GPU if `on_gpu`, else that of the process: the views that are used, and what a dry run of
+        the plan counts.
         """
+        used = layout.subset(self.used_views(layout))
+        views = used.count * used.channels * used.dtype.itemsize
+        masks = 0 if used.masks is None else used.count
+        host = 0 if on_gpu else views + masks  # the tile as it was cut out
+        planned, spare = dry_run(used, lambda small, device: self.plan(small, measured, device), on_gpu=on_gpu)
+        if not on_gpu:
+            return Footprint(host + views + masks + planned, PROCESS)
+        return Footprint(views + masks + planned, GPU_CONTEXT, spare, SPARE if spare else 0)
 
     @abstractmethod
     def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:

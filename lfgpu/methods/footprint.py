@@ -11,6 +11,7 @@ from lfgpu.errors import LightFieldError
 
 PROCESS = 500 * 2**20  # bytes: Python, the libraries and the compiled kernels
 GPU_CONTEXT = 640 * 2**20  # bytes of GPU memory that a process takes besides its arrays
+SPARE = 2**29  # bytes of GPU memory that operations take at most to be faster
 _SLACK = 1.1  # covers rounding by allocators, and small buffers
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 

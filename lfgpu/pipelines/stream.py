@@ -65,7 +65,7 @@ class DepthStream:
     config, disparity_range, device, measured
         As for `DepthPipeline`; the presets "accurate" (default) and "fast" run on streams.
     backend
-        "warp" (default), or "reference", which is slow.
+        "warp" (default), the only backend with streams.
     prior
         Strength of the link to the previous map, default `TemporalPrior()`; None: frames are independent.
     cut

@@ -1,4 +1,4 @@
-"""Guessed surfaces: where nothing says how far away things are, only the farther ones hide what is behind them.
+"""Guessed surfaces: where the views do not show how far away things are, only the farther surfaces hide anything.
 
 Noise on a wall without texture is matched at random, near and far. If all of that hid what is behind it, its nearest
 pixels would hide the wall from nearly all views, and after a few sweeps they would be all that is left.
@@ -7,21 +7,21 @@ pixels would hide the wall from nearly all views, and after a few sweeps they wo
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
-from lfgpu.contract import Array, KernelSet
+from lfgpu.contract import Array, Disparities
+from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.square_mean import square_mean
 
-_AROUND = 4  # pixels on each side of one, of which most must be uneven
-_MOST = 0.7  # of them: fewer are uneven along an outline or a thin bar
-_WIDE = 8  # pixels on each side of one, of whose surfaces the farther ones count
-_PASSES = 2  # of leaving out what is nearer than the mean
-_LITTLE = 1e-3  # what that counts nevertheless, so that means exist
-_EQUAL = 1e-4  # pixels per view step: what is nearer by less is not
-_LEAST = 0.01  # pixels per view step: less is not uneven
+_AROUND = 4  # pixels on each side of a guessed pixel, most of which are uneven
+_MOST = 0.7  # share of uneven pixels around a guessed one: along an outline or a thin bar it is smaller
+_WIDE = 8  # pixels on each side of a guessed pixel, of which the farther ones replace it
+_PASSES = 2  # means over the farther pixels, each over those beyond the mean before
+_LITTLE = 1e-3  # weight of the nearer pixels, so that means exist
+_EQUAL = 1e-4  # pixels per view step: smaller differences are none
+_LEAST = 0.01  # pixels per view step: smaller tolerances count as this one
 
 GUESS_REACH = _WIDE * (1 + _PASSES)
-"""Rows and columns from a pixel to the farthest ones that say what it hides."""
+"""Pixels from a pixel to the farthest ones on which its replacement depends."""
 
 
 class GuessedSurfaces:
@@ -29,46 +29,46 @@ class GuessedSurfaces:
 
     Parameters
     ----------
-    kernels
-        Where it is computed.
+    arena
+        Where buffers come from.
+    size
+        (height, width) of the map.
     share
         The disparity of a pixel is ambiguous if more than this share of the disparities is as good as the best one.
-    step, count
-        The distance of the disparities that are compared, pixels per view step, and their number.
+    disparities
+        The disparities that are compared.
     tolerance
         A map is uneven where it differs by about this or more within 5 x 5 pixels, pixels per view step. Where most
         pixels around are both ambiguous and uneven, the map was guessed.
-    ones, zeros
-        Fields [y, x] of these numbers.
-    workspace
-        Five fields [y, x]; nothing is kept in them between two runs.
+    ones
+        A field [y, x] of ones.
     """
 
     def __init__(
         self,
-        kernels: KernelSet,
+        arena: Arena,
+        size: tuple[int, int],
         *,
         share: float,
-        step: float,
-        count: int,
+        disparities: Disparities,
         tolerance: float,
         ones: Array,
-        zeros: Array,
-        workspace: Sequence[Array],
     ) -> None:
-        self._kernels, self._ones, self._zeros = kernels, ones, zeros
-        self._most_evidence, self._least_relief = -math.log(share * count * step), math.log(max(tolerance, _LEAST))
-        self._line, *self._fields = workspace
+        self._kernels, self._ones, self._zeros = arena.kernels, ones, arena.field("zeros", size)
+        self._most_evidence = -math.log(share * disparities.count * disparities.step)
+        self._least_relief = math.log(max(tolerance, _LEAST))
+        with arena.scratch() as scratch:
+            self._line, *self._fields = scratch.fields(5, size)
 
     def run(self, evidence: Array, surface: Array, surface_out: Array) -> None:
-        """What of a map [y, x] hides anything; `evidence` [y, x] is that of the costs from which it was found."""
+        """Replace the guessed surfaces of a map [y, x]; `evidence` [y, x] is that of the costs that gave the map."""
         guessed, *others = self._fields
         self._find(evidence, surface, guessed, *others)
         self._push_back(surface, surface_out, *others)
         self._kernels.select(guessed, surface_out, surface, surface_out)
 
     def _find(self, evidence: Array, surface: Array, guessed_out: Array, *workspace: Array) -> None:
-        """Above 0 where the map was guessed."""
+        """Write numbers above 0 where the map was guessed."""
         k, ones, (clear, relief, _) = self._kernels, self._ones, workspace
         k.unevenness(surface, bend_out=clear, relief_out=relief)
         k.copy(evidence, clear)
@@ -80,7 +80,7 @@ class GuessedSurfaces:
         k.axpby(1.0, guessed_out, -_MOST, ones, guessed_out)
 
     def _push_back(self, surface: Array, farther_out: Array, *workspace: Array) -> None:
-        """The mean of the surfaces around each pixel that are farther than most, or the pixel's own if that is."""
+        """Average the disparities around each pixel that are farther than their mean; keep a pixel that is farther."""
         k, (counted, weighted, sums) = self._kernels, workspace
         self._mean(surface, _WIDE, farther_out)
         for _ in range(_PASSES):

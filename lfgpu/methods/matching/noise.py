@@ -9,37 +9,40 @@ from typing import TypeVar
 import numpy as np
 
 from lfgpu.config import Section
-from lfgpu.contract import WHITE, Device
+from lfgpu.contract import Device
 from lfgpu.data.channels import mean_of_channels
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.windows import window_max, window_mean, window_min
+from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
-from lfgpu.methods.matching.sweep import labels, planned_sweep, sweep_cost, used_views
-from lfgpu.methods.prior import UNLIKE_ANY
+from lfgpu.methods.matching.costs import PlaneSweepCost, first_cost
+from lfgpu.methods.matching.disparities import compared_disparities
+from lfgpu.methods.matching.frame import Frame
+from lfgpu.methods.matching.views import ChosenViews, used_views
 
 _Stage = TypeVar("_Stage", bound=Section)
 
-_SAMPLE = 256  # pixels, side of what the noise is measured in
-_USUAL_NOISE = 0.004  # intensity: what the defaults are meant for
-_LEAST_NOISE, _LEAST_SMOOTHED, _MOST_NOISE = 0.7, 0.3, 5.0  # in units of that: of views as they are, and smoothed
-_CLEAN = 0.0035  # intensity: what views without grain differ by, as they are interpolated
-_LEFT = 0.3  # of the grain in their difference when they are smoothed
-_SEEN = 0.69  # of the grain of views that is seen in their difference, which is interpolated and truncated
+_SAMPLE = 256  # pixels: side of the part of the image in which the noise is measured
+_USUAL_NOISE = 0.004  # intensity: the noise at which parameters are used as they are
+_LEAST_NOISE, _LEAST_SMOOTHED, _MOST_NOISE = 0.7, 0.3, 5.0  # range of noise, in units of the usual noise
+_CLEAN = 0.0035  # intensity: the noise of views without grain, which are interpolated
+_LEFT = 0.3  # share of the grain that is left in the noise of smoothed views
+_SEEN = 0.69  # share of the grain in the noise of views, which are interpolated and truncated
 _FOURTH_DIFFERENCE = (1, -4, 6, -4, 1)
 _GRAIN_WINDOW = 7  # pixels
-_GRAIN_SEEN = _GRAIN_WINDOW + len(_FOURTH_DIFFERENCE) - 1  # pixels, side of what has a part in a window's differences
-_GRAIN_SAMPLE = 512  # pixels, side of what the grain is measured in
+_GRAIN_SEEN = _GRAIN_WINDOW + len(_FOURTH_DIFFERENCE) - 1  # pixels: side of the part that a window's differences see
+_GRAIN_SAMPLE = 512  # pixels: side of the part of the image in which the grain is measured
 _GRAIN_SHARE = 5  # percent of the windows that show nothing but noise, at least
 _LEAST_GRAIN = 1e-4  # intensity: less than a step of 12 bits is no noise
 
 
 def measured_grain(lf: LightField) -> float:
-    """The standard deviation of the noise of the reference view, intensity; 0 if there is none.
+    """Measure the grain: the standard deviation of the noise of the reference view, intensity; 0 if there is none.
 
-    Fourth differences in both directions leave little but noise: of texture, less than the second differences that
-    Immerkær takes (Fast Noise Variance Estimation, 1996). The 5 % of windows with the least of that are taken. Windows
-    that hold the brightest or the darkest of the image may be cut off there: if such a window is constant it does not
-    count.
+    Fourth differences in both directions leave less texture beside the noise than the second differences of Immerkær
+    (Fast Noise Variance Estimation, 1996). The grain is that of the 5 % of windows with the smallest differences. A
+    constant window that holds the brightest or the darkest pixel of the image does not count, as noise may be cut off
+    there.
     """
     lf = lf.crop(*(slice(max(0, (side - _GRAIN_SAMPLE) // 2), (side + _GRAIN_SAMPLE) // 2) for side in lf.size))
     inner = np.s_[2:-2, 2:-2]
@@ -62,7 +65,7 @@ def measured_grain(lf: LightField) -> float:
 
 
 def of_given_noise(noise: float, config: SweepConfig) -> tuple[float, float]:
-    """The noise of smoothed views, and the grain, if views as they are differ by `noise` and nothing is measured."""
+    """Estimate the noise of smoothed views, and the grain, from a given noise of views as they are; all intensity."""
     grain = math.sqrt(max(0.0, noise**2 - _CLEAN**2)) / _SEEN
     if smoothing_deviation(grain, config) is None:
         return noise, grain
@@ -70,7 +73,7 @@ def of_given_noise(noise: float, config: SweepConfig) -> tuple[float, float]:
 
 
 def smoothing_deviation(grain: float | None, config: SweepConfig) -> float | None:
-    """What pixels of a view that are alike differ by, intensity; None if views are not smoothed."""
+    """The difference between pixels of a view that smoothing averages, intensity; None if views are not smoothed."""
     deviation = config.smoothing * (grain or 0.0)
     return deviation if deviation > _LEAST_GRAIN else None
 
@@ -78,31 +81,45 @@ def smoothing_deviation(grain: float | None, config: SweepConfig) -> float | Non
 def measured_noise(
     lf: LightField,
     bounds: tuple[float, float],
-    config: SweepConfig,
+    config: MatchingConfig,
     device: Device,
     *,
     deviation: float | None = None,
 ) -> float:
-    """How much views differ where they agree, intensity. With a `deviation` they are smoothed by it first.
+    """Measure the root mean square difference between views that agree, intensity.
 
-    It is the median of the least costs in the middle of the image, of the half of its pixels where they vary most: what
-    has no texture agrees at all disparities.
+    It is the median of the least costs of a first sweep in the middle of the image, of the half of its pixels where
+    they vary most: pixels without texture agree at all disparities.
+
+    Parameters
+    ----------
+    lf
+        The light field.
+    bounds
+        (low, high) of the disparities, pixels per view step.
+    config
+        The disparities, and the numbers of the first sweep.
+    device
+        The device on which views are compared.
+    deviation
+        Difference between pixels of a view that smoothing averages first, intensity. Default None: no smoothing.
     """
     kernels = device.kernels
     lf = lf.crop(*(slice(max(0, (side - _SAMPLE) // 2), (side + _SAMPLE) // 2) for side in lf.size))
     lf = lf.subset(used_views(lf.layout, "cross"))
-    place = labels(bounds, lf.offsets, config)
-    shape, scale = (len(lf.views), *lf.size, lf.channels), lf.scale if deviation is None else 1 / WHITE
-    sweep = planned_sweep(shape, lf.offsets, place, config, device, scale=scale)
-    volume = device.zeros((place[2], *lf.size))
-    views, image = device.image(lf.views), device.zeros_image((*lf.size, lf.channels))
-    valid = None if lf.valid is None else device.field(lf.valid)
-    if deviation is not None:
-        recorded, views = views, device.zeros_image(shape, np.uint16)
-        kernels.smooth_views(recorded, valid, scale=lf.scale, deviation=deviation, views_out=views)
-    kernels.intensities(views, lf.reference_index, valid, scale=scale, fill=UNLIKE_ANY, image_out=image)
-    sweep.load(image, views, valid)
-    sweep.by_view_sets(sweep_cost(config, config.gradient_weight), volume)
+    layout = lf.layout
+    frame = Frame(
+        Arena(device),
+        ChosenViews(None, layout, None, layout),
+        compared_disparities(bounds, layout.farthest, config.sweep),
+        config,
+        deviation=deviation,
+    )
+    views = frame.swept("all")
+    cost, volume = PlaneSweepCost(views, first_cost(config)), device.zeros((frame.disparities.count, *lf.size))
+    frame.load(device.image(lf.views))
+    views.load()
+    cost.by_view_sets(volume)
     least, negative = (device.zeros(lf.size) for _ in range(2))
     kernels.least_costs(volume, least_out=least)
     kernels.axpby(-1.0, volume, 0.0, volume, volume)
@@ -112,33 +129,38 @@ def measured_noise(
 
 
 def noise_of_views(noise: float, grain: float | None, config: SweepConfig) -> float:
-    """How much views differ as they are, intensity, if they differ by `noise` once they are smoothed."""
+    """Convert the noise of views as they are compared, which may be smoothed, to that of views as they are stored."""
     return noise if smoothing_deviation(grain, config) is None else math.hypot(noise, _SEEN * (grain or 0.0))
 
 
 def in_units_of(noise: float, config: MatchingConfig, *, grain: float | None = None) -> MatchingConfig:
-    """The parameters for views with that noise and grain; as they are at a noise of 0.004 without smoothing.
+    """Scale parameters for views with that noise and grain; at a noise of 0.004 without smoothing they stay.
 
-    The scales of what views differ by grow in proportion to the noise of views as they are. Penalties grow with the
+    Scales of differences between views grow in proportion to the noise of views as they are. Penalties grow with the
     square root of the noise of smoothed views: in proportion to it they are too high in noisy scenes. Truncations stay:
-    what is hidden differs as much with noise as without. Which pixels are alike is decided by means over patches, where
-    noise averages out: that scale grows with the square root, too.
+    hidden pixels differ as much with noise as without. The scale of like patches grows with the square root of the
+    noise, because noise averages out over a patch.
     """
     least = _LEAST_NOISE if smoothing_deviation(grain, config.sweep) is None else _LEAST_SMOOTHED
     swept = min(max(noise / _USUAL_NOISE, least), _MOST_NOISE)
     times = min(max(noise_of_views(noise, grain, config.sweep) / _USUAL_NOISE, _LEAST_NOISE), _MOST_NOISE)
+    tuning = config.tuning
+    alignment, prior = tuning.alignment, tuning.prior
     return replace(
         config,
         sweep=replace(config.sweep, noise=min(swept * _USUAL_NOISE, 1.0)),
         semi_global=_times(math.sqrt(swept), config.semi_global, "small_penalty", "large_penalty"),
-        alignment=_times(times, config.alignment, "robust", "contrast"),
         boundaries=_times(times, config.boundaries, "contrast"),
-        prior=_times(math.sqrt(times), config.prior, "sigma_color"),
+        tuning=replace(
+            tuning,
+            alignment=replace(alignment, robust=times * alignment.robust, contrast=times * alignment.contrast),
+            prior=replace(prior, sigma_color=math.sqrt(times) * prior.sigma_color),
+        ),
     )
 
 
 def _times(factor: float, stage: _Stage, *names: str) -> _Stage:
-    """Some parameters times a factor, as far as their ranges go."""
+    """Multiply some parameters by a factor, as far as their ranges go."""
     ranges = {f.name: f.metadata for f in fields(stage)}
     changed = {
         name: min(max(factor * getattr(stage, name), ranges[name]["low"]), ranges[name]["high"]) for name in names

@@ -1,70 +1,57 @@
-"""Reduced views, compared as well: what is faint and wide shows in them, and noise does not."""
+"""Reduced views: faint and wide texture shows in them, and noise does not."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from lfgpu.contract import REDUCTION, WHITE, Array, Device
-from lfgpu.data.layout import ViewLayout
-from lfgpu.methods.matching.config import SweepConfig
-from lfgpu.methods.matching.sweep import planned_sweep, sweep_cost
+from lfgpu.contract import REDUCTION, WHITE, Array, SweepCost, ViewSets
+from lfgpu.methods.matching.disparities import view_sets
+from lfgpu.methods.matching.frame import SweptViews
 from lfgpu.methods.prior import UNLIKE_ANY
 
 _BESIDE = 1  # reduced pixels from an edge that are beside it
+_SEVERAL = 2  # further sweeps mend the outlines that reduced views blur
 
 
-class ReducedSweep:
+class ReducedViews:
     """A sweep over views that are reduced to one pixel for each REDUCTION x REDUCTION, at the same disparities.
 
     Parameters
     ----------
-    layout
-        The layout of the views.
-    place
-        The disparities, as `labels` gives them.
-    config
-        The parameters of the sweep; `reduced_weight` is what its costs count against those of views as they are.
-    contrast
-        The difference between adjacent pixels, intensity, beside which they count half of that. Beside an outline
-        what is farther looks like a part of what is nearer, for many pixels around. None: they count everywhere.
-    device
-        The device on which it runs.
-    scale
-        The factor from stored values to intensities.
+    views
+        The views as they are.
+    cost
+        Their cost.
     """
 
-    def __init__(
-        self,
-        layout: ViewLayout,
-        place: tuple[float, float, int],
-        config: SweepConfig,
-        device: Device,
-        *,
-        scale: float,
-        contrast: float | None,
-    ) -> None:
-        kernels = device.kernels
-        height, width = (side // REDUCTION for side in layout.size)
-        shape = layout.count, height, width, layout.channels
-        self._kernels, self._reference, self._scale = kernels, layout.reference, scale
-        self._weight, self._contrast = config.reduced_weight, contrast
-        self._shares = device.field(np.ones(shape[1:3]))
-        self._views, self._image = device.zeros_image(shape, np.uint16), device.zeros_image(shape[1:])
-        self._valid = device.zeros(shape[:3])
-        self._volume = device.zeros((place[2], height, width))
-        # A disparity moves what is seen in a reduced view by so many of its pixels less.
-        self._cost = sweep_cost(config, config.gradient_weight)
-        self._sweep = planned_sweep(
-            shape,
-            layout.offsets / REDUCTION,
-            place,
-            config,
-            device,
-            scale=1 / WHITE,
+    def __init__(self, views: SweptViews, cost: SweepCost) -> None:
+        frame, layout, tuning = views.frame, views.layout, views.frame.config.tuning.sweep
+        device, (height, width) = frame.arena.device, (side // REDUCTION for side in layout.size)
+        small = replace(layout, size=(height, width), offsets=layout.offsets / REDUCTION)
+        self._kernels, self._reference, self._scale = frame.kernels, layout.reference, frame.scale
+        self._weight, self._cost = tuning.reduced_weight, cost
+        # Beside an outline, many pixels of the farther side look like a part of the nearer one.
+        self._contrast = tuning.reduced_contrast if frame.config.sweep.resweeps < _SEVERAL else None
+        arena = frame.arena
+        self._shares = arena.device.field(np.ones(small.size))
+        self._views = arena.image("reduced views", small.shape, np.uint16)
+        self._image = arena.image("reduced image", small.shape[1:])
+        self._valid = arena.field("reduced masks", small.shape[:3])
+        self._volume = arena.field("reduced costs", (frame.disparities.count, *small.size))
+        sets = ViewSets(
+            device.field(small.offsets),
+            device.field(view_sets(small.offsets, tuning.view_set_angle)),
+            preference=tuning.view_set_penalty,
+            tolerance=0.0,  # nothing hides anything
+            least=1,
         )
+        self._sweep = frame.kernels.plane_sweep(small.shape, sets, frame.disparities, scale=1 / WHITE)
+        views.on_load(self._load)
 
-    def load(self, views: Array, valid: Array | None) -> None:
-        """Reduce views [n, y, x, c], as stored, with their mask [n, y, x]."""
+    def _load(self, _: Array, views: Array, valid: Array | None) -> None:
+        """Reduce views [n, y, x, c], as stored, with their masks [n, y, x]."""
         kernels, kept = self._kernels, self._valid if valid is not None else None
         kernels.reduce_views(views, valid, scale=self._scale, views_out=self._views, valid_out=kept)
         kernels.intensities(self._views, self._reference, kept, scale=1 / WHITE, fill=UNLIKE_ANY, image_out=self._image)

@@ -1,20 +1,23 @@
-"""What one frame of a stream leaves for the next: where surfaces were, how they moved, and what they looked like.
+"""Streams: each frame of matching may start from the map of the frame before.
 
-First the motion of the reference view is found, and what is known of each surface moves along: its disparity, which is
-then past + rate, the rate at which that changes, and the number of frames that it rests on. Three things come from it.
-The views that should see these surfaces are those that are compared, which spares the first sweep; where the reference
-view has changed, nothing is hidden by what was there. Costs get
-strength * same * confidence * min(|d - past|, reach) / reach on top, so that what looks alike at several disparities
-does not jump between them. And the new map is averaged with the expected one, pixel by pixel, as by a Kalman filter
-whose measurements are all as good as each other: with the number of frames that went into a pixel so far,
+First the motion of the reference view is found, and what is known of each surface moves along with it: its expected
+disparity past + rate, the rate at which the disparity changes, and the number of frames on which it rests. The expected
+map is used three times.
 
-    before = persistence * same * frames / (1 + ((past - d) / support)^4) / (1 + (rate / steady)^2),
-    d <- (d + before past) / (1 + before),   frames <- 1 + before.
+- The one sweep of the frame compares the views that should see the expected surfaces, which spares the first sweep.
+  Where the reference view has changed, the expected surface hides nothing.
+- Costs get strength * same * confidence * min(|d - past|, reach) / reach on top, so that a pixel that looks alike at
+  several disparities does not jump between them.
+- The new map is averaged with the expected one, pixel by pixel, as by a Kalman filter whose measurements are equally
+  good: with the number of frames that went into a pixel so far,
+
+      before = persistence * same * frames / (1 + ((past - d) / support)^4) / (1 + (rate / steady)^2),
+      d <- (d + before past) / (1 + before),   frames <- 1 + before.
 
 `same` is 1 where the reference view looks along the motion as it did, and 0 where it does not. The rate is a mean over
-the surface around each pixel, because all of that moves together. What comes nearer or goes away does not do so evenly:
-the faster it does, the fewer frames it rests on. The past is mixed in after the last average over the
-image, so that the map is not blurred again and again.
+the surface around each pixel, because a surface moves as a whole. The faster a surface comes nearer or goes away, the
+fewer frames it rests on, because it does not do so evenly. The past is mixed in after the last average over the image,
+so that the map is not blurred again and again.
 """
 
 from __future__ import annotations
@@ -27,7 +30,6 @@ from lfgpu.contract import Array, Device, Scalar, Streaming
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.plan import MatchingPlan
-from lfgpu.methods.matching.visible_sweep import VisibleSweep
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior
 
@@ -50,7 +52,7 @@ class TemporalMatching(MatchingPlan):
     streaming
         The kernels that only streams need.
     prior
-        How much the last map says.
+        The weight of the last map.
     """
 
     may_be_masked = True
@@ -65,35 +67,34 @@ class TemporalMatching(MatchingPlan):
         streaming: Streaming,
         prior: TemporalPrior,
     ) -> None:
-        kernels = device.kernels
         super().__init__(layout, measured, config, device)
-        past = self._resweep
-        if past is None:
-            offsets, nearest = device.field(self._few_offsets), device.zeros(self._few_shape[:3])
-            past = VisibleSweep(self._sweep, self._few_shape, offsets, nearest, kernels, reaches=(self._reach,))
-        self._past_cost = self._first_cost if self._resweep is None else self._last_cost
-        self._sweep_past = past
+        arena, size = self._arena, self._size
+        self._past_sweep = self._sweeps.past()
         self._temporal, self._streaming, self._is_warm = prior, streaming, False
-        self._past, self._frames, self._rate = (device.zeros(layout.size) for _ in range(3))
-        self._expected, self._frames_before, self._rate_before = (device.zeros(layout.size) for _ in range(3))
-        self._same, self._believed = (device.zeros(layout.size) for _ in range(2))
-        self._farthest_surface = device.field(np.full(layout.size, self._bounds[0]))
-        self._last_image = device.zeros_image((*layout.size, layout.channels))
+        self._past, self._frames, self._rate = (arena.field(n, size) for n in ("past", "frames", "rate"))
+        self._expected, self._frames_before, self._rate_before, self._same, self._believed = (
+            arena.field(f"carried {n}", size) for n in ("past", "frames", "rate", "likeness", "confidence")
+        )
+        self._farthest_surface = arena.constant("farthest", np.full(size, self._bounds[0]))
+        self._last_image = arena.image("last image", (*size, layout.channels))
         self._motion = streaming.motion(self._last_image)
+        with arena.scratch() as scratch:
+            self._rates, self._weights = scratch.fields(2, size)
+        self._hides = arena.field("expected surface", size)
 
     @property
     def noise(self) -> float:
-        """How much views differ where they agree, intensity."""
+        """The root mean square difference between views that agree, intensity."""
         return self._noise
 
     @property
     def numbers(self) -> tuple[Scalar, Scalar]:
-        """How much texture there was, 0 if none; and the size of the first step, NaN if something was not finite."""
-        return self._trust, self._moves[0]
+        """The amount of texture, 0 if there was none; and the size of the first step, NaN if a value was not finite."""
+        return self._alignment.trust, self._alignment.moves[0]
 
     @property
     def state(self) -> dict[str, Array]:
-        """What a frame leaves for the next one, by name."""
+        """The arrays that a frame leaves for the next one, by name."""
         return {
             "past": self._past,
             "frames": self._frames,
@@ -103,14 +104,14 @@ class TemporalMatching(MatchingPlan):
         }
 
     def mask(self, valid: Array | None) -> None:
-        """Which pixels of the used views count from now on, a field [n, y, x]; None if all do."""
-        self._valid = valid
+        """Set the mask of the used views, a field [n, y, x]; None if all pixels are valid."""
+        self._frame.valid = valid
 
     @property
     def levels(self) -> tuple[tuple[int, Callable[[Array], None]], ...]:
         """(steps, work) for a frame on its own, from the least to the most work."""
         steps = range(1, self._config.alignment.iterations + 1)
-        quick = [(1, lambda views: self.cold(views, 1, again=False))] if self._resweep is not None else []
+        quick = [(1, lambda views: self.cold(views, 1, again=False))] if self._sweeps.are_several else []
         return (*quick, *((n, lambda views, n=n: self.cold(views, n, again=True)) for n in steps))
 
     @property
@@ -120,25 +121,22 @@ class TemporalMatching(MatchingPlan):
         return tuple((n, lambda views, n=n: self.warm(views, n)) for n in steps)
 
     def cold(self, views: Array, steps: int, *, again: bool) -> None:
-        """The map of `views` [n, y, x, c] alone, by `steps` of the alignment; compared again only if `again`."""
+        """Estimate the map of `views` [n, y, x, c] alone, by `steps` of the alignment; sweep again only if `again`."""
         self._is_warm, self._steps = False, steps
-        self._compare(views)
-        if self._resweep is not None and again:
-            self._compare_visible(None)
-        elif self._resweep is not None:
+        self._sweep(views)
+        if self._sweeps.are_several and again:
+            self._sweep_again(None)
+        elif self._sweeps.are_several:
             self._kernels.copy(self._swept, self._matched)
-        self._improve(None)
-        self._complete()
-        self._remember()
-        self._leave_unknown()
+        self._improve()
 
     def warm(self, views: Array, steps: int) -> None:
-        """A map of `views` that starts from the last one: the views that saw that are those that are compared, once."""
+        """Estimate a map of `views` from the last one: one sweep compares the views that saw the last surfaces."""
         kernels = self._kernels
         self._is_warm, self._steps = True, steps
-        self._load(views, first=self._resweep is None)
+        self._load(views)
         tolerance = self._temporal.tolerance * self.noise
-        self._motion.find(self._image, self._last_image, tolerance=tolerance, same_out=self._same)
+        self._motion.find(self._frame.image, self._last_image, tolerance=tolerance, same_out=self._same)
         self._motion.carry(
             self._past,
             self._frames,
@@ -153,43 +151,43 @@ class TemporalMatching(MatchingPlan):
         kernels.clamp(self._expected, *self._bounds, self._expected)
         kernels.multiply(self._same, self._believed, self._believed)
         # A surface that is not there any more hides nothing.
-        kernels.threshold(self._same, _SAME, self._workspace)
-        kernels.select(self._workspace, self._expected, self._farthest_surface, self._workspace)
-        self._sweep_past(self._workspace, self._volume, reach=self._reach, cost=self._past_cost)
-        self._find_surface(self._swept, again=True)
-        if self._resweep is not None:
+        kernels.threshold(self._same, _SAME, self._hides)
+        kernels.select(self._hides, self._expected, self._farthest_surface, self._hides)
+        self._sweeps.find_past(self._past_sweep, self._hides, self._swept, self._expect)
+        if self._sweeps.are_several:
             kernels.copy(self._swept, self._matched)
-        self._improve(None)
+        self._improve()
+
+    def _improve(self) -> None:
+        """Do all that follows the sweeps, and make the map the past of the next frame."""
+        self._align(None)
         self._complete()
         self._remember()
-        self._leave_unknown()
+        self._put_unknown(self.disparity)
 
     def _remember(self) -> None:
         copy = self._kernels.copy
         copy(self.disparity, self._past)
-        copy(self._image, self._last_image)
+        copy(self._frame.image, self._last_image)
 
     def _expect(self, costs: Array) -> None:
-        semi_global = self._config.semi_global
-        strength = self._temporal.strength * semi_global.resweep_factor * semi_global.large_penalty
-        if self._is_warm and strength > 0:
+        """Make disparities dearer that differ from the expected ones: change costs [l, y, x]."""
+        config, disparities = self._config, self._frame.disparities
+        strength = self._temporal.strength * config.tuning.semi_global.resweep_factor * config.semi_global.large_penalty
+        if strength > 0:
             self._streaming.bias(
                 self._expected,
                 self._believed,
                 costs,
-                first=self._first,
-                step=self._step,
+                first=disparities.first,
+                step=disparities.step,
                 strength=strength,
                 reach=self._temporal.reach,
             )
 
-    def _unhidden_evidence(self) -> Array | None:
-        return None if self._is_warm else super()._unhidden_evidence()
-
-    def _judge(self) -> None:
+    def _judge(self, unhidden: Array | None) -> None:
         if self._is_warm and self._temporal.persistence > 0:
             support = self._temporal.support / self._farthest
-            rates, weights = self._slope, self._curvature  # which are not needed any more
             self._streaming.blend(
                 self._expected,
                 self._same,
@@ -201,11 +199,13 @@ class TemporalMatching(MatchingPlan):
                 steady=_STEADY * support,
                 rate_gain=_RATE_GAIN,
                 frames_out=self._frames,
-                rates_out=rates,
-                weights_out=weights,
+                rates_out=self._rates,
+                weights_out=self._weights,
             )
-            self._prior.ratio(self.disparity, rates, weights, support=support, floor=_NO_RATE, ratio_out=self._rate)
+            self._prior.ratio(
+                self.disparity, self._rates, self._weights, support=support, floor=_NO_RATE, ratio_out=self._rate
+            )
         else:
             self._kernels.fill(1.0, self._frames)
             self._kernels.fill(0.0, self._rate)
-        super()._judge()
+        super()._judge(None if self._is_warm else unhidden)

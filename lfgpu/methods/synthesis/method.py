@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,19 +11,19 @@ from lfgpu.contract import Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
-from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, Footprint
-from lfgpu.methods.matching.config import SweepConfig
+from lfgpu.methods.footprint import Footprint
+from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.noise import measured_noise
 from lfgpu.methods.measured import Measured, checked_range
 from lfgpu.methods.synthesis.config import SynthesisConfig
-from lfgpu.methods.synthesis.model import compared_as
 from lfgpu.methods.synthesis.plan import SynthesisPlan
 from lfgpu.methods.synthesis.units import spread
 
-_NOISE_SWEEP = SweepConfig(gradient_weight=2.0, view_set_angle=90.0)  # in units of its costs parameters are chosen
-_NORMALISED = 16  # views that are normalised at a time on a GPU
-_TENSORS = 3  # positions along a line of views over which a structure tensor is summed
+_NOISE_SWEEP = MatchingConfig().with_tuning(  # in units of its costs parameters are chosen
+    {"sweep.gradient_weight": 2.0, "sweep.view_set_angle": 90.0}
+)
 _NEIGHBOURHOODS = 6  # half windows after which the influence of a pixel through the solvers is negligible
+_HOST_SOLVER = 4 * 40  # bytes per pixel that L-BFGS-B of SciPy takes
 _EDGE = 34  # pixels at the edge of a tile where the missing neighbours change the result
 
 
@@ -64,27 +65,10 @@ class Synthesis(Method[SynthesisConfig]):
         return Measured(checked_range(disparity_range, layout), noise)
 
     def footprint(self, layout: ViewLayout, measured: Measured, *, on_gpu: bool) -> Footprint:
-        channels, stored, count = layout.channels, layout.dtype.itemsize, layout.count
-        views = count * channels * stored
-        masks = 0 if layout.masks is None else 5 * count
-        host = 0 if on_gpu else views + masks  # the copy of the tile
-        weights = 2 * 4 * ((self.config.prior.window**2 - 1) // 2) + 4 * 3 * channels
-        solvers = 4 * 64 if on_gpu else 4 * 40  # the history of L-BFGS and its workspace
-        line = len(layout.row()) + len(layout.column())
-        if on_gpu:
-            size = np.dtype(compared_as(self.config.refinement, on_gpu=True)).itemsize
-            details = count * size * (channels + (4 if channels == 3 else 2))  # plain and packed
-            batch = min(count, _NORMALISED) * (2 * 4 * channels + 3 * 4)
-            lines = line * channels * stored + 4 * _TENSORS * 4 * channels
-        else:
-            details = 3 * count * 4 * channels
-            batch, lines = 0, 2 * line * 4 * channels
-        judged = 0
-        if self.config.refinement.acceptance == "by-pixel":
-            judged = 2 * count * (channels + 1) * stored + 4 * count + 6 * 4
-        lines += 4 * 4 + judged
-        per_pixel = host + views + details + 8 * count + batch + lines + weights + solvers + masks
-        return Footprint(per_pixel, GPU_CONTEXT if on_gpu else PROCESS)
+        found = super().footprint(layout, measured, on_gpu=on_gpu)
+        if on_gpu or self.is_on_device:
+            return found
+        return replace(found, per_pixel=found.per_pixel + _HOST_SOLVER)
 
     def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:
         low, high = measured.disparity_range

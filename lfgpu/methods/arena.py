@@ -1,0 +1,94 @@
+"""The memory of a plan: named buffers that stay, and scratch that passes share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from lfgpu.contract import Array, Device
+
+_Kind = tuple[tuple[int, ...], str]
+
+
+class Arena:
+    """Buffers on a device.
+
+    A named buffer keeps what is written into it. Who asks for the name of a buffer again gets the same one.
+
+    Scratch is lent to a pass while the pass is constructed, and the pass may use it during its calls only. Passes whose
+    scopes follow one another share it. A pass that calls another pass while its scratch holds something constructs that
+    pass inside its own scope: nested scopes share nothing.
+
+    Parameters
+    ----------
+    device
+        The device on which buffers lie.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self.device, self.kernels = device, device.kernels
+        self._named: dict[str, tuple[_Kind, Array]] = {}
+        self._free: dict[_Kind, list[Array]] = {}
+        self._scopes: list[list[tuple[_Kind, Array]]] = []
+
+    def field(self, name: str, shape: Sequence[int]) -> Array:
+        """The field of that name, of zeros when it is new."""
+        return self._kept(name, (tuple(shape), ""))
+
+    def image(self, name: str, shape: Sequence[int], stored: DTypeLike = np.float32) -> Array:
+        """The image of that name, [..., c], stored in the NumPy type `stored`; of zeros when it is new."""
+        return self._kept(name, (tuple(shape), np.dtype(stored).name))
+
+    def constant(self, name: str, values: NDArray[Any]) -> Array:
+        """The field of that name, which holds `values` when it is new; nothing may write into it."""
+        kind = (values.shape, "")
+        if name not in self._named:
+            self._named[name] = kind, self.device.field(values)
+        return self._kept(name, kind)
+
+    @contextmanager
+    def scratch(self) -> Iterator[Scratch]:
+        """A scope in which scratch is lent; when it ends, scopes that follow are lent the same."""
+        self._scopes.append([])
+        try:
+            yield Scratch(self)
+        finally:
+            for kind, buffer in self._scopes.pop():
+                self._free.setdefault(kind, []).append(buffer)
+
+    def lend(self, kind: _Kind) -> Array:
+        """A free buffer, or a new one, for the scope that began last."""
+        free = self._free.get(kind)
+        buffer = free.pop() if free else self._made(kind)
+        self._scopes[-1].append((kind, buffer))
+        return buffer
+
+    def _kept(self, name: str, kind: _Kind) -> Array:
+        if name not in self._named:
+            self._named[name] = kind, self._made(kind)
+        there, buffer = self._named[name]
+        assert there == kind, f"the buffer {name!r} is {there}, not {kind}"
+        return buffer
+
+    def _made(self, kind: _Kind) -> Array:
+        shape, stored = kind
+        return self.device.zeros_image(shape, np.dtype(stored).type) if stored else self.device.zeros(shape)
+
+
+class Scratch:
+    """Buffers that a pass may use during its calls; their contents are arbitrary before each call."""
+
+    def __init__(self, arena: Arena) -> None:
+        self._arena = arena
+
+    def field(self, shape: Sequence[int]) -> Array:
+        """Lend a field."""
+        return self._arena.lend((tuple(shape), ""))
+
+    def fields(self, count: int, shape: Sequence[int]) -> tuple[Array, ...]:
+        """Lend several fields of one shape."""
+        return tuple(self.field(shape) for _ in range(count))

@@ -1,0 +1,215 @@
+"""Dry runs: a plan runs on a device that computes nothing and counts the bytes of all arrays.
+
+`DRY_CPU` and `DRY_GPU` describe what the operations of a backend keep themselves, for the backend that keeps most.
+`tests/test_tiles.py` compares the sum with measured memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from lfgpu.contract import Device
+from lfgpu.data.layout import ViewLayout
+
+_SIDE = 128  # pixels, sides of the views of a dry run
+_FLOAT = 4  # bytes
+_SLICES = 16  # that work on a CPU is cut into, each with its own nearest surfaces
+_STEP_COSTS = 8 * 2 * _FLOAT  # bytes: of the steps to a pixel in all directions, which a GPU keeps
+_SPARE_VOLUMES = 7  # of directions beside the first one, on a GPU that has room for them
+_NORMALISED = 16  # views that are normalised at a time on a GPU
+_TENSORS = 3  # positions along a line of views over which a structure tensor is summed
+_TENSOR = 4  # numbers of a structure tensor
+
+
+@dataclass(frozen=True, eq=False)
+class DryArray:
+    """An array without contents."""
+
+    shape: tuple[int, ...]
+    itemsize: int
+
+    @property
+    def nbytes(self) -> int:
+        """The bytes that it would take."""
+        return math.prod(self.shape) * self.itemsize
+
+
+class DryOperation:
+    """A planned operation, or any other that does nothing. Whatever is called on it does nothing, too."""
+
+    def __init__(self, on_load: Callable[[DryArray], None] | None = None) -> None:
+        self._on_load = on_load
+
+    def load(self, image: Any, recorded: DryArray | None = None, valid: Any = None) -> None:
+        """Take views; their type decides how many bytes are kept of them."""
+        if self._on_load is not None and recorded is not None:
+            self._on_load(recorded)
+            self._on_load = None  # the same memory is used again
+
+    def __call__(self, *arguments: Any, **options: Any) -> None:
+        """Do nothing."""
+
+    def __getattr__(self, name: str) -> DryOperation:
+        return DryOperation()
+
+
+class DryKernels:
+    """Operations that count bytes and do nothing else.
+
+    Parameters
+    ----------
+    on_gpu
+        Whether the device is a GPU.
+    """
+
+    name, dtype, compiles, streaming, recording = "dry", np.float32, False, None, None
+
+    def __init__(self, *, on_gpu: bool) -> None:
+        self._on_gpu = on_gpu
+        self.bytes, self.spare = 0, 0
+        """Bytes that are needed, and that operations take besides where there is room."""
+
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        return lambda *arguments, **options: None
+
+    # --- memory ---
+
+    def zeros(self, shape: Sequence[int], device: str) -> DryArray:
+        """Count a field."""
+        return self._counted(shape, _FLOAT)
+
+    def zeros_image(self, shape: Sequence[int], device: str, stored: Any = np.float32) -> DryArray:
+        """Count an image."""
+        return self._counted(shape, np.dtype(stored).itemsize)
+
+    def field(self, values: np.ndarray, device: str) -> DryArray:
+        """Count a field."""
+        return self._counted(values.shape, _FLOAT)
+
+    def scalar(self, value: float, device: str) -> DryArray:
+        """Count nothing."""
+        return DryArray((), 8)
+
+    def numpy(self, array: DryArray) -> np.ndarray:
+        """Return zeros."""
+        return np.zeros(array.shape, np.float32)
+
+    def number(self, scalar: DryArray) -> float:
+        """Return zero."""
+        return 0.0
+
+    @contextlib.contextmanager
+    def asking(self, device: str) -> Iterator[None]:
+        """Do nothing."""
+        yield
+
+    # --- operations that keep something ---
+
+    def plane_sweep(self, shape: Sequence[int], views: Any, disparities: Any, *, scale: float) -> DryOperation:
+        """Count views in an order of its own, and on a GPU the first disparity past the surface in each pixel."""
+        if self._on_gpu:
+            self._count(shape[:3], 2)
+        return DryOperation(lambda views: self._packed(views, has_mask=self._on_gpu))
+
+    def z_buffer(self, shape: Sequence[int], offsets: Any, *, reach: int) -> DryOperation:
+        """Count the surfaces of each slice of the work."""
+        if not self._on_gpu:
+            self._count((_SLICES, *shape[1:3]), _FLOAT)
+        return DryOperation()
+
+    def alignment(self, shape: Sequence[int], offsets: Any, **numbers: float) -> DryOperation:
+        """Count views, each pixel with its mask, and the weights of gradients."""
+        self._count(shape[1:3], _FLOAT)
+        return DryOperation(lambda views: self._packed(views, has_mask=True))
+
+    def semi_global(self, volume: DryArray, image: Any, penalty_scale: Any, **numbers: Any) -> None:
+        """Count what a GPU keeps: two volumes, and the steps to a pixel in all directions."""
+        if self._on_gpu and not self.spare:
+            self._count((2, *volume.shape), _FLOAT)
+            self._count(volume.shape[1:], _STEP_COSTS)
+            self.spare = _SPARE_VOLUMES * volume.nbytes
+
+    def nlm_weights(self, shape: Sequence[int], device: str, **numbers: Any) -> DryOperation:
+        """Count colours and gradients, and on a GPU the sums of patches."""
+        self._count((*shape[:2], 3 * shape[2]), _FLOAT)
+        return DryOperation()
+
+    def structure_tensor(self, shape: Sequence[int], *arguments: Any, **numbers: Any) -> DryOperation:
+        """Count the tensors of a few views, on a CPU the filtered views."""
+        if self._on_gpu:
+            self._count((_TENSORS, _TENSOR, *shape[1:]), _FLOAT)
+        else:
+            self._count(shape, _FLOAT)
+        return DryOperation()
+
+    def normalization(self, shape: Sequence[int], device: str, **numbers: float) -> DryOperation:
+        """Count the views that a GPU normalises at a time."""
+        if self._on_gpu:
+            count, *others = shape
+            self._count((min(count, _NORMALISED), *others), 2 * _FLOAT)
+            self._count((min(count, _NORMALISED), *others[:2]), 3 * _FLOAT)
+        return DryOperation()
+
+    def data_term(self, shape: Sequence[int], offsets: Any, **numbers: float) -> DryOperation:
+        """Count recorded views as they are compared, and their coverage."""
+        self._count(shape[:3], _FLOAT)
+        if not self._on_gpu:
+            self._count((2, *shape), _FLOAT)
+            return DryOperation()
+        return DryOperation(lambda views: self._packed(views, has_mask=True))
+
+    z_buffered_data_term = data_term
+
+    def lbfgs(self, shape: Sequence[int], device: str, *, memory: int, **numbers: Any) -> DryOperation:
+        """Count the history."""
+        self._count((2 * memory + 2, *shape), _FLOAT)
+        return DryOperation()
+
+    def residuals(self, device: str, **numbers: Any) -> DryOperation:
+        """Count nothing."""
+        return DryOperation()
+
+    def _packed(self, views: DryArray, *, has_mask: bool) -> None:
+        """Count views [n, y, x, c] whose pixels hold 2 or 4 values if their masks are among them."""
+        *pixels, channels = views.shape
+        kept = channels if not has_mask else 4 if channels == 3 else 2
+        self._count((*pixels, kept), views.itemsize)
+
+    def _counted(self, shape: Sequence[int], itemsize: int) -> DryArray:
+        self._count(shape, itemsize)
+        return DryArray(tuple(shape), itemsize)
+
+    def _count(self, shape: Sequence[int], itemsize: int) -> None:
+        self.bytes += math.prod(shape) * itemsize
+
+
+def dry_run(layout: ViewLayout, plan: Callable[[ViewLayout, Device], Any], *, on_gpu: bool) -> tuple[float, float]:
+    """Allocate a plan and run its stages, all dry.
+
+    Parameters
+    ----------
+    layout
+        The layout of the views that come.
+    plan
+        Allocates a plan for a layout on a device.
+    on_gpu
+        Whether the device is a GPU.
+
+    Returns
+    -------
+    Bytes per pixel of a view that are needed, and that operations take besides where there is room.
+    """
+    size = (_SIDE, _SIDE)
+    mask = np.ones(size, np.bool_)
+    masks = None if layout.masks is None else (mask,) * layout.count
+    small, kernels = replace(layout, size=size, masks=masks), DryKernels(on_gpu=on_gpu)
+    device = Device(kernels, "cuda:0" if on_gpu else "cpu")  # type: ignore[arg-type]  # it does what is asked of it
+    for work in plan(small, device).stages(DryArray(small.shape, layout.dtype.itemsize)).values():
+        work(None)
+    return kernels.bytes / _SIDE**2, kernels.spare / _SIDE**2

@@ -1,0 +1,151 @@
+"""Aggregations: from the costs of single pixels to a map. Each is a class and a row of `AGGREGATIONS`."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+from lfgpu.contract import Array
+from lfgpu.methods.matching.costs import noise_cost
+from lfgpu.methods.matching.frame import Frame, SweptViews
+from lfgpu.methods.prior import NonLocalMeans
+
+
+@dataclass(frozen=True, eq=False)
+class Planning:
+    """What an aggregation is planned for.
+
+    Parameters
+    ----------
+    frame
+        The frame: its arena, size, disparities, scale and parameters.
+    views
+        The views of the sweep: their layout, and the plane sweep over them. An aggregation that needs other costs
+        plans its own sweeps, as `SweptViews.sweep` does, and loads them by `SweptViews.on_load`.
+    prior
+        The weights of like pixels in the neighbourhood of each pixel.
+    near
+        The same in the window over which costs are averaged. Both are loaded with each frame.
+    """
+
+    frame: Frame
+    views: SweptViews
+    prior: NonLocalMeans
+    near: NonLocalMeans
+
+
+@dataclass(frozen=True, eq=False)
+class Swept:
+    """What a sweep hands to its aggregation.
+
+    Parameters
+    ----------
+    views, valid
+        The views [n, y, x, c] of the sweep, and their masks [n, y, x] or None.
+    nearest
+        The nearest surface in each view, [n, y, x], that the map found so far leaves; None in the first sweep.
+    volume
+        The costs [l, y, x] of each pixel, which the aggregation may overwrite; None if `Aggregation.has_own_costs`.
+    expect
+        Changes costs [l, y, x] for what is known beforehand, such as the last map of a stream; None if nothing is.
+    """
+
+    views: Array
+    valid: Array | None
+    nearest: Array | None
+    volume: Array | None
+    expect: Callable[[Array], None] | None = None
+
+
+class Aggregation(ABC):
+    """A way to find the best surface through costs. Instances are made once for each row of the table of sweeps."""
+
+    has_own_costs: ClassVar[bool] = False
+    """Whether the sweep leaves its costs to the aggregation, which reads `Swept.views` instead of `Swept.volume`."""
+
+    evidence: tuple[Array, Array] | None = None
+    """Costs and path costs, fields [l, y, x] after each call, by which the map is judged; None if it judges itself."""
+
+    confidence: Array | None = None
+    """The confidence [y, x], 0 to 1, of the last map; None if it is judged by `evidence`."""
+
+    variance: Array | None = None
+    """The variance of the disparity [y, x], (pixels per view step)², with `confidence`."""
+
+    @abstractmethod
+    def __call__(self, swept: Swept, disparity_out: Array) -> None:
+        """Find the disparity [y, x] of each pixel, pixels per view step."""
+
+
+class SemiGlobal(Aggregation):
+    """Semi-global matching (Hirschmüller 2008) through costs that are averaged over like pixels.
+
+    Parameters
+    ----------
+    planning
+        What it is planned for.
+    at_edges
+        Whether surfaces end rather where the image has edges. The edges are those of the views as they are compared,
+        smoothed if they have grain: noise is no edge.
+    """
+
+    def __init__(self, planning: Planning, *, at_edges: bool) -> None:
+        frame, config = planning.frame, planning.frame.config
+        self._frame, self._kernels, self._prior, self._near = frame, frame.kernels, planning.prior, planning.near
+        tuning, penalties = config.tuning.semi_global, config.semi_global
+        factor, self._contrast = 1.0, tuning.contrast
+        if not at_edges:
+            factor, self._contrast = tuning.resweep_factor, tuning.resweep_contrast
+        self._small, self._large = penalties.small_penalty, factor * penalties.large_penalty
+        self._noise, self._most_noisy = noise_cost(config), tuning.most_noisy
+        self._costs = frame.arena.field("averaged costs", (frame.disparities.count, *frame.size))
+        self.evidence = self._costs, frame.arena.field("costs", (frame.disparities.count, *frame.size))
+        with frame.arena.scratch() as scratch:
+            self._penalty_scale, self._workspace = scratch.fields(2, frame.size)
+
+    def __call__(self, swept: Swept, disparity_out: Array) -> None:
+        """See `Aggregation`. The sums over paths overwrite the volume."""
+        volume, disparities = swept.volume, self._frame.disparities
+        assert volume is not None
+        self._near.average(volume, self._costs)
+        self._scale_penalties()
+        if swept.expect is not None:
+            swept.expect(self._costs)
+        self._kernels.semi_global(
+            self._costs,
+            self._frame.compared_image,
+            self._penalty_scale,
+            small=self._small,
+            large=self._large,
+            contrast=self._contrast,
+            sum_out=volume,
+        )
+        self._kernels.winner_takes_all(
+            volume, first=disparities.first, step=disparities.step, disparity_out=disparity_out
+        )
+
+    def _scale_penalties(self) -> None:
+        """Find the noise around each pixel, in units of the light field's, 1 to `most_noisy`.
+
+        Where views differ more than elsewhere even at the disparity at which they agree best (grain, gloss), all
+        differences of costs are larger by chance, and the penalties must be as well. The noise is the harmonic mean of
+        the least costs in the window: a few pixels that no view shows well do not raise it.
+        """
+        kernels, noise, scale, workspace = self._kernels, self._noise, self._penalty_scale, self._workspace
+        ones = self._prior.ones
+        kernels.least_costs(self._costs, least_out=scale)
+        kernels.clamp(scale, noise / self._most_noisy, noise * self._most_noisy**2, scale)
+        kernels.divide(ones, scale, scale)
+        self._prior.mean(scale, workspace)
+        kernels.axpby(noise, workspace, 0.0, workspace, workspace)
+        kernels.divide(ones, workspace, scale)
+        kernels.clamp(scale, 1.0, self._most_noisy, scale)
+
+
+AGGREGATIONS: Mapping[str, Callable[[Planning], Aggregation]] = {
+    "semi-global, cut at edges": lambda planning: SemiGlobal(planning, at_edges=True),
+    "semi-global": lambda planning: SemiGlobal(planning, at_edges=False),
+}
+"""Aggregations by name."""

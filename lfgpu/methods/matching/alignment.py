@@ -1,0 +1,135 @@
+"""The alignment: Gauss-Newton steps make a matched map continuous."""
+
+from __future__ import annotations
+
+import math
+
+from lfgpu.contract import Array, Scalar
+from lfgpu.data.layout import ViewLayout
+from lfgpu.methods.arena import Arena
+from lfgpu.methods.base import Callback
+from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.frame import Frame, Loaded
+from lfgpu.methods.prior import NonLocalMeans
+
+_BESIDE = 1  # pixels beside an edge in another view where both sides are mixed: they are left out
+
+
+class Alignment:
+    """Steps on the common evidence of the views that see a pixel, and the plane through similar pixels after each.
+
+    Of large grids, every other view is compared until the last step.
+
+    Parameters
+    ----------
+    frame
+        The views.
+    prior
+        The weights of like pixels.
+    bounds
+        (low, high) of the disparities, pixels per view step.
+    """
+
+    def __init__(self, frame: Frame, prior: NonLocalMeans, *, bounds: tuple[float, float]) -> None:
+        arena, config = frame.arena, frame.config
+        self._frame, self._kernels, self._prior, self._bounds = frame, frame.kernels, prior, bounds
+        self._tuning, self._farthest = config.tuning.alignment, frame.layout.farthest
+        self._reach = self._tuning.reach * frame.disparities.step
+        self._last = _Step(arena, frame.layout, config, self._farthest)
+        self._first = self._last
+        if frame.compared_layout is not frame.layout:
+            self._first = _Step(arena, frame.compared_layout, config, self._farthest)
+        self.moves = [arena.device.scalar(0.0) for _ in range(config.alignment.iterations)]
+        """Sums over the squares of each step."""
+        self.trust = arena.device.scalar(0.0)
+        """The amount of texture; 0 if there was none."""
+        self.curvature = arena.field("curvature", frame.size)
+        """The curvature of the views' differences at the map [y, x] of the last step."""
+        with arena.scratch() as scratch:
+            self._slope, self._certainty, self._workspace = scratch.fields(3, frame.size)
+
+    def load(self) -> None:
+        """Take the views of a frame."""
+        self._last.load(self._frame.image, self._frame.used)
+        if self._first is not self._last:
+            self._first.load(self._frame.image, self._frame.thinned)
+
+    def run(self, matched: Array, map_out: Array, steps: int, callback: Callback | None) -> None:
+        """Align a matched map [y, x] by so many steps."""
+        kernels, tuning, workspace = self._kernels, self._tuning, self._workspace
+        longest, support = tuning.longest_step / self._farthest, tuning.support / self._farthest
+        kernels.copy(matched, map_out)
+        for iteration, moved in enumerate(self.moves[:steps], 1):
+            step = self._last if iteration == steps else self._first
+            step(map_out, self.curvature, self._slope)
+            floor = tuning.least_curvature * tuning.robust**2
+            self._prior.ratio(map_out, self._slope, self.curvature, support=support, floor=floor, ratio_out=workspace)
+            kernels.clamp(workspace, -longest, longest, workspace)
+            kernels.dot(workspace, workspace, moved)
+            kernels.axpby(1.0, map_out, 1.0, workspace, map_out)
+            kernels.clamp(map_out, *self._bounds, map_out)
+            if iteration == steps:
+                self.put_back(matched, map_out)
+            self._weigh_texture()
+            self._prior.plane(map_out, self._certainty, support=support, ridge=tuning.ridge, plane_out=workspace)
+            kernels.copy(workspace, map_out)
+            if callback is not None:
+                callback(iteration, self._size_of(moved))
+        kernels.axpby(1.0, self._certainty, -tuning.still, self._prior.ones, workspace)
+        kernels.dot(workspace, self._prior.ones, self.trust)
+
+    def trace(self) -> tuple[float, ...]:
+        """The root mean square of each step, pixels per view step; waits for the device."""
+        return tuple(map(self._size_of, self.moves))
+
+    def put_back(self, matched: Array, map_: Array) -> None:
+        """Return the pixels of a map to where they were matched, if they are farther than the reach from there.
+
+        The smooth shading of a glossy surface moves with what is mirrored in it, not with the surface. It draws pixels
+        away from the surface, a little farther in every step; matching is right there to about one disparity.
+        """
+        kernels, workspace = self._kernels, self._workspace
+        kernels.axpby(1.0, map_, -1.0, matched, workspace)
+        kernels.multiply(workspace, workspace, workspace)
+        kernels.threshold(workspace, self._reach**2, workspace)
+        kernels.select(workspace, matched, map_, map_)
+
+    def _weigh_texture(self) -> None:
+        """certainty = curvature / (curvature + stiffness) + a little, so that means exist where nothing is certain."""
+        kernels, tuning, ones = self._kernels, self._tuning, self._prior.ones
+        kernels.axpby(1.0, self.curvature, tuning.stiffness * tuning.robust**2, ones, self._certainty)
+        kernels.divide(self.curvature, self._certainty, self._certainty)
+        kernels.axpby(1.0, self._certainty, tuning.still, ones, self._certainty)
+
+    def _size_of(self, moved: Scalar) -> float:
+        height, width = self._frame.size
+        return math.sqrt(self._kernels.number(moved) / (height * width))
+
+
+class _Step:
+    """A step over the views of one layout: which of them see a pixel, and how well these agree."""
+
+    def __init__(self, arena: Arena, layout: ViewLayout, config: MatchingConfig, farthest: float) -> None:
+        kernels, tuning = arena.kernels, config.tuning.alignment
+        offsets = arena.device.field(layout.offsets)
+        self._hiding = kernels.z_buffer(layout.shape, offsets, reach=_BESIDE)
+        self._align = kernels.alignment(
+            layout.shape,
+            offsets,
+            scale=layout.scale,
+            gradient_weight=tuning.gradient_weight,
+            contrast=tuning.contrast,
+            robust=tuning.robust,
+            tolerance=config.tuning.sweep.tolerance / farthest,
+        )
+        with arena.scratch() as scratch:
+            self._nearest = scratch.field(layout.shape[:3])
+
+    def load(self, image: Array, views: Loaded) -> None:
+        """Take the reference image [y, x, c] and the views, as stored."""
+        self._align.load(image, *views)
+
+    def __call__(self, map_: Array, curvature_out: Array, slope_out: Array) -> None:
+        """Curvature and slope [y, x] of how the views differ at a map [y, x]."""
+        self._hiding(map_, self._nearest)
+        self._align(map_, self._nearest, curvature_out, slope_out)

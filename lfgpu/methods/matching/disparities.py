@@ -1,0 +1,56 @@
+"""The disparities that sweeps compare, and the partial view sets."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lfgpu.contract import Disparities, Float64Array
+from lfgpu.methods.matching.config import SweepConfig
+
+_DIRECTIONS = 8  # in which partial view sets lie
+_ON_LINE = 1e-3  # view steps: a view that is nearer to a border lies on it
+_ON_BOUND = 1e-6  # steps: a disparity that is nearer to a bound lies on it
+_FEWEST = 3  # a minimum between two disparities is found from three
+
+
+def compared_disparities(bounds: tuple[float, float], farthest: float, config: SweepConfig) -> Disparities:
+    """The disparities that are compared: odd halves of a step that cover the bounds.
+
+    A step is `config.step` pixels in the farthest view, or as long as it takes for `config.max_labels` disparities. The
+    outermost disparities are on a bound or less than a step beyond it: maps are clamped, so surfaces beyond a bound end
+    up on it. If disparities went from bound to bound, a slightly wider range would move all of them, and with them each
+    pixel that is almost as well matched elsewhere.
+
+    Parameters
+    ----------
+    bounds
+        (low, high), pixels per view step.
+    farthest
+        Distance of the farthest view, view steps.
+    config
+        `step` and `max_labels`.
+    """
+    low, high = bounds
+    step = max(config.step / farthest, (high - low) / (config.max_labels - 2))
+    begin, end = math.floor(low / step - 0.5 + _ON_BOUND), math.ceil(high / step - 0.5 - _ON_BOUND)
+    return Disparities((begin + 0.5) * step, step, max(end - begin + 1, _FEWEST))
+
+
+def view_sets(offsets: Float64Array, angle: float) -> Float64Array:
+    """Sets of views at `offsets` [n, 2] that may see past an outline together, [m, n] of 1 and 0.
+
+    The first set holds all views. The others hold the views within an angle (degrees) around the reference, in eight
+    directions, with the views on the borders; sets that repeat others or are empty are left out.
+    """
+    turns = 2 * np.pi * np.arange(_DIRECTIONS)[:, None] / _DIRECTIONS
+    along = np.cos(turns) * offsets[:, 0] + np.sin(turns) * offsets[:, 1]
+    ahead = along - math.cos(math.radians(angle) / 2) * np.hypot(*offsets.T) > -_ON_LINE
+    others = np.abs(offsets).max(1) > _ON_LINE
+    found: dict[bytes, Float64Array] = {}
+    for view_set in (np.ones(len(offsets), bool), *ahead):
+        used = np.asarray(view_set & others, np.float64)
+        if used.any():
+            found.setdefault(used.tobytes(), np.asarray(view_set, np.float64))
+    return np.stack(list(found.values()))

@@ -1,0 +1,200 @@
+"""The views of one frame: loaded once, smoothed if they have grain, and chosen for each sweep."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from lfgpu.contract import WHITE, Array, Disparities, PlaneSweep, ViewSets, ZBuffer
+from lfgpu.data.layout import ViewLayout
+from lfgpu.methods.arena import Arena
+from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.disparities import view_sets
+from lfgpu.methods.matching.views import VIEWS, ChosenViews
+from lfgpu.methods.prior import UNLIKE_ANY
+
+Load = Callable[[Array, Array, Array | None], None]
+"""Takes a reference image [y, x, c], views [n, y, x, c] and their masks [n, y, x] or None."""
+
+Loaded = tuple[Array, Array | None]
+"""Views [n, y, x, c] and their masks [n, y, x]."""
+
+
+class Frame:
+    """The views of a frame on the device.
+
+    Parameters
+    ----------
+    arena
+        Where buffers come from.
+    chosen
+        The views that are used, and those that are compared.
+    disparities
+        The disparities that sweeps compare.
+    config
+        All parameters, in units of the noise.
+    deviation
+        Difference between pixels of a view that smoothing averages, intensity; None if views are not smoothed.
+    masked
+        Whether masks may come that the layout does not have.
+    """
+
+    def __init__(
+        self,
+        arena: Arena,
+        chosen: ChosenViews,
+        disparities: Disparities,
+        config: MatchingConfig,
+        *,
+        deviation: float | None,
+        masked: bool = False,
+    ) -> None:
+        layout, image = chosen.used, (*chosen.used.size, chosen.used.channels)
+        self.arena, self.kernels, self.config, self.disparities = arena, arena.kernels, config, disparities
+        self.layout, self.compared_layout, self.size = layout, chosen.compared, layout.size
+        self.is_masked = masked or layout.masks is not None
+        self.valid = None if layout.masks is None else arena.constant("masks", np.stack(layout.masks))
+        """The masks of the used views, a field [n, y, x]; None if all pixels are valid. Streams change it."""
+        self.image = arena.image("image", image)
+        """The reference image [y, x, c], `UNLIKE_ANY` where it is invalid."""
+        self.scale, self.compared_image = layout.scale, self.image
+        self._given = Selection(self, "used views", chosen.given, layout, layout.dtype)
+        self._thinned = Selection(self, "compared views", chosen.chosen, chosen.compared, layout.dtype)
+        self._deviation, self._stored = deviation, layout.dtype
+        if deviation is not None:
+            self.compared_image, self.scale = arena.image("smoothed image", image), 1 / WHITE
+            self._stored = np.dtype(np.uint16)
+            self._smoothed = arena.image("smoothed views", chosen.compared.shape, np.uint16)
+        self._swept: dict[tuple[int, ...], SweptViews] = {}
+        self.used: Loaded
+        """The used views, as stored."""
+        self.thinned: Loaded
+        """The compared views, as stored."""
+        self.compared: Loaded
+        """The compared views, smoothed if they have grain; `scale` turns their values into intensities."""
+
+    def load(self, views: Array) -> None:
+        """Take all views [n, y, x, c] of a frame, as stored."""
+        kernels, layout = self.kernels, self.layout
+        self.used = self._given.of(views, None)[0], self.valid
+        kernels.intensities(
+            self.used[0], layout.reference, self.valid, scale=layout.scale, fill=UNLIKE_ANY, image_out=self.image
+        )
+        self.thinned = self.compared = self._thinned.of(*self.used)
+        if self._deviation is not None:
+            views, valid = self.thinned
+            kernels.smooth_views(views, valid, scale=layout.scale, deviation=self._deviation, views_out=self._smoothed)
+            reference = self.compared_layout.reference
+            kernels.intensities(
+                self._smoothed, reference, valid, scale=self.scale, fill=UNLIKE_ANY, image_out=self.compared_image
+            )
+            self.compared = self._smoothed, valid
+        for swept in self._swept.values():
+            swept.is_loaded = False
+
+    def swept(self, rule: str) -> SweptViews:
+        """The compared views that a row of `VIEWS` chooses; rules that choose the same views share them."""
+        layout = self.compared_layout
+        chosen = tuple(VIEWS[rule](layout, self.config.sweep.views))
+        if chosen not in self._swept:
+            some = None if len(chosen) == layout.count else list(chosen)
+            name = f"views {len(self._swept)}"
+            self._swept[chosen] = SweptViews(self, Selection(self, name, some, layout.subset(chosen), self._stored))
+        return self._swept[chosen]
+
+
+class Selection:
+    """Some views of a frame and their masks, copied on the device.
+
+    Parameters
+    ----------
+    frame
+        The frame.
+    name
+        The name of the copies.
+    chosen
+        Indices of the views, in order; None if all are taken, which copies nothing.
+    layout
+        The layout of the chosen views.
+    stored
+        Type in which their values are stored.
+    """
+
+    def __init__(
+        self, frame: Frame, name: str, chosen: list[int] | None, layout: ViewLayout, stored: np.dtype[np.generic]
+    ) -> None:
+        self.layout, self._kernels, self._chosen, arena = layout, frame.kernels, chosen, frame.arena
+        if chosen is not None:
+            self._views = arena.image(name, layout.shape, stored)
+            self._masks = arena.field(f"{name}, masks", layout.shape[:3]) if frame.is_masked else None
+
+    def of(self, views: Array, valid: Array | None) -> Loaded:
+        """Copy the chosen ones of all views [n, y, x, c] and of their masks [n, y, x]."""
+        if self._chosen is None:
+            return views, valid
+        self._kernels.line_of_views(views, self._chosen, vertical=False, epis_out=self._views)
+        if valid is None:
+            return self._views, None
+        self._kernels.line_of_views(valid, self._chosen, vertical=False, epis_out=self._masks)
+        return self._views, self._masks
+
+
+class SweptViews:
+    """The views of a sweep, and the operations that compare them."""
+
+    def __init__(self, frame: Frame, selection: Selection) -> None:
+        self.frame, self.layout, self._selection = frame, selection.layout, selection
+        self.is_loaded = False
+        self._loads: list[Load] = []
+        self._hiding: dict[int, ZBuffer] = {}
+        self._costs: dict[str, Any] = {}
+        self._field = frame.arena.device.field
+
+    @cached_property
+    def offsets(self) -> Array:
+        """(du, dv) of each view, a field [n, 2] in view steps."""
+        return self._field(self.layout.offsets)
+
+    @cached_property
+    def sweep(self) -> PlaneSweep:
+        """The plane sweep over these views, which costs share."""
+        frame, offsets, tuning = self.frame, self.layout.offsets, self.frame.config.tuning.sweep
+        views = ViewSets(
+            self.offsets,
+            self._field(view_sets(offsets, tuning.view_set_angle)),
+            preference=tuning.view_set_penalty,
+            tolerance=tuning.tolerance / self.layout.farthest,
+            least=max(1, math.ceil(tuning.min_share * (len(offsets) - 1))),
+        )
+        sweep = frame.kernels.plane_sweep(self.layout.shape, views, frame.disparities, scale=frame.scale)
+        self.on_load(sweep.load)
+        return sweep
+
+    def cost(self, name: str, plan: Callable[[SweptViews], Any]) -> Any:
+        """The cost of that name over these views, planned when it is first asked for."""
+        if name not in self._costs:
+            self._costs[name] = plan(self)
+        return self._costs[name]
+
+    def on_load(self, load: Load) -> None:
+        """Have `load` called once for each frame, before its first sweep over these views."""
+        self._loads.append(load)
+
+    def hiding(self, widening: int) -> ZBuffer:
+        """What finds the nearest surface in each view, when surfaces are widened by so many pixels."""
+        if widening not in self._hiding:
+            self._hiding[widening] = self.frame.kernels.z_buffer(self.layout.shape, self.offsets, reach=widening)
+        return self._hiding[widening]
+
+    def load(self) -> None:
+        """Load the views of the frame, unless they are loaded."""
+        if self.is_loaded:
+            return
+        self.is_loaded = True
+        self.loaded = self._selection.of(*self.frame.compared)
+        for load in self._loads:
+            load(self.frame.compared_image, *self.loaded)

@@ -1,0 +1,237 @@
+"""The sweeps of matching as a table: views x cost x visibility x widening x aggregation.
+
+The first sweep compares a row and a column of views; partial view sets see past occluders. Further sweeps leave out the
+views from which the surface found so far hides a pixel. Beside an outline, costs are those of the nearer surface: its
+gradients and its smoothed values reach beyond it. So the first surfaces are too large, and hide the place beside them
+from itself. Later surfaces are nearly right, and what they hide is widened by a pixel. Gradients count for less in the
+last sweep, and for nothing in the sweeps between the first and the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+from lfgpu.contract import Array
+from lfgpu.methods.matching.aggregation import AGGREGATIONS, Planning, Swept
+from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.costs import COSTS, Cost, noise_cost
+from lfgpu.methods.matching.frame import Frame
+from lfgpu.methods.matching.guesses import GuessedSurfaces
+from lfgpu.methods.matching.judging import Judging
+from lfgpu.methods.matching.known import KnownPixels
+from lfgpu.methods.prior import NonLocalMeans
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A row of a table of sweeps.
+
+    Parameters
+    ----------
+    views
+        A row of `views.VIEWS`: the views that are compared.
+    cost
+        A row of `costs.COSTS`.
+    past
+        What sees past occluders: "view sets", or "surface", the views that see a pixel past the map found so far.
+    widening
+        Pixels by which surfaces are widened before they hide anything.
+    aggregation
+        A row of `aggregation.AGGREGATIONS`.
+    """
+
+    views: str
+    cost: str
+    past: str
+    widening: int
+    aggregation: str
+
+
+ACCURATE = (
+    #     views          cost                        past         widening  aggregation
+    Sweep("cross", "gradients, reduced views", "view sets", 0, "semi-global, cut at edges"),
+    Sweep("every other", "intensities", "surface", 0, "semi-global"),
+    Sweep("every other", "intensities", "surface", 1, "semi-global"),
+    Sweep("all", "few gradients", "surface", 1, "semi-global"),
+)
+FAST = (
+    Sweep("cross", "gradients, reduced views", "view sets", 0, "semi-global, cut at edges"),
+    Sweep("all", "few gradients", "surface", 0, "semi-global"),
+)
+
+
+def matching_sweeps(resweeps: int) -> tuple[Sweep, ...]:
+    """The table for a number of sweeps after the first: `ACCURATE` with its third row left out or repeated."""
+    first, second, third, last = ACCURATE
+    if resweeps < len(FAST):
+        return FAST[: 1 + resweeps]
+    return (first, second, *(third,) * (resweeps - 2), last)
+
+
+TABLES: Mapping[str, Callable[[int], tuple[Sweep, ...]]] = {"matching": matching_sweeps}
+"""Tables of sweeps by name (`MatchingTuning.passes`), each for a number of sweeps after the first."""
+
+
+def sweeps_of(config: MatchingConfig) -> tuple[Sweep, ...]:
+    """The table that parameters name."""
+    first, *further = TABLES[config.tuning.passes](config.sweep.resweeps)
+    return (replace(first, views=config.tuning.sweep.first_views), *further)
+
+
+class PlannedSweep:
+    """A row of the table for light fields of one kind, allocated.
+
+    Parameters
+    ----------
+    row
+        The row.
+    frame
+        The views.
+    prior, near
+        The weights of like pixels, see `Planning`.
+    """
+
+    def __init__(self, row: Sweep, frame: Frame, *, prior: NonLocalMeans, near: NonLocalMeans) -> None:
+        self.row, self._views = row, frame.swept(row.views)
+        arena, shape = frame.arena, self._views.layout.shape
+        self._hiding = self._views.hiding(row.widening) if row.past == "surface" else None
+        with arena.scratch() as scratch:
+            self._nearest = None if self._hiding is None else scratch.field(shape[:3])
+            self.aggregation = AGGREGATIONS[row.aggregation](Planning(frame, self._views, prior, near))
+        self._cost: Cost | None = None
+        self._volume: Array | None = None
+        if not self.aggregation.has_own_costs:
+            self._cost = self._views.cost(row.cost, COSTS[row.cost])
+            self._volume = arena.field("costs", (frame.disparities.count, *frame.size))
+
+    def __call__(
+        self, surface: Array | None, disparity_out: Array, expect: Callable[[Array], None] | None = None
+    ) -> None:
+        """Find a map [y, x]; `surface` [y, x] is what hides anything in the views, `expect` as in `Swept`."""
+        self._views.load()
+        if self._hiding is not None:
+            self._hiding(surface, self._nearest)
+        if self._cost is not None and self._nearest is not None:
+            self._cost.by_visibility(self._nearest, self._volume)
+        elif self._cost is not None:
+            self._cost.by_view_sets(self._volume)
+        self.aggregation(Swept(*self._views.loaded, self._nearest, self._volume, expect), disparity_out)
+
+
+class Sweeps:
+    """All sweeps of a table for light fields of one kind.
+
+    Parameters
+    ----------
+    frame
+        The views.
+    prior, near
+        The weights of like pixels, see `Planning`.
+    known
+        The pixels that the reference view recorded.
+    kind
+        A key of the weights in `trust.py`.
+    bounds
+        (low, high) of the disparities, pixels per view step.
+    """
+
+    def __init__(
+        self,
+        frame: Frame,
+        *,
+        prior: NonLocalMeans,
+        near: NonLocalMeans,
+        known: KnownPixels,
+        kind: str,
+        bounds: tuple[float, float],
+    ) -> None:
+        arena, config, tuning = frame.arena, frame.config, frame.config.tuning.sweep
+        disparities, size = frame.disparities, frame.size
+        self._put_far = known.putting(bounds[0])  # an unknown pixel hides nothing
+        first, *further = sweeps_of(config)
+        self._guesses, self._plan = None, partial(PlannedSweep, frame=frame, prior=prior, near=near)
+        with arena.scratch() as scratch:
+            self._hides, self._evidence = scratch.fields(2, size)
+            self.judging = Judging(
+                arena, size, kind=kind, bounds=bounds, step=disparities.step, unit=noise_cost(config)
+            )
+            if further and tuning.ambiguity < 1:
+                self._guesses = GuessedSurfaces(
+                    arena,
+                    size,
+                    share=tuning.ambiguity,
+                    disparities=disparities,
+                    tolerance=tuning.tolerance / frame.layout.farthest,
+                    ones=prior.ones,
+                )
+            self._first, self._further = self._plan(first), [self._plan(row) for row in further]
+        self.unhidden = arena.field("evidence of the first sweep", size) if further else None
+        """The evidence [y, x] of the sweep in which no surface hid anything; None if no sweep follows it."""
+
+    @property
+    def are_several(self) -> bool:
+        """Whether sweeps follow the first one."""
+        return bool(self._further)
+
+    @property
+    def last(self) -> PlannedSweep:
+        """The last sweep."""
+        return self._further[-1] if self._further else self._first
+
+    def first(self, map_out: Array) -> None:
+        """Find a first map [y, x]."""
+        self._find(self._first, None, map_out)
+        if self.unhidden is not None and self._first.aggregation.evidence is not None:
+            self.judging.evidence(*self._first.aggregation.evidence, self.unhidden)
+
+    def further(self, found: Array, map_out: Array) -> None:
+        """Find a better map [y, x], past the surfaces of the first one."""
+        before, evidence = self._first, self.unhidden
+        for sweep in self._further:
+            self._find(sweep, self._hiding_part(found, before, evidence), map_out)
+            before, found, evidence = sweep, map_out, None
+
+    def past(self) -> PlannedSweep:
+        """The last sweep, in a form that looks past a surface even if no sweep follows the first one."""
+        if self._further:
+            return self._further[-1]
+        return self._plan(replace(self._first.row, past="surface", aggregation=ACCURATE[-1].aggregation))
+
+    def find_past(
+        self, sweep: PlannedSweep, surface: Array, map_out: Array, expect: Callable[[Array], None] | None
+    ) -> None:
+        """Find a map [y, x] past a surface [y, x] that is known beforehand."""
+        self._find(sweep, surface, map_out, expect)
+
+    def judge(self, sweep: PlannedSweep, map_: Array, unhidden: Array | None, confidence_out: Array) -> None:
+        """Find the confidence [y, x] and the variance of a map [y, x] to which a sweep led; see `Judging.run`."""
+        by = sweep.aggregation
+        if by.evidence is not None:
+            self.judging.run(*by.evidence, map_, unhidden, confidence_out)
+        else:
+            assert by.confidence is not None
+            assert by.variance is not None
+            self.judging.kernels.copy(by.confidence, confidence_out)
+            self.judging.kernels.copy(by.variance, self.judging.variance)
+
+    def _find(
+        self,
+        sweep: PlannedSweep,
+        surface: Array | None,
+        map_out: Array,
+        expect: Callable[[Array], None] | None = None,
+    ) -> None:
+        sweep(surface, map_out, expect)
+        self._put_far(map_out)
+
+    def _hiding_part(self, found: Array, before: PlannedSweep, evidence: Array | None) -> Array:
+        """The surfaces of a found map that hide anything: guessed ones are replaced by farther ones."""
+        if self._guesses is None or before.aggregation.evidence is None:
+            return found
+        if evidence is None:
+            evidence = self._evidence
+            self.judging.evidence(*before.aggregation.evidence, evidence)
+        self._guesses.run(evidence, found, self._hides)
+        return self._hides

@@ -1,0 +1,117 @@
+"""View rules: which views each pass compares. A rule is a function here and a row of `VIEWS`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from lfgpu.contract import Float64Array
+from lfgpu.data.layout import ViewLayout
+
+ViewRule = Callable[[ViewLayout, str], list[int]]
+"""Chooses views of a layout, given `sweep.views`: indices in order, the reference among them."""
+
+_FEWEST = 4  # views beside the reference that a pattern must have
+_ON_PLACE = 1e-3  # view steps: a view that is farther from every place of a grid is beside it
+_CHESSBOARD = {"alternate": 40, "cross": 9}  # views that must be left of the fields of one colour, by `sweep.views`
+_EVERY_OTHER = {"alternate": 25}  # views that must be left of every other row and column, by `sweep.views`
+
+
+def used_views(layout: ViewLayout, pattern: str) -> list[int]:
+    """Choose the views of a pattern, or all views if fewer than four beside the reference are in it."""
+    used = np.flatnonzero(layout.pattern("full" if pattern == "alternate" else pattern))
+    return _indices(used) if len(used) > _FEWEST else _all(layout, pattern)
+
+
+def compared_views(layout: ViewLayout, pattern: str) -> list[int]:
+    """Choose the used views that all sweeps, and all steps of the alignment but the last, choose from.
+
+    For the patterns "alternate" and "cross" these are the fields of the reference's colour on a chessboard; where too
+    few would be left, the views that `every_other_view` chooses. For other patterns they are all.
+    """
+    places = _places(layout) if pattern in _CHESSBOARD else None
+    if places is None:
+        return _all(layout, pattern)
+    chosen = np.flatnonzero(places.sum(1) % 2 == 0)
+    return _indices(chosen) if len(chosen) >= _CHESSBOARD[pattern] else every_other_view(layout, pattern)
+
+
+def cross_views(layout: ViewLayout, pattern: str) -> list[int]:
+    """Choose the views in the reference's row and column, or all if fewer than four beside the reference are there."""
+    return used_views(layout, "cross")
+
+
+def every_other_view(layout: ViewLayout, pattern: str) -> list[int]:
+    """Choose every other row and column of a grid, from the outermost ones to the reference's.
+
+    All views are chosen unless the pattern is "alternate" and 25 views or more are left.
+    """
+    places = _places(layout) if pattern in _EVERY_OTHER else None
+    if places is not None:
+        inwards = np.where(places > 0, places.max(0) - places, places - places.min(0))
+        chosen = np.flatnonzero(((inwards % 2 == 0) | (places == 0)).all(1))
+        if len(chosen) >= _EVERY_OTHER[pattern]:
+            return _indices(chosen)
+    return _all(layout, pattern)
+
+
+def _all(layout: ViewLayout, pattern: str) -> list[int]:
+    return list(range(layout.count))
+
+
+VIEWS: Mapping[str, ViewRule] = {"all": _all, "cross": cross_views, "every other": every_other_view}
+"""Rules by name, each for the compared views of a sweep."""
+
+
+@dataclass(frozen=True)
+class ChosenViews:
+    """The views that the passes of a plan compare, as layouts.
+
+    Parameters
+    ----------
+    given
+        Indices of the used views among all; None if all are used.
+    used
+        The layout of the used views.
+    chosen
+        Indices of the compared views among the used ones; None if all are compared.
+    compared
+        The layout of the compared views.
+    """
+
+    given: list[int] | None
+    used: ViewLayout
+    chosen: list[int] | None
+    compared: ViewLayout
+
+
+def chosen_views(layout: ViewLayout, pattern: str) -> ChosenViews:
+    """Apply `sweep.views` to a layout."""
+    given = used_views(layout, pattern)
+    used = layout.subset(given)
+    chosen = compared_views(used, pattern)
+    return ChosenViews(
+        given if used.count < layout.count else None,
+        used,
+        chosen if len(chosen) < used.count else None,
+        used.subset(chosen),
+    )
+
+
+def are_around(offsets: Float64Array) -> bool:
+    """Whether views at `offsets` [n, 2] surround the reference: their directions leave no half of a turn open."""
+    du, dv = offsets[np.hypot(*offsets.T) > _ON_PLACE].T
+    turns = np.sort(np.arctan2(dv, du))
+    return bool(np.diff(turns, append=turns[:1] + 2 * np.pi).max(initial=0) < np.pi - _ON_PLACE)
+
+
+def _places(layout: ViewLayout) -> Float64Array | None:
+    """The places of views in a grid, in view steps from the reference; None if a view is beside them."""
+    places = np.rint(layout.offsets)
+    return places if np.abs(layout.offsets - places).max() < _ON_PLACE else None
+
+
+def _indices(chosen: np.ndarray) -> list[int]:
+    return [int(index) for index in chosen]
