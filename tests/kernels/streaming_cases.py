@@ -33,7 +33,7 @@ STREAMING_CASES = (
     StreamingCase("farther than it may", shift=(2.6, 0.0), dtype="uint16"),
     StreamingCase("cut", cut=True, dtype="float16"),
     StreamingCase("one pixel high", size=(1, 40), channels=1),
-    StreamingCase("more pixels than samples", size=(130, 70), masked=True),
+    StreamingCase("more pixels than samples", size=(130, 70), channels=1, masked=True),
 )
 
 
@@ -53,8 +53,8 @@ def streaming_inputs(case: StreamingCase, rng: np.random.Generator) -> SimpleNam
     steps = np.cumsum(rng.random(case.size) < 0.1, axis=1)  # surfaces, one beside the other
     views = np.stack([rng.random(image.shape), image, rng.random(image.shape)])
     before = np.stack([views[0], last, views[2]])
-    if case.dtype == "float32":
-        views[1, 0, 0] = 2.0  # beyond what intensities are
+    if case.dtype.startswith("float"):
+        views[1, 0, 0, 0] = 2.0  # beyond what intensities are, in one channel
     return SimpleNamespace(
         image=float32(image),
         last=float32(last),

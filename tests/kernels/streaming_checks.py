@@ -50,7 +50,7 @@ def blend(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 
 def transport(desk: Desk, i: SimpleNamespace) -> Outputs:
-    """Two frames, and a map of the second: what changed, which views were there, and what came of the work."""
+    """Three frames, and a map of the last: what changed, which views were there, and what came of the work."""
     kernels, size = desk.kernels, i.past.shape
     views = kernels.zeros_image(i.views.shape, desk.device, i.views.dtype)
     disparity, confidence = desk.held(i.disparity), desk.held(i.confidence)
@@ -60,7 +60,7 @@ def transport(desk: Desk, i: SimpleNamespace) -> Outputs:
     )
     traffic.enter()
     shares = []
-    for frame, present in ((i.before, np.ones(3)), (i.views, i.present)):
+    for frame, present in ((i.views, np.ones(3)), (i.before, np.ones(3)), (i.views, i.present)):
         slot = traffic.slot()
         slot.host[:], slot.present[:] = frame, present
         traffic.send(slot, 0, 2)

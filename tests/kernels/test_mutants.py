@@ -36,13 +36,13 @@ from lfgpu.kernels import reference
 pytestmark = pytest.mark.thorough
 
 REFERENCE = load("reference")
-ROOM = 40_000  # elements of the inputs: larger cases are about blocks of threads
+ROOM = 250_000  # elements of the inputs: larger cases are about blocks of threads
 MODULES = [module.name for module in pkgutil.iter_modules(reference.__path__) if module.name != "backend"]
 CHECKED_ALONE = {"control", "memory"}  # by tests/kernels/test_checks_can_fail.py
 SAME = {
     **{"alignment": 2, "boundaries": 4, "confidence": 1, "conjugate": 1, "cost_volume": 2, "lbfgs": 13, "nlm": 3},
     **{"nlm_regression": 1, "occlusion": 2, "range_search": 7, "resampling": 1, "residuals": 4, "semi_global": 2},
-    **{"smoothing": 7, "splat": 2, "structure_tensor": 2, "vector": 2},
+    **{"smoothing": 7, "splat": 2, "structure_tensor": 2, "vector": 2, "motion": 8, "streaming": 8},
 }
 """By module, how many mutants compute the same: values that are overwritten before they are read, slices that end
 behind the last element, numbers beside a division that is not taken, limits that nothing comes near."""
