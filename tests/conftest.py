@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from lfgpu._backends import list_backends, load
 from lfgpu.contract import KernelSet
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import BackendError
 from lfgpu.io import write_hci
 from lfgpu.scenes import render, synthesis
@@ -204,6 +205,14 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded") / "boxes"
     write_hci(boxes(), folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def true() -> LightField:
+    """The light field that samples of all formats are written from, for tests/io."""
+    from fields import scene
+
+    return scene()
 
 
 @pytest.fixture(scope="session")
