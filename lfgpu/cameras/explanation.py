@@ -21,6 +21,7 @@ from lfgpu.cameras.points import known_pixels
 from lfgpu.contract import Device, Float32Array, Float64Array
 from lfgpu.data import hooks
 from lfgpu.data.lightfield import LightField
+from lfgpu.io.parallax import contradiction, no_parallax
 
 if TYPE_CHECKING:
     from lfgpu.data.result import DepthResult, DisparityMap
@@ -75,7 +76,8 @@ class Explanation(Look):
         The findings about places and directions of cameras.
     signs
         "v" if rows and columns of cameras are counted in opposite senses, "uv" if both are counted the wrong way,
-        "transposed" if rows are taken for columns; None if nothing speaks for that.
+        "transposed" if rows are taken for columns, "turned" if that and one of them is counted the wrong way; None if
+        nothing speaks for that.
     """
 
     psnr: Float64Array
@@ -158,7 +160,11 @@ def explain(
     errors = {n: np.sqrt((residual**2).mean(axis=2)) for n, residual in prediction.residuals()}
     psnr, predicted, unexplained = prediction.compared(errors)
     findings = found.findings
-    if found.signs is None and not prediction.is_as_good_as_plane(errors):
+    if (still := no_parallax(lf)) is not None:
+        findings = (still,)
+    elif found.signs is None and (against := contradiction(lf)) is not None:
+        findings = (against,)
+    elif found.signs is None and not prediction.is_as_good_as_plane(errors):
         findings = (
             "the map predicts the views worse than a plane does: it belongs to another light field or view, or the "
             "range of disparities is wrong.",

@@ -22,14 +22,34 @@ BRIGHTER, UNEQUAL = 0.03, 0.03
 
 _NAMED = 4  # views that a sentence names
 
-SIGNS: dict[Signs, str] = {
-    "v": "rows and columns of cameras are counted in opposite senses (one axis has the wrong sign): read it with "
-    "--flip v, or with --flip u if near comes out as far.",
-    "uv": "surfaces that the map has as far hide those that it has as near (both axes have the wrong sign): read it "
-    "with --flip uv.",
-    "transposed": "rows of cameras are taken for columns: swap u and v of the positions.",
+_SIGNS: dict[Signs, tuple[str, bool, str, str]] = {
+    "v": (
+        "rows and columns of cameras are counted in opposite senses (one axis has the wrong sign)",
+        False,
+        "v",
+        ", or with the other axis flipped if near comes out as far",
+    ),
+    "uv": (
+        "surfaces that the map has as far hide those that it has as near (both axes have the wrong sign)",
+        False,
+        "uv",
+        "",
+    ),
+    "transposed": ("rows of cameras are taken for columns", True, "", ""),
+    "turned": (
+        "rows of cameras are taken for columns, and one of the two is counted the other way round",
+        True,
+        "v",
+        ", or with the other axis flipped if near comes out as far",
+    ),
 }
-"""Sentence about each fault of the axes."""
+"""Sentence about each fault of the axes, how the light field has to be read, and what is left open."""
+
+
+def axes(lf: LightField, fault: Signs) -> str:
+    """A sentence about a fault of the axes, with the options that mend it; those that were given are counted in."""
+    what, transpose, flip, more = _SIGNS[fault]
+    return f"{what}: {lf.reading.advice(transpose=transpose, flip=flip)}{more}."
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,4 +171,4 @@ def _direction(x: float, y: float) -> str:
     return " and ".join(parts)
 
 
-__all__ = ["SIGNS", "Cameras", "brightness", "placement"]
+__all__ = ["Cameras", "axes", "brightness", "placement"]

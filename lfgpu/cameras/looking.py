@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lfgpu.cameras import consensus, signs
 from lfgpu.cameras.bundle import Bundle, most_points
-from lfgpu.cameras.findings import SIGNS, Cameras, brightness, placement
+from lfgpu.cameras.findings import Cameras, axes, brightness, placement
 from lfgpu.cameras.points import Points, choose_points, textured
 from lfgpu.cameras.screening import worth_a_look
 from lfgpu.cameras.surface import grey, patches
@@ -78,7 +78,8 @@ class Look(Cameras):
         The findings about places and directions of cameras.
     signs
         "v" if rows and columns of cameras are counted in opposite senses, "uv" if both are counted the wrong way,
-        "transposed" if rows are taken for columns; None if nothing speaks for that.
+        "transposed" if rows are taken for columns, "turned" if that and one of them is counted the wrong way; None if
+        nothing speaks for that.
     """
 
     points: int
@@ -132,7 +133,7 @@ def look(
     cameras = measured(lf, points, steps=effort.steps, colours=effort.colours)
     moved = placement(lf, cameras) if wrong is None and len(points.x) >= FEWEST else ()
     bright = brightness(lf, cameras) if wrong is None and len(points.x) >= FEWEST else ()
-    return _made(cameras, len(points.x), moved, bright, wrong)
+    return _made(lf, cameras, len(points.x), moved, bright, wrong)
 
 
 def _look_without_map(lf: LightField, device: Device) -> Look | None:
@@ -159,13 +160,18 @@ def _look_without_map(lf: LightField, device: Device) -> Look | None:
     cameras = measured(part, points.some(agree), steps=effort.steps, colours=effort.colours)
     moved = placement(part, cameras, single=False) if wrong is None else ()
     bright = brightness(part, cameras, single=False) if wrong is None else ()
-    return _made(cameras, int(agree.sum()), moved, bright, wrong)
+    return _made(lf, cameras, int(agree.sum()), moved, bright, wrong)
 
 
 def _made(
-    cameras: Cameras, points: int, moved: tuple[str, ...], bright: tuple[str, ...], wrong: signs.Signs | None
+    lf: LightField,
+    cameras: Cameras,
+    points: int,
+    moved: tuple[str, ...],
+    bright: tuple[str, ...],
+    wrong: signs.Signs | None,
 ) -> Look:
-    findings = (*moved, *bright) if wrong is None else (SIGNS[wrong],)
+    findings = (*moved, *bright) if wrong is None else (axes(lf, wrong),)
     return Look(**vars(cameras), points=points, findings=findings, moved=moved, signs=wrong)
 
 

@@ -19,14 +19,14 @@ from lfgpu.cameras.sweep import LABELS, sweep
 from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
 
-Signs = Literal["v", "uv", "transposed"]
-"""Fault of the axes: one has the wrong sign, both have, or they are exchanged."""
+Signs = Literal["v", "uv", "transposed", "turned"]
+"""Fault of the axes: one has the wrong sign, both have, they are exchanged, or exchanged with one of the wrong sign."""
 
 _WAYS: tuple[tuple[Signs | None, tuple[tuple[int, int], tuple[int, int]]], ...] = (
     (None, ((1, 0), (0, 1))),
     ("v", ((1, 0), (0, -1))),
     ("transposed", ((0, 1), (1, 0))),
-    ("transposed", ((0, 1), (-1, 0))),  # and one axis turned round: a quarter turn of the array
+    ("turned", ((0, 1), (-1, 0))),  # a quarter turn of the array
 )
 _POINTS = 400
 _VIEWS = 12
@@ -36,6 +36,7 @@ _BETTER = 0.92  # of the median cost: how much better another way must be,
 _SURE = 5.0  # and by how many standard errors of the mean over points
 _SPREAD = 0.5  # view steps: cameras in one line say nothing about the other axis
 
+_ONE_SIDED = 3  # views, the reference at their end, that do not tell the order of depth
 _FARTHEST = 8  # views in which the order of depth is compared
 _FEWEST = 100  # pixels that tell it
 _HIDES_BETTER = 0.9  # of the loss: how much better the other order of depth must be,
@@ -87,8 +88,12 @@ def wrong_axis(lf: LightField, points: Points, largest: float) -> Signs | None:
 def near_and_far_swapped(lf: LightField, disparity: NDArray[np.float32]) -> bool:
     """Tell whether the far surfaces of the map [y, x] hide its near ones, in several places.
 
-    A single outline that the map has wrong looks like that, too.
+    A single outline that the map has wrong looks like that, too. So does all that is hidden in every other view: there
+    the map has whatever disparity fits. Few views on one side of the reference therefore tell nothing.
     """
+    on_both_sides = ((lf.offsets @ lf.offsets.T) < 0).any()
+    if not on_both_sides and len(lf.views) <= _ONE_SIDED:
+        return False
     order = order_of_depth(lf, disparity, views=_FARTHEST)
     gain = order.near - order.far
     sure = gain.sum() > _SURELY * np.sqrt((gain**2).sum())

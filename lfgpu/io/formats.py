@@ -39,7 +39,7 @@ from lfgpu.io.flips import ORDERS, check_flip, flipped, reordered, transposed
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, listed
 from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.inside import Inside
-from lfgpu.io.parallax import contradiction
+from lfgpu.io.parallax import contradiction, no_parallax
 from lfgpu.io.white import with_white
 
 
@@ -319,7 +319,7 @@ def chosen_format(path: Path, name: str | None, pattern: str | None = None) -> t
 
 def _checked(light_field: LightField) -> LightField:
     """With a note if the pictures contradict the positions of their cameras."""
-    against = contradiction(light_field)
+    against = no_parallax(light_field) or contradiction(light_field)
     return light_field if against is None else replace(light_field, notes=(*light_field.notes, against))
 
 

@@ -237,17 +237,22 @@ _WAYS = (
 )
 
 
+def no_parallax(light_field: LightField) -> str | None:
+    """A sentence if all views are the same picture, which shows something; else None."""
+    views = light_field.views
+    if views[0].min() == views[0].max() or any(not np.array_equal(views[0], view) for view in views[1:]):
+        return None
+    return (
+        "All views are the same picture: there is no parallax, so there is no depth. Probably one camera took them, or "
+        "one file was copied."
+    )
+
+
 def contradiction(light_field: LightField) -> str | None:
     """What the pictures say against the places of their cameras, a sentence; None if nothing."""
     factor = max(1, max(light_field.size) // _AROUND)
     if min(light_field.size) < _SMALLEST * factor:
         return None
-    views = light_field.views
-    if all(np.array_equal(views[0], view) for view in views[1:]):
-        return (
-            "All views are the same picture: there is no parallax, so there is no depth. Probably one camera took "
-            "them, or one file was copied."
-        )
     beside = np.argsort(np.abs(light_field.offsets).sum(1), kind="stable")[1 : 2 * _STEPS + 1]
     chosen = sorted({int(n) for n in beside} | {n for axis in (0, 1) if (n := _beside(light_field, axis)) is not None})
     centre = _grey(light_field, light_field.reference_index, factor)

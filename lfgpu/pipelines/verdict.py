@@ -20,6 +20,7 @@ from lfgpu.contract import Device, Float32Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
+from lfgpu.io.parallax import no_parallax
 from lfgpu.methods.disparity_range import find_disparity_range
 
 MANY = 0.01
@@ -133,6 +134,8 @@ def verdict_of(
     in_part: bool = False,
 ) -> Verdict:
     """Judge a light field by a result of its reference view; parameters and errors are those of `judged`."""
+    if (still := no_parallax(lf)) is not None:
+        return Verdict(f"{still} The map means nothing.", shows_nothing=True)
     found = _on_range(lf, disparity_range, device)
     if found.note is not None or not check_cameras or not np.isfinite(result.disparity).any():
         return found  # by a map that is wrong everywhere, right cameras look askew

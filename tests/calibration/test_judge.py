@@ -19,8 +19,10 @@ from lfgpu.cameras.signs import near_and_far_swapped, order_of_depth
 from lfgpu.cameras.tones import match_tones, squared_radius_at
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.reading import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci, write_pfm
+from lfgpu.io.flips import flipped
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +84,13 @@ def test_turned_and_bright_views_are_named(boxes: LightField) -> None:
 
 @pytest.mark.parametrize("irregular", [False, True])
 @pytest.mark.parametrize(
-    ("matrix", "signs"), [(((1, 0), (0, -1)), "v"), (((-1, 0), (0, -1)), "uv"), (((0, 1), (1, 0)), "transposed")]
+    ("matrix", "signs"),
+    [
+        (((1, 0), (0, -1)), "v"),
+        (((-1, 0), (0, -1)), "uv"),
+        (((0, 1), (1, 0)), "transposed"),
+        (((0, 1), (-1, 0)), "turned"),
+    ],
 )
 def test_wrong_signs_are_found(
     boxes: LightField, matrix: tuple[tuple[int, int], tuple[int, int]], signs: str, irregular: bool
@@ -94,6 +102,41 @@ def test_wrong_signs_are_found(
     found = lfgpu.explain(turned, lfgpu.estimate_depth(turned, config="fast"))
     assert found.signs == signs
     assert len(found.findings) == 1
+
+
+@pytest.mark.parametrize("flip", ["", "u"])
+def test_a_pair_tells_nothing_of_what_hides_what(flip: str) -> None:
+    """What is hidden in the only other view has whatever disparity fits; both signs were said to be wrong."""
+    pair = flipped(
+        scenes.make("boxes", grid=(1, 2), size=(160, 200), disparity_range=(5, 30), seed=3, noise=0.01), flip
+    )
+    assert not near_and_far_swapped(pair, lfgpu.estimate_depth(pair, config="fast", check_cameras=False).disparity)
+
+
+def test_options_that_were_given_are_counted_in(boxes: LightField) -> None:
+    wrong = flipped(replace(boxes, truth=None, geometry=None, reading=Reading(flip="uv")), "uv")
+    (sentence,) = lfgpu.explain(wrong, lfgpu.estimate_depth(wrong, config="fast")).findings
+    assert sentence.endswith("read it without --flip uv.")
+    assert Reading(transpose=True, flip="u").advice(transpose=True, flip="v") == (
+        "read it without --transpose --flip u"
+    )
+    assert Reading(flip="u").advice(transpose=True) == "read it with --transpose --flip v instead of --flip u"
+
+
+def test_a_row_of_cameras_that_stood_in_a_column(boxes: LightField) -> None:
+    column = boxes.subset("column")
+    row = LightField(column.views, column.positions[:, ::-1])
+    (sentence,) = lfgpu.explain(row, np.zeros(row.size, np.float32)).findings
+    assert "at right angles to the line in which their cameras are said to stand: read it with --transpose." in sentence
+
+
+def test_one_picture_is_no_light_field(boxes: LightField) -> None:
+    same = LightField(np.repeat(boxes.views[:1], 5, axis=0), [[n, 0] for n in range(5)])
+    result = lfgpu.estimate_depth(same, config="fast")
+    assert "All views are the same picture" in result.notes[0]
+    assert result.confidence.max() <= 0.1
+    (sentence,) = lfgpu.explain(same, result).findings
+    assert "there is no parallax" in sentence
 
 
 def test_an_outline_that_the_map_has_wrong_says_nothing_of_signs() -> None:
