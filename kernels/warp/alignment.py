@@ -16,7 +16,7 @@ from lfgpu.contract import GRADIENT_REACH, Alignment
 
 from .edges import weigh_edges
 from .memory import pixel_type
-from .native_code import kernel
+from .native_code import kernel, names_of
 from .splat import as_offsets
 from .threads import launch_rows, once
 
@@ -39,31 +39,24 @@ def _kernels(channels: int, stored: Any, compact: Any, on_cpu: bool) -> SimpleNa
     pad = 4 if channels == 3 else 2
     kept = pixel_type(pad, compact)
     module = f"lfgpu_{'cpu' if on_cpu else 'gpu'}_alignment_{channels}_{stored.__name__}_{compact.__name__}"
-    kept_name, bytes_ = {
-        wp.uint8: ("unsigned char", 1),
-        wp.uint16: ("unsigned short", 2),
-        wp.float16: ("wp::half", 2),
-        wp.float32: ("float", 4),
-    }[compact]
+    names, bytes_ = names_of(kept), wp.types.type_size_in_bytes(compact)
     is_integer = compact in (wp.uint8, wp.uint16)
     numbers: dict[str, int | float | str] = {
         "CHANNELS": channels,
-        "PAD": pad,
-        "KEPT": kept_name,
+        **names,
         "BITS": 8 * bytes_,
         "BORDER": _BORDER,
         "BEFORE": _BEFORE,
         "NEAR": _AT_REFERENCE,
     }
     if not on_cpu:
-        numbers["WORDS"] = {2: "unsigned short", 4: "unsigned", 8: "uint2", 16: "uint4"}[pad * bytes_]
         numbers["IS_INTEGER"] = int(is_integer)
         numbers["PAIRS"] = "words.x, words.y" if pad * bytes_ == 8 else "words"
         align = kernel("alignment.cuh", "align", module=module, Pixel=pixel_type(channels), Kept=kept, **numbers)
         return SimpleNamespace(pack=_gpu_pack_kernel(channels, stored, compact), align=align)
     # A CPU reads a pixel as one integer, and of floats each channel by itself.
     integers = {2: "unsigned short", 4: "unsigned", 8: "unsigned long long"}
-    numbers["WORD"] = integers[pad * bytes_] if is_integer else f"struct {{ {kept_name} c[{pad}]; }}"
+    numbers["WORD"] = integers[pad * bytes_] if is_integer else f"struct {{ {names['KEPT']} c[{pad}]; }}"
     numbers["IS_FLOAT"] = int(compact is wp.float32)
     align = kernel("alignment.h", "align", module=module, Pixel=pixel_type(channels), Kept=kept, **numbers)
     pack = kernel("alignment.h", "pack", module=module, Stored=pixel_type(channels, stored), Kept=kept, **numbers)

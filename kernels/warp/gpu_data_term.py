@@ -8,7 +8,7 @@ import warp as wp
 
 from .curvature import curvature, curvature_factor
 from .memory import pixel_type
-from .native_code import function, kernel
+from .native_code import function, kernel, names_of
 from .threads import check_size, launch, once
 
 wp.set_module_options({"enable_backward": False})
@@ -33,12 +33,9 @@ def _kernels(channels: int, stored: Any, compact: Any) -> SimpleNamespace:
     padded, kept_pixel = pixel_type(pad), pixel_type(pad, compact)
     module = f"lfgpu_gpu_data_term_{channels}_{stored.__name__}"
 
-    kept_name, bytes_ = ("wp::half", 2 * pad) if compact is wp.float16 else ("float", 4 * pad)
     numbers = {
         "CHANNELS": channels,
-        "PAD": pad,
-        "KEPT": kept_name,
-        "WORDS": {4: "unsigned", 8: "uint2", 16: "uint4"}[bytes_],
+        **names_of(kept_pixel),
         "TILE_ROWS": _TILE_ROWS,
         "ROWS": _ROWS,
         "COLUMNS": _COLUMNS,

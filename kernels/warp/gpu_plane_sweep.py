@@ -5,20 +5,12 @@ from typing import Any
 import warp as wp
 
 from .memory import pixel_type
-from .native_code import kernel
+from .native_code import kernel, names_of
 from .threads import once
 
 BLOCK = 128
 _STRIPS = {(False, True): 6, (True, True): 7, (True, False): 10}  # rows, by what hides and gradients: as measured
 _WARP = 32
-_NAMES = {
-    wp.uint8: "unsigned char",
-    wp.uint16: "unsigned short",
-    wp.float16: "wp::half",
-    wp.float32: "float",
-}
-
-_WORDS = {2: "unsigned short", 4: "unsigned", 8: "uint2", 16: "uint4"}  # by their bytes: each is one load
 
 
 def threads_of(labels: int, height: int, width: int, *, seen: bool, gradients: bool) -> int:
@@ -65,10 +57,8 @@ def sweep_kernel(
         "SEEN": seen,
         "BLOCK": BLOCK,
         "BYTES": {wp.uint8: 1, wp.uint16: 2}.get(stored, 0),
-        "WORDS": _WORDS[kept._length_ * wp.types.type_size_in_bytes(stored)],
         "WORD": "unsigned" if channels == 3 else "unsigned short",
-        "KEPT": _NAMES[stored],
-        "PAD": kept._length_,
+        **names_of(kept),
     }
     module = f"lfgpu_gpu_plane_sweep_{channels}_{stored.__name__}_{sets}_{seen:d}{gradients:d}{rooted:d}"
     return kernel("plane_sweep.cuh", "sweep_strip", module=module, Kept=kept, Pixel=pixel_type(channels), **numbers)

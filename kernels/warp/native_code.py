@@ -27,6 +27,7 @@ _PART = re.compile(
     re.MULTILINE | re.DOTALL,
 )
 _ARGUMENT = re.compile(r"(?:Array(?P<dimensions>[1-4])<(?P<element>\w+)>|(?P<type>\w+)) (?P<name>\w+)")
+_SCALARS = {wp.uint8: "unsigned char", wp.uint16: "unsigned short", wp.float16: "wp::half", wp.float32: "float"}
 _TYPES = {"float": float, "int": int, "bool": bool, "double": wp.float64}
 
 
@@ -106,6 +107,13 @@ def _split(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Types and numbers apart."""
     types = {name: value for name, value in given.items() if isinstance(value, type) or hasattr(value, "vars")}
     return types, {name: value for name, value in given.items() if name not in types}
+
+
+def names_of(pixel: Any) -> dict[str, Any]:
+    """The names in C++ of a pixel that a GPU loads at once: its length PAD, its scalars KEPT, and WORDS of its size."""
+    scalar, length = pixel._wp_scalar_type_, pixel._length_
+    words = {2: "unsigned short", 4: "unsigned", 8: "uint2", 16: "uint4"}
+    return {"PAD": length, "KEPT": _SCALARS[scalar], "WORDS": words[length * wp.types.type_size_in_bytes(scalar)]}
 
 
 def function(file: str, name: str, **given: Any) -> Any:
