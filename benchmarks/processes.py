@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import signal
-import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing import get_context
@@ -37,33 +37,36 @@ def collect(
     context = get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_send, args=(sender, function, arguments))
-    with _added(variables):
-        process.start()
-    sender.close()
     found: list[T] = []
-    end = monotonic() + timeout
-    try:
-        while receiver.poll(None if end == math.inf else max(0.0, end - monotonic())):
-            is_value, content = receiver.recv()
-            if not is_value:
-                return found, content
-            found.append(content)
-        process.kill()
-        return found, f"took longer than {timeout:g} s"
-    except EOFError:
-        process.join()
-        return found, ended(process.exitcode or 0)
-    finally:
-        receiver.close()
-        process.join()
+    with tempfile.TemporaryFile("w+", errors="replace") as output:
+        with _added(variables), _written_to(output.fileno()):
+            process.start()
+        sender.close()
+        end = monotonic() + timeout
+        try:
+            while receiver.poll(None if end == math.inf else max(0.0, end - monotonic())):
+                is_value, content = receiver.recv()
+                if not is_value:
+                    return found, content
+                found.append(content)
+            process.kill()
+            return found, f"took longer than {timeout:g} s"
+        except EOFError:
+            process.join()
+            output.seek(0)
+            return found, ended(process.exitcode or 0, output.read())
+        finally:
+            receiver.close()
+            process.join()
 
 
-def ended(code: int) -> str:
-    """Say what the exit code of a process that ended without a word means."""
-    if code >= 0:
-        return f"ended with exit code {code}"
-    name = signal.Signals(-code).name
-    return f"ended by {name}" + (", as when memory runs out" if name == "SIGKILL" else "")
+def ended(code: int, output: str) -> str:
+    """Say what the exit code of a process that ended without a word, and its output, mean."""
+    if code < 0:
+        name = signal.Signals(-code).name
+        return f"ended by {name}" + (", as when memory runs out" if name == "SIGKILL" else "")
+    lines = output.strip().splitlines()
+    return lines[-1][:_LONGEST] if lines else f"ended with exit code {code}"
 
 
 def sentence(error: Exception) -> str:
@@ -76,7 +79,6 @@ def sentence(error: Exception) -> str:
 
 def _send(sender: Connection, function: Callable[..., Iterable[Any]], arguments: tuple[Any, ...]) -> None:
     """Send (True, value) for each value, and at the end (False, reason)."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno() if sys.__stdout__ else 1)  # backends talk
     try:
         for value in function(*arguments):
             sender.send((True, value))
@@ -99,3 +101,17 @@ def _added(variables: Mapping[str, str]) -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+@contextmanager
+def _written_to(file: int) -> Iterator[None]:
+    """Let a process that starts meanwhile write its output to a file: backends talk, and crashes leave words."""
+    before = [os.dup(output) for output in (1, 2)]
+    for output in (1, 2):
+        os.dup2(file, output)
+    try:
+        yield
+    finally:
+        for output, old in zip((1, 2), before, strict=True):
+            os.dup2(old, output)
+            os.close(old)

@@ -14,6 +14,8 @@ def count_then(end: str) -> Iterator[int]:
         raise ValueError("no more")
     if end == "kill":
         os.kill(os.getpid(), signal.SIGKILL)
+    if end == "exit":
+        raise SystemExit("no licence")
     if end == "sleep":
         time.sleep(600)
 
