@@ -9,31 +9,7 @@ from typing import ClassVar
 
 from lfgpu.contract import Array
 from lfgpu.methods.matching.costs import noise_cost
-from lfgpu.methods.matching.frame import Frame, SweptViews
-from lfgpu.methods.prior import NonLocalMeans
-
-
-@dataclass(frozen=True, eq=False)
-class Planning:
-    """What an aggregation is planned for.
-
-    Parameters
-    ----------
-    frame
-        The frame: its arena, size, disparities, scale and parameters.
-    views
-        The views of the sweep: their layout, and the plane sweep over them. An aggregation that needs other costs
-        plans its own sweeps, as `SweptViews.sweep` does, and loads them by `SweptViews.on_load`.
-    prior
-        The weights of like pixels in the neighbourhood of each pixel.
-    near
-        The same in the window over which costs are averaged. Both are loaded with each frame.
-    """
-
-    frame: Frame
-    views: SweptViews
-    prior: NonLocalMeans
-    near: NonLocalMeans
+from lfgpu.methods.matching.frame import SweptViews
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +36,12 @@ class Swept:
 
 
 class Aggregation(ABC):
-    """A way to find the best surface through costs. Instances are made once for each row of the table of sweeps."""
+    """A way to find the best surface through costs, planned for the views of a sweep.
+
+    One is made for each row of the table of sweeps. `SweptViews.frame` has the arena, size, disparities, parameters,
+    reference image and weights of like pixels. An aggregation with costs of its own, at disparities of its own or for
+    sets of views, plans plane sweeps over `SweptViews.layout` and has them loaded by `SweptViews.on_load`.
+    """
 
     has_own_costs: ClassVar[bool] = False
     """Whether the sweep leaves its costs to the aggregation, which reads `Swept.views` instead of `Swept.volume`."""
@@ -84,17 +65,19 @@ class SemiGlobal(Aggregation):
 
     Parameters
     ----------
-    planning
-        What it is planned for.
+    views
+        The views of the sweep.
     at_edges
         Whether surfaces end rather where the image has edges. The edges are those of the views as they are compared,
         smoothed if they have grain: noise is no edge.
     """
 
-    def __init__(self, planning: Planning, *, at_edges: bool) -> None:
-        frame, config = planning.frame, planning.frame.config
-        self._frame, self._kernels, self._prior, self._near = frame, frame.kernels, planning.prior, planning.near
+    def __init__(self, views: SweptViews, *, at_edges: bool) -> None:
+        frame, config = views.frame, views.frame.config
+        self._frame, self._kernels, self._prior = frame, frame.kernels, frame.prior
         tuning, penalties = config.tuning.semi_global, config.semi_global
+        # Costs of the nearer surface reach as far into its corners as they are averaged; maps need more against noise.
+        self._near = frame.like_pixels(tuning.window)
         factor, self._contrast = 1.0, tuning.contrast
         if not at_edges:
             factor, self._contrast = tuning.resweep_factor, tuning.resweep_contrast
@@ -144,8 +127,8 @@ class SemiGlobal(Aggregation):
         kernels.clamp(scale, 1.0, self._most_noisy, scale)
 
 
-AGGREGATIONS: Mapping[str, Callable[[Planning], Aggregation]] = {
-    "semi-global, cut at edges": lambda planning: SemiGlobal(planning, at_edges=True),
-    "semi-global": lambda planning: SemiGlobal(planning, at_edges=False),
+AGGREGATIONS: Mapping[str, Callable[[SweptViews], Aggregation]] = {
+    "semi-global, cut at edges": lambda views: SemiGlobal(views, at_edges=True),
+    "semi-global": lambda views: SemiGlobal(views, at_edges=False),
 }
-"""Aggregations by name."""
+"""Aggregations by name, each planned for the views of a sweep."""

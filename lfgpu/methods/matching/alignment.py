@@ -10,7 +10,6 @@ from lfgpu.methods.arena import Arena
 from lfgpu.methods.base import Callback
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.frame import Frame, Loaded
-from lfgpu.methods.prior import NonLocalMeans
 
 _BESIDE = 1  # pixels beside an edge in another view where both sides are mixed: they are left out
 
@@ -24,15 +23,11 @@ class Alignment:
     ----------
     frame
         The views.
-    prior
-        The weights of like pixels.
-    bounds
-        (low, high) of the disparities, pixels per view step.
     """
 
-    def __init__(self, frame: Frame, prior: NonLocalMeans, *, bounds: tuple[float, float]) -> None:
+    def __init__(self, frame: Frame) -> None:
         arena, config = frame.arena, frame.config
-        self._frame, self._kernels, self._prior, self._bounds = frame, frame.kernels, prior, bounds
+        self._frame, self._kernels, self._prior, self._bounds = frame, frame.kernels, frame.prior, frame.bounds
         self._tuning, self._farthest = config.tuning.alignment, frame.layout.farthest
         self._reach = self._tuning.reach * frame.disparities.step
         self._last = _Step(arena, frame.layout, config, self._farthest)

@@ -9,8 +9,6 @@ from lfgpu.data.windows import window_min
 from lfgpu.methods.matching.boundaries import Boundaries
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.hole_filling import HoleFilling
-from lfgpu.methods.matching.known import KnownPixels
-from lfgpu.methods.prior import NonLocalMeans
 
 
 class Completion:
@@ -20,23 +18,17 @@ class Completion:
     ----------
     frame
         The views.
-    prior
-        The weights of like pixels.
-    known
-        The pixels that the reference view recorded.
-    bounds
-        (low, high) of the disparities, pixels per view step.
     """
 
-    def __init__(self, frame: Frame, prior: NonLocalMeans, known: KnownPixels, *, bounds: tuple[float, float]) -> None:
+    def __init__(self, frame: Frame) -> None:
         arena, config, farthest, tuning = frame.arena, frame.config, frame.layout.farthest, frame.config.tuning
-        self._kernels, self._image, self._bounds = frame.kernels, frame.image, bounds
+        self._kernels, self._image, self._bounds = frame.kernels, frame.image, frame.bounds
         self._boundaries = Boundaries(arena, config, frame.size, step=tuning.boundaries.step / farthest)
-        self._filling = HoleFilling(arena, frame.size, prior, config, support=tuning.alignment.support / farthest)
+        self._filling = HoleFilling(arena, frame.size, frame.prior, config, support=tuning.alignment.support / farthest)
         self._alike = None
-        if known.mask is not None:
+        if frame.known.mask is not None:
             # A patch that holds an unknown pixel is like no other patch: the pixel in its middle stays as it is.
-            alike = window_min(known.mask, tuning.prior.patch)
+            alike = window_min(frame.known.mask, tuning.prior.patch)
             self._alike = arena.constant("alike", alike)
             self._held = arena.constant("held", np.full(frame.size, self._filling.held))
 

@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from lfgpu.contract import WHITE, Array, Disparities, PlaneSweep, ViewSets, ZBuffer
+from lfgpu.contract import WHITE, Array, PlaneSweep, ViewSets, ZBuffer
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.disparities import view_sets
+from lfgpu.methods.matching.disparities import compared_disparities, view_sets
+from lfgpu.methods.matching.known import KnownPixels
 from lfgpu.methods.matching.views import VIEWS, ChosenViews
-from lfgpu.methods.prior import UNLIKE_ANY
+from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
+from lfgpu.methods.sections import PriorConfig
 
 Load = Callable[[Array, Array, Array | None], None]
 """Takes a reference image [y, x, c], views [n, y, x, c] and their masks [n, y, x] or None."""
@@ -33,8 +35,8 @@ class Frame:
         Where buffers come from.
     chosen
         The views that are used, and those that are compared.
-    disparities
-        The disparities that sweeps compare.
+    bounds
+        (low, high) of the disparities, pixels per view step.
     config
         All parameters, in units of the noise.
     deviation
@@ -47,15 +49,19 @@ class Frame:
         self,
         arena: Arena,
         chosen: ChosenViews,
-        disparities: Disparities,
+        bounds: tuple[float, float],
         config: MatchingConfig,
         *,
         deviation: float | None,
         masked: bool = False,
     ) -> None:
         layout, image = chosen.used, (*chosen.used.size, chosen.used.channels)
-        self.arena, self.kernels, self.config, self.disparities = arena, arena.kernels, config, disparities
+        self.arena, self.kernels, self.config, self.bounds = arena, arena.kernels, config, bounds
         self.layout, self.compared_layout, self.size = layout, chosen.compared, layout.size
+        self.disparities = compared_disparities(bounds, layout.farthest, config.sweep)
+        """The disparities that sweeps compare."""
+        self.known = KnownPixels(arena, layout)
+        """The pixels that the reference view recorded."""
         self.is_masked = masked or layout.masks is not None
         self.valid = None if layout.masks is None else arena.constant("masks", np.stack(layout.masks))
         """The masks of the used views, a field [n, y, x]; None if all pixels are valid. Streams change it."""
@@ -69,6 +75,7 @@ class Frame:
             self.compared_image, self.scale = arena.image("smoothed image", image), 1 / WHITE
             self._stored = np.dtype(np.uint16)
             self._smoothed = arena.image("smoothed views", chosen.compared.shape, np.uint16)
+        self._priors: dict[int, NonLocalMeans] = {}
         self._swept: dict[tuple[int, ...], SweptViews] = {}
         self.used: Loaded
         """The used views, as stored."""
@@ -84,6 +91,8 @@ class Frame:
         kernels.intensities(
             self.used[0], layout.reference, self.valid, scale=layout.scale, fill=UNLIKE_ANY, image_out=self.image
         )
+        for prior in self._priors.values():
+            prior.load(self.image)
         self.thinned = self.compared = self._thinned.of(*self.used)
         if self._deviation is not None:
             views, valid = self.thinned
@@ -95,6 +104,19 @@ class Frame:
             self.compared = self._smoothed, valid
         for swept in self._swept.values():
             swept.is_loaded = False
+
+    def like_pixels(self, window: int) -> NonLocalMeans:
+        """The weights of like pixels in a window around each pixel of the reference image."""
+        if window not in self._priors:
+            tuning, shape = self.config.tuning.prior, (*self.size, self.layout.channels)
+            prior = PriorConfig(window, tuning.patch, tuning.sigma_color, tuning.sigma_gradient, tuning.floor)
+            self._priors[window] = NonLocalMeans(shape, prior, self.arena.device)
+        return self._priors[window]
+
+    @property
+    def prior(self) -> NonLocalMeans:
+        """The weights of like pixels for means over maps."""
+        return self.like_pixels(self.config.prior.window)
 
     def swept(self, rule: str) -> SweptViews:
         """The compared views that a row of `VIEWS` chooses; rules that choose the same views share them."""

@@ -16,7 +16,6 @@ from lfgpu.data.windows import window_max, window_mean, window_min
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
 from lfgpu.methods.matching.costs import PlaneSweepCost, first_cost
-from lfgpu.methods.matching.disparities import compared_disparities
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.views import ChosenViews, used_views
 
@@ -111,7 +110,7 @@ def measured_noise(
     frame = Frame(
         Arena(device),
         ChosenViews(None, layout, None, layout),
-        compared_disparities(bounds, layout.farthest, config.sweep),
+        bounds,
         config,
         deviation=deviation,
     )

@@ -11,17 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 from lfgpu.contract import Array
-from lfgpu.methods.matching.aggregation import AGGREGATIONS, Planning, Swept
+from lfgpu.methods.matching.aggregation import AGGREGATIONS, Swept
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.costs import COSTS, Cost, noise_cost
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.guesses import GuessedSurfaces
 from lfgpu.methods.matching.judging import Judging
-from lfgpu.methods.matching.known import KnownPixels
-from lfgpu.methods.prior import NonLocalMeans
 
 
 @dataclass(frozen=True)
@@ -89,17 +86,15 @@ class PlannedSweep:
         The row.
     frame
         The views.
-    prior, near
-        The weights of like pixels, see `Planning`.
     """
 
-    def __init__(self, row: Sweep, frame: Frame, *, prior: NonLocalMeans, near: NonLocalMeans) -> None:
+    def __init__(self, row: Sweep, frame: Frame) -> None:
         self.row, self._views = row, frame.swept(row.views)
         arena, shape = frame.arena, self._views.layout.shape
         self._hiding = self._views.hiding(row.widening) if row.past == "surface" else None
         with arena.scratch() as scratch:
             self._nearest = None if self._hiding is None else scratch.field(shape[:3])
-            self.aggregation = AGGREGATIONS[row.aggregation](Planning(frame, self._views, prior, near))
+            self.aggregation = AGGREGATIONS[row.aggregation](self._views)
         self._cost: Cost | None = None
         self._volume: Array | None = None
         if not self.aggregation.has_own_costs:
@@ -127,31 +122,16 @@ class Sweeps:
     ----------
     frame
         The views.
-    prior, near
-        The weights of like pixels, see `Planning`.
-    known
-        The pixels that the reference view recorded.
     kind
         A key of the weights in `trust.py`.
-    bounds
-        (low, high) of the disparities, pixels per view step.
     """
 
-    def __init__(
-        self,
-        frame: Frame,
-        *,
-        prior: NonLocalMeans,
-        near: NonLocalMeans,
-        known: KnownPixels,
-        kind: str,
-        bounds: tuple[float, float],
-    ) -> None:
-        arena, config, tuning = frame.arena, frame.config, frame.config.tuning.sweep
-        disparities, size = frame.disparities, frame.size
-        self._put_far = known.putting(bounds[0])  # an unknown pixel hides nothing
+    def __init__(self, frame: Frame, *, kind: str) -> None:
+        arena, size, disparities = frame.arena, frame.size, frame.disparities
+        config, tuning, bounds = frame.config, frame.config.tuning.sweep, frame.bounds
+        self._frame, self._put_far = frame, frame.known.putting(bounds[0])  # an unknown pixel hides nothing
         first, *further = sweeps_of(config)
-        self._guesses, self._plan = None, partial(PlannedSweep, frame=frame, prior=prior, near=near)
+        self._guesses = None
         with arena.scratch() as scratch:
             self._hides, self._evidence = scratch.fields(2, size)
             self.judging = Judging(
@@ -164,9 +144,9 @@ class Sweeps:
                     share=tuning.ambiguity,
                     disparities=disparities,
                     tolerance=tuning.tolerance / frame.layout.farthest,
-                    ones=prior.ones,
+                    ones=frame.prior.ones,
                 )
-            self._first, self._further = self._plan(first), [self._plan(row) for row in further]
+            self._first, self._further = PlannedSweep(first, frame), [PlannedSweep(row, frame) for row in further]
         self.unhidden = arena.field("evidence of the first sweep", size) if further else None
         """The evidence [y, x] of the sweep in which no surface hid anything; None if no sweep follows it."""
 
@@ -197,7 +177,8 @@ class Sweeps:
         """The last sweep, in a form that looks past a surface even if no sweep follows the first one."""
         if self._further:
             return self._further[-1]
-        return self._plan(replace(self._first.row, past="surface", aggregation=ACCURATE[-1].aggregation))
+        row = replace(self._first.row, past="surface", aggregation=ACCURATE[-1].aggregation)
+        return PlannedSweep(row, self._frame)
 
     def find_past(
         self, sweep: PlannedSweep, surface: Array, map_out: Array, expect: Callable[[Array], None] | None

@@ -19,16 +19,12 @@ from lfgpu.methods.base import Callback, Work
 from lfgpu.methods.matching.alignment import Alignment
 from lfgpu.methods.matching.completion import Completion
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.disparities import compared_disparities
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.judging import kind_of
-from lfgpu.methods.matching.known import KnownPixels
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
 from lfgpu.methods.matching.passes import Sweeps
 from lfgpu.methods.matching.views import are_around, chosen_views
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.prior import NonLocalMeans
-from lfgpu.methods.sections import PriorConfig
 from lfgpu.solvers.solution import Solution
 
 _CONVERGED = 0.02  # pixels per view step, rms of the last step of the alignment
@@ -55,30 +51,24 @@ class MatchingPlan:
 
     def __init__(self, layout: ViewLayout, measured: Measured, config: MatchingConfig, device: Device) -> None:
         assert measured.noise is not None  # this method measures it
-        bounds, kind = measured.disparity_range, kind_of(config.sweep.resweeps)
+        kind = kind_of(config.sweep.resweeps)
         self._noise = noise_of_views(measured.noise, measured.grain, config.sweep)
         chosen = chosen_views(layout, config.sweep.views)
         if not are_around(chosen.compared.offsets):  # a widened surface would hide what no view shows beside it
             config = replace(config, sweep=replace(config.sweep, resweeps=min(config.sweep.resweeps, 1)))
         deviation = smoothing_deviation(measured.grain, config.sweep)
         self._config = config = in_units_of(measured.noise, config, grain=measured.grain)
-        self._arena = arena = Arena(device)
-        self._bounds, self._kernels, used = bounds, device.kernels, chosen.used
-        self._size, self._farthest = used.size, used.farthest
-        disparities = compared_disparities(bounds, used.farthest, config.sweep)
-        self._frame = Frame(arena, chosen, disparities, config, deviation=deviation, masked=self.may_be_masked)
-        self._prior, self._near = _priors((*used.size, used.channels), config, device)
-        self._known = KnownPixels(arena, used)
-        self._sweeps = Sweeps(
-            self._frame, prior=self._prior, near=self._near, known=self._known, kind=kind, bounds=bounds
+        self._arena, self._kernels = Arena(device), device.kernels
+        arena = self._arena
+        self._frame = frame = Frame(
+            arena, chosen, measured.disparity_range, config, deviation=deviation, masked=self.may_be_masked
         )
-        self._alignment = Alignment(self._frame, self._prior, bounds=bounds)
-        self._completion = Completion(self._frame, self._prior, self._known, bounds=bounds)
-        self._put_unknown = self._known.putting(np.nan)
+        self._sweeps, self._alignment, self._completion = Sweeps(frame, kind=kind), Alignment(frame), Completion(frame)
+        self._put_unknown = frame.known.putting(np.nan)
         names = ("swept", "aligned", "disparity", "confidence")
-        self._swept, self._aligned, self.disparity, self.confidence = (arena.field(name, used.size) for name in names)
+        self._swept, self._aligned, self.disparity, self.confidence = (arena.field(name, frame.size) for name in names)
         """`disparity` and `confidence` are the results, fields [y, x]."""
-        self._matched = arena.field("matched", used.size) if self._sweeps.are_several else self._swept
+        self._matched = arena.field("matched", frame.size) if self._sweeps.are_several else self._swept
         self._steps = config.alignment.iterations
 
     def stages(self, views: Array) -> dict[str, Work]:
@@ -103,7 +93,7 @@ class MatchingPlan:
         again = {"resweep": self._matched} if self._sweeps.are_several else {}
         kept = {"sweep": self._swept, **again, "align": self._aligned, "boundaries": self.disparity}
         found = {name: self._kernels.numpy(field).astype(np.float32) for name, field in kept.items()}
-        return {name: self._known.on_host(map_) for name, map_ in found.items()}
+        return {name: self._frame.known.on_host(map_) for name, map_ in found.items()}
 
     def solution(self) -> Solution:
         """The result of the alignment; its trace is the root mean square of each step, pixels per view step."""
@@ -123,7 +113,7 @@ class MatchingPlan:
 
     def uncertainty(self) -> Float32Array:
         """The standard deviation of the disparity, float32 [y, x], NaN where it is undefined; waits for the device."""
-        return self._known.on_host(self._sweeps.judging.deviation())
+        return self._frame.known.on_host(self._sweeps.judging.deviation())
 
     def _sweep(self, views: Array) -> None:
         self._load(views)
@@ -132,9 +122,6 @@ class MatchingPlan:
     def _load(self, views: Array) -> None:
         """Take all views [n, y, x, c] of a frame, as stored."""
         self._frame.load(views)
-        self._prior.load(self._frame.image)
-        if self._near is not self._prior:
-            self._near.load(self._frame.image)
         self._alignment.load()
 
     def _sweep_again(self, _: Callback | None) -> None:
@@ -154,14 +141,4 @@ class MatchingPlan:
     def _judge(self, unhidden: Array | None) -> None:
         """Find confidence and variance; `unhidden` as for `Judging.run`."""
         self._sweeps.judge(self._sweeps.last, self.disparity, unhidden, self.confidence)
-        self._known.take_out(self.confidence)
-
-
-def _priors(shape: tuple[int, int, int], config: MatchingConfig, device: Device) -> tuple[NonLocalMeans, NonLocalMeans]:
-    """The weights of like pixels for maps, and for costs: these are averaged over a smaller window."""
-    tuning = config.tuning
-    scales = {name: getattr(tuning.prior, name) for name in ("patch", "sigma_color", "sigma_gradient", "floor")}
-    prior = NonLocalMeans(shape, PriorConfig(window=config.prior.window, **scales), device)
-    if tuning.semi_global.window == config.prior.window:
-        return prior, prior
-    return prior, NonLocalMeans(shape, PriorConfig(window=tuning.semi_global.window, **scales), device)
+        self._frame.known.take_out(self.confidence)

@@ -68,14 +68,14 @@ class TemporalMatching(MatchingPlan):
         prior: TemporalPrior,
     ) -> None:
         super().__init__(layout, measured, config, device)
-        arena, size = self._arena, self._size
+        arena, size = self._arena, self._frame.size
         self._past_sweep = self._sweeps.past()
         self._temporal, self._streaming, self._is_warm = prior, streaming, False
         self._past, self._frames, self._rate = (arena.field(n, size) for n in ("past", "frames", "rate"))
         self._expected, self._frames_before, self._rate_before, self._same, self._believed = (
             arena.field(f"carried {n}", size) for n in ("past", "frames", "rate", "likeness", "confidence")
         )
-        self._farthest_surface = arena.constant("farthest", np.full(size, self._bounds[0]))
+        self._farthest_surface = arena.constant("farthest", np.full(size, self._frame.bounds[0]))
         self._last_image = arena.image("last image", (*size, layout.channels))
         self._motion = streaming.motion(self._last_image)
         with arena.scratch() as scratch:
@@ -142,13 +142,13 @@ class TemporalMatching(MatchingPlan):
             self._frames,
             self._rate,
             self.confidence,
-            support=self._temporal.support / self._farthest,
+            support=self._temporal.support / self._frame.layout.farthest,
             past_out=self._expected,
             frames_out=self._frames_before,
             rate_out=self._rate_before,
             confidence_out=self._believed,
         )
-        kernels.clamp(self._expected, *self._bounds, self._expected)
+        kernels.clamp(self._expected, *self._frame.bounds, self._expected)
         kernels.multiply(self._same, self._believed, self._believed)
         # A surface that is not there any more hides nothing.
         kernels.threshold(self._same, _SAME, self._hides)
@@ -187,7 +187,7 @@ class TemporalMatching(MatchingPlan):
 
     def _judge(self, unhidden: Array | None) -> None:
         if self._is_warm and self._temporal.persistence > 0:
-            support = self._temporal.support / self._farthest
+            support = self._temporal.support / self._frame.layout.farthest
             self._streaming.blend(
                 self._expected,
                 self._same,
@@ -202,7 +202,7 @@ class TemporalMatching(MatchingPlan):
                 rates_out=self._rates,
                 weights_out=self._weights,
             )
-            self._prior.ratio(
+            self._frame.prior.ratio(
                 self.disparity, self._rates, self._weights, support=support, floor=_NO_RATE, ratio_out=self._rate
             )
         else:
