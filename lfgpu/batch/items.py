@@ -112,7 +112,7 @@ def find_items(
 
 
 def _times(path: Path, pattern: str | None) -> int:
-    """How many times a folder of numbered images holds for each camera; 1 for anything else."""
+    """Count the times that a folder of numbered images holds for each camera; 1 for anything else."""
     try:
         if pattern is None and recognised(path) not in several.ANY_IMAGES:
             return 1

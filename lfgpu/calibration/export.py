@@ -145,7 +145,7 @@ def _bytes(lf: LightField, index: int) -> NDArray[np.uint8]:
 
 
 def _unit(maps: dict[int, DisparityMap]) -> tuple[float, tuple[str, ...]]:
-    """The unit of depth pictures in metres, and what a reader has to know of it."""
+    """Choose the unit of depth pictures in metres, and say what a reader has to know of it."""
     depths = np.concatenate([depth[np.isfinite(depth)] for one in maps.values() if (depth := one.depth) is not None])
     if not depths.size:
         return _MILLIMETRE, ()

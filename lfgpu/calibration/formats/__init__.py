@@ -19,7 +19,7 @@ from lfgpu.calibration.formats.devices import (
     is_stereo,
     stereo_cameras,
 )
-from lfgpu.calibration.formats.entries import read_yaml
+from lfgpu.calibration.formats.entries import entries_of, read_yaml
 from lfgpu.calibration.formats.kalibr import is_kalibr, kalibr_cameras
 from lfgpu.calibration.formats.llff import read_llff
 from lfgpu.calibration.formats.nerfstudio import nerfstudio_cameras
@@ -120,7 +120,8 @@ def _read(path: str | Path) -> Calibration:
         table = read_json_or_toml(file) if suffix == ".json" else read_yaml(file)
         listed = next(((read, name) for known, read, name in _OF_DEVICES if known(table)), None)
         if listed is not None:
-            cameras, name = _of_device(file, table, *listed)
+            with entries_of(file):
+                cameras, name = listed[0](table), listed[1]
         elif suffix == ".json" and isinstance(table, Mapping) and "frames" in table:
             cameras, name = nerfstudio_cameras(file, table), "nerfstudio"
         elif suffix != ".json" and is_kalibr(table):
@@ -142,14 +143,3 @@ _OF_DEVICES: tuple[tuple[Callable[[Any], bool], Callable[[Any], list[Camera]], s
     (is_depthai, depthai_cameras, "depthai"),
     (is_stereo, stereo_cameras, "OpenCV"),
 )
-
-
-def _of_device(file: Path, table: Any, read: Callable[[Any], list[Camera]], name: str) -> tuple[list[Camera], str]:
-    try:
-        return read(table), name
-    except LightFieldError as error:
-        raise LightFieldError(f"{file}: {error}") from error
-    except KeyError as error:
-        raise LightFieldError(f"{file} has no {error.args[0]}.") from error
-    except (TypeError, ValueError, AttributeError, np.linalg.LinAlgError) as error:
-        raise LightFieldError(f"{file} has wrong entries: {error}.") from error

@@ -1,5 +1,4 @@
-"""Calibrations that devices and data sets come with: models.json of Google's camera rigs, depthai's of OAK cameras, and
-a pair of OpenCV's stereo calibration.
+"""Calibrations of devices and data sets: models.json of Google's camera rigs, depthai's of OAK cameras, stereo pairs.
 
 Google (DeepView, Spaces, immersive video): a camera is focal_length, pixel_aspect_ratio, principal_point, orientation
 (rotation vector, world to camera), position, and in some files radial_distortion and projection_type. The first pixel
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from lfgpu.calibration.cameras import Camera, turned
-from lfgpu.calibration.formats.entries import numbers, whole
+from lfgpu.calibration.formats.entries import camera_of, numbers, whole
 from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
 
@@ -29,24 +28,24 @@ _SIZES = ("image_size", "imageSize", "size")
 
 
 def is_google(table: object) -> bool:
-    """Whether a JSON file is a models.json."""
+    """Tell whether a JSON file is a models.json."""
     while isinstance(table, list) and table:
         table = table[0]
     return isinstance(table, Mapping) and {"position", "orientation", "focal_length"} <= set(table)
 
 
 def is_depthai(table: object) -> bool:
-    """Whether a JSON file is a calibration of depthai."""
+    """Tell whether a JSON file is a calibration of depthai."""
     return isinstance(table, Mapping) and isinstance(table.get("cameraData"), list)
 
 
 def is_stereo(table: object) -> bool:
-    """Whether a file holds a pair of OpenCV's stereo calibration."""
+    """Tell whether a file holds a pair of OpenCV's stereo calibration."""
     return isinstance(table, Mapping) and any({f"{m}1", f"{m}2", "R", "T"} <= set(table) for m, _ in _PAIRS)
 
 
 def google_cameras(table: list[Any]) -> list[Camera]:
-    """The cameras of a models.json, at all places of the rig."""
+    """Read the cameras of a models.json, at all places of the rig."""
     flat = [entry for part in table for entry in (part if isinstance(part, list) else [part])]
     return [_google(index, entry) for index, entry in enumerate(flat)]
 
@@ -71,7 +70,7 @@ def _google(index: int, entry: Mapping[str, Any]) -> Camera:
 
 
 def depthai_cameras(table: Mapping[str, Any]) -> list[Camera]:
-    """The cameras of a calibration of depthai, in metres; the one that all others lead to is the world."""
+    """Read the cameras of a calibration of depthai, in metres; the one that all others lead to is the world."""
     entries = {whole(socket): entry for socket, entry in table["cameraData"]}
     return [_depthai(socket, entries) for socket in sorted(entries)]
 
@@ -85,19 +84,16 @@ def _depthai(socket: int, entries: Mapping[int, Any]) -> Camera:
         pose = _extrinsics(entries[at]["extrinsics"]) @ pose
         at = next_one
         seen.add(at)
-    to_camera = np.linalg.inv(pose)
-    matrix = numbers(entry["intrinsicMatrix"], 3, 3)
+    to_camera = np.asarray(np.linalg.inv(pose), np.float64)
     fisheye = entry.get("cameraType") == 1
-    lens = numbers(entry.get("distortionCoeff", ()), -1).tolist()[: 4 if fisheye else 8]
-    return Camera(
-        size=(whole(entry["height"]), whole(entry["width"])),
-        focal_length=(float(matrix[0, 0]), float(matrix[1, 1])),
-        principal_point=(float(matrix[0, 2]), float(matrix[1, 2])),
-        distortion=tuple(lens) if any(lens) else (),
-        model="fisheye" if fisheye else "pinhole",
-        rotation=to_camera[:3, :3],
-        translation=to_camera[:3, 3],
-        name=f"camera {socket}",
+    return camera_of(
+        numbers(entry["intrinsicMatrix"], 3, 3),
+        numbers(entry.get("distortionCoeff", ()), -1)[: 4 if fisheye else 8],
+        to_camera[:3, :3],
+        to_camera[:3, 3],
+        numbers([entry["width"], entry["height"]], 2),
+        fisheye,
+        f"camera {socket}",
     )
 
 
@@ -110,32 +106,23 @@ def _extrinsics(entry: Mapping[str, Any]) -> Float64Array:
 
 
 def stereo_cameras(table: Mapping[str, Any]) -> list[Camera]:
-    """The two cameras of a stereo calibration; the first one's frame is the world."""
+    """Read the two cameras of a stereo calibration; the first one's frame is the world."""
     matrix, lens = next(pair for pair in _PAIRS if {f"{pair[0]}1", f"{pair[0]}2"} <= set(table))
     size = next((table[key] for key in _SIZES if key in table), None)
     if size is None:
         if not {"image_width", "image_height"} <= set(table):
             raise LightFieldError("it has no size of the pictures: add image_width and image_height.")
         size = [table["image_width"], table["image_height"]]
-    width, height = (whole(side) for side in numbers(size, 2))
-    turn = numbers(table["R"], -1)
-    poses = [(np.eye(3), np.zeros(3))]
-    poses.append((turned(turn) if turn.size == 3 else numbers(turn, 3, 3), numbers(table["T"], 3)))
-    cameras = []
-    for index, (rotation, translation) in enumerate(poses, 1):
-        inner = numbers(table[f"{matrix}{index}"], 3, 3)
-        coefficients = numbers(table.get(f"{lens}{index}", ()), -1).tolist()
-        while len(coefficients) > 8 and coefficients[-1] == 0:
-            coefficients.pop()  # thin prisms and tilts, not used
-        cameras.append(
-            Camera(
-                size=(height, width),
-                focal_length=(float(inner[0, 0]), float(inner[1, 1])),
-                principal_point=(float(inner[0, 2]), float(inner[1, 2])),
-                distortion=tuple(coefficients) if any(coefficients) else (),
-                rotation=rotation,
-                translation=translation,
-                name=f"camera {index}",
-            )
+    poses = [(np.eye(3), np.zeros(3)), (numbers(table["R"], -1), numbers(table["T"], 3))]
+    return [
+        camera_of(
+            numbers(table[f"{matrix}{n}"], 3, 3),
+            numbers(table.get(f"{lens}{n}", ()), -1),
+            turn,
+            shift,
+            numbers(size, 2),
+            False,
+            f"camera {n}",
         )
-    return cameras
+        for n, (turn, shift) in enumerate(poses, 1)
+    ]

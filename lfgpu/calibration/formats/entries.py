@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from lfgpu.calibration.cameras import Camera, turned
 from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
 from lfgpu.io.extras import how_to_install
@@ -69,6 +70,31 @@ def numbers(value: Any, *shape: int) -> Float64Array:
     if math.prod(array.shape) % max(1, abs(math.prod(shape))) or (-1 not in shape and array.size != math.prod(shape)):
         raise ValueError(f"{abs(math.prod(shape))} numbers were expected, found {array.size}")
     return array.reshape(shape)
+
+
+def camera_of(
+    matrix: Float64Array,
+    lens: Float64Array,
+    turn: Float64Array,
+    shift: Float64Array,
+    size: Float64Array,
+    fisheye: bool,
+    name: str,
+) -> Camera:
+    """Make a camera of OpenCV's numbers: its matrix K, distortion, rotation (matrix or vector), translation, size."""
+    coefficients = lens.tolist()
+    while len(coefficients) > (4 if fisheye else 8) and coefficients[-1] == 0:
+        coefficients.pop()  # thin prisms and tilts, not used
+    return Camera(
+        size=(whole(size[1]), whole(size[0])),
+        focal_length=(float(matrix[0, 0]), float(matrix[1, 1])),
+        principal_point=(float(matrix[0, 2]), float(matrix[1, 2])),
+        distortion=tuple(coefficients) if any(coefficients) else (),
+        model="fisheye" if fisheye else "pinhole",
+        rotation=turned(numbers(turn, 3)) if turn.size == 3 else numbers(turn, 3, 3),
+        translation=shift,
+        name=name,
+    )
 
 
 def whole(value: Any) -> int:

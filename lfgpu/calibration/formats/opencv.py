@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from lfgpu.calibration.cameras import Camera, turned
-from lfgpu.calibration.formats.entries import entries_of, numbers, whole
-from lfgpu.contract import Float64Array
+from lfgpu.calibration.cameras import Camera
+from lfgpu.calibration.formats.entries import camera_of, entries_of, numbers
 from lfgpu.errors import LightFieldError
 
 _MATRIX = ("K", "camera_matrix", "cameraMatrix", "intrinsics")
@@ -60,7 +59,7 @@ def _multiview(table: Mapping[str, Any]) -> list[Camera]:
     names = str(table.get("cam_ids", "")).split(",")
     names = names if len(names) == count else [f"camera {n}" for n in range(count)]
     return [
-        _made(matrices[n], lenses[n], turns[n], shifts[n], sizes[n], bool(models[n]), names[n].strip())
+        camera_of(matrices[n], lenses[n], turns[n], shifts[n], sizes[n], bool(models[n]), names[n].strip())
         for n in range(count)
     ]
 
@@ -75,7 +74,7 @@ def _camera(entry: Mapping[str, Any], name: str) -> Camera:
     size = entry.get("image_size")
     if size is None:
         size = [one(("image_width", "image_size")), one(("image_height", "image_size"))]
-    return _made(
+    return camera_of(
         numbers(one(_MATRIX), 3, 3),
         numbers(one(_LENS, ()), -1),
         numbers(one(_TURN, np.eye(3)), -1),
@@ -83,28 +82,4 @@ def _camera(entry: Mapping[str, Any], name: str) -> Camera:
         numbers(size, 2),
         bool(entry.get("fisheye", False)),
         name,
-    )
-
-
-def _made(
-    matrix: Float64Array,
-    lens: Float64Array,
-    turn: Float64Array,
-    shift: Float64Array,
-    size: Float64Array,
-    fisheye: bool,
-    name: str,
-) -> Camera:
-    coefficients = lens.tolist()
-    while len(coefficients) > (4 if fisheye else 8) and coefficients[-1] == 0:
-        coefficients.pop()  # OpenCV's thin prisms and tilts, not used
-    return Camera(
-        size=(whole(size[1]), whole(size[0])),
-        focal_length=(float(matrix[0, 0]), float(matrix[1, 1])),
-        principal_point=(float(matrix[0, 2]), float(matrix[1, 2])),
-        distortion=tuple(coefficients) if any(coefficients) else (),
-        model="fisheye" if fisheye else "pinhole",
-        rotation=turned(numbers(turn, 3)) if turn.size == 3 else numbers(turn, 3, 3),
-        translation=shift,
-        name=name,
     )
