@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable
+from lfgpu.io.ply_map import write_vertices
 from lfgpu.io.png import write_png
 
 POINTS = 200_000
@@ -94,7 +95,11 @@ def export_scene(
                 files[-1]["depth_file_path"] = f"depths/{camera.name}"
         write_colmap(place / "sparse" / "0", cameras, points, colors)
         write_nerfstudio(place / "transforms.json", cameras, files=files, points="points.ply", depth_unit=unit)
-        _write_ply(place / "points.ply", points, colors)
+        columns: dict[str, tuple[str, NDArray[Any]]] = {
+            name: ("<f4", points[:, axis]) for axis, name in enumerate("xyz")
+        }
+        columns |= {name: ("u1", colors[:, axis]) for axis, name in enumerate(("red", "green", "blue"))}
+        write_vertices(place / "points.ply", columns)
     return notes
 
 
@@ -167,19 +172,6 @@ def _whole_units(depth: NDArray[np.float32], unit: float) -> NDArray[np.uint16]:
     values = np.rint(depth.astype(np.float64) / unit)
     known = np.isfinite(values) & (values <= _LARGEST)
     return np.where(known, values, 0).astype(np.uint16)[..., None]
-
-
-def _write_ply(path: Path, points: Float32Array, colors: NDArray[np.uint8]) -> None:
-    from plyfile import PlyData, PlyElement
-
-    table = np.empty(
-        len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
-    )
-    for axis, name in enumerate("xyz"):
-        table[name] = points[:, axis]
-    for channel, name in enumerate(("red", "green", "blue")):
-        table[name] = colors[:, channel]
-    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(str(path))
 
 
 __all__ = ["POINTS", "export_scene"]

@@ -25,6 +25,7 @@ from lfgpu.threads import in_threads
 
 NUMBERS = "rectified.npz"
 _OF_TONES = ("gain", "offset", "vignetting")
+_OF_GEOMETRY = ("focal_length_px", "baseline_m", "focus_distance_m")
 _OF_RIGS = (
     "rotation", "positions", "ahead", "corrected_at", "geometry", "reference", "matrices", "distortions", "models",
     "rotations", "translations",
@@ -75,9 +76,10 @@ def numbers(lf: LightField, rig: Rig | None, found: Refinement | None) -> dict[s
         "homographies": found.homographies if found is not None and found.kept else identity
     }
     if found is not None and found.kept:
-        told |= {"gain": found.tones.gain, "offset": found.tones.offset, "vignetting": found.tones.vignetting}
+        told |= {name: getattr(found.tones, name) for name in _OF_TONES}
     if rig is not None:
         geometry = rig.geometry
+        assert geometry.principal_point is not None
         lenses = np.zeros((len(rig.cameras), 8))
         for n, camera in enumerate(rig.cameras):
             lenses[n, : len(camera.distortion)] = camera.distortion
@@ -86,14 +88,7 @@ def numbers(lf: LightField, rig: Rig | None, found: Refinement | None) -> dict[s
             "positions": rig.positions,
             "ahead": rig.ahead,
             "corrected_at": np.array(rig.corrected_at),
-            "geometry": np.array(
-                [
-                    geometry.focal_length_px,
-                    geometry.baseline_m,
-                    geometry.focus_distance_m,
-                    *(geometry.principal_point or (0.0, 0.0)),
-                ]
-            ),
+            "geometry": np.array([*(getattr(geometry, name) for name in _OF_GEOMETRY), *geometry.principal_point]),
             "reference": np.array(rig.reference),
             "models": np.array([camera.model for camera in rig.cameras]),
             "matrices": np.stack([camera.matrix for camera in rig.cameras]),

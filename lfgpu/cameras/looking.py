@@ -66,21 +66,7 @@ _AGREE = 0.6  # of the contrast: where patches differ by more, the point is hidd
 
 @dataclass(frozen=True, eq=False)
 class Look(Cameras):
-    """Result of a look at the cameras; n views, c colours.
-
-    Parameters
-    ----------
-    points
-        Number of points with texture that it rests on.
-    findings
-        What stands out, one sentence each; empty if nothing does.
-    moved
-        The findings about places and directions of cameras.
-    signs
-        "v" if rows and columns of cameras are counted in opposite senses, "uv" if both are counted the wrong way,
-        "transposed" if rows are taken for columns, "turned" if that and one of them is counted the wrong way; None if
-        nothing speaks for that.
-    """
+    """Result of a look at the cameras; `Explanation` describes the fields."""
 
     points: int
     findings: tuple[str, ...]

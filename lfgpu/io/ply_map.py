@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,6 @@ _DEEPEST = 0.5  # of the longer side of the image
 
 def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
     """Binary, little endian: x, y, z, colours if there is an image, confidence if known, disparity, column and row."""
-    from plyfile import PlyData, PlyElement
-
     cloud = point_cloud(values, image=image)
     points, relief = cloud.points, 1.0
     if not cloud.metric:
@@ -35,9 +34,6 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
         columns["confidence"] = ("<f4", cloud.confidence)
     column, row = cloud.pixels.T
     columns |= {"disparity": ("<f4", values.disparity[row, column]), "column": ("<i4", column), "row": ("<i4", row)}
-    vertices = np.empty(len(column), [(name, kind) for name, (kind, _) in columns.items()])
-    for name, (_, numbers) in columns.items():
-        vertices[name] = numbers
     unit = (
         "metres"
         if cloud.metric
@@ -54,7 +50,18 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
             invalid="pixels without a point are not known or at infinity",
         ),
     ]
-    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<", comments=comments).write(str(path))
+    write_vertices(path, columns, comments)
+
+
+def write_vertices(path: Path, columns: dict[str, tuple[str, NDArray[Any]]], comments: Sequence[str] = ()) -> None:
+    """Write a binary PLY of vertices, whose columns are (NumPy type, values) by name."""
+    from plyfile import PlyData, PlyElement
+
+    count = len(next(iter(columns.values()))[1])
+    vertices = np.empty(count, [(name, kind) for name, (kind, _) in columns.items()])
+    for name, (_, numbers) in columns.items():
+        vertices[name] = numbers
+    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<", comments=list(comments)).write(str(path))
 
 
 def _relief(z: NDArray[np.float32], size: tuple[int, ...]) -> float:
