@@ -83,12 +83,12 @@ class RangeWatch:
             for sentence in new:
                 _LOG.warning(sentence)
             lf = None  # its memory is not needed any more
-            shown = asked_for.get(None) if self._wait() else None
+            shown = asked_for.get(None) if self.wait() else None
             if shown is None:
                 return
             lf, what = shown[0], f"the views of frame {shown[1].index}"
 
-    def _wait(self) -> bool:
+    def wait(self) -> bool:
         """Wait until views are to be searched. False after `close`."""
         with self._changed:
             self._changed.wait_for(lambda: self._wanted or self._closed)
