@@ -21,7 +21,7 @@ from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.scenes import make
 from lfgpu.viewer.cloud import Cloud, shown_cloud
 from lfgpu.viz import panels as frames
-from lfgpu.viz.figures import error_reach, scale_limits
+from lfgpu.viz.scales import error_reach, scale_limits
 
 SCENES = ("boxes", "planes", "relief")
 GRID, SIZE = (9, 9), (384, 512)

@@ -11,7 +11,7 @@ import numpy as np
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.viz.figures import disparity_figure, save_png
+from lfgpu.viz.pictures import write_disparity
 
 
 def main(
@@ -26,7 +26,7 @@ def main(
     truth = lf.reference_truth()
     if truth is not None:
         print(lfgpu.evaluate(result.disparity, truth.disparity, mask=truth.mask))
-    save_png(disparity_figure(result.disparity, name=lf.name), out)
+    write_disparity(result.disparity, out, name=lf.name)
     return result
 
 

@@ -154,7 +154,7 @@ def __getattr__(name: str) -> Any:
 
 
 def _later(home: str, name: str) -> Callable[..., Any]:
-    """A function that is imported when it is first called."""
+    """Return a function that is imported when it is first called."""
     return lambda *arguments, **options: getattr(importlib.import_module(home), name)(*arguments, **options)
 
 

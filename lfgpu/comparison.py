@@ -38,7 +38,7 @@ class Scene:
     border: int = BORDER
 
     def scores(self) -> dict[str, Metrics]:
-        """The scores of each method; LightFieldError, which names scene and method, if a map has another size."""
+        """Score each method; LightFieldError, which names scene and method, if a map has another size."""
         found = {}
         for method, values in self.maps.items():
             try:
@@ -82,7 +82,7 @@ class Table:
         return found
 
     def markdown(self) -> str:
-        """The table in Markdown; the best of each scene and metric is bold."""
+        """Write the table in Markdown; the best of each scene and metric is bold."""
         lines = [_piped(["scene", "method", *COLUMNS]), "|---|---|" + "---:|" * len(COLUMNS)]
         for row in self.rows:
             cells = [f"**{cell}**" if best else cell for cell, best in zip(row.cells, row.best, strict=True)]
@@ -90,7 +90,7 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def latex(self) -> str:
-        """The table in LaTeX, with the package booktabs; the best of each scene and metric is bold."""
+        """Write the table in LaTeX, with the package booktabs; the best of each scene and metric is bold."""
         heads = [name.replace("x100", r"$\times$100") for name in COLUMNS]
         lines = [
             f"\\begin{{tabular}}{{ll{'r' * len(COLUMNS)}}}",
@@ -108,7 +108,7 @@ class Table:
         return "\n".join([*lines, "\\bottomrule", "\\end{tabular}"]) + "\n"
 
     def csv(self) -> str:
-        """The table as CSV, with all digits."""
+        """Write the table as CSV, with all digits."""
         lines = [",".join(["scene", "method", *COLUMNS])]
         for row in self.rows:
             values = ["" if math.isnan(value) else repr(value) for value in row.values]
@@ -141,7 +141,7 @@ def table_of(methods: tuple[str, ...], scores: Mapping[str, Mapping[str, Metrics
 
 
 def error_map(values: ArrayLike, truth: ArrayLike) -> NDArray[np.float32]:
-    """Disparity minus truth, [y, x], pixels per view step; NaN where either is undefined."""
+    """Compute disparity minus truth, [y, x], pixels per view step; NaN where either is undefined."""
     found = np.asarray(values, np.float32) - np.asarray(truth, np.float32)
     return np.where(np.isfinite(found), found, np.float32(np.nan))
 
@@ -151,7 +151,7 @@ def _rows(scene: str, methods: tuple[str, ...], scores: Mapping[str, Metrics]) -
 
 
 def _best(scene: str, methods: tuple[str, ...], values: NDArray[np.float64]) -> list[Row]:
-    """The rows of a scene from values [method, metric]."""
+    """Return the rows of a scene from values [method, metric]."""
     smallest = np.where(np.isnan(values), np.inf, values).min(axis=0)
     return [
         Row(scene, method, tuple(map(float, row)), tuple(map(bool, row == smallest)))

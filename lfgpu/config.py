@@ -16,12 +16,12 @@ from lfgpu.errors import LightFieldError
 
 
 def number(default: float, low: float, high: float, doc: str, *, symbol: str = "", odd: bool = False) -> Any:
-    """A parameter that is a number from `low` to `high`: an integer if the default is one; odd if `odd`."""
+    """Declare a parameter that is a number from `low` to `high`: an integer if the default is one; odd if `odd`."""
     return field(default=default, metadata={"low": low, "high": high, "doc": doc, "symbol": symbol, "odd": odd})
 
 
 def choice(default: str, choices: tuple[str, ...], doc: str) -> Any:
-    """A parameter that is one of several words."""
+    """Declare a parameter that is one of several words."""
     return field(default=default, metadata={"choices": choices, "doc": doc, "symbol": ""})
 
 
@@ -148,7 +148,7 @@ class Config:
         return config
 
     def _unknown(self, name: str) -> str:
-        """The message about a parameter that the method does not have."""
+        """Return the message about a parameter that the method does not have."""
         section, _, parameter = name.partition(".")
         if name == "method.name":
             return f"the preset determines the method, and this preset has {self.method}; use another preset instead."
@@ -184,7 +184,7 @@ def sections(config: Config | type[Config]) -> Iterator[tuple[str, Section]]:
 
 
 def value_of(config: Config, name: str) -> Any:
-    """The value of a parameter `section.parameter`."""
+    """Return the value of a parameter `section.parameter`."""
     section, parameter = name.split(".")
     return getattr(getattr(config, section), parameter)
 

@@ -1,4 +1,4 @@
-"""Where the kernels are in a checkout: the folder `kernels/` beside `lfgpu/`.
+"""Path of the kernels in a checkout: the folder `kernels/` beside `lfgpu/`.
 
 An installed lfgpu does not have this file. There, `lfgpu.kernels` is that folder itself.
 """

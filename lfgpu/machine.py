@@ -15,7 +15,7 @@ _LONGEST = 256  # bytes of a name, with its terminating zero
 
 @lru_cache
 def version_of(package: str) -> str | None:
-    """The version of a package; None if it is not installed, as lfgpu is not when a checkout is put on the path."""
+    """Return the version of a package; None if it is not installed, as lfgpu is not in a checkout on the path."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -23,7 +23,7 @@ def version_of(package: str) -> str | None:
 
 
 def device_name(device: str) -> str | None:
-    """The product name of a device, such as "NVIDIA H200" for "cuda:0"; None if unknown."""
+    """Return the product name of a device, such as "NVIDIA H200" for "cuda:0"; None if unknown."""
     if device == "cpu":
         return _cpu()
     kind, _, index = device.partition(":")
@@ -31,7 +31,7 @@ def device_name(device: str) -> str | None:
 
 
 def device_memory(device: str) -> int | None:
-    """The memory of a GPU in bytes; None if it is unknown, and of a CPU."""
+    """Return the memory of a GPU in bytes; None if it is unknown, and of a CPU."""
     kind, _, index = device.partition(":")
     if kind != "cuda" or not index.isdigit() or (found := _cuda(int(index))) is None:
         return None
@@ -41,7 +41,7 @@ def device_memory(device: str) -> int | None:
 
 
 def free_memory() -> int | None:
-    """The memory of the machine that programs can take, in bytes; None where the system does not say."""
+    """Return the memory of the machine that programs can take, in bytes; None where the system does not say."""
     if not _MEMINFO.is_file():
         return None
     lines = dict(line.split(":", 1) for line in _MEMINFO.read_text().splitlines() if ":" in line)
@@ -68,7 +68,7 @@ def _gpu(index: int) -> str | None:
 
 
 def _cuda(index: int) -> tuple[ctypes.CDLL, ctypes.c_int] | None:
-    """The CUDA driver and a GPU of it, which it numbers as the backends do; None if there is none."""
+    """Return the CUDA driver and a GPU of it, which it numbers as the backends do; None if there is none."""
     try:
         driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:

@@ -289,7 +289,7 @@ def _with_confidence(
     border: int,
     threshold: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """|error| and confidence of the scored pixels, [p] each."""
+    """Return |error| and confidence of the scored pixels, [p] each."""
     if not threshold >= 0:
         raise LightFieldError(f"threshold must be at least 0, found {threshold:g}.")
     errors, scored = _errors(disparity, truth, mask, border)
@@ -305,7 +305,7 @@ def _errors(
     mask: ArrayLike | None,
     border: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """|error| of the scored pixels [p], NaN or infinite where undefined, and the mask [y, x] of scored pixels."""
+    """Return |error| of the scored pixels [p], NaN or infinite where undefined, and the mask [y, x] of these."""
     if isinstance(truth, GroundTruth):
         _check_same_view(disparity, truth)
         mask = truth.mask if mask is None else mask

@@ -9,7 +9,7 @@ _JOINERS = "\u200c\u200d"  # invisible, but letters of Persian, Hindi and others
 
 
 def printable(text: str, *, keep: str = "", longest: int | None = None) -> str:
-    r"""A text in which everything that is not seen is written out: the escape character becomes "\x1b".
+    r"""Write out everything in a text that is not seen: the escape character becomes "\x1b".
 
     Terminals obey control characters, letters of the other direction can turn a name round, and half of a character
     beyond 16 bits (bytes of a name that are not UTF-8) cannot be encoded. Accents, other scripts and emoji stay.
@@ -33,7 +33,7 @@ def printable(text: str, *, keep: str = "", longest: int | None = None) -> str:
 
 
 def _beginning(text: str, most: int, kept: str, *, backwards: bool = False) -> str:
-    """The characters of a text, from its start, that are at most so many when they are written out."""
+    """Return the characters of a text, from its start, that are at most so many when they are written out."""
     pieces: list[str] = []
     for c in text:
         piece = _seen(c, kept)
@@ -55,5 +55,5 @@ def _is_seen(character: str) -> bool:
 
 
 def message(text: str) -> str:
-    """A message on one line, not longer than can be read."""
+    """Put a message on one line, not longer than can be read."""
     return printable(" ".join(text.split()) if "\n" in text else text, longest=_LONGEST)

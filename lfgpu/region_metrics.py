@@ -35,12 +35,12 @@ class RegionMetric:
 def _share(
     bad: Callable[[NDArray[np.float64]], NDArray[np.bool_]],
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Percent; pixels without an estimate are bad."""
+    """Return the measure of a share in percent; pixels without an estimate are bad."""
     return lambda error: np.where(np.isfinite(error), 100.0 * bad(error), 100.0)
 
 
 def bumpiness(error: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The Frobenius norm of the second derivatives of the error times 100, cut off at 5."""
+    """Compute the Frobenius norm of the second derivatives of the error times 100, cut off at 5."""
 
     # The Scharr operator: differences along one axis, means of 3, 10 and 3 sixteenths across.
     def derivative(image: NDArray[np.float64], axis: int) -> NDArray[np.float64]:

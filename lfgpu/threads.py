@@ -60,7 +60,7 @@ def alone_here() -> Iterator[None]:
 
 
 def get_threads() -> int:
-    """The largest number of CPU threads: from `set_threads`, else from $LFGPU_THREADS, else one per core."""
+    """Return the largest number of CPU threads: from `set_threads`, else from $LFGPU_THREADS, else one per core."""
     if getattr(_here, "alone", False):
         return 1
     if _chosen is not None:
@@ -112,7 +112,7 @@ def _do_waiting() -> None:
 
 
 def _cores() -> int:
-    """The number of cores that this process may use; a container or a scheduler may limit it."""
+    """Count the cores that this process may use; a container or a scheduler may limit it."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

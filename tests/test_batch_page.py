@@ -20,7 +20,7 @@ from lfgpu.batch.run import Batch, Summary, _jobs
 from lfgpu.batch.work import Settings, work
 from lfgpu.io import REPORT_FILE, write_hci
 from lfgpu.methods import PRESETS
-from lfgpu.viz.panels import UNDEFINED
+from lfgpu.viz.colours import UNDEFINED
 
 SETTINGS = Settings(PRESETS["fast"], disparity_range=(-1.2, 1.2))
 HOLE = np.s_[:16, -20:]

@@ -13,9 +13,8 @@ from matplotlib import colormaps
 from PIL import Image
 
 from lfgpu.errors import LightFieldError
-from lfgpu.viz.pictures import indices, palette, ticks, write_confidence, write_disparity, write_picture
-
-GREY = (158, 158, 158)
+from lfgpu.viz.colours import UNDEFINED, indices, palette, shades
+from lfgpu.viz.pictures import beside_scale, draw_map, ticks, write_confidence, write_disparity, write_picture
 
 
 def pixels(path: Path) -> np.ndarray:
@@ -28,9 +27,19 @@ def test_colours_are_those_of_matplotlib(name: str) -> None:
     colours = palette(name)[:239].astype(float)
     wanted = 255 * colormaps[name](np.linspace(0, 1, 239))[:, :3]
     assert np.abs(colours - wanted).max() < 6  # each fifth step is in the tables
-    assert palette(name)[239].tolist() == list(GREY)
+    assert palette(name)[239].tolist() == list(UNDEFINED)
     assert palette(name)[240].tolist() == [255] * 3
     assert palette(name)[255].tolist() == [0] * 3
+
+
+@pytest.mark.parametrize("name", ["magma", "RdBu_r", "viridis_r"])
+def test_other_colours_come_from_matplotlib(name: str) -> None:
+    np.testing.assert_array_equal(shades(name, 17), (255 * colormaps[name](np.linspace(0, 1, 17))[:, :3] + 0.5) // 1)
+
+
+def test_the_ink_is_what_is_read_on_the_paper() -> None:
+    assert palette("magma", (20, 23, 28))[[240, 255]].tolist() == [[20, 23, 28], [255] * 3]
+    assert palette("magma", (200, 200, 180))[255].tolist() == [0] * 3
 
 
 def test_values_beyond_the_scale_have_the_colours_of_its_ends() -> None:
@@ -55,7 +64,7 @@ def test_undefined_pixels_are_grey(undefined: float, tmp_path: Path) -> None:
     write_disparity(values, tmp_path / "known.png", name="ramp")
     values[3, 4] = undefined
     write_disparity(values, tmp_path / "unknown.png", name="ramp")
-    grey = [int((pixels(tmp_path / name) == GREY).all(2).sum()) for name in ("known.png", "unknown.png")]
+    grey = [int((pixels(tmp_path / name) == UNDEFINED).all(2).sum()) for name in ("known.png", "unknown.png")]
     assert grey == [0, 23**2]
 
 
@@ -97,6 +106,26 @@ def test_what_cannot_be_drawn_or_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LightFieldError, match="cannot be written"):
         write_picture(np.zeros((2, 3)), tmp_path / "file" / "a.png", title="", label="")
     assert {path.name for path in tmp_path.iterdir()} == {"file"}
+
+
+def test_limits_that_are_given_are_those_of_the_scale() -> None:
+    values = np.linspace(-1, 2, 1200, dtype=np.float32).reshape(30, 40)
+    drawn = np.asarray(draw_map(values, title="", label="", colours="magma", limits=(-3, 3)))
+    shown = drawn[drawn < 239]
+    assert np.isin(indices(values, (-3, 3)), shown).all()
+
+
+@pytest.mark.parametrize("size", [(29, 31), (480, 640)])
+@pytest.mark.parametrize("paper", [(255, 255, 255), (20, 23, 28)])
+def test_a_picture_beside_a_scale_keeps_its_pixels(
+    size: tuple[int, int], paper: tuple[int, int, int], rng: np.random.Generator
+) -> None:
+    picture = rng.integers(0, 256, (*size, 3)).astype(np.uint8)
+    drawn = beside_scale(picture, label="depth (m)", colours="magma", limits=(1, 2), extent=(1, 3), paper=paper)
+    found = np.asarray(drawn)
+    assert found.shape[0] == size[0]
+    np.testing.assert_array_equal(found[:, : size[1]], picture)
+    assert tuple(found[0, -1]) == paper
 
 
 def test_matplotlib_is_not_imported_for_them(tmp_path: Path) -> None:

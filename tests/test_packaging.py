@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from contextlib import suppress
 from itertools import chain
 from pathlib import Path
 
@@ -95,6 +96,30 @@ def test_what_is_installed_with_the_project_is_pinned() -> None:
     there = installed_with_everything()
     assert {"numpy", "pydantic-core", "hatchling", "websockets"} <= there  # needed by what is needed, too
     assert sorted(there - pinned().keys()) == []
+
+
+CHOSEN = {"docutils": "it is in the public domain, but for a mode of Emacs, which nothing imports"}
+"""Packages that name the GPL among several licences, and why they may be needed."""
+
+
+def licences(name: str) -> list[str]:
+    """All that a package says of its licence."""
+    about = importlib.metadata.metadata(name)
+    said = [about.get("License-Expression") or "", (about.get("License") or "")[:200]]
+    return [*said, *(line for line in about.get_all("Classifier") or [] if line.startswith("License ::"))]
+
+
+def test_nothing_that_is_needed_has_the_gpl() -> None:
+    """An MIT package whose dependencies have the GPL is none; the lesser GPL is meant for that."""
+    refused = re.compile(r"\bA?GPL|(?<!Lesser )General Public License", re.IGNORECASE)
+    assert [text for text in ("GPL-3.0-or-later", "GNU GENERAL PUBLIC LICENSE") if not refused.search(text)] == []
+    assert refused.search("LGPL-2.1") is refused.search("GNU Lesser General Public License") is None
+    found = {}
+    for name in sorted(installed_with_everything()):
+        with suppress(importlib.metadata.PackageNotFoundError):
+            found[name] = licences(name)
+    assert {"numpy", "pillow", "viser", "dask"} <= found.keys()
+    assert {name for name, texts in found.items() if any(map(refused.search, texts))} <= CHOSEN.keys(), found
 
 
 def test_links_of_the_project_are_given() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,9 @@ from PIL import Image
 
 from lfgpu.errors import LightFieldError
 from lfgpu.metrics import sparsification
-from lfgpu.viz.figures import (
-    disparity_figure,
-    figure_with_scale,
-    overview_figure,
-    save_png,
-    sparsification_figure,
-)
+from lfgpu.viz.colours import LOOKS, UNDEFINED, painted
+from lfgpu.viz.figures import save_png, sparsification_figure
+from lfgpu.viz.sheets import overview
 
 SHAPE = (30, 40)
 
@@ -32,80 +29,27 @@ def pixels(figure: Figure, folder: Path) -> np.ndarray:
         return np.asarray(image.convert("RGB"))
 
 
-def colour_of(figure: Figure, y: int, x: int) -> np.ndarray:
-    image = figure.axes[0].images[0]
-    return np.asarray(image.cmap(image.norm(image.get_array()))[y, x])
-
-
-def test_disparity_has_a_scale_with_its_unit() -> None:
-    figure = disparity_figure(ramp(), name="cones")
-    axes, bar = figure.axes
-    assert axes.get_title() == "cones: disparity"
-    assert "px per view step" in bar.get_ylabel()
-    assert "larger is nearer" in bar.get_ylabel()
-    assert "undefined" not in bar.get_ylabel()
-    assert axes.images[0].get_clim() == pytest.approx((-1, 2), abs=0.01)
-
-
-def test_given_limits_are_kept() -> None:
-    assert disparity_figure(ramp(), limits=(-3, 3)).axes[0].images[0].get_clim() == (-3, 3)
-
-
-def test_outliers_do_not_stretch_the_scale() -> None:
-    values = ramp()
-    values[3, 4] = 1000
-    assert disparity_figure(values).axes[0].images[0].get_clim()[1] < 3
-
-
-@pytest.mark.parametrize("undefined", [np.nan, np.inf, -np.inf])
-def test_undefined_pixels_are_grey_and_said_to_be(undefined: float) -> None:
-    values = ramp()
-    values[3, 4] = undefined
-    figure = disparity_figure(values)
-    red, green, blue, _ = colour_of(figure, 3, 4)
-    assert red == green == blue
-    assert "grey: undefined" in figure.axes[1].get_ylabel()
-
-
-@pytest.mark.parametrize("value", [0.0, 2.5, np.nan])
-def test_a_map_of_one_value_can_be_drawn(value: float, tmp_path: Path) -> None:
-    assert pixels(disparity_figure(np.full(SHAPE, value)), tmp_path).size
-
-
-@pytest.mark.parametrize("shape", [(30, 40), (200, 10), (10, 200), (1, 1), (1000, 950)])
-def test_each_pixel_of_a_map_is_a_whole_square(shape: tuple[int, int], tmp_path: Path) -> None:
-    values = np.random.default_rng(0).random(shape)
-    figure = disparity_figure(values)
-    drawn = pixels(figure, tmp_path)
-    box = figure.axes[0].get_window_extent()
-    magnification = box.width / shape[1]
-    assert magnification == pytest.approx(round(magnification))
-    assert box.height / shape[0] == pytest.approx(magnification)
-    assert drawn.shape[0] >= box.height
-    assert drawn.shape[1] >= box.width
+def greys(picture: Image.Image) -> int:
+    return int((np.asarray(picture.convert("RGB")) == UNDEFINED).all(axis=2).sum())
 
 
 def test_compared_maps_share_a_scale_and_errors_have_zero_in_the_middle() -> None:
-    view = np.zeros((*SHAPE, 3))
-    figure = overview_figure(view, ramp() + 0.17, ramp(), title="a title", border=5)
-    by_title = {axes.get_title(): axes for axes in figure.axes if axes.get_title()}
-    assert list(by_title) == ["reference view", "disparity minus truth", "disparity", "truth"]
-    assert by_title["disparity"].images[0].get_clim() == by_title["truth"].images[0].get_clim()
-    low, high = by_title["disparity minus truth"].images[0].get_clim()
-    assert low == -high
-    assert high == pytest.approx(0.2, abs=1e-9)  # an error of 0.17 everywhere, rounded up to one digit
-    labels = [axes.get_ylabel() for axes in figure.axes]
-    assert sum("px per view step" in label for label in labels) == 2
-    assert len(by_title["disparity minus truth"].patches) == 1  # the border
+    """An error of 0.17 everywhere is 0.17 of 0.2, an error scale that ends at one digit; the truth has no error."""
+    sheet = np.asarray(overview(np.zeros((*SHAPE, 3)), ramp() + 0.17, ramp(), title="a title"))
+    wanted = painted(np.full((1, 1), 0.17, np.float32), LOOKS["error"].colours, (-0.2, 0.2))[0, 0]
+    size = math.ceil(900 / max(SHAPE))
+    assert (sheet == wanted).all(axis=2).sum() >= SHAPE[0] * SHAPE[1] * size**2
+    lowest = painted(np.full((1, 1), -1.0, np.float32), "viridis", (-1.0, 2.0))[0, 0]
+    assert (sheet == lowest).all(axis=2).any()
 
 
-def test_errors_outside_the_mask_are_not_shown() -> None:
+def test_errors_outside_the_mask_and_in_the_border_are_grey() -> None:
     mask = np.ones(SHAPE, np.bool_)
     mask[:10] = False
-    figure = overview_figure(np.zeros((*SHAPE, 1)), ramp(), ramp(), title="", mask=mask)
-    error = next(axes for axes in figure.axes if axes.get_title() == "disparity minus truth").images[0].get_array()
-    assert np.ma.getmaskarray(error)[:10].all()
-    assert not np.ma.getmaskarray(error)[10:].any()
+    maps = (np.zeros((*SHAPE, 1)), ramp(), ramp())
+    size = math.ceil(900 / max(SHAPE)) ** 2
+    drawn = [greys(overview(*maps, title="", **options)) for options in ({}, {"mask": mask}, {"border": 5})]
+    assert [n // size for n in drawn] == [0, 10 * SHAPE[1], SHAPE[0] * SHAPE[1] - 20 * 30]
 
 
 @pytest.mark.parametrize("wrong", [True, False])
@@ -127,31 +71,19 @@ def test_the_curve_is_drawn_beside_that_of_the_oracle(wrong: bool, tmp_path: Pat
 
 @pytest.mark.parametrize("name", ["$x_$", "a" * 200, "深度", "two\nlines"])
 def test_any_name_can_be_a_title(name: str, tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
-    assert pixels(disparity_figure(ramp(), name=name), tmp_path).size
+    curve = sparsification(ramp(), ramp(), ramp(), border=0)
+    assert pixels(sparsification_figure(curve, name=name), tmp_path).size
     assert not recwarn.list
 
 
 def test_what_is_no_map_is_refused() -> None:
     with pytest.raises(LightFieldError, match=r"\[y, x\]"):
-        disparity_figure(np.zeros((2, 3, 4)))
+        overview(np.zeros((2, 3, 3)), np.zeros((2, 3, 4)), np.zeros((2, 3)), title="")
     with pytest.raises(LightFieldError, match="same size"):
-        overview_figure(np.zeros((*SHAPE, 3)), ramp(), ramp()[1:], title="")
+        overview(np.zeros((*SHAPE, 3)), ramp(), ramp()[1:], title="")
 
 
 def test_a_picture_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(LightFieldError, match="cannot be written"):
-        save_png(disparity_figure(np.zeros(SHAPE)), tmp_path / "file" / "x.png")
-
-
-@pytest.mark.parametrize("size", [(29, 31), (480, 640)])
-@pytest.mark.parametrize("paper", [(255, 255, 255), (20, 23, 28)])
-def test_a_picture_beside_a_scale_keeps_its_pixels(
-    size: tuple[int, int], paper: tuple[int, int, int], rng: np.random.Generator, tmp_path: Path
-) -> None:
-    picture = rng.integers(0, 256, (*size, 3)).astype(np.uint8)
-    figure = figure_with_scale(picture, label="depth (m)", colours="magma", limits=(1, 2), extent=(1, 3), paper=paper)
-    found = pixels(figure, tmp_path)
-    assert found.shape[0] == size[0]
-    np.testing.assert_array_equal(found[:, : size[1]], picture)
-    assert tuple(found[0, -1]) == paper
+        save_png(Figure(), tmp_path / "file" / "x.png")

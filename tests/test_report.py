@@ -36,9 +36,9 @@ from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.reports import charts
 from lfgpu.reports.epis import Point, epi_cards, find_points
 from lfgpu.reports.report import Origin, html
+from lfgpu.viz import sheets
 from lfgpu.viz.cards import limits_of, scale_of
-from lfgpu.viz.figures import comparison_figure
-from lfgpu.viz.panels import UNDEFINED
+from lfgpu.viz.colours import LOOKS, UNDEFINED, painted
 
 RANGE = "--disparity-range=-2,2"
 
@@ -428,13 +428,13 @@ def test_error_maps_share_a_scale() -> None:
     truth = np.zeros((40, 50), np.float32)
     scene = Scene("a", np.zeros((40, 50, 3), np.float32), truth, {"x": truth + 0.1, "y": truth - 0.01})
     other = Scene("b", np.zeros((40, 50, 1), np.float32), truth, {"x": truth + 1.0})
-    figure = comparison_figure([scene, other])
-    errors = [axes.images[0].get_clim() for axes in figure.axes if axes.get_xlabel().endswith(("0", "1"))]
-    assert len(set(errors)) == 1
-    assert any(axes.get_xlabel() == "no map" for axes in figure.axes)
+    sheet = np.asarray(sheets.comparison([scene, other]))
+    for error in (0.1, -0.01, 1.0):
+        wanted = painted(np.full((1, 1), error, np.float32), LOOKS["error"].colours, (-1.0, 1.0))[0, 0]
+        assert (sheet == wanted).all(axis=2).sum() > 8_000, error  # pixels inside the border, four times enlarged
     assert [row.best[0] for row in table([scene, other]).rows] == [False, True, True, False]
     with pytest.raises(LightFieldError, match="nothing to compare"):
-        comparison_figure([])
+        sheets.comparison([])
     with pytest.raises(LightFieldError, match="nothing to compare"):
         table([])
 
@@ -442,18 +442,10 @@ def test_error_maps_share_a_scale() -> None:
 @pytest.mark.parametrize("shape", [(512, 512), (40, 50), (90, 40)])
 def test_maps_in_a_comparison_are_not_stretched(shape: tuple[int, int]) -> None:
     truth = np.zeros(shape, np.float32)
-    other = np.zeros((60, 80), np.float32)
-    scenes_ = [
-        Scene("a", np.zeros((*shape, 3), np.float32), truth, {"x": truth, "y": truth}),
-        Scene("b", np.zeros((60, 80, 3), np.float32), other, {"x": other}),
-    ]
-    figure = comparison_figure(scenes_)
-    assert len(figure.axes) == 2 * 4 + 1  # view, truth and two methods of each scene, and the scale
-    for axes in figure.axes[:-1]:
-        box, (height, width) = axes.get_window_extent(), axes.images[0].get_array().shape[:2]
-        assert box.width / box.height == pytest.approx(width / height, rel=1e-3)
-        assert box.x1 <= figure.bbox.width
-        assert box.y1 <= figure.bbox.height
+    red = np.broadcast_to(np.float32([1, 0, 0]), (*shape, 3))
+    sheet = np.asarray(sheets.comparison([Scene("a", red, truth, {"x": truth, "y": truth}, 0)]))
+    rows, columns = np.nonzero((sheet == (255, 0, 0)).all(axis=2))
+    assert np.ptp(columns) / np.ptp(rows) == pytest.approx(shape[1] / shape[0], rel=0.02)
 
 
 # --- notebooks ---

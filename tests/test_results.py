@@ -120,11 +120,11 @@ def other_npz() -> bytes:
 
 
 DAMAGES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
-    "empty": (lambda _: b"", "damaged or no"),
-    "text": (lambda _: b"hello", "damaged or no"),
-    "half": (lambda whole: whole[: len(whole) // 2], "damaged or no"),
-    "a byte": (lambda whole: whole[:200] + bytes([whole[200] ^ 255]) + whole[201:], "damaged or no"),
-    "one array": (lambda _: npy(np.zeros(SHAPE)), "single array"),
+    "empty": (lambda _: b"", "cannot be read as NumPy data: File is not a zip file"),
+    "text": (lambda _: b"hello", "File is not a zip file"),
+    "half": (lambda whole: whole[: len(whole) // 2], "File is not a zip file"),
+    "a byte": (lambda whole: whole[:200] + bytes([whole[200] ^ 255]) + whole[201:], "NumPy data: Bad CRC"),
+    "one array": (lambda _: npy(np.zeros(SHAPE)), "File is not a zip file"),
     "other npz": (lambda _: other_npz(), "no array 'lfgpu'"),
     "not JSON": (lambda whole: changed(whole, lambda a, _: a.update(lfgpu=np.array("{"))), "damaged result"),
     "a list": (lambda whole: changed(whole, lambda a, _: a.update(lfgpu=np.array("[]"))), "damaged result"),
@@ -175,7 +175,7 @@ def test_pickles_are_not_opened(tmp_path: Path) -> None:
         read_result(tmp_path / "bad.npz")
 
 
-@pytest.mark.parametrize(("name", "words"), [("missing.npz", "does not exist"), (".", "cannot be opened")])
+@pytest.mark.parametrize(("name", "words"), [("missing.npz", "does not exist"), (".", "cannot be read")])
 def test_what_is_not_there(name: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(LightFieldError, match=words):
         read_result(tmp_path / name)

@@ -16,7 +16,7 @@ from lfgpu.cli import app
 from lfgpu.data.filling import filled
 from lfgpu.data.points import point_cloud
 from lfgpu.errors import LightFieldError
-from lfgpu.viz.panels import colour
+from lfgpu.viz.colours import painted
 
 RANGE = (-1.6, 1.7)
 HOLE = np.s_[:20, -24:]
@@ -103,7 +103,7 @@ def test_they_have_no_point_and_are_grey() -> None:
     lf = masked()
     result = lfgpu.estimate_depth(lf, config="fast", disparity_range=RANGE, device="cpu")
     assert len(point_cloud(result).points) == (~hole(lf)).sum()
-    pictured = colour(result.disparity, "viridis", RANGE)
+    pictured = painted(result.disparity, "viridis", RANGE)
     assert len(np.unique(pictured[hole(lf)], axis=0)) == 1
     assert np.ptp(pictured[hole(lf)][0].astype(int)) < 10
 

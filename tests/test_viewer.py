@@ -39,7 +39,7 @@ with Viewer(lf, port=0) as viewer:
     saving.figure(viewer.contents, "fast", "disparity", "final", colours=colours, limits=limits)
     saving.saved(viewer.contents, "fast", "final", ".ply")
     Space(viewer, print).close()
-ours = {"lfgpu", "scipy", "matplotlib", "viser", "trimesh", "plyfile"}
+ours = {"lfgpu", "scipy", "matplotlib", "viser", "trimesh"}
 print(sorted(name for name in set(sys.modules) - before if name.split(".")[0] in ours))
 """
 

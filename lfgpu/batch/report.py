@@ -20,8 +20,8 @@ from lfgpu.io.atomic import atomic_write
 from lfgpu.io.names import REPORT_FILE
 from lfgpu.reports.facts import date, preset
 from lfgpu.viz.cards import Scale, Tile, scale
+from lfgpu.viz.colours import LOOKS
 from lfgpu.viz.pages import rendered
-from lfgpu.viz.panels import LOOKS
 
 _UNITS = {name: "%" for name in COLUMNS if name.startswith("BadPix")}
 _FIRST = ("BadPix 0.07", "MSE x100")  # scores that are read first
@@ -44,7 +44,7 @@ def write_report(summary: Summary, out: Path, title: str) -> Path:
             *(map(_typeset, COLUMNS) if any(e.get("metrics") for e in entries) else ()),
         ],
         stops=scale("disparity", (0.0, 1.0)).stops,
-        unit=LOOKS["disparity"].unit,
+        unit=LOOKS["disparity"].title,
         rows=[_row(entry) for entry in sorted(entries, key=lambda entry: entry.get("status") == DONE)],
     )
     path = out / REPORT_FILE

@@ -21,7 +21,7 @@ from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable
-from lfgpu.io.ply_map import write_vertices
+from lfgpu.io.ply import write_vertices
 from lfgpu.io.png import write_png
 
 POINTS = 200_000

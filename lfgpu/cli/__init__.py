@@ -35,6 +35,7 @@ from lfgpu.cli import (
 )
 from lfgpu.cli.failures import Group
 from lfgpu.cli.listings import EXAMPLE, Command
+from lfgpu.cli.options import with_groups
 
 _OBJECTS = 50_000  # made since the last look for garbage, before the next: imports make many that stay
 
@@ -81,7 +82,7 @@ _TASKS: dict[str, dict[str, tuple[Callable[..., Any], str]]] = {
 
 for _task, _commands in _TASKS.items():
     for _name, (_function, _example) in _commands.items():
-        app.command(_name, cls=Command, rich_help_panel=_task, epilog=f"{EXAMPLE}{_example}")(_function)
+        app.command(_name, cls=Command, rich_help_panel=_task, epilog=f"{EXAMPLE}{_example}")(with_groups(_function))
 
 
 def main() -> None:

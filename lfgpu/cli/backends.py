@@ -27,7 +27,7 @@ def _installed(info: BackendInfo) -> str:
 
 
 def _runs_on(info: BackendInfo) -> list[str]:
-    """One line per device; or why the backend cannot run, and what to do."""
+    """Return one line per device; or why the backend cannot run, and what to do."""
     from lfgpu.machine import device_name
 
     if info.problem is not None:

@@ -4,29 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lfgpu._backends import DEFAULT, backend_named
+from lfgpu._backends import backend_named
 from lfgpu.cli import values
-from lfgpu.cli.options import (
-    AllowMissing,
-    Backend,
-    Deterministic,
-    DisparityRange,
-    Every,
-    Flip,
-    FormatName,
-    Grid,
-    OutFolder,
-    Parameters,
-    Pattern,
-    Preset,
-    Quiet,
-    ReferenceView,
-)
+from lfgpu.cli.options import Computing, Deterministic, OutFolder, Parameters, Quiet, ReadingIncomplete, Views
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
@@ -36,6 +22,19 @@ if TYPE_CHECKING:
 
 _INTERRUPTED = 130
 _NAMED = 5  # failures and folders that are printed by name; the report lists all
+
+
+@dataclass(frozen=True)
+class _Workers(Computing):
+    """Options of the estimates of all workers."""
+
+    device: Annotated[
+        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="all GPUs, else the CPU")
+    ] = None
+    threads: Annotated[
+        int | None,
+        typer.Option(min=1, help="CPU threads per worker.", show_default="an equal share of the cores"),
+    ] = None
 
 
 def batch(
@@ -48,6 +47,7 @@ def batch(
         ),
     ],
     out: OutFolder,
+    *,
     sequence: Annotated[
         bool,
         typer.Option(
@@ -69,25 +69,11 @@ def batch(
     item_timeout: Annotated[
         float, typer.Option(min=1, metavar="SECONDS", help="An item that takes longer is given up.")
     ] = 7200,
-    preset: Preset = "accurate",
-    reference_view: ReferenceView = None,
-    pattern: Pattern = "full",
-    disparity_range: DisparityRange = None,
-    backend: Backend = DEFAULT,
-    device: Annotated[
-        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="all GPUs, else the CPU")
-    ] = None,
-    threads: Annotated[
-        int | None,
-        typer.Option(min=1, help="CPU threads per worker.", show_default="an equal share of the cores"),
-    ] = None,
+    parameters: Parameters,
+    chosen: Views,
+    computing: _Workers,
     deterministic: Deterministic = False,
-    settings: Parameters = None,
-    format_name: FormatName = None,
-    grid: Grid = None,
-    every: Every = None,
-    flip: Flip = "",
-    allow_missing: AllowMissing = False,
+    reading: ReadingIncomplete,
     report: Annotated[
         bool,
         typer.Option(
@@ -112,21 +98,21 @@ def batch(
     from lfgpu.io import check_writable
 
     check_writable(out)
-    values.check_pattern("--views", pattern)
     how = Settings(
-        config=values.configured(preset, settings or ()),
-        disparity_range=values.parse_disparity_range(disparity_range),
-        place=values.parse_reference_view(reference_view),
-        pattern=pattern,
-        reading=values.reading(format_name, grid, every, flip, allow_missing=allow_missing),
-        backend=backend_named(backend),
+        config=parameters.config(),
+        disparity_range=values.parse_disparity_range(computing.disparity_range),
+        place=chosen.place(),
+        pattern=chosen.pattern,
+        reading=reading.options(),
+        backend=backend_named(computing.backend),
         deterministic=deterministic,
         report=report,
         command=command_line(ctx),
     )
     lasting: dict[str, Any] = {"retries": retries, "item_timeout": item_timeout}
+    device, threads = computing.device, computing.threads
     if scheduler is None:
-        devices = _devices(backend, device)
+        devices = _devices(computing.backend, device)
         count = workers or len(devices)
         cluster = Cluster(workers=count, devices=devices, threads=threads or _share_of_cores(count), **lasting)
     else:
@@ -137,7 +123,7 @@ def batch(
             )
         devices = () if device is None else (device,)
         cluster = Cluster(scheduler=scheduler, devices=devices, threads=threads, **lasting)
-    items, barren = find_items(inputs, sequence=sequence, format_name=format_name, leave_out=out)
+    items, barren = find_items(inputs, sequence=sequence, format_name=reading.format_name, leave_out=out)
 
     work, title = Batch(items, out, how), out.resolve().name
     try:
@@ -160,7 +146,7 @@ def batch(
 
 
 def _devices(backend: str, device: str | None) -> tuple[str, ...]:
-    """The devices of local workers; BackendError if the backend or the device is missing."""
+    """Return the devices of local workers; BackendError if the backend or the device is missing."""
     from lfgpu._backends import load, pick_device
 
     kernels = load(backend)

@@ -8,29 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT
 from lfgpu.cli import values
-from lfgpu.cli.estimation import asked_for
-from lfgpu.cli.options import (
-    AllowMissing,
-    Backend,
-    Device,
-    DisparityRange,
-    Every,
-    Flip,
-    FormatName,
-    Grid,
-    Quiet,
-    ReferenceView,
-    Source,
-    Threads,
-)
+from lfgpu.cli.options import Computing, Quiet, ReadingIncomplete, ReferenceView, Source
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from lfgpu.cameras import Explanation
-    from lfgpu.cli.depth import Estimation
+    from lfgpu.cli.estimation import Estimation
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult, DisparityMap
 
@@ -56,16 +41,10 @@ def check(
             help="Also write check.json, a map of the unexplained part and residual pictures.",
         ),
     ] = None,
+    *,
     reference_view: ReferenceView = None,
-    disparity_range: DisparityRange = None,
-    backend: Backend = DEFAULT,
-    device: Device = None,
-    threads: Threads = None,
-    format_name: FormatName = None,
-    grid: Grid = None,
-    every: Every = None,
-    flip: Flip = "",
-    allow_missing: AllowMissing = False,
+    computing: Computing,
+    reading: ReadingIncomplete,
     quiet: Quiet = False,
 ) -> None:
     """Say what is wrong with the cameras of a light field. No ground truth is needed.
@@ -80,16 +59,16 @@ def check(
     if out is not None:
         check_writable(out)
     place = values.parse_reference_view(reference_view)
-    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
-    estimation = asked_for(values.configured("fast", ()), disparity_range, backend, device, threads)
-    lf = read(source, **reading)
+    options = reading.options()
+    estimation = computing.estimation(values.configured("fast", ()))
+    lf = read(source, **options)
     found = None if result is None else _map(result)
     if place is not None:
         lf = lf.with_reference(lf.index_of(*place))
     elif found is not None and found.position is not None:
         lf = lf.with_reference(lf.index_of(found.position[1], found.position[0]))
     judged = found or estimation.run(lf, quiet=quiet, check_cameras=False)
-    explanation = explain(lf, judged, backend=estimation.backend, device=device)
+    explanation = explain(lf, judged, backend=estimation.backend, device=estimation.device)
     files = [] if out is None else _write(out, lf, judged, explanation, estimation)
     if not quiet:
         _show(output(), lf, explanation)

@@ -1,4 +1,6 @@
-"""What `lfgpu doctor` finds out: versions, devices, kernel caches, memory, optional parts, a self-test."""
+"""Examination of an installation for `lfgpu doctor`: versions, devices, kernel caches, memory, optional parts, a
+self-test.
+"""
 
 from __future__ import annotations
 
@@ -99,7 +101,7 @@ class Checkup:
     problems: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it in dictionaries, lists, texts and numbers."""
+        """Return all of it in dictionaries, lists, texts and numbers."""
         return asdict(self)
 
 
@@ -131,7 +133,7 @@ def examine() -> Checkup:
 
 
 def _versions() -> dict[str, str]:
-    """Of lfgpu, Python, the system, and the packages that lfgpu cannot do without."""
+    """Return the versions of lfgpu, Python, the system, and the packages that lfgpu cannot do without."""
     needed = sorted({name for name, extra in _requirements() if extra is None})
     return {
         "lfgpu": version_of("lfgpu") or "not installed",
@@ -142,7 +144,7 @@ def _versions() -> dict[str, str]:
 
 
 def _requirements() -> Iterator[tuple[str, str | None]]:
-    """The packages that lfgpu asks for, each with the extra that it belongs to."""
+    """Yield the packages that lfgpu asks for, each with the extra that it belongs to."""
     for line in importlib.metadata.requires("lfgpu") or () if version_of("lfgpu") else ():
         name, extra = re.match(r"[\w.-]+", line), re.search(r"extra == ['\"](\w+)['\"]", line)
         if name and name[0] != "lfgpu":
@@ -174,7 +176,7 @@ def _caches(backends: tuple[BackendInfo, ...]) -> Iterator[Cache]:
 
 
 def _writable(folder: Path) -> bool:
-    """Whether files can be written in a folder, or the folder be made if it is not there."""
+    """Tell whether files can be written in a folder, or the folder be made if it is not there."""
     there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 
@@ -196,7 +198,7 @@ def _memory() -> dict[str, int | None]:
 
 
 def _of_backends(backends: tuple[BackendInfo, ...]) -> Iterator[str]:
-    """A backend that is not installed is no problem, but for the default one."""
+    """Yield the problems of backends; one that is not installed is no problem, but for the default one."""
     from lfgpu._backends import DEFAULT
 
     for info in backends:
@@ -216,7 +218,7 @@ def _of_cache(cache: Cache) -> str:
 
 
 def _trials(backends: tuple[BackendInfo, ...]) -> Iterator[Trial]:
-    """A light field and a map through files, then an estimate on each device, the reference first."""
+    """Try a light field and a map through files, then an estimate on each device, the reference first."""
     from lfgpu._backends import backend_named
     from lfgpu.scenes import make
 

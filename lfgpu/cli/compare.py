@@ -71,7 +71,7 @@ def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: i
 
 
 def are_batches(folders: list[Path]) -> bool:
-    """Whether all folders are outputs of `lfgpu batch`."""
+    """Tell whether all folders are outputs of `lfgpu batch`."""
     from lfgpu.batch.names import MANIFEST_FILE
 
     return all((folder / MANIFEST_FILE).is_file() for folder in folders)
@@ -143,7 +143,7 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
 
 
 def _repeated(names: list[str]) -> str:
-    """The first name that occurs twice."""
+    """Return the first name that occurs twice."""
     return next(name for name in names if names.count(name) > 1)
 
 
@@ -161,11 +161,12 @@ def _metrics(found: dict[str, float | None], folder: Path) -> Metrics:
 def _write(out: Path, scenes: list[Scene], scored: Table) -> None:
     from lfgpu.io import atomic_folder
     from lfgpu.reports.comparison import write_comparison
-    from lfgpu.viz.figures import comparison_figure, save_png
+    from lfgpu.viz.pictures import save_picture
+    from lfgpu.viz.sheets import comparison
 
     with atomic_folder(out) as folder:
         _write_tables(folder, scored)
-        save_png(comparison_figure(scenes), folder / "errors.png")
+        save_picture(comparison(scenes), folder / "errors.png")
         write_comparison(folder / REPORT_FILE, scenes, scored)
 
 
@@ -204,7 +205,7 @@ def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scen
 
 
 def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
-    """The file with a method's result on a scene; None if there is none."""
+    """Return the file with a method's result on a scene; None if there is none."""
     from lfgpu.io import MAP_FORMATS, holds_map, result_in
 
     single = [method / f"{scene}{suffix}" for entry in MAP_FORMATS for suffix in entry.suffixes]

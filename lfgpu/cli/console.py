@@ -1,4 +1,4 @@
-"""What commands print: labelled lines, tables and a progress display."""
+"""Output of commands: labelled lines, tables and a progress display."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class _Shown(Console):
     """A terminal that obeys nothing that stands in texts: names of files may hold escape sequences."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """The segments of something, with what is not printable in their texts written out."""
+        """Return the segments of something, with what is not printable in their texts written out."""
         for segment in super().render(renderable, options):
             safe = segment.control or segment.text.isprintable()
             yield segment if safe else Segment(printable(segment.text, keep="\n"), segment.style)
 
 
 def output() -> Console:
-    """Where the answer goes."""
+    """Return the console that the answer of a command goes to."""
     console = _Shown(highlight=False, markup=False, emoji=False)
     if not console.is_terminal:
         console.width = max(console.width, _NARROWEST)
@@ -55,13 +55,13 @@ def output() -> Console:
 
 
 def heading(console: Console, text: str) -> None:
-    """An empty line, then a line in bold."""
+    """Print an empty line, then a line in bold."""
     console.print()
     console.print(Text(text, style="bold"))
 
 
 def lines(console: Console, facts: Sequence[tuple[str, str]]) -> None:
-    """Labelled texts; a long text continues in its own column."""
+    """Print labelled texts; a long text continues in its own column."""
     grid = Table.grid(padding=(0, 2, 0, 0))
     grid.add_column(min_width=_LABELS, no_wrap=True, style="cyan")
     grid.add_column(overflow="fold")
@@ -71,7 +71,7 @@ def lines(console: Console, facts: Sequence[tuple[str, str]]) -> None:
 
 
 def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
-    """The metrics of the HCI 4D benchmark, a row for each map; fits into 80 columns."""
+    """Print the metrics of the HCI 4D benchmark, a row for each map; the table fits into 80 columns."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
     table.add_column("")
     for name in ("MSE\nx100", "BadPix\n0.07", "BadPix\n0.03", "BadPix\n0.01", "Q25\nx100", "RMSE", "un-\ndefined"):
@@ -89,7 +89,7 @@ def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
 
 
 def region_scores(console: Console, rows: Mapping[str, Mapping[str, float]]) -> None:
-    """The benchmark's measures of regions from top to bottom, maps from left to right."""
+    """Print the benchmark's measures of regions from top to bottom, maps from left to right."""
     from lfgpu.region_metrics import REGION_METRICS
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
@@ -104,7 +104,7 @@ def region_scores(console: Console, rows: Mapping[str, Mapping[str, float]]) -> 
 
 
 def comparison(console: Console, scored: Compared) -> None:
-    """A table with a row per scene and method and a column per metric; the best of each scene is bold."""
+    """Print a table with a row per scene and method and a column per metric; the best of each scene is bold."""
     from lfgpu.comparison import COLUMNS
 
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
@@ -121,7 +121,7 @@ def comparison(console: Console, scored: Compared) -> None:
 
 
 def sparsification(console: Console, curve: Sparsification) -> None:
-    """The share of bad pixels among the most confident ones, and the smallest possible share; fits into 80 columns."""
+    """Print the share of bad pixels among the most confident ones, and the smallest possible share, in 80 columns."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
     table.add_column(f"BadPix {curve.threshold:g}\nof the surest", vertical="bottom", no_wrap=True)
     shown = [index for index, share in enumerate(curve.kept) if round(share) in _KEPT]
@@ -142,7 +142,7 @@ def sparsification(console: Console, curve: Sparsification) -> None:
 
 
 def backend_rows(console: Console, rows: Sequence[tuple[str, str, Sequence[str]]]) -> None:
-    """A row for each backend: its name, the installed package, and its devices or why it cannot run."""
+    """Print a row for each backend: its name, the installed package, and its devices or why it cannot run."""
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
     table.add_column("backend", no_wrap=True)
     table.add_column("needs", no_wrap=True)
@@ -153,7 +153,7 @@ def backend_rows(console: Console, rows: Sequence[tuple[str, str, Sequence[str]]
 
 
 def remark(console: Console, text: str) -> None:
-    """A sentence below a heading."""
+    """Print a sentence below a heading."""
     console.print(Padding(Text(text), (0, 0, 0, 2), expand=False))
 
 
@@ -207,7 +207,7 @@ def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
 
 
 def _said(stage: Stage | None, value: float) -> str:
-    """The value of a stage after an iteration, with its name and unit."""
+    """Return the value of a stage after an iteration, with its name and unit."""
     if stage is None or stage.value is None:
         return f"{_SHARE} {value:.6g}"
     return f"{stage.value} {value:.6g} {stage.unit or ''}".rstrip()

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from lfgpu.cli.options import OutFolder
 from lfgpu.errors import LightFieldError
 
 
@@ -14,9 +15,7 @@ def decode(
     source: Annotated[
         Path, typer.Argument(metavar="RAW", help="Raw capture: .lfp, .lfr, .raw, or a grey image of the sensor.")
     ],
-    out: Annotated[
-        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the views; created if missing.")
-    ],
+    out: OutFolder,
     white: Annotated[
         Path | None,
         typer.Option(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu.cli.options import Threads
+from lfgpu.cli.options import OutFolder, Threads
 
 if TYPE_CHECKING:
     from lfgpu.data.lightfield import LightField
@@ -22,16 +22,14 @@ _SCENE, _LIGHT_FIELD, _OVERVIEW, _CURVE = "boxes", "light-field", "overview.png"
 
 
 def demo(
-    out: Annotated[
-        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for all files; created if missing.")
-    ] = Path("lfgpu-demo"),
+    out: OutFolder = Path("lfgpu-demo"),
     seed: Annotated[int, typer.Option(help="Seed of the random scene.")] = 0,
     threads: Threads = None,
 ) -> None:
     """Make a synthetic light field, estimate its depth, compare it with the exact ground truth and draw an overview."""
     from lfgpu.cli import summary, values
     from lfgpu.cli.console import output
-    from lfgpu.cli.depth import Estimation
+    from lfgpu.cli.estimation import Estimation
     from lfgpu.cli.outputs import write_outputs
     from lfgpu.io import atomic_folder, check_writable, write_hci
     from lfgpu.methods import preset
@@ -65,7 +63,8 @@ def demo(
 
 def _draw_overview(lf: LightField, result: DepthResult, scores: dict[str, Metrics], path: Path) -> None:
     from lfgpu.metrics import BORDER
-    from lfgpu.viz.figures import overview_figure, save_png
+    from lfgpu.viz.pictures import save_picture
+    from lfgpu.viz.sheets import overview
 
     assert lf.truth is not None  # synthetic scenes have it
     view, title = lf.image(lf.reference_index), lf.name
@@ -75,7 +74,7 @@ def _draw_overview(lf: LightField, result: DepthResult, scores: dict[str, Metric
             f"{lf.name}, {len(lf.views)} views in {result.timings['total']:.1f} s: BadPix(0.07) {m.badpix_07:.1f} %, "
             f"MSE x100 {m.mse_100:.2f}, Q25 x100 {m.q25:.2f}"
         )
-    save_png(overview_figure(view, result.disparity, lf.truth.disparity, title=title, border=BORDER), path)
+    save_picture(overview(view, result.disparity, lf.truth.disparity, title=title, border=BORDER), path)
 
 
 def _show_next(out: Path) -> None:

@@ -2,99 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT, BackendName, backend_named
-from lfgpu.cli import values
+from lfgpu._backends import DEFAULT
 from lfgpu.cli.options import (
-    AllowMissing,
-    Backend,
+    Computing,
     Deterministic,
-    Device,
-    DisparityRange,
-    Every,
-    Flip,
-    FormatName,
-    Grid,
     OutFolder,
     Parameters,
-    Pattern,
-    Preset,
     Quiet,
-    ReferenceView,
+    ReadingIncomplete,
     Source,
-    Threads,
+    Views,
 )
 from lfgpu.errors import LightFieldError
 from lfgpu.threads import meanwhile
-
-_JUDGED = 40_000_000  # pixels of all views: of larger light fields a report does not say how well they are predicted
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from lfgpu.cameras import Explanation
-    from lfgpu.config import Config
+    from lfgpu.cli.estimation import Estimation
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult
-    from lfgpu.data.views_result import ViewsResult
 
-
-@dataclass(frozen=True)
-class Estimation:
-    """The options of an estimate, which are checked before anything is read or computed."""
-
-    config: Config
-    disparity_range: tuple[float, float] | None = None
-    backend: BackendName = DEFAULT
-    device: str | None = None
-    deterministic: bool = False
-    max_memory: str | None = None
-
-    def check_device(self) -> None:
-        """BackendError if the backend or the device is missing."""
-        from lfgpu._backends import load, pick_device
-
-        pick_device(load(self.backend), self.device)
-
-    def prepare(self) -> None:
-        """Import what an estimate needs, and check the device."""
-        import lfgpu.pipelines.estimate  # noqa: F401
-
-        self.check_device()
-
-    def run(self, lf: LightField, *, quiet: bool, check_cameras: bool = True) -> DepthResult:
-        """Estimate the map of the reference view, with a progress display."""
-        from lfgpu.cli.console import progress
-        from lfgpu.pipelines.estimate import estimate_depth
-
-        with progress(self.config, quiet=quiet) as on_progress:
-            return estimate_depth(lf, on_progress=on_progress, check_cameras=check_cameras, **self._options)
-
-    def run_all(self, lf: LightField, *, quiet: bool) -> ViewsResult:
-        """Estimate the maps of all views, with a progress display."""
-        from lfgpu.cli.console import progress
-        from lfgpu.pipelines.all_views import estimate_all_views
-
-        with progress(self.config, quiet=quiet) as on_progress:
-            options = {name: value for name, value in self._options.items() if name != "max_memory"}
-            return estimate_all_views(lf, on_progress=on_progress, **options)
-
-    @property
-    def _options(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+_JUDGED = 40_000_000  # pixels of all views: of larger light fields a report does not say how well they are predicted
 
 
 def depth(
     ctx: typer.Context,
     source: Source,
     out: OutFolder,
-    preset: Preset = "accurate",
-    reference_view: ReferenceView = None,
-    pattern: Pattern = "full",
+    *,
+    parameters: Parameters,
+    chosen: Views,
     all_views: Annotated[bool, typer.Option("--all-views", help="Also write consistent maps of all views.")] = False,
     saved: Annotated[
         list[str] | None,
@@ -108,10 +52,7 @@ def depth(
     fill: Annotated[
         bool, typer.Option("--fill", help="Fill pixels that are not known (masked, NaN) from the farther side.")
     ] = False,
-    disparity_range: DisparityRange = None,
-    backend: Backend = DEFAULT,
-    device: Device = None,
-    threads: Threads = None,
+    computing: Computing,
     deterministic: Deterministic = False,
     max_memory: Annotated[
         str | None,
@@ -121,12 +62,7 @@ def depth(
             show_default="no limit",
         ),
     ] = None,
-    settings: Parameters = None,
-    format_name: FormatName = None,
-    grid: Grid = None,
-    every: Every = None,
-    flip: Flip = "",
-    allow_missing: AllowMissing = False,
+    reading: ReadingIncomplete,
     report: Annotated[
         bool,
         typer.Option(
@@ -150,30 +86,22 @@ def depth(
 
     check_writable(out)
     check_names("--save", saved or ())
-    estimation = Estimation(
-        values.configured(preset, settings or ()),
-        None if disparity_range is None else values.parse_range("--disparity-range", disparity_range),
-        backend_named(backend),
-        device,
-        deterministic,
-        max_memory,
-    )
+    config = parameters.config()
+    estimation = computing.estimation(config, check=False, deterministic=deterministic, max_memory=max_memory)
     if max_memory is not None:
         parse_memory(max_memory)
         if all_views:
             raise LightFieldError(
                 "--max-memory works for the map of one view only; leave out --max-memory or --all-views."
             )
-    place = None if reference_view is None else values.parse_place("--reference-view", reference_view)
-    values.check_pattern("--views", pattern)
-    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
-    values.use_threads("--threads", threads)
-    if device is not None or backend != DEFAULT:
+    chosen.place()
+    options = reading.options()
+    if computing.device is not None or computing.backend != DEFAULT:
         estimation.check_device()  # what was asked for is checked before anything is read
 
     with meanwhile(estimation.prepare):  # imports go on while threads decode files
-        lf = read(source, lazy=max_memory is not None, **reading)
-    lf = _chosen(lf, place, pattern)
+        lf = read(source, lazy=max_memory is not None, **options)
+    lf = chosen.of(lf)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)
     if fill:
@@ -192,7 +120,7 @@ def depth(
         return
     console = output()
     summary.show_input(console, lf)
-    summary.show_result(console, result, range_given=disparity_range is not None)
+    summary.show_result(console, result, range_given=estimation.disparity_range is not None)
     for note in result.notes:
         remark(console, note)
     summary.show_scores(console, lf, result)
@@ -217,7 +145,7 @@ def _write_report(
 
 
 def _explanation(lf: LightField, result: DepthResult, estimation: Estimation) -> Explanation | None:
-    """What the judge says; None where the map says nothing, or the light field would take minutes."""
+    """Explain the map by `lfgpu.explain`; None where it says nothing, or the light field would take minutes."""
     from lfgpu.cameras import explain
 
     if lf.views[..., 0].size > _JUDGED:
@@ -226,9 +154,3 @@ def _explanation(lf: LightField, result: DepthResult, estimation: Estimation) ->
         return explain(lf, result, backend=estimation.backend, device=estimation.device)
     except LightFieldError:
         return None
-
-
-def _chosen(lf: LightField, place: tuple[float, float] | None, pattern: str) -> LightField:
-    if place is not None:
-        lf = lf.with_reference(lf.index_of(*place))
-    return lf if pattern == "full" else lf.subset(pattern)

@@ -158,7 +158,7 @@ def _submit(results: list[Path], out: Path) -> None:
 
 
 def _maps(path: Path, truth: Path) -> tuple[dict[str, NDArray[np.float32]], DepthResult | DisparityMap | None]:
-    """The maps to score, by name (the stages of a result), and the estimate itself, if its view is known."""
+    """Read the maps to score, by name (the stages of a result), and the estimate itself, if its view is known."""
     from lfgpu.data.result import DepthResult
     from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import load, result_in
@@ -174,7 +174,7 @@ def _maps(path: Path, truth: Path) -> tuple[dict[str, NDArray[np.float32]], Dept
 
 
 def _true_view(result: ViewsResult, truth: Path) -> int:
-    """Index of the view whose ground truth a light field holds; the reference view if `truth` is a map."""
+    """Return index of the view whose ground truth a light field holds; the reference view if `truth` is a map."""
     from lfgpu.io import read
 
     known = read(truth, allow_missing=True).truth if truth.is_dir() else None
@@ -192,7 +192,7 @@ def _check_exists(path: Path) -> None:
 
 
 def _truth(path: Path, position: tuple[float, float] | None) -> GroundTruth:
-    """The ground truth in a map or in a light field, which must belong to the view at `position` (u, v), if known."""
+    """Read the ground truth in a map or a light field. It must belong to the view at `position` (u, v), if known."""
     from lfgpu.data.lightfield import GroundTruth
     from lfgpu.io import read, read_map
     from lfgpu.reports.facts import place

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from lfgpu.cli import values
-from lfgpu.cli.options import AllowMissing, DisparityRange, Every, Flip, FormatName, Grid, Parameters
+from lfgpu.cli.options import Cold, DisparityRange, OutFolder, Parameters, ReadingIncomplete
+
+
+@dataclass(frozen=True)
+class _Parameters(Parameters):
+    """Options that choose the parameters of a method that can be exported."""
+
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Parameters to start from: {recordable presets}.")] = (
+        "accurate"
+    )
 
 
 def export(
@@ -16,17 +26,12 @@ def export(
         Path,
         typer.Argument(metavar="INPUT", help="Light field with the same cameras and size as those to be estimated."),
     ],
-    out: Annotated[
-        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the files; created if missing.")
-    ],
-    preset: Annotated[
-        str, typer.Option(metavar="NAME", help="Parameters to start from: {recordable presets}.")
-    ] = "accurate",
+    out: OutFolder,
+    *,
+    parameters: _Parameters,
     disparity_range: DisparityRange = None,
     device: Annotated[str, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.")] = "cpu",
-    cold: Annotated[
-        bool, typer.Option("--cold", help="Estimate each frame independently, without the temporal prior.")
-    ] = False,
+    cold: Cold = False,
     rectify: Annotated[
         Path | None,
         typer.Option(
@@ -35,12 +40,7 @@ def export(
             "program rectifies.",
         ),
     ] = None,
-    settings: Parameters = None,
-    format_name: FormatName = None,
-    grid: Grid = None,
-    every: Every = None,
-    flip: Flip = "",
-    allow_missing: AllowMissing = False,
+    reading: ReadingIncomplete,
 ) -> None:
     """Write the estimate for light fields like INPUT as files, and a C++ program that runs them without Python."""
     from lfgpu.calibration import read_rectifier
@@ -49,11 +49,11 @@ def export(
     from lfgpu.pipelines.export import export_pipeline
 
     check_writable(out)
-    config = values.configured(preset, settings or ())
+    config = parameters.config()
     bounds = values.parse_disparity_range(disparity_range)
-    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
+    options = reading.options()
     prior = None if cold else TemporalPrior()
-    lf = read(source, **reading)
+    lf = read(source, **options)
     rectifier = None if rectify is None else read_rectifier(rectify)
     if rectifier is not None:
         lf = rectifier.pictures(lf.views, white=lf.white)

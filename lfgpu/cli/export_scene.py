@@ -7,29 +7,14 @@ from typing import Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT
 from lfgpu.cli import values
-from lfgpu.cli.estimation import asked_for
-from lfgpu.cli.options import (
-    AllowMissing,
-    Backend,
-    Device,
-    DisparityRange,
-    Every,
-    Flip,
-    FormatName,
-    Grid,
-    OutFolder,
-    Preset,
-    Quiet,
-    Source,
-    Threads,
-)
+from lfgpu.cli.options import Computing, OutFolder, Preset, Quiet, ReadingIncomplete, Source
 
 
 def export_scene(
     source: Source,
     out: OutFolder,
+    *,
     maps: Annotated[
         Path | None,
         typer.Option(
@@ -39,15 +24,8 @@ def export_scene(
         ),
     ] = None,
     preset: Preset = "accurate",
-    disparity_range: DisparityRange = None,
-    backend: Backend = DEFAULT,
-    device: Device = None,
-    threads: Threads = None,
-    format_name: FormatName = None,
-    grid: Grid = None,
-    every: Every = None,
-    flip: Flip = "",
-    allow_missing: AllowMissing = False,
+    computing: Computing,
+    reading: ReadingIncomplete,
     quiet: Quiet = False,
 ) -> None:
     """Write cameras, depth maps of the views and a coloured point cloud as COLMAP and nerfstudio read them.
@@ -61,9 +39,9 @@ def export_scene(
     from lfgpu.io import VIEWS_FILE, check_writable, load, read
 
     check_writable(out)
-    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
-    estimation = asked_for(values.configured(preset, ()), disparity_range, backend, device, threads)
-    lf = read(source, **reading)
+    options = reading.options()
+    estimation = computing.estimation(values.configured(preset, ()))
+    lf = read(source, **options)
     world_of(lf)
     if maps is None:
         found = estimation.run_all(lf, quiet=quiet)

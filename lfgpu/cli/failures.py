@@ -21,7 +21,7 @@ _COMMAND = "lfgpu.command"
 
 
 def command_line(ctx: typer.Context) -> str:
-    """The command line that is running, as a shell takes it."""
+    """Return the command line that is running, as a shell takes it."""
     return str(ctx.meta[_COMMAND])
 
 
@@ -54,7 +54,7 @@ class Group(TyperGroup):
 
 
 def _sentence(error: Exception) -> str | None:
-    """The sentence about an error; None if it is a bug."""
+    """Return the sentence about an error; None if it is a bug."""
     if isinstance(error, LfgpuError):
         return str(error)
     if isinstance(error, MemoryError):

@@ -7,15 +7,13 @@ from typing import Annotated
 
 import typer
 
-from lfgpu.cli.options import Every, Flip, FormatName, Grid, Source
+from lfgpu.cli.options import Reading, Source
 
 
 def info(
     source: Source,
-    format_name: FormatName = None,
-    grid: Grid = None,
-    every: Every = None,
-    flip: Flip = "",
+    *,
+    reading: Reading,
     write: Annotated[
         Path | None,
         typer.Option(
@@ -30,14 +28,13 @@ def info(
     It also tells if the views show nothing, or if the cameras do not fit together (see lfgpu check).
     """
     from lfgpu._backends import DEFAULT, open_device
-    from lfgpu.cli import values
     from lfgpu.cli.console import heading, lines, output, waiting
     from lfgpu.io import inside, read, recognise, write_description
     from lfgpu.pipelines.verdict import views_alone
     from lfgpu.reports import facts
 
-    shape = values.parse_grid(grid)
-    name, reason = format_name, "as told"
+    options = reading.options()
+    name, reason = reading.format_name, "as told"
     if name is None:
         chosen, because = recognise(source)
         name, reason = chosen.name, f"because {because}"
@@ -48,12 +45,11 @@ def info(
         lines(console, [("format", f"{name}, {reason}"), *held.facts, ("no depth", held.no_depth)])
         return
     with waiting(f"reading {source.name}"):
-        lf = read(source, format=name, allow_missing=True, grid=shape, every=every, flip=flip)
+        lf = read(source, **{**options, "format": name}, allow_missing=True)
         doubts, remarks = views_alone(lf, open_device(DEFAULT, "cpu"))
     left_out: tuple[str, ...] = ()
     if write is not None:
-        told = {"path": source, "format": name, "grid": shape, "every": every, "flip": flip}
-        left_out = write_description(lf, write, source=told)
+        left_out = write_description(lf, write, source={"path": source, **options, "format": name})
     heading(console, lf.name)
     lines(
         console,

@@ -26,7 +26,7 @@ class Command(TyperCommand):
         self.short_help = f"\b\n{self.summary}\n$ {(self.epilog or '').removeprefix(EXAMPLE)}"
 
     def get_short_help_str(self, limit: int = 45) -> str:
-        """The summary, for the shell's completion; Click's own would cut it off after `limit` characters."""
+        """Return the summary, for the shell's completion; Click's own would cut it off after `limit` characters."""
         return self.summary
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -38,7 +38,7 @@ class Command(TyperCommand):
 
 
 def filled(text: str) -> str:
-    """A help text with the lists in place of their names."""
+    """Put the lists in place of their names in a help text."""
     for name, listed in _LISTS.items():
         if name in text:
             text = text.replace(name, listed())

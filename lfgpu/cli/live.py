@@ -8,13 +8,14 @@ import signal
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from lfgpu.cli import values
-from lfgpu.cli.options import Device, Parameters, Quiet, Threads
+from lfgpu.cli.options import Cold, Device, Parameters, Quiet, Threads
 from lfgpu.errors import LfgpuError, LightFieldError
 
 if TYPE_CHECKING:
@@ -29,6 +30,13 @@ _REFRESH = 0.25  # seconds
 _SHOWN_AGAIN = 0.1  # seconds between two frames on the page
 
 
+@dataclass(frozen=True)
+class _Parameters(Parameters):
+    """Options that choose the parameters of a method that takes streams."""
+
+    preset: Annotated[str, typer.Option(metavar="NAME", help="Parameters to start from: {live presets}.")] = "accurate"
+
+
 def live(
     source: Annotated[
         str,
@@ -38,7 +46,8 @@ def live(
         Path | None,
         typer.Option("-o", "--out", metavar="FOLDER", help="Folder that keeps each map as it comes, and a log."),
     ] = None,
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Parameters to start from: {live presets}.")] = "accurate",
+    *,
+    parameters: _Parameters,
     disparity_range: Annotated[
         str | None,
         typer.Option(
@@ -62,9 +71,7 @@ def live(
             metavar="MS", help="Limit of the device time per frame, milliseconds; the work is reduced to fit."
         ),
     ] = None,
-    cold: Annotated[
-        bool, typer.Option("--cold", help="Estimate each frame independently, without the temporal prior.")
-    ] = False,
+    cold: Cold = False,
     max_fps: Annotated[
         float | None, typer.Option("--max-fps", metavar="RATE", help="Largest number of frames per second.")
     ] = None,
@@ -124,7 +131,6 @@ def live(
     ] = None,
     device: Device = None,
     threads: Threads = None,
-    settings: Parameters = None,
     metrics: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="File of statistics, kept up to date, in the text format of Prometheus."),
@@ -158,7 +164,7 @@ def live(
     if like is not None and rectify is not None:
         raise typer.BadParameter("leave it out: what --rectify names says where the cameras are.", param_hint="--like")
     stop = End("--until", until)
-    config = values.configured(preset, settings or ())
+    config = parameters.config()
     bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
     chosen = None if policy is None else values.parse_policy("--policy", policy)
     values.use_threads("--threads", threads)
@@ -232,7 +238,7 @@ class Record:
             (out / LOG).unlink(missing_ok=True)  # it is of maps that are overwritten now
 
     def seen(self, frames: Frames, first: LightField) -> Frames:
-        """The same frames; what tells their reference views apart is kept for the log."""
+        """Yield the same frames, and keep for the log what tells their reference views apart."""
         from lfgpu.io.live_maps import fingerprint
         from lfgpu.pipelines.sources.recording import reference_view
 
@@ -298,7 +304,7 @@ class Record:
 
 
 class End:
-    """Whether it is time to stop: never without a text, else as `values.parse_until` has it.
+    """The time to stop: never without a text, else as `values.parse_until` has it.
 
     A time to wait begins anew when the stream is there: the first one of a machine takes minutes.
     """
@@ -309,7 +315,7 @@ class End:
         self._end = time.monotonic() + self._seconds
 
     def begin(self) -> None:
-        """The stream takes frames from now on."""
+        """Begin to count: the stream takes frames from now on."""
         if self._waits:
             self._end = time.monotonic() + self._seconds
 
@@ -343,11 +349,11 @@ class View:
             self._viewer.close()
 
     def pauses(self) -> bool:
-        """Whether the stream is paused."""
+        """Tell whether the stream is paused."""
         return self._paused
 
     def records(self) -> bool:
-        """Whether frames are to be recorded."""
+        """Tell whether frames are to be recorded."""
         return self._records
 
     def _pause(self, on: bool) -> None:
@@ -357,7 +363,7 @@ class View:
         self._records = on
 
     def kept(self, _: int, views: Any) -> Any:
-        """A copy of the views of a frame that will be shown, and None for the others."""
+        """Copy the views of a frame that will be shown; None for the others."""
         if self._viewer is None or time.monotonic() < self._next:
             return None
         self._next = time.monotonic() + _SHOWN_AGAIN
@@ -427,7 +433,7 @@ class Display:
 
 
 def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
-    """The statistics of a stream for people, as pairs of label and text."""
+    """Describe the statistics of a stream for people, as pairs of label and text."""
 
     def times(what: str) -> str:
         return " / ".join(f"{stats[f'{what}_p{quantile}_ms']:.1f}" for quantile in (50, 95, 99))
@@ -448,7 +454,9 @@ def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
 
 @contextmanager
 def _terminated_as_by_ctrl_c() -> Iterator[None]:
-    """SIGTERM, by which services are stopped, is a KeyboardInterrupt in this block; only the main thread may say so."""
+    """Turn SIGTERM, by which services are stopped, into a KeyboardInterrupt in this block; only the main thread may do
+    so.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

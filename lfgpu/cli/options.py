@@ -1,34 +1,29 @@
-"""Options that several commands share."""
+"""Options that several commands share, alone or in groups.
+
+A group is a dataclass whose fields are options. A command takes the group as one keyword. `with_groups` puts the
+options of the group in its place on the command line, and makes the dataclass of the values that were given.
+"""
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-Threads = Annotated[
-    int | None,
-    typer.Option("--threads", metavar="N", help="Largest number of CPU threads.", show_default="one per core"),
-]
+from lfgpu._backends import DEFAULT, backend_named
+from lfgpu.cli import values
 
-Grid = Annotated[
-    str | None,
-    typer.Option(
-        "--grid",
-        metavar="ROWSxCOLUMNS",
-        help="Rows and columns of the grid of views.",
-        show_default="found from the input",
-    ),
-]
-Every = Annotated[
-    int | None,
-    typer.Option("--every", metavar="N", help="Use every N-th image or frame as a view.", show_default="all"),
-]
-Flip = Annotated[
-    str,
-    typer.Option("--flip", metavar="AXES", help="Reverse the order of the columns (u), the rows (v) or both (uv)."),
-]
+if TYPE_CHECKING:
+    from lfgpu.cli.estimation import Estimation
+    from lfgpu.config import Config
+    from lfgpu.data.lightfield import LightField
+
+Source = Annotated[Path, typer.Argument(metavar="INPUT", help="Light field: usually a folder of views.")]
 
 OutFolder = Annotated[
     Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the outputs; created if missing.")
@@ -46,10 +41,6 @@ ReferenceView = Annotated[
     ),
 ]
 
-Pattern = Annotated[
-    str, typer.Option("--views", metavar="PATTERN", help="Views to use: full, star, cross, row or column.")
-]
-
 DisparityRange = Annotated[
     str | None,
     typer.Option(
@@ -60,34 +51,148 @@ DisparityRange = Annotated[
     ),
 ]
 
-Backend = Annotated[str, typer.Option("--backend", metavar="NAME", help="Backend that computes: {backends}.")]
+Threads = Annotated[
+    int | None,
+    typer.Option("--threads", metavar="N", help="Largest number of CPU threads.", show_default="one per core"),
+]
 
 Deterministic = Annotated[
     bool,
     typer.Option("--deterministic", help="Refuse backends whose results are not bit-identical from run to run."),
 ]
 
-Parameters = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="STAGE.PARAMETER=VALUE",
-        help="Change one parameter; may be repeated. `lfgpu parameters` lists them.",
-    ),
-]
-
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
-
 Device = Annotated[
     str | None,
     typer.Option("--device", metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the first GPU, else the CPU"),
 ]
 
-Source = Annotated[Path, typer.Argument(metavar="INPUT", help="Light field: usually a folder of views.")]
+Cold = Annotated[bool, typer.Option("--cold", help="Estimate each frame independently, without the temporal prior.")]
 
-FormatName = Annotated[
-    str | None,
-    typer.Option("--format", metavar="NAME", help="Format of the input: {formats}.", show_default="recognised"),
-]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 
-AllowMissing = Annotated[bool, typer.Option("--allow-missing", help="Accept a grid with missing views.")]
+
+@dataclass(frozen=True)
+class Reading:
+    """Options of `lfgpu.read`."""
+
+    format_name: Annotated[
+        str | None,
+        typer.Option("--format", metavar="NAME", help="Format of the input: {formats}.", show_default="recognised"),
+    ] = None
+    grid: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROWSxCOLUMNS", help="Rows and columns of the grid of views.", show_default="found from the input"
+        ),
+    ] = None
+    every: Annotated[
+        int | None, typer.Option(metavar="N", help="Use every N-th image or frame as a view.", show_default="all")
+    ] = None
+    flip: Annotated[
+        str, typer.Option(metavar="AXES", help="Reverse the order of the columns (u), the rows (v) or both (uv).")
+    ] = ""
+
+    def options(self) -> dict[str, Any]:
+        """Return the options that were given, as keywords of `lfgpu.read`; LightFieldError if --grid is no pair."""
+        found: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        found |= {"format": found.pop("format_name"), "grid": values.parse_grid(self.grid)}
+        return {name: value for name, value in found.items() if value not in (None, "", False)}
+
+
+@dataclass(frozen=True)
+class ReadingIncomplete(Reading):
+    """Options of `lfgpu.read` where missing views are an error unless they are allowed."""
+
+    allow_missing: Annotated[bool, typer.Option("--allow-missing", help="Accept a grid with missing views.")] = False
+
+
+@dataclass(frozen=True)
+class Views:
+    """Options that choose the reference view and the views that are used."""
+
+    reference_view: ReferenceView = None
+    pattern: Annotated[
+        str, typer.Option("--views", metavar="PATTERN", help="Views to use: full, star, cross, row or column.")
+    ] = "full"
+
+    def place(self) -> tuple[float, float] | None:
+        """Return (row, column) of the reference view, None if it was not given, and check the pattern."""
+        values.check_pattern("--views", self.pattern)
+        return values.parse_reference_view(self.reference_view)
+
+    def of(self, lf: LightField) -> LightField:
+        """Return the light field with this reference view, and with these views only."""
+        if (place := self.place()) is not None:
+            lf = lf.with_reference(lf.index_of(*place))
+        return lf if self.pattern == "full" else lf.subset(self.pattern)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Options that choose the parameters of a method."""
+
+    preset: Preset = "accurate"
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="STAGE.PARAMETER=VALUE",
+            help="Change one parameter; may be repeated. `lfgpu parameters` lists them.",
+        ),
+    ] = None
+
+    def config(self) -> Config:
+        """Return the parameters; LightFieldError if one is wrong or unknown."""
+        return values.configured(self.preset, self.settings or ())
+
+
+@dataclass(frozen=True)
+class Computing:
+    """Options of an estimate beside its parameters: what is searched, and what computes."""
+
+    disparity_range: DisparityRange = None
+    backend: Annotated[str, typer.Option(metavar="NAME", help="Backend that computes: {backends}.")] = DEFAULT
+    device: Device = None
+    threads: Threads = None
+
+    def estimation(self, config: Config, *, check: bool = True, **more: Any) -> Estimation:
+        """Return the estimate that is asked for, and set the threads of the CPU.
+
+        LfgpuError if an option is wrong or, with `check`, if the backend or the device is missing.
+        """
+        from lfgpu.cli.estimation import Estimation
+
+        bounds = values.parse_disparity_range(self.disparity_range)
+        found = Estimation(config, bounds, backend_named(self.backend), self.device, **more)
+        values.use_threads("--threads", self.threads)
+        if check:
+            found.check_device()
+        return found
+
+
+def with_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command with the options of its groups in place of the groups."""
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, Any] = {name: hint for name, hint in hints.items() if is_dataclass(hint)}
+    options = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if name not in groups:
+            options.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[name]))
+            continue
+        own = get_type_hints(groups[name], include_extras=True)
+        options += [
+            inspect.Parameter(
+                field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=own[field.name]
+            )
+            for field in fields(groups[name])
+        ]
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+        command(**given)
+
+    run.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    run.__annotations__ = {option.name: option.annotation for option in options}
+    return run

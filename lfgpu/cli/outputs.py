@@ -51,7 +51,7 @@ def write_view_maps(folder: Path, result: ViewsResult) -> list[tuple[str, str]]:
 
 
 def check_names(option: str, names: Sequence[str]) -> None:
-    """LightFieldError if a name has no known suffix, names a folder, or is the name of another output."""
+    """Raise LightFieldError if a name has no known suffix, names a folder, or is the name of another output."""
     for name in names:
         writable_format(name)
         if Path(name).name != name:

@@ -55,7 +55,7 @@ def parameters(preset: Preset = "accurate") -> None:
 
 
 def rows(config: Config) -> list[Row]:
-    """All parameters of a configuration, in order."""
+    """Return all parameters of a configuration, in order."""
     from lfgpu.config import parameters as fields_of
 
     found = []
@@ -69,7 +69,7 @@ def rows(config: Config) -> list[Row]:
 
 
 def allowed(field: Field[Any]) -> str:
-    """The range or the choices of a parameter: "once, twice", "0 to 1" or "3 to 31, odd"."""
+    """Return the range or the choices of a parameter: "once, twice", "0 to 1" or "3 to 31, odd"."""
     about = field.metadata
     if "choices" in about:
         return ", ".join(about["choices"])
@@ -78,7 +78,7 @@ def allowed(field: Field[Any]) -> str:
 
 
 def _show(console: Console, title: str, config: Config) -> None:
-    """A table for each section of parameters; all tables have the same columns."""
+    """Print a table for each section of parameters; all tables have the same columns."""
     from rich.padding import Padding
     from rich.table import Table
     from rich.text import Text

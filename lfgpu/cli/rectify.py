@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT
 from lfgpu.cli import values
-from lfgpu.cli.estimation import asked_for
-from lfgpu.cli.options import Backend, Device, DisparityRange, OutFolder, Quiet, Threads
+from lfgpu.cli.options import Computing, OutFolder, Quiet
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
@@ -27,6 +25,7 @@ def rectify(
         Path, typer.Argument(metavar="INPUT", help="A folder of pictures with a calibration, or a light field.")
     ],
     out: OutFolder,
+    *,
     calibration: Annotated[
         Path | None,
         typer.Option(
@@ -65,10 +64,7 @@ def rectify(
             help=f"Also estimate a map; write {POINTS_FILE} and {DEPTH_FILE} (depth in the reference as it was taken).",
         ),
     ] = False,
-    disparity_range: DisparityRange = None,
-    backend: Backend = DEFAULT,
-    device: Device = None,
-    threads: Threads = None,
+    computing: Computing,
     quiet: Quiet = False,
 ) -> None:
     """Make cameras parallel and alike: undo lenses and rotations, line views up, equalise their brightness.
@@ -83,7 +79,7 @@ def rectify(
     check_writable(out)
     if positions and not refine:
         raise LightFieldError("--positions is for --refine; give both or neither.")
-    estimation = asked_for(values.configured("accurate", ()), disparity_range, backend, device, threads)
+    estimation = computing.estimation(values.configured("accurate", ()))
     result = cameras.rectify(
         source,
         calibration=calibration,
@@ -94,7 +90,7 @@ def rectify(
         depths=None if depths is None else values.parse_range("--depths", depths),
         disparity_range=estimation.disparity_range,
         backend=estimation.backend,
-        device=device,
+        device=estimation.device,
     )
     cloud = None
     if points:

@@ -9,27 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfgpu._backends import DEFAULT
 from lfgpu.cli import values
-from lfgpu.cli.estimation import asked_for
-from lfgpu.cli.options import (
-    AllowMissing,
-    Backend,
-    Device,
-    DisparityRange,
-    Every,
-    Flip,
-    FormatName,
-    Grid,
-    Preset,
-    Quiet,
-    Source,
-    Threads,
-)
+from lfgpu.cli.options import Computing, Preset, Quiet, ReadingIncomplete, Source
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
-    from lfgpu.cli.depth import Estimation
+    from lfgpu.cli.estimation import Estimation
     from lfgpu.contract import Float32Array
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult, DisparityMap
@@ -48,6 +33,7 @@ def render(
             "-o", "--out", metavar="FILE", help="Image: .png, .tif. Sweep: .gif, .mp4, or a folder of PNG files."
         ),
     ],
+    *,
     view: Annotated[
         str | None,
         typer.Option(
@@ -91,15 +77,8 @@ def render(
     frames: Annotated[int, typer.Option(min=2, max=10000, help="Number of frames of a sweep.")] = 30,
     fps: Annotated[float, typer.Option(help="Frames per second of a sweep.")] = 15.0,
     preset: Preset = "accurate",
-    disparity_range: DisparityRange = None,
-    backend: Backend = DEFAULT,
-    device: Device = None,
-    threads: Threads = None,
-    format_name: FormatName = None,
-    grid: Grid = None,
-    every: Every = None,
-    flip: Flip = "",
-    allow_missing: AllowMissing = False,
+    computing: Computing,
+    reading: ReadingIncomplete,
     quiet: Quiet = False,
 ) -> None:
     """Render a new view, a refocused image, an all-in-focus image, a video, a quilt or colour and depth.
@@ -122,10 +101,10 @@ def render(
     if tiles is not None and not (min(tiles) >= 1 and 2 <= tiles[0] * tiles[1] <= _MOST_TILES):
         raise LightFieldError(f"--quilt must be of 2 to {_MOST_TILES} views, such as 8x6, not {quilt}.")
     reference = values.parse_reference_view(reference_view)
-    reading = values.reading(format_name, grid, every, flip, allow_missing=allow_missing)
-    estimation = asked_for(method_of(preset).for_rendering, disparity_range, backend, device, threads)
+    options = reading.options()
+    estimation = computing.estimation(method_of(preset).for_rendering)
 
-    lf = read(source, **reading)
+    lf = read(source, **options)
     if reference is not None:
         lf = lf.with_reference(lf.index_of(*reference))
     dtype = "uint16" if lf.views.dtype == "uint16" else "uint8"
@@ -171,7 +150,7 @@ def _picture(
 def _film(
     lf: LightField, sweep: str, count: int, maps: Path | None, estimation: Estimation, *, quiet: bool
 ) -> Iterator[Float32Array]:
-    """The frames of a sweep along a closed path."""
+    """Yield the frames of a sweep along a closed path."""
     import numpy as np
 
     from lfgpu.viz.refocusing import refocus
@@ -237,7 +216,7 @@ def _write_quilt(
 
 
 def _colour_and_depth(lf: LightField, maps: Path | None, estimation: Estimation, *, quiet: bool) -> Float32Array:
-    """The reference view and, beside it, its disparity from 0 (far) to 1 (near); what is not known is filled."""
+    """Return the reference view and, beside it, its disparity from 0 (far) to 1 (near); what is not known is filled."""
     import numpy as np
 
     from lfgpu.data.filling import fill_unknown
@@ -250,7 +229,7 @@ def _colour_and_depth(lf: LightField, maps: Path | None, estimation: Estimation,
 
 
 def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> ViewsResult:
-    """The maps of all views, read from `path` or estimated."""
+    """Read the maps of all views, read from `path` or estimated."""
     from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import VIEWS_FILE, load
 
@@ -271,7 +250,7 @@ def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: b
 
 
 def _map(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> DepthResult | DisparityMap:
-    """The map of the reference view, read from `path` or estimated."""
+    """Read the map of the reference view, read from `path` or estimated."""
     from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import VIEWS_FILE, load
 

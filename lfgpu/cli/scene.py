@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lfgpu.cli import values
+from lfgpu.cli.options import OutFolder
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
@@ -22,9 +23,7 @@ def scene(
     name: Annotated[
         str, typer.Argument(help="relief, planes, boxes, bars, textureless or moving.", show_default=False)
     ],
-    out: Annotated[
-        Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the light field; created if missing.")
-    ],
+    out: OutFolder,
     seed: Annotated[int, typer.Option(help="Seed of positions, colours, textures and noise.")] = 0,
     grid: Annotated[str, typer.Option(metavar="ROWSxCOLUMNS", help="Grid of views.")] = "9x9",
     size: Annotated[str, typer.Option(metavar="HEIGHTxWIDTH", help="Size of each view, pixels.")] = "512x512",

@@ -1,4 +1,4 @@
-"""What `lfgpu depth` and `lfgpu demo` print at the end."""
+"""Summaries that `lfgpu depth` and `lfgpu demo` print at the end."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def show_scores(
 
 
 def scored_where(count: int, border: int) -> str:
-    """The sentence below a table of scores."""
+    """Return the sentence below a table of scores."""
     return (
         f"Over {count} pixels, without a border of {border} px. BadPix counts undefined pixels as bad; the other "
         "metrics leave them out."
@@ -99,7 +99,7 @@ def scored_where(count: int, border: int) -> str:
 
 
 def show_remarks(console: Console, sentences: tuple[str, ...]) -> None:
-    """What stands out about the cameras; nothing if nothing does."""
+    """Print the findings about the cameras; nothing if there are none."""
     if sentences:
         shown.heading(console, "The cameras do not fit together (lfgpu check says more)")
         shown.lines(console, [("finding", sentence) for sentence in sentences])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lfgpu.errors import LightFieldError
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def parse_range(option: str, text: str) -> tuple[float, float]:
-    """(low, high) from text such as "-2,2"; LightFieldError unless both are finite and low < high."""
+    """Parse (low, high) from text such as "-2,2"; LightFieldError unless both are finite and low < high."""
     low, high = numbers(option, text, ",", "LOW,HIGH such as -2,2")
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise LightFieldError(f"{option} must be two finite numbers LOW,HIGH with LOW below HIGH, not {text!r}.")
@@ -21,7 +21,7 @@ def parse_range(option: str, text: str) -> tuple[float, float]:
 
 
 def parse_place(option: str, text: str) -> tuple[float, float]:
-    """(row, column) from text such as "4,4"; LightFieldError unless both are finite. The view need not exist."""
+    """Parse (row, column) from text such as "4,4"; LightFieldError unless both are finite. The view need not exist."""
     row, column = numbers(option, text, ",", "ROW,COL such as 4,4")
     if not (math.isfinite(row) and math.isfinite(column)):
         raise LightFieldError(f"{option} must be two finite numbers ROW,COL, not {text!r}.")
@@ -29,7 +29,7 @@ def parse_place(option: str, text: str) -> tuple[float, float]:
 
 
 def parse_size(option: str, text: str, what: str) -> tuple[int, int]:
-    """Two integers from text such as "9x9"; otherwise LightFieldError: "OPTION must be `what`"."""
+    """Parse two integers from text such as "9x9"; otherwise LightFieldError: "OPTION must be `what`"."""
     first, second = numbers(option, text.lower(), "x", what)
     if not (first.is_integer() and second.is_integer()):
         raise LightFieldError(f"{option} must be {what}, not {text!r}.")
@@ -37,36 +37,22 @@ def parse_size(option: str, text: str, what: str) -> tuple[int, int]:
 
 
 def parse_disparity_range(text: str | None) -> tuple[float, float] | None:
-    """(low, high) from the text of --disparity-range, such as "-2,2"; None if it was not given."""
+    """Parse (low, high) from the text of --disparity-range, such as "-2,2"; None if it was not given."""
     return None if text is None else parse_range("--disparity-range", text)
 
 
 def parse_reference_view(text: str | None) -> tuple[float, float] | None:
-    """(row, column) from the text of --reference-view, such as "4,4"; None if it was not given."""
+    """Parse (row, column) from the text of --reference-view, such as "4,4"; None if it was not given."""
     return None if text is None else parse_place("--reference-view", text)
 
 
 def parse_grid(text: str | None) -> tuple[int, int] | None:
-    """(rows, columns) from the text of --grid, such as "9x9"; None if it was not given."""
+    """Parse (rows, columns) from the text of --grid, such as "9x9"; None if it was not given."""
     return None if text is None else parse_size("--grid", text, "ROWSxCOLUMNS such as 9x9")
 
 
-def reading(
-    format_name: str | None, grid: str | None, every: int | None, flip: str, *, allow_missing: bool = False
-) -> dict[str, Any]:
-    """The options of `lfgpu.read` that were given, as keywords; LightFieldError if --grid is no pair of numbers."""
-    options = {
-        "format": format_name,
-        "grid": parse_grid(grid),
-        "every": every,
-        "flip": flip,
-        "allow_missing": allow_missing,
-    }
-    return {name: value for name, value in options.items() if value not in (None, "", False)}
-
-
 def parse_policy(option: str, text: str) -> tuple[str, int | None]:
-    """A policy from text: "latest", "block" or "queue:8" as (name, number of waiting frames or None)."""
+    """Parse a policy from text: "latest", "block" or "queue:8" as (name, number of waiting frames or None)."""
     from lfgpu.pipelines.inbox import POLICIES
 
     name, colon, count = text.partition(":")
@@ -76,7 +62,9 @@ def parse_policy(option: str, text: str) -> tuple[str, int | None]:
 
 
 def parse_until(option: str, text: str) -> float:
-    """Seconds from now: "90s", "10m" and "2h" are a time to wait; "18:30" is a time of this day, or of the next."""
+    """Parse a time as seconds from now: "90s", "10m" and "2h" are a time to wait; "18:30" is a time of this day, or of
+    the next.
+    """
     from datetime import datetime, timedelta
 
     units = {"s": 1.0, "m": 60.0, "h": 3600.0}
@@ -95,7 +83,7 @@ def parse_until(option: str, text: str) -> float:
 
 
 def numbers(option: str, text: str, separator: str, what: str) -> tuple[float, float]:
-    """Two numbers with a separator between them; otherwise LightFieldError: "OPTION must be `what`"."""
+    """Parse two numbers with a separator between them; otherwise LightFieldError: "OPTION must be `what`"."""
     try:
         first, second = (float(part) for part in text.split(separator))
     except ValueError:
@@ -115,7 +103,7 @@ def use_threads(option: str, count: int | None) -> None:
 
 
 def configured(preset_name: str, settings: Sequence[str]) -> Config:
-    """A preset with settings `stage.parameter=value` applied; LightFieldError if one is wrong or unknown."""
+    """Apply settings `stage.parameter=value` to a preset; LightFieldError if one is wrong or unknown."""
     from lfgpu.methods import preset
 
     config = preset(preset_name)
@@ -130,7 +118,7 @@ def configured(preset_name: str, settings: Sequence[str]) -> Config:
 
 
 def check_pattern(option: str, name: str) -> None:
-    """LightFieldError if there is no pattern of views with this name."""
+    """Raise LightFieldError if there is no pattern of views with this name."""
     from lfgpu.data.layout import PATTERNS
 
     if name not in PATTERNS:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
-from lfgpu.cli.options import Every, Flip, FormatName, Grid, Threads
+from lfgpu.cli.options import Reading, Threads
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ def view(
             metavar="INPUT_OR_RESULT...", help="A light field, and its maps or folders that `lfgpu depth` wrote."
         ),
     ],
+    *,
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; the next free one if it is taken, 0 for any.")
     ] = 8080,
@@ -39,10 +40,7 @@ def view(
         typer.Option("--allow-open", help="Let the page open any path, not only INPUT_OR_RESULT and what is in it."),
     ] = False,
     threads: Threads = None,
-    format_name: FormatName = None,
-    grid: Grid = None,
-    every: Every = None,
-    flip: Flip = "",
+    reading: Reading,
 ) -> None:
     """Show a light field, its epipolar plane images, maps and points in the browser, and estimate new maps there.
 
@@ -54,7 +52,7 @@ def view(
     from lfgpu.viewer.place import Place
 
     values.use_threads("--threads", threads)
-    reading = values.reading(format_name, grid, every, flip)
+    options = reading.options()
     for path in paths:
         if not path.exists():
             raise LightFieldError(f"{path} does not exist; give a light field, or what lfgpu depth wrote.")
@@ -63,7 +61,7 @@ def view(
     def viewer_of_paths() -> Viewer:
         from lfgpu.viewer import Viewer  # takes most of a second
 
-        return Viewer.of(paths, port=place, allow_open=allow_open, **reading)
+        return Viewer.of(paths, port=place, allow_open=allow_open, **options)
 
     try:
         coming = _begin(viewer_of_paths)

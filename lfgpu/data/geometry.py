@@ -130,7 +130,8 @@ class Geometry:
         return np.stack([across, down, z], axis=-1)
 
     def camera(self, position: tuple[float, float] | None) -> NDArray[np.float64]:
-        """Where the camera at a position (u, v) stands in the frame of `points`, float64 [3], metres right, down, away.
+        """Return the place of the camera at a position (u, v) in the frame of `points`, float64 [3], metres right,
+        down, away.
 
         It is (0, 0, 0) for a position of None, and for all where `unshifted_at` is None.
         """

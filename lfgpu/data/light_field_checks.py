@@ -1,4 +1,4 @@
-"""What the arrays of a light field must be: numbers on a scale, and cameras at places of their own."""
+"""Checks of the arrays of a light field: numbers on a scale, and cameras at places of their own."""
 
 from __future__ import annotations
 

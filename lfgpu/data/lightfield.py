@@ -253,7 +253,7 @@ class LightField:
 
     @property
     def scale(self) -> float:
-        """What stored values are multiplied with to lie in [0, 1]."""
+        """Factor that brings stored values to [0, 1]."""
         return 1.0 if self.views.dtype == np.float32 else 1.0 / float(self.white or np.iinfo(self.views.dtype).max)
 
     @property

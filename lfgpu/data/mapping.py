@@ -55,7 +55,7 @@ def check_unchanged(array: NDArray[Any]) -> None:
 
 
 def is_mapped(array: NDArray[Any]) -> bool:
-    """Whether an array is mapped read-only from a file."""
+    """Tell whether an array is mapped read-only from a file."""
     return _mapping(array) is not None
 
 

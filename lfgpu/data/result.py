@@ -103,7 +103,7 @@ class DepthResult:
 
     @property
     def disparity_stages(self) -> dict[str, Float32Array]:
-        """Those of `stages` that are disparity maps: all but the coherences."""
+        """The disparity maps among `stages`: all but the coherences."""
         return {name: map_ for name, map_ in self.stages.items() if not name.startswith("coherence")}
 
     def __repr__(self) -> str:
@@ -185,7 +185,7 @@ class DisparityMap:
 
 
 def _map_lines(values: DisparityMap) -> str:
-    """What there is to say about a map, in two lines."""
+    """Describe a map in two lines."""
     where = "" if values.position is None else f", view at {summary.view_at(values.position)}"
     lines = [
         f"{values.name!r}: {summary.pixels(values.disparity.shape)}{where}",

@@ -4,6 +4,7 @@ from lfgpu.io.atomic import atomic_folder, atomic_write, check_writable
 from lfgpu.io.description import write_description
 from lfgpu.io.formats import FORMATS, Format, inside, read, recognise
 from lfgpu.io.hci import write_hci
+from lfgpu.io.images import read_mask
 from lfgpu.io.map_formats import (
     MAP_FORMATS,
     MapFormat,
@@ -14,7 +15,6 @@ from lfgpu.io.map_formats import (
     save,
     writable_format,
 )
-from lfgpu.io.maps import read_mask
 from lfgpu.io.names import DEPTH_FILE, DISPARITY_FILE, REPORT_FILE, RESULT_FILE, VIEWS_FILE
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.results import holds_result, holds_views, read_result, read_views, write_result, write_views

@@ -1,4 +1,4 @@
-"""What stands in the metadata of a written map, as one JSON text: what it takes to read the map right."""
+"""Metadata of a written map, one JSON text: all that it takes to read the map right."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CONVENTION = (
 
 
 def map_about(values: DisparityMap, **format_specific: Any) -> str:
-    """The text of a map, in ASCII on one line; `format_specific` says what the format does to the values."""
+    """Return the text of a map, in ASCII on one line; `format_specific` says what the format does to the values."""
     return json.dumps(
         {
             KEY: version_of("lfgpu") or "not installed",
@@ -50,7 +50,7 @@ def map_about(values: DisparityMap, **format_specific: Any) -> str:
 
 
 def parse_about(path: Path, text: str) -> dict[str, Any]:
-    """The text of a map's file as values; LightFieldError that names the file if it is none of ours."""
+    """Parse the text in the file of a map; LightFieldError that names the file if it is none of ours."""
     try:
         about = json.loads(text)
         if about["content"] != "disparity":
@@ -67,7 +67,7 @@ def map_of(
     confidence: Float32Array | None,
     uncertainty: Float32Array | None = None,
 ) -> DisparityMap:
-    """The map that the values and their metadata make; LightFieldError that names the file if they are damaged."""
+    """Make the map of its values and metadata; LightFieldError that names the file if they are damaged."""
     try:
         position, geometry = about["position"], about["geometry"]
         return DisparityMap(
@@ -84,7 +84,9 @@ def map_of(
 
 
 def geometry_about(geometry: Geometry) -> dict[str, Any]:
-    """JSON knows no infinity: frames that are not shifted have the focus distance null."""
+    """Return a geometry as JSON takes it: without infinity, so frames that are not shifted have the focus distance
+    null.
+    """
     values = asdict(geometry)
     if math.isinf(geometry.focus_distance_m):
         values["focus_distance_m"] = None
@@ -92,7 +94,7 @@ def geometry_about(geometry: Geometry) -> dict[str, Any]:
 
 
 def geometry_of(about: Mapping[str, Any]) -> Geometry:
-    """The inverse of `geometry_about`; what older files do not have is as it was then."""
+    """Return the geometry that `geometry_about` described; entries that older files lack are as they were then."""
     focus, point, unshifted = about["focus_distance_m"], about["principal_point"], about.get("unshifted_at")
     return Geometry(
         focal_length_px=float(about["focal_length_px"]),

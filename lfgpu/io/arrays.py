@@ -20,7 +20,7 @@ ASK_FOR_GRID = "say how they stand: grid=(rows, columns), --grid ROWSxCOLUMNS on
 
 
 def grid_shape(path: Path, count: int, grid: tuple[int, int] | None) -> tuple[int, int]:
-    """(rows, columns) of `count` views that are stored row by row: as told, else a square, else LightFieldError."""
+    """Return (rows, columns) of `count` views, stored row by row: as told, else a square, else LightFieldError."""
     if grid is not None:
         rows, columns = grid
         if rows < 1 or columns < 1 or rows * columns != count:
@@ -33,7 +33,7 @@ def grid_shape(path: Path, count: int, grid: tuple[int, int] | None) -> tuple[in
 
 
 def positions(shape: tuple[int, int]) -> NDArray[np.float64]:
-    """[n, 2] (u, v) of the places of a full grid, row by row."""
+    """Return [n, 2] (u, v) of the places of a full grid, row by row."""
     v, u = np.mgrid[: shape[0], : shape[1]]
     return np.stack([u.ravel(), v.ravel()], axis=1).astype(np.float64)
 
@@ -51,7 +51,7 @@ _OTHERS = {
 
 
 def check_axes(axes: object, names: str = "v, u or n, y, x and c") -> None:
-    """LightFieldError unless `axes` names each axis once: y, x, those of views and perhaps c."""
+    """Raise LightFieldError unless `axes` names each axis once: y, x, those of views and perhaps c."""
     if (
         isinstance(axes, str)
         and set("yx") <= set(axes) <= _AXES
@@ -65,7 +65,7 @@ def check_axes(axes: object, names: str = "v, u or n, y, x and c") -> None:
 def arranged(
     path: Path, array: NDArray[Any], grid: tuple[int, int] | None, axes: str | None = None
 ) -> tuple[NDArray[Any], str]:
-    """An array of views as [v, u, y, x, c], and why it is taken so.
+    """Arrange an array of views as [v, u, y, x, c]; returns it and what was guessed.
 
     Taken are [v, u, y, x, c], [v, u, y, x], [n, y, x, c] and [n, y, x], c = 1 to 4, unless `axes` says otherwise; n
     views row by row, in the grid that is told or in a square one. A last axis of up to 4 is that of the colours. Where
@@ -97,7 +97,7 @@ def arranged(
 
 
 def _seen_as_square(path: Path, array: NDArray[Any], shape: tuple[int, int]) -> str:
-    """Why n views [n, y, x, c] are taken for a square grid; LightFieldError if their pictures contradict that."""
+    """Say why n views [n, y, x, c] are taken for a square grid; LightFieldError if their pictures contradict that."""
     count = len(array)
     grids = [(rows, count // rows) for rows in range(1, count + 1) if count % rows == 0]
     told = parallax.in_sequence([parallax.grey(view) for view in array[:_LOOKED_AT]])
@@ -120,7 +120,7 @@ def _usual(shape: tuple[int, ...]) -> str | None:
 
 
 def _check_sense(path: Path, shape: tuple[int, ...], axes: str, grid: tuple[int, int] | None) -> None:
-    """LightFieldError with the orders of axes that fit if the usual one makes no sense."""
+    """Raise LightFieldError with the orders of axes that fit if the usual one makes no sense."""
     if axes and (_makes_sense(shape, axes) or (grid is not None and tuple(grid) == shape[:2])):
         return
     fitting = [other for other in _OTHERS[len(shape)] if other != axes and _makes_sense(shape, other)]
@@ -140,7 +140,7 @@ def _check_sense(path: Path, shape: tuple[int, ...], axes: str, grid: tuple[int,
 
 
 def _makes_sense(shape: tuple[int, ...], axes: str) -> bool:
-    """Whether views are larger than their grid, no more than a few times longer than wide, and colours 1, 3 or 4."""
+    """Tell whether views are larger than their grid, a few times longer than wide at most, and colours 1, 3 or 4."""
     size = dict(zip(axes, shape, strict=True))
     if size.get("c", 1) not in (*_COLOURS, *((2,) if axes[-1] == "c" else ())):
         return False
@@ -157,7 +157,9 @@ def _makes_sense(shape: tuple[int, ...], axes: str) -> bool:
 
 
 def storable(path: Path, array: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_] | None, list[str]]:
-    """Views [..., c] in native byte order, uint8, uint16 or float32; where they are opaque, or None; conversions."""
+    """Convert views [..., c] to native byte order, without alpha, uint8, uint16 or float32; returns them and what was
+    converted.
+    """
     notes, valid = [], None
     if array.dtype.kind not in "fu" or array.dtype.itemsize > 8:
         raise LightFieldError(f"{path} has {array.dtype} values; views must be uint8, uint16 or float32: convert them.")
@@ -177,7 +179,7 @@ def storable(path: Path, array: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.
 def grid_field(
     path: Path, grid: NDArray[Any], *, valid: NDArray[np.bool_] | None = None, notes: Iterable[str] = (), **fields: Any
 ) -> LightField:
-    """A light field of a full grid [v, u, y, x, c]; `valid` is [v, u, y, x].
+    """Make a light field of a full grid [v, u, y, x, c]; `valid` is [v, u, y, x].
 
     Views of which nothing is valid are left out, with a note.
     """
@@ -203,7 +205,7 @@ def grid_field(
 def field_of(
     path: Path, views: NDArray[Any], where: NDArray[Any], *, valid: NDArray[np.bool_] | None = None, **fields: Any
 ) -> LightField:
-    """A light field of views [n, y, x, c] at positions `where`, its errors with the name of the file."""
+    """Make a light field of views [n, y, x, c] at positions `where`, its errors with the name of the file."""
     fields.setdefault("name", path.resolve().stem)
     try:
         light_field = LightField(views, where, valid=valid, **fields)

@@ -103,7 +103,7 @@ def _resolved(path: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def _staged(target: Path, place: Path) -> Iterator[Path]:
-    """A free path in the folder `place`, which is made if missing; what it holds is gone after an exception."""
+    """Yield a free path in the folder `place`, which is made if missing; what it holds is gone after an exception."""
     made: list[Path] = []
     temporary = place / f"{LEFT_OVER}{secrets.token_hex(8)}{target.suffix}"
     try:

@@ -5,7 +5,6 @@ The file says how the camera projects, and where it stood for each image; OpenEX
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +18,7 @@ from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.exr import channel, read_channels
 from lfgpu.io.members import Members
+from lfgpu.io.texts import read_json_or_toml
 from lfgpu.io.views import load_views
 
 CONFIGURATION_FILE = "lightfield.json"
@@ -31,7 +31,7 @@ _NOTHING = 1e9  # Blender's depth, in its unit, where nothing is in the way
 
 
 def recognise(path: Path) -> str | None:
-    """Why a path is taken for a light field of the add-on; None if it is not."""
+    """Say why a path is taken for a light field of the add-on; None if it is not."""
     file = _file(path)
     if file is None:
         return None
@@ -49,20 +49,9 @@ def read_blender(path: Path, *, allow_missing: bool = False) -> LightField:
 
     One view step is the median distance of neighbouring cameras. Colours of OpenEXR images are linear; they become
     uint16 by the transfer function of sRGB, and what is brighter than white becomes white. The depth of the reference
-    view is the ground truth.
+    view is the ground truth. With `allow_missing`, cameras without an image are left out.
 
-    Parameters
-    ----------
-    path
-        lightfield.json, or the folder that holds it. The images are in its folders exr or png, or beside it.
-    allow_missing
-        Whether cameras whose image is not there are left out.
-
-    Raises
-    ------
-    LightFieldError
-        If the configuration or an image is missing or damaged, cameras look in several directions (those of a cylinder,
-        a sphere or a cuboid), or OpenEXR is missing.
+    `path` is lightfield.json or the folder that holds it. The images are in its folders exr or png, or beside it.
     """
     file = _file(path)
     if file is None:
@@ -122,14 +111,7 @@ def _file(path: Path) -> Path | None:
 
 
 def _parsed(file: Path) -> dict[str, Any]:
-    try:
-        if file.stat().st_size > _LARGEST:
-            raise ValueError("it is too long")
-        value = json.loads(file.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise LightFieldError(f"{file} cannot be read: {error.strerror}.") from error
-    except (ValueError, RecursionError) as error:
-        raise LightFieldError(f"{file} is not valid JSON: {' '.join(str(error).split()).rstrip('.')}.") from error
+    value = read_json_or_toml(file, largest=_LARGEST)
     if not isinstance(value, dict):
         raise LightFieldError(f"{file} is a JSON {type(value).__name__}, not an object.")
     return value
@@ -139,7 +121,7 @@ def _parsed(file: Path) -> dict[str, Any]:
 
 
 def _in_plane(file: Path, frames: list[Members]) -> tuple[NDArray[np.float64], float]:
-    """Where cameras stand in their plane, [n, 2] (right, down) in metres, and the distance of neighbours."""
+    """Return the places of cameras in their plane, [n, 2] (right, down) in metres, and the distance of neighbours."""
     axes, places = (np.array(a) for a in zip(*(_pose(file, frame) for frame in frames), strict=True))
     if np.abs(axes - axes[0]).max() > _PARALLEL:
         raise LightFieldError(
@@ -164,14 +146,14 @@ def _in_plane(file: Path, frames: list[Members]) -> tuple[NDArray[np.float64], f
 
 
 def _nearest(centres: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The distance of each camera's nearest neighbour."""
+    """Return the distance of each camera's nearest neighbour."""
     from scipy.spatial import cKDTree
 
     return np.asarray(cKDTree(centres).query(centres, k=2)[0][:, 1])
 
 
 def _pose(file: Path, frame: Members) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The camera's axes [3, 3], one a column, and its place [3]."""
+    """Return the camera's axes [3, 3], one a column, and its place [3]."""
     if frame.values.get("world_matrix") is not None:
         matrix = _numbers(file, frame, "world_matrix", (4, 4))
         axes, place = matrix[:3, :3], matrix[:3, 3]
@@ -185,7 +167,7 @@ def _pose(file: Path, frame: Members) -> tuple[NDArray[np.float64], NDArray[np.f
 
 
 def _of_euler(x: float, y: float, z: float) -> NDArray[np.float64]:
-    """The matrix of Blender's default rotation: about x first, then y, then z, in radians."""
+    """Return the matrix of Blender's default rotation: about x first, then y, then z, in radians."""
     (cx, cy, cz), (sx, sy, sz) = np.cos([x, y, z]), np.sin([x, y, z])
     about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
@@ -233,7 +215,7 @@ def _geometry(file: Path, whole: Members, size: tuple[int, ...], step: float) ->
 
 
 def _middle(centres: NDArray[np.float64]) -> int:
-    """The camera in the middle; of several the one below and to the right."""
+    """Return the camera in the middle; of several the one below and to the right."""
     middle = (centres.min(axis=0) + centres.max(axis=0)) / 2
     off = np.round(np.hypot(*(centres - middle).T), 9)
     return int(max(np.flatnonzero(off == off.min()), key=lambda index: (centres[index, 1], centres[index, 0])))
@@ -252,7 +234,7 @@ def _image(file: Path, name: str) -> Path | None:
 
 
 def _disparity(geometry: Geometry, depth: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Of depths along the optical axis; 0 where nothing is in the way, NaN where there is no depth."""
+    """Convert depths along the optical axis: 0 where nothing is in the way, NaN where there is no depth."""
     known = np.where(depth > 0, depth, np.nan).astype(np.float64)
     known[known >= _NOTHING] = np.inf
     return geometry.disparity(known).astype(np.float32)

@@ -21,8 +21,10 @@ from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import field_of
 from lfgpu.io.atomic import atomic_write, check_writable
+from lfgpu.io.damage import read_as
 from lfgpu.io.flips import check_flip, flipped
-from lfgpu.io.maps import check_size, read_map, read_mask
+from lfgpu.io.images import check_size, read_mask
+from lfgpu.io.map_formats import read_map
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.png import write_png
 from lfgpu.io.texts import read_json_or_toml
@@ -44,7 +46,7 @@ _KEYS = {
 
 
 def recognise(path: Path) -> str | None:
-    """Why a path is taken for a description, or a folder with one; None if it is not."""
+    """Say why a path is taken for a description, or a folder with one; None if it is not."""
     if path.is_dir():
         return f"it is a folder with {DEFAULT_NAME}" if (path / DEFAULT_NAME).is_file() else None
     if path.name == DEFAULT_NAME or path.suffix.lower() in (".toml", ".json"):
@@ -55,22 +57,10 @@ def recognise(path: Path) -> str | None:
 def read_description(
     path: Path, *, allow_missing: bool = False, read: Callable[..., LightField] | None = None
 ) -> LightField:
-    """Read a light field from its description.
+    """Read a light field from its description: a .toml or .json file, or a folder that holds lightfield.toml.
 
-    Parameters
-    ----------
-    path
-        The .toml or .json file, or a folder that holds lightfield.toml.
-    allow_missing
-        Handed on to the format of `source`.
-    read
-        What reads a light field of another format, for descriptions with a `source`.
-
-    Raises
-    ------
-    LightFieldError
-        If the description is damaged, has unknown or wrong entries, or names files that do not fit; the sentence
-        names the entry.
+    `read` reads the light field of another format that a description with a `source` names; `allow_missing` is handed
+    on to it. Errors name the entry of the description that is unknown or wrong.
     """
     file = path / DEFAULT_NAME if path.is_dir() else path
     table = _table(file, _parsed(file), "", _KEYS[""])
@@ -153,11 +143,9 @@ def write_description(
 
 
 def _parsed(file: Path) -> Any:
-    try:
+    with read_as(file):
         if not file.is_file():
             raise LightFieldError(f"{file} is not a description of a light field; name a .toml or .json file.")
-    except OSError as error:
-        raise LightFieldError(f"{file} cannot be read: {error.strerror}.") from error
     return read_json_or_toml(file)
 
 
@@ -232,7 +220,7 @@ def _of_source(
 
 
 def _with_rest(file: Path, table: Mapping[str, Any], light_field: LightField) -> LightField:
-    """With what the description says of the whole."""
+    """Add what the description says of the whole."""
     fields: dict[str, Any] = {}
     if "name" in table:
         if not isinstance(table["name"], str):

@@ -1,4 +1,4 @@
-"""Whether views stay on disk, and those that are unpacked for that."""
+"""Views that stay on disk, and their unpacking into temporary files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _WANTED: ContextVar[bool] = ContextVar("views stay on disk", default=False)
 
 @contextmanager
 def on_disk(wanted: bool) -> Iterator[None]:
-    """Whether readers in this block leave views on disk, as far as they can."""
+    """Have readers in this block leave views on disk, as far as they can, if that is wanted."""
     token = _WANTED.set(wanted)
     try:
         yield
@@ -32,7 +32,7 @@ def on_disk(wanted: bool) -> Iterator[None]:
 
 
 def wanted_on_disk() -> bool:
-    """Whether a reader is asked to leave views on disk."""
+    """Tell whether a reader is asked to leave views on disk."""
     return _WANTED.get()
 
 
@@ -71,7 +71,7 @@ class Collected:
         return self._shape
 
     def put(self, index: int, values: NDArray[Any]) -> None:
-        """Take the one that comes at `index`."""
+        """Take the array that comes at `index`."""
         if self._file is None:
             self._array[index] = values
             return
@@ -80,7 +80,7 @@ class Collected:
             self._file.write(np.ascontiguousarray(values).data)  # a full disk is an error here; mapped, a crash
 
     def array(self) -> NDArray[Any]:
-        """All of them."""
+        """Return all of them."""
         if self._file is None:
             return self._array
         with self._said():
@@ -89,7 +89,7 @@ class Collected:
 
     @contextmanager
     def _said(self) -> Iterator[None]:
-        """Errors of the disk, as a sentence."""
+        """Turn errors of the disk into a sentence."""
         try:
             yield
         except OSError as error:

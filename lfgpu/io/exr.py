@@ -1,4 +1,4 @@
-"""OpenEXR files of many channels (extra `exr`)."""
+"""OpenEXR files of many channels, and maps in them (extra `exr`): float32 channels, metadata in the header."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
+from lfgpu.io.about import KEY, UNKNOWN_IS_NAN, map_about, map_of, parse_about
+from lfgpu.io.damage import read_as
 from lfgpu.io.extras import require
 from lfgpu.io.folders import head
 from lfgpu.io.git_lfs import check_fetched
@@ -28,7 +31,8 @@ _OUTPUTS = threading.Lock()
 
 
 def read_channels(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-    """The channels of an OpenEXR file by name, each float32 [y, x] as stored (NaN and infinities included); its header.
+    """Read the channels of an OpenEXR file by name, float32 [y, x] as stored (NaN and infinities included), and its
+    header.
 
     LightFieldError if OpenEXR is missing, or the file is none, damaged, or claims more than it can hold.
     """
@@ -36,7 +40,7 @@ def read_channels(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str,
     if head(path, 4) != _MAGIC:  # the library tells that on stderr, too
         check_fetched(path)
         raise LightFieldError(f"{path} is not an OpenEXR file, or its beginning is damaged.")
-    try:
+    with read_as(path, "OpenEXR"):
         with complaints(), exr.File(str(path), separate_channels=True, header_only=True) as file:
             header = file.header()
             low, high = ([int(place) for place in corner] for corner in header["dataWindow"])
@@ -49,16 +53,10 @@ def read_channels(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str,
             if said():
                 raise ValueError("its pixels are damaged")
             return {name: _pixels(channel, shape) for name, channel in file.channels().items()}, dict(file.header())
-    except LightFieldError:
-        raise
-    except Exception as error:  # the library raises whatever comes to it when a file is damaged
-        raise LightFieldError(
-            f"{path} cannot be read as OpenEXR: {' '.join(str(error).split()).rstrip('.')}."
-        ) from error
 
 
 def channel(channels: dict[str, NDArray[np.float32]], *names: str) -> NDArray[np.float32] | None:
-    """The channel of one of these names, by itself or in a layer that Blender gives it."""
+    """Return the channel of one of these names, by itself or in a layer that Blender gives it."""
     for layer in _LAYERS:
         for name in names:
             for full, values in channels.items():
@@ -69,7 +67,7 @@ def channel(channels: dict[str, NDArray[np.float32]], *names: str) -> NDArray[np
 
 
 def read_picture(path: Path) -> NDArray[np.uint16]:
-    """The colours of an OpenEXR file, linear on [0, 1], by the transfer function of sRGB (IEC 61966-2-1).
+    """Return the colours of an OpenEXR file, linear on [0, 1], by the transfer function of sRGB (IEC 61966-2-1).
 
     [y, x, c], c = 1 (Y), 3 (R, G, B), and one more for its alpha A, which stays linear. What is brighter than white is
     cut off. LightFieldError as `read_channels`, or if it has no such channels.
@@ -105,6 +103,48 @@ def complaints() -> Iterator[Callable[[], bool]]:
             back.callback(os.dup2, before, 2)
             os.dup2(file.fileno(), 2)
         yield lambda: bool(printed.getvalue()) or os.fstat(file.fileno()).st_size > 0
+
+
+def write_map(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
+    """Write float32 channels `disparity`, `confidence`, `uncertainty` and `Z` (depth in metres), as far as they are
+    known.
+    """
+    import OpenEXR
+
+    channels = {
+        "disparity": values.disparity,
+        "confidence": values.confidence,
+        "uncertainty": values.uncertainty,
+        "Z": values.depth,
+    }
+    said = {} if values.depth is None else {"channels": {"Z": "metres along the optical axis"}}
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        KEY: map_about(values, **said, invalid=UNKNOWN_IS_NAN),
+    }
+    kept = {name: np.ascontiguousarray(a, np.float32) for name, a in channels.items() if a is not None}
+    try:
+        with OpenEXR.File(header, kept) as file:
+            file.write(str(path))
+    except RuntimeError as error:
+        raise OSError(None, str(error).partition(f"{path}")[2].strip(' ".') or str(error)) from error
+
+
+def read_map(path: Path) -> DisparityMap:
+    """Read an OpenEXR file with a channel `disparity`, or with one channel; what else of ours is there comes along."""
+    with path.open("rb"):  # errors of the system are said by the caller
+        pass
+    channels, header = read_channels(path)
+    name = "disparity" if "disparity" in channels or len(channels) != 1 else next(iter(channels))
+    if name not in channels:
+        raise LightFieldError(f"{path} has no channel 'disparity'; it holds {', '.join(channels) or 'nothing'}.")
+    disparity = channels[name]
+    if KEY not in header:
+        return DisparityMap(disparity, name=path.name)
+    if not isinstance(text := header[KEY], str):
+        raise LightFieldError(f"{path} is a damaged map of lfgpu: its metadata are no text.")
+    return map_of(path, parse_about(path, text), disparity, channels.get("confidence"), channels.get("uncertainty"))
 
 
 def _pixels(channel: Any, shape: tuple[int, int]) -> NDArray[np.float32]:

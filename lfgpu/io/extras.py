@@ -20,5 +20,5 @@ def require(module: str, extra: str, path: Path) -> Any:
 
 
 def how_to_install(extra: str) -> str:
-    """What to do where the libraries of an extra are missing, as the last part of a sentence."""
+    """Say how to install the libraries of an extra, as the last part of a sentence."""
     return f"install it from the folder of lfgpu's source: pip install -e '.[{extra}]'"

@@ -16,12 +16,12 @@ _CONTAINERS = "matroska,webm,mov,mp4,avi"  # MKV and WebM; MP4 and MOV; AVI
 
 
 def check_available(path: Path) -> Any:
-    """The library imageio_ffmpeg; LightFieldError that names `path` and how to install it if it is missing."""
+    """Import imageio_ffmpeg; LightFieldError that names `path` and how to install it if it is missing."""
     return require("imageio_ffmpeg", "video", path)
 
 
 def frames(file: Path, *, name: Path | None = None, demuxer: str | None = None) -> Generator[NDArray[np.uint8]]:
-    """The frames of a video one after the other, each uint8 [y, x, 3].
+    """Yield the frames of a video one after the other, each uint8 [y, x, 3].
 
     Parameters
     ----------

@@ -17,13 +17,14 @@ column) backwards."""
 
 
 def check_flip(flip: str) -> None:
-    """LightFieldError unless `flip` names axes."""
+    """Raise LightFieldError unless `flip` names axes."""
     if flip not in FLIPS:
         raise LightFieldError(f"flip must be u (columns), v (rows) or uv, not {flip!r}.")
 
 
 def places_in(shape: tuple[int, int], order: str) -> NDArray[np.intp]:
-    """[n, 2], the (row, column) of each view of a full grid of (rows, columns), in the order in which they are stored.
+    """Return [n, 2], the (row, column) of each view of a full grid of (rows, columns), in the order in which they are
+    stored.
 
     LightFieldError if `order` is none of `ORDERS`.
     """
@@ -38,7 +39,7 @@ def places_in(shape: tuple[int, int], order: str) -> NDArray[np.intp]:
 
 
 def reordered(light_field: LightField, order: str) -> LightField:
-    """The same views, which were taken for stored row by row, at the places of another order."""
+    """Return the same views, which were taken for stored row by row, at the places of another order."""
     if order == ORDERS[0]:
         return light_field
     shape = light_field.grid_shape
@@ -50,7 +51,7 @@ def reordered(light_field: LightField, order: str) -> LightField:
 
 
 def transposed(light_field: LightField) -> LightField:
-    """The same views with rows and columns of cameras swapped."""
+    """Return the same views with rows and columns of cameras swapped."""
     shape = None if light_field.grid_shape is None else (light_field.grid_shape[1], light_field.grid_shape[0])
     truth = light_field.truth
     if truth is not None:
@@ -59,7 +60,7 @@ def transposed(light_field: LightField) -> LightField:
 
 
 def flipped(light_field: LightField, flip: str) -> LightField:
-    """The same views with the positions of their cameras mirrored: "u" swaps left and right, "v" top and bottom.
+    """Mirror the positions of the cameras: "u" swaps left and right, "v" top and bottom.
 
     The reference is the middle view again where it was the middle one before.
     """
@@ -85,7 +86,7 @@ def flipped(light_field: LightField, flip: str) -> LightField:
 
 
 def _moved(light_field: LightField, positions: NDArray[np.float64], shape: tuple[int, int] | None) -> LightField:
-    """The same views at other places; the reference is the middle view again where it was the middle one before."""
+    """Return the same views at other places; the reference is the middle view again if it was the middle one."""
     reference: int | None = light_field.reference_index
     if light_field.grid_shape is not None and shape is not None:
         rows, columns = light_field.grid_shape

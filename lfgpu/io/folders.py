@@ -1,4 +1,4 @@
-"""What lies in a folder, with the file system's complaints turned into sentences."""
+"""Contents of folders, with the file system's complaints turned into sentences."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.damage import read_as
 
 IMAGE_SUFFIXES = frozenset({".png", ".bmp", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".ppm", ".pgm", ".exr"})
 """Suffixes, in lower case, of the files that are taken for images."""
@@ -16,13 +17,13 @@ _LISTED = 3
 
 
 def listed(paths: Sequence[Path]) -> str:
-    """The names of the first few paths and how many there are besides: "a.png, b.png, c.png and 5 more"."""
+    """Return the names of the first few paths and how many there are besides: "a.png, b.png, c.png and 5 more"."""
     more = f" and {len(paths) - _LISTED} more" if len(paths) > _LISTED else ""
     return ", ".join(path.name for path in paths[:_LISTED]) + more
 
 
 def natural_order(text: str) -> list[tuple[int, int, str]]:
-    """A key that sorts names as people count: frame_2 before frame_10.
+    """Return a key that sorts names as people count: frame_2 before frame_10.
 
     Runs of the digits 0 to 9, and of decimal digits of other scripts, count as numbers; signs such as ² do not.
     """
@@ -30,7 +31,7 @@ def natural_order(text: str) -> list[tuple[int, int, str]]:
 
 
 def image_files(folder: Path) -> list[Path]:
-    """The image files of a folder by their suffix, sorted by name; hidden files are left out.
+    """Return the image files of a folder by their suffix, sorted by name; hidden files are left out.
 
     LightFieldError if one is a link that leads nowhere: without it the rest could pass for a smaller light field.
     """
@@ -42,7 +43,7 @@ def image_files(folder: Path) -> list[Path]:
 
 
 def not_waited_for(path: Path) -> None:
-    """LightFieldError for a pipe, a socket or a device: opening it would wait for somebody, or never end."""
+    """Raise LightFieldError for a pipe, a socket or a device: opening it would wait for somebody, or never end."""
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):  # what is missing or locked is said by who opens it
@@ -52,23 +53,21 @@ def not_waited_for(path: Path) -> None:
 
 
 def head(path: Path, count: int) -> bytes:
-    """The first bytes of a regular file; none of anything else."""
-    try:
+    """Return the first bytes of a regular file; none of anything else."""
+    with read_as(path):
         if not path.is_file():  # opening a pipe would wait for somebody to write into it
             return b""
         with path.open("rb") as file:
             return file.read(count)
-    except OSError as error:
-        raise LightFieldError(f"{path} cannot be read: {error.strerror}.") from error
 
 
 def sub_folders(folder: Path) -> list[Path]:
-    """The direct sub-folders of a folder, sorted by name; hidden ones are left out."""
+    """Return the direct sub-folders of a folder, sorted by name; hidden ones are left out."""
     return _select(folder, lambda entry: _shown(entry) and entry.is_dir())
 
 
 def entries(folder: Path) -> list[Path]:
-    """All that a folder shows, sorted by name."""
+    """Return all that a folder shows, sorted by name."""
     return _select(folder, _shown)
 
 

@@ -55,12 +55,13 @@ class Format:
     """Why a path that exists is of this format ("it is a folder with ..."), or None. Looks at names and magic, and at
     what is in a file only where a quick look can be sure."""
     read: Callable[..., LightField]
-    """Reads a path that exists, given the keyword `allow_missing` and those in `takes`, or raises LightFieldError with
-    a sentence that names the file at fault."""
+    """Reads a path that exists, given the keywords in `takes` that users gave. Raises LightFieldError with a sentence
+    that names the file at fault: if it is missing, damaged, of another kind, claims more than it can hold, contradicts
+    others, or needs a library that is not there."""
     extra: str | None = None
     """The extra of the package that (some files of) the format needs: pip install -e '.[EXTRA]'."""
     takes: tuple[str, ...] = ()
-    """Which further keywords of `read` have a meaning for it."""
+    """The keywords of `lfgpu.read` that have a meaning for it, "allow_missing" among them."""
     inside: Callable[[Path], Inside] | None = None
     """What else its files hold; None where that is nothing."""
     looks_below: bool = False
@@ -68,19 +69,22 @@ class Format:
 
 
 def _read_source(path: Path, **options: Any) -> LightField:
-    """What a description reads its source with: this very table."""
+    """Read the source of a description, by this very table."""
     return read(path, lazy=wanted_on_disk(), **options)
 
 
+_MISSING = "allow_missing"
+
+
 def _numbered(name: str, about: str, *takes: str) -> Format:
-    """A kind of folder of pictures whose names have numbers."""
+    """Return a kind of folder of pictures whose names have numbers."""
     return Format(
         name=name,
         description=about,
         recognise=partial(numbered.recognise, kind=name),
         read=partial(numbered.read_numbered, kind=name),
         looks_below=True,
-        takes=("pattern", "frame", *takes),
+        takes=(_MISSING, "pattern", "frame", *takes),
     )
 
 
@@ -92,24 +96,28 @@ FORMATS: tuple[Format, ...] = (
         recognise=blender.recognise,
         read=blender.read_blender,
         extra="exr",
+        takes=(_MISSING,),
     ),
     Format(
         name="lightfield-toml",
         description="a description lightfield.toml (or .json) of any array of cameras",
         recognise=description.recognise,
         read=partial(description.read_description, read=_read_source),
+        takes=(_MISSING,),
     ),
     Format(
         name="hci",
         description="HCI 4D Light Field Benchmark: a folder with input_Cam000.png ... and parameters.cfg",
         recognise=hci.recognise,
         read=hci.read_hci,
+        takes=(_MISSING,),
     ),
     Format(
         name="hci-export",
         description="a folder exported from the old HCI light fields: lf/00_00.png ..., attributes.dat, depth.bin",
         recognise=hci_old.recognise_export,
         read=hci_old.read_hci_export,
+        takes=(_MISSING,),
     ),
     Format(
         name="stanford",
@@ -123,6 +131,7 @@ FORMATS: tuple[Format, ...] = (
         description="an export of PlenoptiCam: a folder viewpoints_9px with images named by row and column",
         recognise=plenopticam.recognise,
         read=plenopticam.read_plenopticam,
+        takes=(_MISSING,),
     ),
     Format(
         name="lftoolbox",
@@ -282,13 +291,15 @@ def read(
     chosen = chosen_format(path, format, pattern)[0]
     check_exists(path)
     told = {"grid": grid, "order": order, "every": every, "pattern": pattern, "frame": frame, "axes": axes}
-    options = {name: value for name, value in told.items() if value is not None}
+    options: dict[str, Any] = {name: value for name, value in told.items() if value is not None}
     for name in options:
         if name not in chosen.takes:
             raise LightFieldError(f"{path} is read as {chosen.name}, for which {name} means nothing; leave it out.")
     options.pop("order", None)
+    if allow_missing and _MISSING in chosen.takes:
+        options[_MISSING] = True
     with on_disk(lazy):
-        found = chosen.read(path, allow_missing=allow_missing, **options)
+        found = chosen.read(path, **options)
         found = reordered(found, order or ORDERS[0])
         found = flipped(transposed(found) if transpose else found, flip)
         found = replace(found, reading=replace(found.reading, transpose=transpose, flip=flip))
@@ -298,7 +309,7 @@ def read(
 
 
 def check_grid_option(grid: object, order: object) -> None:
-    """LightFieldError unless these are a pair of whole numbers and one of `ORDERS`, or None."""
+    """Raise LightFieldError unless these are a pair of whole numbers and one of `ORDERS`, or None."""
     if grid is not None and not (
         isinstance(grid, tuple | list) and len(grid) == 2 and all(isinstance(n, Integral) and int(n) > 0 for n in grid)
     ):
@@ -308,7 +319,7 @@ def check_grid_option(grid: object, order: object) -> None:
 
 
 def chosen_format(path: Path, name: str | None, pattern: str | None = None) -> tuple[Format, str]:
-    """The format that a path is read as, and why; with a pattern of names it is a folder of numbered images."""
+    """Return the format that a path is read as, and why; with a pattern of names it is a folder of numbered images."""
     if name is not None:
         return _named(name), "as told"
     if pattern is not None:
@@ -318,13 +329,13 @@ def chosen_format(path: Path, name: str | None, pattern: str | None = None) -> t
 
 
 def _checked(light_field: LightField) -> LightField:
-    """With a note if the pictures contradict the positions of their cameras."""
+    """Add a note if the pictures contradict the positions of their cameras."""
     against = no_parallax(light_field) or contradiction(light_field)
     return light_field if against is None else replace(light_field, notes=(*light_field.notes, against))
 
 
 def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
-    """The format of a path and why it is taken for that; LightFieldError if it is none that is known."""
+    """Return the format of a path and why it is taken for that; LightFieldError if it is none that is known."""
     path = Path(path)
     check_exists(path)
     for candidate in FORMATS:
@@ -341,14 +352,14 @@ def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
 
 
 def inside(path: str | os.PathLike[str], *, format: str) -> Inside:  # noqa: A002 - as for `read`
-    """What a path of a format holds beside views, or instead of them; LightFieldError if it is damaged."""
+    """Describe what a path of a format holds beside views, or instead of them; LightFieldError if it is damaged."""
     path, chosen = Path(path), _named(format)
     check_exists(path)
     return Inside(()) if chosen.inside is None else chosen.inside(path)
 
 
 def kind(path: Path) -> str | None:
-    """The name of the format of a path; None if it is no light field, or several."""
+    """Return the name of the format of a path; None if it is no light field, or several."""
     try:
         return recognise(path)[0].name
     except LightFieldError:
@@ -363,7 +374,7 @@ def _named(name: str) -> Format:
 
 
 def check_exists(path: Path, what: str = "a folder of views or a light field file") -> None:
-    """LightFieldError if there is nothing at a path, or it may not be looked at."""
+    """Raise LightFieldError if there is nothing at a path, or it may not be looked at."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError:
@@ -381,7 +392,7 @@ _NAMED_SO = frozenset({".h5", ".hdf5", ".mat", ".npy", ".npz", ".mp4", ".mov", "
 
 
 def _what(path: Path) -> str:
-    """What a path is that no format recognises, and what to do about it."""
+    """Describe a path that no format recognises, and say what to do about it."""
     if path.is_dir():
         contents = entries(path)
         return f"a folder with {listed(contents)}" if contents else "an empty folder"

@@ -53,7 +53,7 @@ def write_image(image: Float32Array, path: str | os.PathLike[str], *, dtype: Any
 
 
 def check_image_path(path: str | os.PathLike[str]) -> None:
-    """LightFieldError if `write_image` could not write such a file."""
+    """Raise LightFieldError if `write_image` could not write such a file."""
     path = Path(path)
     if path.suffix.lower() not in (".png", ".tif", ".tiff"):
         raise LightFieldError(f"{path} cannot be written: an image is stored as .png or .tif; choose one of these.")
@@ -98,7 +98,7 @@ def write_frames(
 
 
 def check_frames_path(path: str | os.PathLike[str]) -> None:
-    """LightFieldError if `write_frames` could not write such a file or folder."""
+    """Raise LightFieldError if `write_frames` could not write such a file or folder."""
     path = Path(path)
     if path.suffix and path.suffix.lower() not in _FILMS:
         raise LightFieldError(
@@ -147,7 +147,7 @@ def _write_mp4(frames: Iterable[Float32Array], path: Path, fps: float) -> None:
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether a film has its table of contents, which ffmpeg writes last."""
+    """Tell whether a film has its table of contents, which ffmpeg writes last."""
     return path.exists() and b"moov" in path.read_bytes()
 
 

@@ -11,7 +11,7 @@ _START = b"version https://git-lfs.github.com/spec/"
 
 
 def check_fetched(path: Path) -> None:
-    """LightFieldError that says what to do if a regular file is such a text; nothing if it cannot be read."""
+    """Raise LightFieldError that says what to do if a regular file is such a text; nothing if it cannot be read."""
     start = b""
     with suppress(OSError):
         if path.is_file():  # opening a pipe would wait for somebody to write into it

@@ -19,7 +19,8 @@ from lfgpu.io.atomic import atomic_folder
 from lfgpu.io.folders import entries, image_files
 from lfgpu.io.grid import by_place, read_grid
 from lfgpu.io.hci_parameters import PARAMETERS_FILE, Parameters, write_parameters
-from lfgpu.io.maps import check_size, read_map, read_mask
+from lfgpu.io.images import check_size, read_mask
+from lfgpu.io.map_formats import read_map
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.png import write_png
 
@@ -31,7 +32,7 @@ _VIEW_NAME = re.compile(r"input_cam([0-9]{1,6})", re.IGNORECASE)
 
 
 def recognise(path: Path) -> str | None:
-    """Why a path is taken for an HCI folder; None if it is not."""
+    """Say why a path is taken for an HCI folder; None if it is not."""
     views = _view_files(path) if path.is_dir() else []
     return f"it is a folder with {views[0][1].name}" if views else None
 
@@ -41,20 +42,9 @@ def read_hci(path: Path, *, allow_missing: bool = False) -> LightField:
 
     The view with index i stands at row i // columns, column i % columns; all views may be there or only some. The
     geometry comes from parameters.cfg, where d = B f (1/Z - 1/F); the ground truth of the centre view (rows // 2,
-    columns // 2) from gt_disp_lowres.pfm, and where it is scored from valid_mask.png, where non-zero is valid.
-    Without parameters.cfg a square grid is taken if the highest index is the last one of such a grid.
-
-    Parameters
-    ----------
-    path
-        The folder.
-    allow_missing
-        Whether a grid that seems to have lost some views is accepted.
-
-    Raises
-    ------
-    LightFieldError
-        If files are missing, damaged or contradict each other; the sentence names the file.
+    columns // 2) from gt_disp_lowres.pfm, and where it is scored from valid_mask.png, where non-zero is valid. Without
+    parameters.cfg a square grid is taken if the highest index is the last one of such a grid. A grid that seems to have
+    lost some views is an error without `allow_missing`.
     """
     views = _view_files(path)
     if not views:
@@ -184,7 +174,7 @@ def _write_truth(folder: Path, truth: GroundTruth, geometry: Geometry | None) ->
 
 
 def _check_nothing_stale(folder: Path, new: Path) -> None:
-    """What an earlier light field left in the folder would be read as part of the new one: a view, even the truth."""
+    """Refuse a folder with files of an earlier light field, which would be read as part of the new one."""
     if not folder.is_dir():
         return
     for entry in entries(folder):

@@ -19,7 +19,7 @@ from lfgpu.io.arrays import grid_field
 from lfgpu.io.flips import flipped
 from lfgpu.io.folders import entries, head, sub_folders
 from lfgpu.io.git_lfs import check_fetched
-from lfgpu.io.maps import check_size, read_mask
+from lfgpu.io.images import check_size, read_mask
 from lfgpu.io.numbered import read_numbered
 from lfgpu.io.parallax import runs_as_truth
 from lfgpu.io.texts import read_text
@@ -38,14 +38,14 @@ class _Cameras:
     shift: float
 
     def disparity(self, depth: NDArray[Any]) -> NDArray[np.float32]:
-        """Disparity of a depth, NaN where the depth is no positive number."""
+        """Return the disparity of a depth, NaN where the depth is no positive number."""
         known = np.isfinite(depth) & (depth > 0)
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a file may hold any bits
             found = self.baseline * self.focal_length / np.where(known, depth.astype(np.float64), np.nan) - self.shift
             return np.where(np.isfinite(found), found, np.nan).astype(np.float32)
 
     def geometry(self, width: int) -> Geometry | None:
-        """The same in pixels and metres; None if it cannot be that of real cameras.
+        """Return the cameras in pixels and metres; None if these cannot be real cameras.
 
         The rendered scenes have the focal length in widths of the sensor, and the baseline multiplied by the width.
         """
@@ -61,31 +61,19 @@ class _Cameras:
 
 
 def recognise_hdf5(path: Path) -> str | None:
-    """Why a path is taken for an HDF5 light field, or a folder with one; None if it is not."""
+    """Say why a path is taken for an HDF5 light field, or a folder with one; None if it is not."""
     if path.is_dir():
         file = _only_hdf5(path)
         return f"its only HDF5 file is {file.name}" if file else None
     return "it begins as HDF5 files do" if head(path, 8) == hdf5.MAGIC else None
 
 
-def read_hci_hdf5(path: Path, *, allow_missing: bool = False) -> LightField:
-    """Read an old HCI light field from HDF5 (extra `hdf5`).
+def read_hci_hdf5(path: Path) -> LightField:
+    """Read an old HCI light field from HDF5 (extra `hdf5`): the file, or a folder with one HDF5 file.
 
     `LF` is [v, u, y, x, c], its second axis counted from the right. Depth `GT_DEPTH` [v, u, y, x], or [y, x] of the
     middle view, becomes the ground truth by d = dH focalLength / depth - shift. Where there is ground truth, it also
     tells whether the axes run as they should; one that does not is turned round, with a note.
-
-    Parameters
-    ----------
-    path
-        The file, or a folder that has it as its only HDF5 file.
-    allow_missing
-        Not needed: the file holds full grids only.
-
-    Raises
-    ------
-    LightFieldError
-        If h5py is missing, the file is damaged, or it has no `LF` of that shape.
     """
     file = (_only_hdf5(path) or path) if path.is_dir() else path
     if head(file, 8) != hdf5.MAGIC:
@@ -112,7 +100,7 @@ def _only_hdf5(folder: Path) -> Path | None:
 
 
 def _middle(path: Path, dataset: Any, shape: tuple[int, ...]) -> NDArray[Any] | None:
-    """What belongs to the middle view in [v, u, y, x], or all of [y, x]."""
+    """Return the part of a dataset [v, u, y, x] that belongs to the middle view, or all of a dataset [y, x]."""
     if dataset is None:
         return None
     hdf5.check_shape(path, dataset)
@@ -130,7 +118,7 @@ def _middle(path: Path, dataset: Any, shape: tuple[int, ...]) -> NDArray[Any] | 
 
 
 def recognise_export(path: Path) -> str | None:
-    """Why a path is taken for an exported folder; None if it is not."""
+    """Say why a path is taken for an exported folder; None if it is not."""
     if not path.is_dir() or not (path / ATTRIBUTES_FILE).is_file():
         return None
     return f"it is a folder with {ATTRIBUTES_FILE}"
@@ -139,20 +127,9 @@ def recognise_export(path: Path) -> str | None:
 def read_hci_export(path: Path, *, allow_missing: bool = False) -> LightField:
     """Read a folder exported from an old HCI light field: lf/ROW_COLUMN.png, attributes.dat and depth.bin.
 
-    attributes.dat has lines such as `9.375 //focalLength`; depth.bin is float32 [y, x], little endian, the depth of
-    the middle view, and mask.png, where there is one, tells where it is scored.
-
-    Parameters
-    ----------
-    path
-        The folder.
-    allow_missing
-        Whether a grid that seems to have lost some views is accepted.
-
-    Raises
-    ------
-    LightFieldError
-        If files are missing, damaged or contradict each other; the sentence names the file.
+    attributes.dat has lines such as `9.375 //focalLength`; depth.bin is float32 [y, x], little endian, the depth of the
+    middle view, and mask.png, where there is one, tells where it is scored. A grid that seems to have lost some views
+    is an error without `allow_missing`.
     """
     if not (path / ATTRIBUTES_FILE).is_file():
         raise LightFieldError(f"{path} has no {ATTRIBUTES_FILE}; give the folder that holds it and the views.")

@@ -24,7 +24,7 @@ _SENSOR_SIZE_MM = 35.0  # of the benchmark's scenes; it only fixes the unit of t
 
 
 class Parameters:
-    """What one parameters.cfg says. Every error names the file.
+    """The contents of one parameters.cfg. Every error names the file.
 
     `disp_min` and `disp_max` are not looked at: they come from the ground truth, and no estimate may know them.
     """
@@ -41,11 +41,11 @@ class Parameters:
             ) from error
 
     def grid_shape(self) -> tuple[int, int]:
-        """(rows, columns) of the camera grid, from num_cams_y and num_cams_x."""
+        """Return (rows, columns) of the camera grid, from num_cams_y and num_cams_x."""
         return self._cameras("num_cams_y"), self._cameras("num_cams_x")
 
     def geometry(self, size: tuple[int, int]) -> Geometry | None:
-        """The geometry for views of (height, width) pixels; None if the file says nothing of lengths.
+        """Return the geometry for views of (height, width) pixels; None if the file says nothing of lengths.
 
         The sensor's size is that of its longer side, so that views which were scaled as a whole are covered as well.
         The camera whose frame is not shifted is the middle one (rows // 2, columns // 2), unless our own keys say else.
@@ -82,7 +82,7 @@ class Parameters:
             raise LightFieldError(f"{self._path}: {error}") from error
 
     def resolution(self) -> tuple[int, int] | None:
-        """(height, width) of the views as the file has it; None where it does not say."""
+        """Return (height, width) of the views as the file has it; None where it does not say."""
         keys = ("image_resolution_y_px", "image_resolution_x_px")
         if not all(self._config.has_option("intrinsics", key) for key in keys):
             return None

@@ -1,4 +1,6 @@
-"""What the HCI 4D Light Field Benchmark takes: a map and a runtime for each of its scenes; and its masks of regions."""
+"""Submissions to the HCI 4D Light Field Benchmark, a map and a runtime for each of its scenes; and its masks of
+regions.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_folder
-from lfgpu.io.maps import read_mask
+from lfgpu.io.images import read_mask
 from lfgpu.io.pfm import write_pfm
 
 SCENES = (
@@ -74,7 +76,7 @@ def write_submission(
 
 
 def read_region_masks(folder: Path) -> dict[str, NDArray[np.bool_]]:
-    """The masks of regions that a scene has, bool [y, x] by name; LightFieldError if one is damaged."""
+    """Read the masks of regions that a scene has, bool [y, x] by name; LightFieldError if one is damaged."""
     found = {}
     for region in REGIONS:
         places = (folder / place / name.format(region) for place in _MASK_PLACES for name in _MASK_NAMES)

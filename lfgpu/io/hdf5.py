@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.damage import read_as
 from lfgpu.io.extras import require
 from lfgpu.io.limits import check_claim
 
@@ -19,20 +20,14 @@ MAGIC = b"\x89HDF\r\n\x1a\n"
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """The root group; whatever h5py raises in the block becomes a LightFieldError that names the file."""
+    """Open the root group; whatever h5py raises in the block becomes a LightFieldError that names the file."""
     h5py = require("h5py", "hdf5", path)
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except LightFieldError:
-        raise
-    except Exception as error:  # h5py raises whatever comes to it when a file is damaged
-        reason = " ".join(str(error).split()).rstrip(".")
-        raise LightFieldError(f"{path} cannot be read as HDF5: {reason}.") from error
+    with read_as(path, "HDF5"), h5py.File(path, "r") as file:
+        yield file
 
 
 def datasets(root: Any) -> dict[str, Any]:
-    """The datasets at the top level that lie in the file itself, by name.
+    """Return the datasets at the top level that lie in the file itself, by name.
 
     Links by name are left out: on their way they may leave the file by another link.
     """
@@ -42,13 +37,13 @@ def datasets(root: Any) -> dict[str, Any]:
 
 
 def load(path: Path, dataset: Any) -> NDArray[Any]:
-    """A numeric dataset as an array; LightFieldError if it claims too much or lies in another file."""
+    """Load a numeric dataset as an array; LightFieldError if it claims too much or lies in another file."""
     check_shape(path, dataset)
     return np.asarray(dataset[()])
 
 
 def check_shape(path: Path, dataset: Any) -> None:
-    """LightFieldError unless a dataset is an honest array of numbers within the file."""
+    """Raise LightFieldError unless a dataset is an honest array of numbers within the file."""
     if dataset.shape is None or dataset.dtype.kind not in "fiu":
         raise LightFieldError(f"{path}: {dataset.name} holds {dataset.dtype}; wanted is an array of numbers.")
     if dataset.external or dataset.is_virtual:
@@ -59,7 +54,7 @@ def check_shape(path: Path, dataset: Any) -> None:
 
 
 def number(path: Path, root: Any, name: str) -> float | None:
-    """An attribute of the root as a number; None if there is none of that name."""
+    """Return an attribute of the root as a number; None if there is none of that name."""
     if name not in root.attrs:
         return None
     value = np.asarray(root.attrs[name])

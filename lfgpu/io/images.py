@@ -15,10 +15,11 @@ from PIL.TiffImagePlugin import TiffImageFile
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow
+from lfgpu.io.damage import read_as
 from lfgpu.io.exr import read_picture
-from lfgpu.io.fast_png import fast_pixels
 from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.limits import check_claim
+from lfgpu.io.png import decode_fast
 from lfgpu.io.tiff_pages import check_pages
 
 ALPHA_DROPPED = "alpha channel dropped"
@@ -77,24 +78,41 @@ def read_view(
         infinities.
     """
     path = Path(path)
-    try:
-        image, converted = _decode(path)
-    except LightFieldError:
-        raise
-    except UnidentifiedImageError as error:
-        check_fetched(path)
-        raise LightFieldError(
-            f"{path} cannot be read as an image: it is none of PNG, BMP, JPEG, TIFF, WebP and PPM, or its beginning is "
-            "damaged."
-        ) from error
-    except Exception as error:  # decoders raise whatever comes to them when a file is damaged
-        reason = str(getattr(error, "strerror", None) or error).rstrip(".")
-        raise LightFieldError(f"{path} cannot be read as an image: {reason}.") from error
+    with read_as(path, "an image"):
+        try:
+            image, converted = _decode(path)
+        except UnidentifiedImageError as error:
+            check_fetched(path)
+            raise LightFieldError(
+                f"{path} cannot be read as an image: it is none of PNG, BMP, JPEG, TIFF, WebP and PPM, or its "
+                "beginning is damaged."
+            ) from error
     return _normalised(path, image, converted, finite=finite)
 
 
+def read_mask(path: str | os.PathLike[str]) -> NDArray[np.bool_]:
+    """Read an image as a mask: bool [y, x], True where any of its colours is not zero.
+
+    Raises
+    ------
+    LightFieldError
+        If the file cannot be read as an image.
+    """
+    image, _ = read_image(path)
+    return np.asarray((image != 0).any(axis=2))
+
+
+def check_size(path: Path, array: NDArray[Any], size: tuple[int, int]) -> None:
+    """Raise LightFieldError unless what a file holds has the (height, width) of the views."""
+    if array.shape != size:
+        raise LightFieldError(
+            f"{path} has {array.shape[1]} x {array.shape[0]} pixels, but the views have {size[1]} x {size[0]}; "
+            "remove it or put the right one there."
+        )
+
+
 def image_size(path: Path) -> tuple[int, int] | None:
-    """(height, width) by the header of an image file; None if that cannot be read, which `read_image` explains."""
+    """Return (height, width) by the header of an image; None if it cannot be read, as `read_image` explains."""
     try:
         with pillow.opened(path) as image:
             return (image.width, image.height) if _orientation(image) >= 5 else (image.height, image.width)
@@ -103,13 +121,13 @@ def image_size(path: Path) -> tuple[int, int] | None:
 
 
 def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
-    """[y, x] or [y, x, c] with c = 1 to 4, in whatever dtype the file has; and what was converted."""
+    """Decode an image file to [y, x] or [y, x, c] with c = 1 to 4, in whatever dtype the file has."""
     if path.suffix.lower() == ".exr":
         return read_picture(path), {LINEAR}
     try:
         with pillow.opened(path) as image:
             turn, remarks = _UPRIGHT.get(_orientation(image)), set[str]()
-            if (pixels := fast_pixels(path, image)) is None:
+            if (pixels := decode_fast(path, image)) is None:
                 if _is_misread_by_pillow(image):
                     return _decode_tiff(path)
                 inverted = _white_is_zero(image)
@@ -125,7 +143,7 @@ def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
 
 
 def _orientation(image: Image.Image) -> int:
-    """The EXIF orientation, 1 to 8; 1 for a TIFF, which Pillow turns itself."""
+    """Return the EXIF orientation, 1 to 8; 1 for a TIFF, which Pillow turns itself."""
     if isinstance(image, TiffImageFile) or not image.info.get("exif"):
         return 1
     exif = Image.Exif()
@@ -135,7 +153,7 @@ def _orientation(image: Image.Image) -> int:
 
 
 def _white_is_zero(image: Image.Image) -> bool:
-    """Whether it is a grey TIFF of which 0 is white, but for those that Pillow inverts."""
+    """Tell whether an image is a grey TIFF of which 0 is white, but for those that Pillow inverts."""
     return (
         isinstance(image, TiffImageFile)
         and image.tag_v2.get(_INTERPRETATION_TAG) == _WHITE_IS_ZERO
@@ -168,20 +186,22 @@ def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
 
 
 def _wide_ppm_colour(image: Image.Image) -> bool:
-    """Whether it has colours of more than 8 bits, of which Pillow keeps 8."""
+    """Tell whether a PPM has colours of more than 8 bits, of which Pillow keeps 8."""
     arguments = image.tile[0][3]  # type: ignore[attr-defined]  # (raw mode, largest value) or the raw mode alone
     return image.mode == "RGB" and isinstance(arguments, tuple) and int(arguments[1]) > 255
 
 
 def _raw_mode(image: Image.Image) -> str:
-    """How the file stores its pixels in Pillow's words, "RGB;16B" for example; "" where Pillow does not say."""
+    """Return in Pillow's words how the file stores its pixels, "RGB;16B" for example; "" where Pillow does not say."""
     tiles = getattr(image, "tile", None)
     arguments = tiles[0][3] if tiles else ""
     return str(arguments[0] if isinstance(arguments, tuple) else arguments)
 
 
 def _sixteen_bit_colour(path: Path, image: Image.Image, raw: str) -> NDArray[np.uint16]:
-    """16-bit colour, of which Pillow keeps the high bytes: decoding as of the other byte order gives the low ones."""
+    """Decode 16-bit colour, of which Pillow keeps the high bytes: decoding as of the other byte order gives the low
+    ones.
+    """
     if raw.startswith("LA"):
         raise LightFieldError(f"{path} is 16-bit grey with transparency; save it without transparency.")
     other = raw[:-3] + _OTHER_BYTE[raw[-3:]]
@@ -196,7 +216,7 @@ def _sixteen_bit_colour(path: Path, image: Image.Image, raw: str) -> NDArray[np.
 
 
 def _is_misread_by_pillow(image: Image.Image) -> bool:
-    """Whether it is a TIFF of a kind that Pillow 13 decodes without complaint to wrong values."""
+    """Tell whether an image is a TIFF of a kind that Pillow 13 decodes without complaint to wrong values."""
     if not isinstance(image, TiffImageFile):
         return False
     sixteen_bit_planes = image.tag_v2.get(_PLANAR_TAG) == 2 and max(image.tag_v2.get(_BITS_TAG, (1,))) > 8
@@ -205,7 +225,7 @@ def _is_misread_by_pillow(image: Image.Image) -> bool:
 
 
 def _decode_tiff(path: Path) -> tuple[NDArray[Any], set[str]]:
-    """A TIFF that Pillow does not know (float colour, float64) or misreads, by way of the optional tifffile."""
+    """Decode a TIFF that Pillow does not know (float colour, float64) or misreads, by way of the optional tifffile."""
     if importlib.util.find_spec("tifffile") is None:
         raise LightFieldError(
             f"{path} cannot be read as an image: it is a damaged or an unusual TIFF (float colour, float64, separate "
@@ -250,5 +270,5 @@ def _normalised(
 
 
 def opaque(alpha: NDArray[Any]) -> NDArray[np.bool_]:
-    """Where an alpha channel is at least half of the largest value of its type."""
+    """Mark where an alpha channel is at least half of the largest value of its type."""
     return np.asarray(alpha >= (0.5 if alpha.dtype.kind == "f" else (np.iinfo(alpha.dtype).max + 1) // 2))

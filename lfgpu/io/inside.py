@@ -1,4 +1,4 @@
-"""What a file holds beside views, or instead of them: for people who ask what it is."""
+"""Facts about a file beside its views, or instead of them: for people who ask what it is."""
 
 from __future__ import annotations
 

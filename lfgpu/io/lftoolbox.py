@@ -14,6 +14,7 @@ from lfgpu.data.reading import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import hdf5, matlab5
 from lfgpu.io.arrays import arranged, grid_field
+from lfgpu.io.damage import read_as
 from lfgpu.io.folders import head
 from lfgpu.io.vignette import lit
 
@@ -22,31 +23,17 @@ _LEAST_WEIGHT = 0.25  # of the largest: what the white image says of pixels at t
 
 
 def recognise(path: Path) -> str | None:
-    """Why a path is taken for a MATLAB file; None if it is not."""
+    """Say why a path is taken for a MATLAB file; None if it is not."""
     return "it begins as MATLAB files do" if head(path, 19) in (_MAGIC_5, _MAGIC_7) else None
 
 
-def read_lftoolbox(path: Path, *, allow_missing: bool = False, axes: str | None = None) -> LightField:
+def read_lftoolbox(path: Path, *, axes: str | None = None) -> LightField:
     """Read a .mat file of version 5 to 7, or of 7.3 (extra `hdf5`).
 
     The variable LF, or the only one with five axes, is [t, s, v, u, c]: rows of views, columns of views, y, x, colour.
     A fourth colour is the weight of each pixel: what has less than a quarter of the largest is marked as not valid.
     Without weights, what is less than half as bright as the middle view is. Views of which nothing is valid are left
-    out.
-
-    Parameters
-    ----------
-    path
-        The file.
-    allow_missing
-        Not needed: the file holds full grids only.
-    axes
-        The order of the axes of the variable, such as "yxvuc"; None takes "vuyxc" where that makes sense.
-
-    Raises
-    ------
-    LightFieldError
-        If the file is damaged, has no such variable, or claims more than it can hold.
+    out. `axes` is another order of the axes, such as "yxvuc"; None takes "vuyxc" where that makes sense.
     """
     if recognise(path) is None:
         raise LightFieldError(f"{path} is not a MATLAB file; give the .mat file that the Light Field Toolbox wrote.")
@@ -65,11 +52,9 @@ def read_lftoolbox(path: Path, *, allow_missing: bool = False, axes: str | None 
 
 
 def _load_5(path: Path, axes: str | None) -> NDArray[Any]:
-    try:
+    with read_as(path):
         found = {variable.name: variable for variable in matlab5.variables(path)}
         return matlab5.load(path, found[_chosen(path, {name: v.shape for name, v in found.items()}, axes)])
-    except OSError as error:
-        raise LightFieldError(f"{path} cannot be read: {error.strerror or error}.") from error
 
 
 def _load_7(path: Path, axes: str | None) -> NDArray[Any]:

@@ -23,7 +23,7 @@ def check_claim(
     *,
     in_memory: bool = True,
 ) -> None:
-    """LightFieldError if an array that a file claims to hold can neither be in the file nor in the memory.
+    """Raise LightFieldError if an array that a file claims to hold can neither be in the file nor in the memory.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def check_claim(
 
 
 def check_memory(path: Path, needed: int, *, advice: str) -> None:
-    """LightFieldError if so many bytes are more than the machine has."""
+    """Raise LightFieldError if so many bytes are more than the machine has."""
     memory = physical_memory()
     if memory and needed > memory:
         raise LightFieldError(
@@ -57,7 +57,7 @@ def check_memory(path: Path, needed: int, *, advice: str) -> None:
 
 
 def physical_memory() -> int:
-    """The memory of the machine in bytes; 0 where the system does not say."""
+    """Return the memory of the machine in bytes; 0 where the system does not say."""
     try:
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (AttributeError, OSError, ValueError):  # Windows has no sysconf

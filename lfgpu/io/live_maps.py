@@ -25,7 +25,8 @@ _DISPARITY, _CONFIDENCE = "disparity_{:06d}.pfm", "confidence_{:06d}.pfm"
 
 
 def fingerprint(view: NDArray[Any]) -> str:
-    """A number, as text, that tells pictures apart: that of a frame is the fingerprint of its reference view [y, x, c].
+    """Compute a number, as text, that tells pictures apart: that of a frame is the fingerprint of its reference view
+    [y, x, c].
 
     The same pixels have the same fingerprint, wherever they are stored.
     """
@@ -56,7 +57,7 @@ class LiveMaps:
 
     @classmethod
     def of(cls, path: Path) -> LiveMaps:
-        """The maps in a folder.
+        """Find the maps in a folder.
 
         Raises
         ------
@@ -75,7 +76,7 @@ class LiveMaps:
         return cls(path, found)
 
     def number(self, reference: str, near: int) -> int | None:
-        """The number of the frame with a reference view of this fingerprint; None if there is none.
+        """Return the number of the frame with a reference view of this fingerprint; None if there is none.
 
         Of several frames with the same picture it is the one numbered `near`, else the first.
         """
@@ -83,7 +84,7 @@ class LiveMaps:
         return near if near in same else next(iter(same), None)
 
     def map(self, number: int) -> DisparityMap | None:
-        """The map of a frame; None if the log names none. LightFieldError if its file is missing."""
+        """Read the map of a frame; None if the log names none. LightFieldError if its file is missing."""
         if (number, True) not in {(frame, has_map) for frame, _, has_map in self.frames}:
             return None
         confidence = self.path / _CONFIDENCE.format(number)

@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.io import exr_map, npy_map, npz_map, pfm_map, ply_map, png_map, tiff_map
+from lfgpu.io import exr, numpy_map, pfm, ply_map, png_map, tiff_map
 from lfgpu.io.atomic import atomic_write
+from lfgpu.io.damage import read_as
 from lfgpu.io.extras import how_to_install
 from lfgpu.io.folders import not_waited_for
 from lfgpu.io.git_lfs import check_fetched
@@ -54,25 +55,22 @@ class MapFormat:
 
     @property
     def is_available(self) -> bool:
-        """Whether the library that it needs is installed."""
+        """True if the library that it needs is installed."""
         return self.library is None or importlib.util.find_spec(self.library) is not None
 
 
 MAP_FORMATS: tuple[MapFormat, ...] = (
     MapFormat(
-        (".pfm",),
-        "float32, as the HCI benchmark takes it; holds no metadata",
-        read=pfm_map.read,
-        write=pfm_map.write,
+        (".pfm",), "float32, as the HCI benchmark takes it; holds no metadata", read=pfm.read_map, write=pfm.write_map
     ),
     MapFormat(
         (".npz",),
         "NumPy: a result with everything, maps of all views, or a map with its confidence",
-        read=npz_map.read,
-        write=npz_map.write,
-        read_whole=npz_map.read_whole,
-        write_whole=npz_map.write_whole,
-        recognise=npz_map.recognise,
+        read=numpy_map.read_npz,
+        write=numpy_map.write_npz,
+        read_whole=numpy_map.read_whole,
+        write_whole=numpy_map.write_whole,
+        recognise=numpy_map.recognise_npz,
     ),
     MapFormat(
         (".png",),
@@ -91,8 +89,8 @@ MAP_FORMATS: tuple[MapFormat, ...] = (
     MapFormat(
         (".exr",),
         "OpenEXR: float32 disparity, confidence, uncertainty and depth (Z)",
-        read=exr_map.read,
-        write=exr_map.write,
+        read=exr.read_map,
+        write=exr.write_map,
         library="OpenEXR",
         extra="exr",
     ),
@@ -102,12 +100,7 @@ MAP_FORMATS: tuple[MapFormat, ...] = (
         read=ply_map.read,
         write=ply_map.write,
     ),
-    MapFormat(
-        (".npy",),
-        "NumPy: the values",
-        read=npy_map.read,
-        recognise=npy_map.recognise,
-    ),
+    MapFormat((".npy",), "NumPy: the values", read=numpy_map.read_npy, recognise=numpy_map.recognise_npy),
 )
 
 
@@ -214,7 +207,8 @@ def read_map(path: str | os.PathLike[str]) -> NDArray[np.float32]:
 
 
 def holds_map(path: str | os.PathLike[str]) -> bool:
-    """Whether a path is what `load` reads, and no light field: by its suffix, and what is in it where that may be both.
+    """Tell whether a path is what `load` reads, and no light field: by its suffix, and by what is in it where it may be
+    both.
 
     False for what is not there.
     """
@@ -226,12 +220,12 @@ def holds_map(path: str | os.PathLike[str]) -> bool:
 
 
 def result_in(folder: Path) -> Path | None:
-    """The file of a folder that `lfgpu depth` wrote which tells most; None if it has none."""
+    """Find the file of a folder that `lfgpu depth` wrote which tells most; None if it has none."""
     return next((folder / name for name in (RESULT_FILE, DISPARITY_FILE) if (folder / name).is_file()), None)
 
 
 def writable_format(path: str | os.PathLike[str]) -> MapFormat:
-    """The entry that writes a file; LightFieldError if there is none, or the library that it needs is missing."""
+    """Return the entry that writes a file; LightFieldError if there is none, or its library is missing."""
     path = Path(path)
     chosen = _named_as(path)
     if chosen is None or chosen.write is None:
@@ -241,7 +235,7 @@ def writable_format(path: str | os.PathLike[str]) -> MapFormat:
 
 
 def readable_format(path: Path) -> MapFormat:
-    """The entry that reads a file; LightFieldError if there is none, or the library that it needs is missing."""
+    """Return the entry that reads a file; LightFieldError if there is none, or its library is missing."""
     check_fetched(path)
     not_waited_for(path)
     chosen = _named_as(path)
@@ -263,11 +257,9 @@ def _usable(path: Path, chosen: MapFormat) -> MapFormat:
 
 
 def _map(path: Path, chosen: MapFormat) -> DisparityMap:
-    """The map in a file, its confidence of the same size; OSErrors become sentences."""
-    try:
+    """Read the map in a file, with its confidence of the same size; OSErrors become sentences."""
+    with read_as(path):
         values = chosen.read(path)
-    except OSError as error:
-        raise LightFieldError(f"{path} cannot be opened: {error.strerror or error}.") from error
     for name, map_ in (("confidence", values.confidence), ("uncertainty", values.uncertainty)):
         if map_ is not None and map_.shape != values.disparity.shape:
             raise LightFieldError(f"{path} is damaged: its {name} has another size than its disparity.")

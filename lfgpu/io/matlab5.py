@@ -39,7 +39,7 @@ _Read = Callable[[int], bytes]
 
 @dataclass(frozen=True)
 class Variable:
-    """What a file says of one variable, and where it is."""
+    """The name, shape and class of one variable, and its place in the file."""
 
     name: str
     shape: tuple[int, ...]
@@ -49,7 +49,7 @@ class Variable:
 
 
 def variables(path: Path) -> list[Variable]:
-    """What a file holds, in its order; LightFieldError if it is damaged."""
+    """List the variables of a file, in its order; LightFieldError if it is damaged."""
     with path.open("rb") as file:
         order, size = _start(path, file)
         found: list[Variable] = []
@@ -65,10 +65,10 @@ def variables(path: Path) -> list[Variable]:
 
 
 def load(path: Path, variable: Variable) -> NDArray[Any]:
-    """The numbers of a variable of class uint8, uint16, single or double.
+    """Load the numbers of a variable of class uint8, uint16, single or double.
 
-    They have the type of their class. Doubles that MATLAB stored as unsigned integers, because all are whole, keep
-    that type.
+    They have the type of their class. Doubles that MATLAB stored as unsigned integers, because all are whole, keep that
+    type.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def load(path: Path, variable: Variable) -> NDArray[Any]:
 
 
 def _start(path: Path, file: BinaryIO) -> tuple[str, int]:
-    """The order of bytes, "<" or ">", and the size of the file."""
+    """Return the order of bytes, "<" or ">", and the size of the file."""
     order = {b"IM": "<", b"MI": ">"}.get(file.read(_HEADER)[126:])
     if order is None:
         raise LightFieldError(f"{path} is a damaged MATLAB file: its header does not say the order of bytes.")
@@ -109,7 +109,7 @@ def _start(path: Path, file: BinaryIO) -> tuple[str, int]:
 
 
 def _element(path: Path, file: BinaryIO, order: str, position: int, size: int) -> tuple[_Read, int]:
-    """What reads the contents of the variable at a position, and where the next one begins."""
+    """Return a reader of the contents of the variable at a position, and where the next one begins."""
     file.seek(position)
     with _damage_said(path):
         kind, length = _tag(_plain(file, size - position), order)
@@ -126,7 +126,7 @@ def _element(path: Path, file: BinaryIO, order: str, position: int, size: int) -
 
 
 def _described(read: _Read, order: str, position: int) -> Variable:
-    """Flags, shape and name, which come before the numbers."""
+    """Read flags, shape and name of a variable, which come before its numbers."""
     flags = _small(read, order, {6}, 8)
     if len(flags) != 8:
         raise ValueError(f"at byte {position} the flags of a variable are missing")
@@ -157,13 +157,13 @@ def _damage_said(path: Path) -> Iterator[None]:
 
 
 def _tag(read: _Read, order: str) -> tuple[int, int]:
-    """Type and length of an element whose data follow."""
+    """Read type and length of an element whose data follow."""
     kind, length = struct.unpack(f"{order}II", read(8))
     return kind, length
 
 
 def _small(read: _Read, order: str, kinds: set[int], most: int) -> bytes:
-    """The data of an element of one of these types and of at most so many bytes, which may stand within the tag."""
+    """Read the data of an element of one of these types, of at most so many bytes; they may stand within the tag."""
     tag = read(8)
     kind, length = struct.unpack(f"{order}II", tag)
     if within := kind >> 16:
@@ -188,7 +188,7 @@ def _plain(file: BinaryIO, most: int) -> _Read:
 
 
 def _unpacked(file: BinaryIO, length: int) -> _Read:
-    """Unpacks what is asked for and no more, so that little data cannot become much."""
+    """Return a reader that unpacks what is asked for and no more, so that little data cannot become much."""
     inflater, left = zlib.decompressobj(), length
 
     def read(count: int) -> bytes:

@@ -27,22 +27,22 @@ class Members:
         self._path, self.values, self._name = path, values, name
 
     def object(self, key: str) -> Members:
-        """A member that is an object itself."""
+        """Return a member that is an object itself."""
         return Members(self._path, self._member(key, dict, "an object"), self._full(key))
 
     def objects(self, key: str) -> list[Members]:
-        """A member that is a list of objects."""
+        """Return a member that is a list of objects."""
         entries = self._member(key, list, "a list")
         if len(entries) > _MOST or not all(isinstance(entry, dict) for entry in entries):
             raise LightFieldError(f"{self._path} is damaged: its metadata has no list of objects as {self._full(key)}.")
         return [Members(self._path, entry, f"{self._full(key)}[{i}]") for i, entry in enumerate(entries)]
 
     def text(self, key: str) -> str:
-        """A member that is a text."""
+        """Return a member that is a text."""
         return str(self._member(key, str, "a text"))
 
     def number(self, key: str, lowest: float, highest: float) -> float:
-        """A member that is a number within bounds."""
+        """Return a member that is a number within bounds."""
         value = self._member(key, (int, float), "a number")
         if isinstance(value, bool) or not lowest <= value <= highest:
             raise LightFieldError(
@@ -52,28 +52,28 @@ class Members:
         return float(value)
 
     def integer(self, key: str, lowest: int, highest: int) -> int:
-        """A member that is a whole number within bounds."""
+        """Return a member that is a whole number within bounds."""
         value = self.number(key, lowest, highest)
         if not value.is_integer():
             raise LightFieldError(f"{self._path} is damaged: its metadata has {self._full(key)} = {value!r}.")
         return int(value)
 
     def find(self, *keys: str) -> Any:
-        """What stands at a path of keys, of any type; None if one of them is missing."""
+        """Return what stands at a path of keys, of any type; None if one of them is missing."""
         value: Any = self.values
         for key in keys:
             value = value.get(key) if isinstance(value, dict) else None
         return value
 
     def find_number(self, *keys: str) -> float | None:
-        """A finite number at a path of keys; None if there is none."""
+        """Return a finite number at a path of keys; None if there is none."""
         value = self.find(*keys)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e300:
             return None
         return float(value)
 
     def find_text(self, *keys: str) -> str | None:
-        """A short text at a path of keys, on one line; None if there is none."""
+        """Return a short text at a path of keys, on one line; None if there is none."""
         value = self.find(*keys)
         return " ".join(value.split())[:80] or None if isinstance(value, str) else None
 

@@ -24,32 +24,21 @@ _NEARLY = 0.85  # of the best share: multiples of the block explain as much as t
 
 
 def recognise(path: Path) -> str | None:
-    """Why a path is taken for a mosaic of microlenses; None if it is not."""
+    """Say why a path is taken for a mosaic of microlenses; None if it is not."""
     if path.suffix.lower() not in IMAGE_SUFFIXES or "eslf" not in path.stem.lower() or not path.is_file():
         return None
     return "it is an image with ESLF in its name"
 
 
-def read_mosaic(path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None) -> LightField:
+def read_mosaic(path: Path, *, grid: tuple[int, int] | None = None) -> LightField:
     """Read an image in which pixel (v, u) of block (y, x) is pixel (y, x) of view (v, u).
 
-    Views in the corners of the blocks are dark where the main lens vignettes: those pixels are marked as not valid,
-    and views that are all dark are left out.
+    Such are ESLF files of the Stanford Lytro archive and exports of Lytro's software, grey or colour. Views in the
+    corners of the blocks are dark where the main lens vignettes: those pixels are marked as not valid, and views that
+    are all dark are left out.
 
-    Parameters
-    ----------
-    path
-        The image, grey or colour, such as ESLF files of the Stanford Lytro archive or exports of Lytro's software.
-    allow_missing
-        Not needed: the dark views are always left out.
-    grid
-        (rows, columns) of a block; None takes 14 x 14 for files named ESLF that this divides, and looks for the block
-        in the picture otherwise.
-
-    Raises
-    ------
-    LightFieldError
-        If the image cannot be read, or the block is neither known nor found.
+    `grid` is (rows, columns) of a block; None takes 14 x 14 for files named ESLF that this divides, and looks for the
+    block in the picture otherwise.
     """
     image, _ = read_image(path)
     notes = []
@@ -82,14 +71,14 @@ def _divides(grid: tuple[int, int], image: NDArray[Any]) -> bool:
 
 
 def _block(image: NDArray[Any]) -> tuple[int, int] | None:
-    """The block whose size divides the image and with which differences of neighbouring pixels repeat."""
+    """Find the block whose size divides the image and with which differences of neighbouring pixels repeat."""
     grey = image.mean(axis=2, dtype=np.float32)
     rows, columns = _period(np.abs(np.diff(grey, axis=0)).mean(axis=1)), _period(np.abs(np.diff(grey)).mean(axis=0))
     return None if rows is None or columns is None else (rows, columns)
 
 
 def _period(profile: NDArray[np.float32]) -> int | None:
-    """The smallest period that explains nearly as much of a profile as the best one does; None if that is little."""
+    """Find the smallest period that explains nearly as much of a profile as the best one; None if that is little."""
     length = len(profile) + 1
     if length < 4 * _SMALLEST or not profile.mean() > 0:
         return None

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lfgpu.data.mapping import mapped
 from lfgpu.errors import LightFieldError
+from lfgpu.io.damage import read_as
 from lfgpu.io.disk import wanted_on_disk
 from lfgpu.io.folders import head
 from lfgpu.io.limits import check_claim, check_memory
@@ -24,22 +25,17 @@ _MOST_ARRAYS = 1000
 MAGIC, ZIP = b"\x93NUMPY", b"PK\x03\x04"
 
 
-def load_arrays(path: Path, names: Sequence[str], *, of_maps: bool = False) -> dict[str, NDArray[Any]]:
-    """The arrays of these names, those that are there; an .npy file holds the first one.
+def load_arrays(path: Path, names: Sequence[str] = (), *, of_maps: bool = False) -> dict[str, NDArray[Any]]:
+    """Load the arrays of these names, those that are there; without names all of an archive.
 
-    `of_maps` says that the file is one of maps (`check_archive`).
+    An .npy file holds the first one. `of_maps` says that the file is one of maps (`check_archive`).
 
-    LightFieldError if the file is damaged, holds Python objects, claims more than it can hold, or has none of them.
+    LightFieldError if the file is damaged, holds Python objects, claims more than it can hold, or lacks the first one.
     """
-    try:
+    with read_as(path, "NumPy data"):
         if of_maps:
             check_archive(path)
-        return _archive(path, names) if head(path, 4) == ZIP else {names[0]: _file(path)}
-    except (LightFieldError, OSError):
-        raise
-    except Exception as error:  # NumPy and zipfile raise whatever comes to them when a file is damaged
-        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise LightFieldError(f"{path} cannot be read as NumPy data: {reason}.") from error
+        return _archive(path, names) if not names or head(path, 4) == ZIP else {names[0]: _file(path)}
 
 
 def _file(path: Path) -> NDArray[Any]:
@@ -60,7 +56,7 @@ def _archive(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     found: dict[str, NDArray[Any]] = {}
     with zipfile.ZipFile(path) as archive:
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-        for name in names:
+        for name in names or members:
             if name not in members:
                 continue
             if members[name].compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
@@ -69,13 +65,14 @@ def _archive(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
                 check_claim(path, *header(path, file)[:2])
             with archive.open(members[name]) as file:
                 found[name] = np.asarray(np.lib.format.read_array(file, allow_pickle=False))
-    if names[0] not in found:
+    if names and names[0] not in found:
         raise LightFieldError(f"{path} has no array {names[0]!r}; it holds {', '.join(members) or 'nothing'}.")
     return found
 
 
 def check_archive(path: Path) -> None:
-    """LightFieldError if all arrays of an .npz together claim more than what we write as one can hold, or the memory.
+    """Raise LightFieldError if all arrays of an .npz together claim more than what we write as one can hold, or the
+    memory.
 
     What is damaged otherwise, or is no .npz, passes: who reads it says so.
     """

@@ -20,7 +20,7 @@ _AXES = (4, 5)  # of views, unless they are grey and in a row, as stacks of anyt
 
 
 def recognise(path: Path) -> str | None:
-    """Why a path is taken for a NumPy file; None if it is not."""
+    """Say why a path is taken for a NumPy file; None if it is not."""
     start = head(path, 6)
     if start == MAGIC:
         return "it begins as .npy files do"
@@ -28,7 +28,7 @@ def recognise(path: Path) -> str | None:
 
 
 def holds_views(path: Path) -> bool:
-    """Whether a file that nobody named may be one of views: False for NumPy files of other things."""
+    """Tell whether a file that nobody named may be one of views: False for NumPy files of other things."""
     start = head(path, 6)
     try:
         if start[:4] == ZIP:
@@ -42,37 +42,17 @@ def holds_views(path: Path) -> bool:
     return True
 
 
-def read_numpy(
-    path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None, axes: str | None = None
-) -> LightField:
+def read_numpy(path: Path, *, grid: tuple[int, int] | None = None, axes: str | None = None) -> LightField:
     """Read a .npy file, or an .npz archive with an array `views`.
 
-    Views are [v, u, y, x, c], [v, u, y, x], [n, y, x, c] or [n, y, x]; n views without positions stand in a grid row by
-    row. An archive may also have `positions` [n, 2] in view steps, with views [n, y, x, c], and `valid` of the shape of
-    the views without c.
-
-    Parameters
-    ----------
-    path
-        The file.
-    allow_missing
-        Not needed.
-    grid
-        (rows, columns) of n views; None takes a square.
-    axes
-        The order of the axes of `views`, such as "yxvuc"; None takes those above.
-
-    Raises
-    ------
-    LightFieldError
-        If the file is damaged, holds Python objects, or claims more than it can hold.
+    Views are [v, u, y, x, c], [v, u, y, x], [n, y, x, c] or [n, y, x]; n views without positions stand row by row in
+    the `grid` that is given, or in a square; `axes` is another order of the axes, such as "yxvuc". An archive may also
+    have `positions` [n, 2] in view steps, with views [n, y, x, c], and `valid` of the shape of the views without c.
+    Files of Python objects are refused.
     """
     if recognise(path) is None:
         raise LightFieldError(f"{path} is not a NumPy file; give an .npy or .npz file of views.")
-    try:
-        arrays = load_arrays(path, ("views", "positions", "valid"))
-    except OSError as error:
-        raise LightFieldError(f"{path} cannot be read: {error.strerror or error}.") from error
+    arrays = load_arrays(path, ("views", "positions", "valid"))
     views, positions, valid = (arrays.get(name) for name in ("views", "positions", "valid"))
     assert views is not None
     if valid is not None and valid.dtype != np.bool_:

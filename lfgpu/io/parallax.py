@@ -1,4 +1,4 @@
-"""Parallax of pictures: where cameras stood, as far as the pictures themselves tell.
+"""Parallax of views: the direction in which camera numbers count, told from the pictures themselves.
 
 Between two cameras a picture moves by -d times their distance, at each point along the same line. So the motion fields
 of all pairs of pictures are one disparity map times a vector each: a matrix of rank 1. Its factors are the distances of
@@ -46,12 +46,14 @@ class Moves:
 
     @property
     def told(self) -> bool:
-        """Whether the pictures tell the distances."""
+        """True if the pictures tell the distances."""
         return not self.still and self.explained > _EXPLAINED
 
 
 def moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> Moves | None:
-    """The distances of the cameras of pairs of grey pictures [y, x] of one size; None if they are too small to tell."""
+    """Return the distances of the cameras of pairs of grey pictures [y, x] of one size; None if they are too small to
+    tell.
+    """
     if not pairs or min(pairs[0][0].shape) < _SMALLEST:
         return None
     best: Moves | None = None
@@ -79,7 +81,9 @@ def _moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]], fac
 
 
 def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The motion (x, y) of blocks [y, x, 2] from one picture to another, pixels, and how well each of them shows it."""
+    """Return the motion (x, y) of blocks [y, x, 2] from one picture to another, pixels, and how well each of them shows
+    it.
+    """
     by_y, by_x = np.gradient((a + b) / 2)
     change = b - a - (b - a).mean()
     xx, xy, yy, xt, yt = (
@@ -93,7 +97,7 @@ def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.fl
 
 
 def measured(light_field: LightField, axis: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Rough disparities of blocks of the reference view along one axis of the cameras (0 is u, 1 is v).
+    """Measure rough disparities of blocks of the reference view along one axis of the cameras (0 is u, 1 is v).
 
     Returns
     -------
@@ -123,13 +127,13 @@ def _beside(light_field: LightField, axis: int) -> int | None:
 
 
 def agreement(a: NDArray[np.floating[Any]], b: NDArray[np.floating[Any]], weight: NDArray[np.floating[Any]]) -> float:
-    """Weighted correlation, -1 to 1, of two sets of disparities about zero: negative if they have opposite signs."""
+    """Correlate two sets of disparities about zero, with weights: -1 to 1, negative if they have opposite signs."""
     scale = np.sqrt((weight * a * a).sum() * (weight * b * b).sum())
     return float((weight * a * b).sum() / scale) if scale > 0 else 0.0
 
 
 def axes_agree(light_field: LightField) -> bool | None:
-    """Whether parallax along rows and along columns of cameras has one sign; None if the pictures do not tell."""
+    """Tell whether parallax along rows and columns of cameras has one sign; None if the pictures do not tell."""
     across, down = measured(light_field, 0), measured(light_field, 1)
     if across is None or down is None:
         return None
@@ -137,7 +141,9 @@ def axes_agree(light_field: LightField) -> bool | None:
 
 
 def runs_as_truth(light_field: LightField, axis: int) -> bool | None:
-    """Whether parallax along an axis has the sign of the ground truth of the reference view; None if not to be told."""
+    """Tell whether parallax along an axis has the sign of the ground truth of the reference view; None if that is
+    unknown.
+    """
     found, truth = measured(light_field, axis), light_field.reference_truth()
     if found is None or truth is None:
         return None
@@ -154,12 +160,12 @@ def _verdict(correlation: float) -> bool | None:
 
 
 def small(file: Path) -> NDArray[np.float64]:
-    """A picture [y, x], grey, of about 160 pixels, on [0, 1]."""
+    """Return a picture [y, x], grey, of about 160 pixels, on [0, 1]."""
     return grey(read_image(file)[0])
 
 
 def one_scene(files: Sequence[Path]) -> bool:
-    """Whether pictures show the same scene: folders of other scenes are often numbered, too."""
+    """Tell whether pictures show the same scene: folders of other scenes are often numbered, too."""
     try:
         views = [_normalised(small(file)) for file in files]
     except LightFieldError:  # whoever reads them says what is wrong
@@ -174,7 +180,7 @@ def _normalised(picture: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def is_row(files: Sequence[Path]) -> bool | None:
-    """Whether pictures come from a camera that moved along a row: each is moved against the one before it to the same
+    """Tell whether pictures come from a camera that moved along a row: each moves against the one before to the same
     side. None if they do not tell."""
     found = consecutive(files)
     if found is None or not found.told:
@@ -185,7 +191,7 @@ def is_row(files: Sequence[Path]) -> bool | None:
 
 
 def consecutive(files: Sequence[Path]) -> Moves | None:
-    """The distances of the cameras of files that follow each other; None if they do not tell."""
+    """Return the distances of the cameras of files that follow each other; None if they do not tell."""
     try:
         pictures = [small(file) for file in files]
     except LightFieldError:  # whoever reads them says what is wrong
@@ -196,19 +202,20 @@ def consecutive(files: Sequence[Path]) -> Moves | None:
 
 
 def in_sequence(pictures: Sequence[NDArray[np.float64]]) -> Moves | None:
-    """The distances of the cameras of grey pictures [y, x] that follow each other; None if they are too small."""
+    """Return the distances of the cameras of consecutive grey pictures [y, x]; None if they are too small."""
     return moves(list(pairwise(pictures)))
 
 
 def grey(picture: NDArray[Any]) -> NDArray[np.float64]:
-    """A picture [y, x, c] as grey of about 160 pixels, on [0, 1]."""
+    """Return a picture [y, x, c] as grey of about 160 pixels, on [0, 1]."""
     scale = 1.0 if picture.dtype.kind == "f" else float(np.iinfo(picture.dtype).max)
     return shrunk(picture.mean(axis=2, dtype=np.float64) / scale, max(1, max(picture.shape) // _AROUND))
 
 
 def best_order(found: Moves, shapes: Sequence[tuple[int, int]]) -> str | None:
-    """The options that say how cameras stood whose pictures follow each other, "--grid 3x4 --order serpentine" for
-    example; None if the pictures do not tell. Of all cameras counted from the other end nothing can be told."""
+    """Return the options that say how cameras stood whose pictures follow each other, "--grid 3x4 --order serpentine"
+    for example; None if the pictures do not tell. Of all cameras counted from the other end nothing can be told.
+    """
     if not found.told:
         return None
     scores: dict[str, float] = {}
@@ -249,7 +256,7 @@ def no_parallax(light_field: LightField) -> str | None:
 
 
 def contradiction(light_field: LightField) -> str | None:
-    """What the pictures say against the places of their cameras, a sentence; None if nothing."""
+    """Say in a sentence how the pictures contradict the places of their cameras; None if they do not."""
     factor = max(1, max(light_field.size) // _AROUND)
     if min(light_field.size) < _SMALLEST * factor:
         return None
@@ -280,7 +287,7 @@ def contradiction(light_field: LightField) -> str | None:
 
 
 def _fit(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """The share of vectors that others explain up to a common factor of any sign."""
+    """Return the share of vectors that others explain up to a common factor of any sign."""
     return float((a * b).sum() ** 2 / max(float((a**2).sum() * (b**2).sum()), 1e-12))
 
 
@@ -290,7 +297,7 @@ def _grey(light_field: LightField, index: int, factor: int) -> NDArray[np.float6
 
 
 def shrunk(image: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
-    """Means of blocks of factor x factor pixels; what is left at the right and below is cut off."""
+    """Return Means of blocks of factor x factor pixels; what is left at the right and below is cut off."""
     height, width = (side // factor for side in image.shape)
     cut = image[: height * factor, : width * factor]
     return np.asarray(cut.reshape(height, factor, width, factor).mean(axis=(1, 3)))

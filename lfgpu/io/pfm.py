@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_write
 
@@ -62,10 +64,16 @@ def write_pfm(path: str | os.PathLike[str], values: ArrayLike) -> None:
     if array.ndim != 2 or 0 in array.shape:
         raise LightFieldError(f"{os.fspath(path)} cannot be written: a map must be [y, x], found shape {array.shape}.")
     with atomic_write(path) as temporary:
-        write_pfm_to(temporary, array)
+        write_map(DisparityMap(array), temporary)
 
 
-def write_pfm_to(path: Path, array: NDArray[np.float32]) -> None:
-    """The same for a path that is there to be written, of a map that is one."""
+def write_map(values: DisparityMap, path: Path, image: NDArray[Any] | None = None) -> None:
+    """Write the values of a map to a path that is there to be written."""
+    array = np.asarray(values.disparity, np.float32)
     header = f"Pf\n{array.shape[1]} {array.shape[0]}\n-1.0\n".encode()
     path.write_bytes(header + np.flipud(array).astype("<f4").tobytes())
+
+
+def read_map(path: Path) -> DisparityMap:
+    """Read a grey PFM as a map."""
+    return DisparityMap(read_pfm(path), name=path.name)

@@ -14,7 +14,7 @@ from lfgpu.io.views import load_views
 
 
 def load_pictures(folder: str | os.PathLike[str]) -> LightField:
-    """The pictures of a folder, or of its folder `images`, as views at positions that mean nothing yet.
+    """Load the pictures of a folder, or of its folder `images`, as views at positions that mean nothing yet.
 
     LightFieldError if there are fewer than two, or they are not alike.
     """

@@ -22,7 +22,7 @@ FORMATS = ("PNG", "BMP", "DIB", "JPEG", "TIFF", "WEBP", "PPM")
 
 @contextmanager
 def opened(path: Path) -> Iterator[ImageFile.ImageFile]:
-    """A picture of one of `FORMATS`, of a size that the file can hold; its pixels are decoded within the block.
+    """Open a picture of one of `FORMATS`, of a size that the file can hold; its pixels are decoded within the block.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def opened(path: Path) -> Iterator[ImageFile.ImageFile]:
 
 @contextmanager
 def decoding(data: bytes, kind: str) -> Iterator[ImageFile.ImageFile]:
-    """A picture of one format, such as JPEG, that lies in memory; its pixels are decoded within the block.
+    """Open a picture of one format, such as JPEG, that lies in memory; its pixels are decoded within the block.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def _decoding(source: Path | io.BytesIO, formats: tuple[str, ...]) -> Iterator[I
 
 
 class _Filters:
-    """What becomes of Pillow's warnings while it decodes.
+    """Filters of Pillow's warnings while it decodes.
 
     Filters belong to the whole process: the first of several threads sets them, the last one sets them back.
     """

@@ -17,7 +17,7 @@ _FOLDER = re.compile(r"viewpoints_([0-9]{1,3})(?:px|x[0-9]{1,3})?")
 
 
 def recognise(path: Path) -> str | None:
-    """Why a path is taken for an export of PlenoptiCam; None if it is not."""
+    """Say why a path is taken for an export of PlenoptiCam; None if it is not."""
     folders = _folders(path)
     return f"it has the views in {folders[0].name}, as PlenoptiCam writes them" if folders else None
 
@@ -25,19 +25,8 @@ def recognise(path: Path) -> str | None:
 def read_plenopticam(path: Path, *, allow_missing: bool = False) -> LightField:
     """Read the folder of viewpoints that PlenoptiCam wrote, or the folder around it.
 
-    Pixels that are less than half as bright as the middle view, at the rim of the main lens, are marked as not valid.
-
-    Parameters
-    ----------
-    path
-        The folder viewpoints_..., or one that has exactly one such folder.
-    allow_missing
-        Whether a grid that seems to have lost some views is accepted.
-
-    Raises
-    ------
-    LightFieldError
-        If there is no such folder or several, or views are missing or damaged.
+    Pixels that are less than half as bright as the middle view, at the rim of the main lens, are marked as not valid. A
+    grid that seems to have lost some views is an error without `allow_missing`.
     """
     folders = _folders(path)
     if not folders:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import DAMAGE, KEY, map_about, map_of, parse_about
 from lfgpu.io.limits import check_claim
+from lfgpu.io.ply import read_ply, write_vertices
 
 _MARK = f"{KEY} "  # what the comment begins with that holds the metadata
 _RELIEF_PERCENTILES = (1, 99)
@@ -21,17 +21,17 @@ _DEEPEST = 0.5  # of the longer side of the image
 
 
 def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
-    """Binary, little endian: x, y, z, colours if there is an image, confidence if known, disparity, column and row."""
+    """Write x, y, z, colours if there is an image, confidence if known, disparity, column and row of each point."""
     cloud = point_cloud(values, image=image)
     points, relief = cloud.points, 1.0
     if not cloud.metric:
         relief = _relief(points[:, 2], values.disparity.shape)
         points = points * np.array([1, 1, relief], np.float32)
-    columns: dict[str, tuple[str, NDArray[Any]]] = {name: ("<f4", points[:, axis]) for axis, name in enumerate("xyz")}
+    columns: dict[str, tuple[str, NDArray[Any]]] = {name: ("f4", points[:, axis]) for axis, name in enumerate("xyz")}
     if cloud.colors is not None:
         columns |= {name: ("u1", cloud.colors[:, n]) for n, name in enumerate(("red", "green", "blue"))}
     if cloud.confidence is not None:
-        columns["confidence"] = ("<f4", cloud.confidence)
+        columns["confidence"] = ("f4", cloud.confidence)
     column, row = cloud.pixels.T
     columns |= {"disparity": ("<f4", values.disparity[row, column]), "column": ("<i4", column), "row": ("<i4", row)}
     unit = (
@@ -53,19 +53,8 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
     write_vertices(path, columns, comments)
 
 
-def write_vertices(path: Path, columns: dict[str, tuple[str, NDArray[Any]]], comments: Sequence[str] = ()) -> None:
-    """Write a binary PLY of vertices, whose columns are (NumPy type, values) by name."""
-    from plyfile import PlyData, PlyElement
-
-    count = len(next(iter(columns.values()))[1])
-    vertices = np.empty(count, [(name, kind) for name, (kind, _) in columns.items()])
-    for name, (_, numbers) in columns.items():
-        vertices[name] = numbers
-    PlyData([PlyElement.describe(vertices, "vertex")], byte_order="<", comments=list(comments)).write(str(path))
-
-
 def _relief(z: NDArray[np.float32], size: tuple[int, ...]) -> float:
-    """What disparities are multiplied with so that a cloud without geometry is no flat sheet: a power of two, >= 1.
+    """Return the factor of disparities with which a cloud without geometry is no flat sheet: a power of two, >= 1.
 
     The relief, without the farthest hundredths, is then a quarter to a half as deep as the image is large.
     """
@@ -76,17 +65,9 @@ def _relief(z: NDArray[np.float32], size: tuple[int, ...]) -> float:
 
 
 def read(path: Path) -> DisparityMap:
-    """The map that a cloud of ours was made of, NaN where it has no point."""
-    from plyfile import PlyData
-
-    with path.open("rb"):  # errors of the system are said by the caller
-        pass
-    try:
-        data = PlyData.read(str(path))
-        vertices = data["vertex"].data
-    except Exception as error:  # the library raises whatever comes to it when a file is damaged
-        raise LightFieldError(f"{path} cannot be read as PLY: {' '.join(str(error).split())}.") from error
-    texts = [comment.removeprefix(_MARK) for comment in data.comments if comment.startswith(_MARK)]
+    """Read the map that a cloud of ours was made of, NaN where it has no point."""
+    vertices, comments = read_ply(path)
+    texts = [comment.removeprefix(_MARK) for comment in comments if comment.startswith(_MARK)]
     if len(texts) != 1:
         raise LightFieldError(
             f"{path} is not a point cloud of lfgpu: it does not say which pixels its points belong to."
@@ -94,14 +75,14 @@ def read(path: Path) -> DisparityMap:
     about = parse_about(path, texts[0])
     try:
         height, width = int(about["height"]), int(about["width"])
-        if min(height, width) < 1:
-            raise ValueError("absurd size")
+        if min(height, width) < 1 or min(vertices[name].min(initial=0) for name in ("row", "column")) < 0:
+            raise ValueError("no pixels of a map")
         check_claim(path, (2, height, width), np.float32)
         at = vertices["row"], vertices["column"]
         disparity = np.full((height, width), np.nan, np.float32)
         disparity[at] = vertices["disparity"]
         confidence = None
-        if "confidence" in vertices.dtype.names:
+        if "confidence" in (vertices.dtype.names or ()):
             confidence = np.zeros((height, width), np.float32)
             confidence[at] = vertices["confidence"]
     except LightFieldError:

@@ -1,4 +1,4 @@
-"""Writing PNG: Pillow's for what Pillow can, our own for 16-bit colour, which Pillow reads but cannot write."""
+"""PNG files: written by Pillow where Pillow can, and decoded by imagecodecs where it is installed (extra `png`)."""
 
 from __future__ import annotations
 
@@ -11,6 +11,39 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+_CHANNELS = {"L": (), "RGB": (3,)}
+_NOT_PLAIN = ("transparency", "interlace")
+
+
+def decode_fast(path: Path, image: Image.Image) -> NDArray[np.uint8] | None:
+    """Decode a PNG that Pillow has opened with imagecodecs, in half the time; None where Pillow has to decode it.
+
+    Parameters
+    ----------
+    path
+        The file.
+    image
+        Its header.
+
+    Returns
+    -------
+    NDArray or None
+        [y, x] or [y, x, 3], uint8, the same values as Pillow's. None for anything but grey and RGB of 8 bits, for
+        damaged files, which Pillow describes, and without imagecodecs.
+    """
+    tiles = getattr(image, "tile", None)
+    plain = image.mode in _CHANNELS and tiles and tiles[0][3] == image.mode
+    if image.format != "PNG" or not plain or any(name in image.info for name in _NOT_PLAIN):
+        return None
+    try:
+        from imagecodecs import spng_decode
+
+        pixels = spng_decode(path.read_bytes())
+    except Exception:  # it is not there or built for another NumPy, or the file is damaged
+        return None
+    wanted = (image.height, image.width, *_CHANNELS[image.mode])
+    return pixels if pixels.dtype == np.uint8 and pixels.shape == wanted else None
+
 
 def write_png(path: Path, image: NDArray[Any]) -> None:
     """Write [y, x, c], c = 1 or 3, uint8 or uint16, without loss."""
@@ -21,6 +54,7 @@ def write_png(path: Path, image: NDArray[Any]) -> None:
 
 
 def _encode_rgb16(image: NDArray[np.uint16]) -> bytes:
+    """Encode 16-bit colour, which Pillow reads but cannot write."""
     height, width, _ = image.shape
     pixels = image.astype(">u2").view(np.uint8).reshape(height, width, 6)
     # Each row begins with its filter: 1 stores the difference from the pixel to the left, which packs better.

@@ -20,7 +20,7 @@ _UNKNOWN, _LEVELS = 0, 65534  # what pixels that are not known have, and the ste
 
 
 def recognise(path: Path) -> bool:
-    """Whether a PNG says that it is a map; False for pictures."""
+    """Tell whether a PNG says that it is a map; False for pictures."""
     try:
         with pillow.opened(path) as image:
             return KEY in getattr(image, "text", {})
@@ -29,7 +29,7 @@ def recognise(path: Path) -> bool:
 
 
 def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
-    """16-bit grey: disparity = offset + scale * value, 0 where it is not known; the error is at most scale / 2."""
+    """Write 16-bit grey: disparity = offset + scale * value, 0 where it is unknown; the error is at most scale / 2."""
     known = np.isfinite(values.disparity)
     low, high = (float(f(values.disparity[known])) if known.any() else 0.0 for f in (np.min, np.max))
     scale = (high - low) / _LEVELS or 1.0
@@ -44,7 +44,7 @@ def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
 
 
 def read(path: Path) -> DisparityMap:
-    """What `write` wrote; another PNG is refused, as it does not say what its values mean."""
+    """Read what `write` wrote; another PNG is refused, as it does not say what its values mean."""
     stored, _ = read_image(path)
     with pillow.opened(path) as image:
         text = getattr(image, "text", {}).get(KEY)

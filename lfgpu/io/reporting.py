@@ -1,4 +1,4 @@
-"""What readers say while they work: a few words for each step, to whoever listens in the same thread."""
+"""Progress of readers: a few words for each step, to whoever listens in the same thread."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _listener: ContextVar[Callable[[str], None] | None] = ContextVar("lfgpu_reading"
 
 
 def listener() -> Callable[[str], None]:
-    """What takes the words of readers in this thread; it may be called from others, too."""
+    """Return what takes the words of readers in this thread; it may be called from others, too."""
     return _listener.get() or (lambda step: None)
 
 

@@ -74,7 +74,7 @@ class RingFrame:
 
 @dataclass(frozen=True)
 class _Kind:
-    """What all frames of a ring have in common."""
+    """The properties that all frames of a ring have in common."""
 
     positions: NDArray[np.float64]
     size: tuple[int, int]
@@ -93,7 +93,7 @@ class _Kind:
 
     @property
     def views_at(self) -> int:
-        """Where the views begin in a slot: after the sequence number, the time and a byte for each camera."""
+        """Offset of the views in a slot: after the sequence number, the time and a byte for each camera."""
         return _up(16 + len(self.positions), _LINE)
 
     @property
@@ -172,7 +172,7 @@ class RingWriter:
         self._begun = False
 
     def begin(self) -> NDArray[Any]:
-        """The views [n, y, x, c] of the next frame in the shared memory, to be filled before `publish`."""
+        """Return the views [n, y, x, c] of the next frame in the shared memory, to be filled before `publish`."""
         self._refuse_if_closed()
         if not self._begun:
             self._begun = True
@@ -250,7 +250,7 @@ class RingWriter:
             raise LfgpuError("the ring is closed; create a new one.")
 
     def _create(self) -> BinaryIO:
-        """The file, whole before it has its name; readers of an older one of that name keep theirs."""
+        """Create the file, whole before it has its name; readers of an older one of that name keep theirs."""
         kind, path = self._kind, self.path
         try:
             with suppress(FileNotFoundError), path.open("rb") as old:
@@ -332,7 +332,7 @@ class RingReader:
         return self._kind.reference
 
     def read(self) -> RingFrame | None:
-        """The newest frame, if it is newer than the one that was read before; else None. Does not wait.
+        """Return the newest frame, if it is newer than the one that was read before; else None. Does not wait.
 
         LightFieldError if the file was cut short meanwhile.
         """
@@ -368,7 +368,7 @@ class RingReader:
             done += got
 
     def wait(self, stop: Callable[[], bool] = lambda: False) -> RingFrame | None:
-        """The next newest frame; None when the producer has ended, or `stop` returns True. Waits."""
+        """Wait for the next newest frame; None when the producer has ended, or `stop` returns True."""
         while True:
             ended = self.ended()
             if (frame := self.read()) is not None:
@@ -378,7 +378,7 @@ class RingReader:
             time.sleep(_POLL)
 
     def ended(self) -> bool:
-        """Whether the producer has closed the ring, or is not there any more."""
+        """Tell whether the producer has closed the ring, or is not there any more."""
         closed = np.empty(1, np.uint32)
         self._fill(closed, _CLOSED_AT)
         return bool(closed[0]) or _lock(self._file, shared=True)
@@ -395,7 +395,7 @@ class RingReader:
 
 
 def _kind_of(path: Path, file: FileIO) -> _Kind:
-    """What a ring holds, from its header; LightFieldError if it is none."""
+    """Read the properties of a ring from its header; LightFieldError if it is none."""
     head = file.read(_HEADER.size)
     if len(head) < _HEADER.size or head[:8] != MAGIC:
         raise LightFieldError(f"{path} is no ring buffer of frames; give the file that its producer made.")
@@ -414,7 +414,7 @@ def _kind_of(path: Path, file: FileIO) -> _Kind:
 
 
 def _lock(file: BinaryIO | FileIO, *, shared: bool = False) -> bool:
-    """Whether nobody produces into a file; if not `shared`, who asks is the producer from now on.
+    """Tell whether nobody produces into a file; if not `shared`, the caller is the producer from now on.
 
     The system takes the lock away from a process that ends, however it ends.
     """
@@ -431,7 +431,7 @@ def _lock(file: BinaryIO | FileIO, *, shared: bool = False) -> bool:
 
 
 def _fence() -> None:
-    """No read or write of memory passes this, in either direction: neither compiler nor processor reorder them.
+    """Keep reads and writes of memory on their side of this call: neither compiler nor processor reorder them.
 
     x86 keeps the order anyway; others do at a release of a lock that an acquisition follows.
     """
@@ -446,5 +446,5 @@ def _check_system() -> None:
 
 
 def _up(value: int, unit: int) -> int:
-    """The next multiple."""
+    """Return the next multiple."""
     return -(-value // unit) * unit

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.damage import read_as, reason_of
 
 _LARGEST = 1 << 24  # bytes; a description of 100 000 views needs less
 
@@ -18,7 +19,7 @@ _DEEP_KEY = re.compile(rf"(?<![\w-]){_PART}(?:\.[ \t]*{_PART}){{64}}")
 
 
 def read_text(path: Path, *, errors: str = "strict", largest: int = _LARGEST) -> str:
-    """The text of a regular file in UTF-8, with or without a mark at its beginning.
+    """Read a regular file of text in UTF-8, with or without a mark at its beginning.
 
     Raises
     ------
@@ -27,7 +28,7 @@ def read_text(path: Path, *, errors: str = "strict", largest: int = _LARGEST) ->
     UnicodeDecodeError
         If it is not UTF-8, unless `errors` is "replace".
     """
-    try:
+    with read_as(path):
         if not path.is_file():
             raise LightFieldError(f"{path} is not a file.")
         size = path.stat().st_size
@@ -35,12 +36,10 @@ def read_text(path: Path, *, errors: str = "strict", largest: int = _LARGEST) ->
             raise LightFieldError(f"{path} has {size} bytes; a text of its kind has at most {largest}.")
         with path.open("rb") as file:
             return file.read(largest).decode("utf-8-sig", errors)
-    except OSError as error:
-        raise LightFieldError(f"{path} cannot be read: {error.strerror}.") from error
 
 
-def read_json_or_toml(path: Path) -> Any:
-    """What a JSON file (.json) or a TOML file (any other suffix) says.
+def read_json_or_toml(path: Path, *, largest: int = _LARGEST) -> Any:
+    """Parse a JSON file (.json) or a TOML file (any other suffix).
 
     Raises
     ------
@@ -49,13 +48,13 @@ def read_json_or_toml(path: Path) -> Any:
     """
     kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
     try:
-        text = read_text(path)
+        text = read_text(path, largest=largest)
         if kind == "JSON":
             return json.loads(text)
         if _DEEP_KEY.search(text):
             raise ValueError("it has a key of more parts than any entry may have")
         return tomllib.loads(text)
+    except LightFieldError:
+        raise
     except (ValueError, RecursionError) as error:
-        if isinstance(error, LightFieldError):
-            raise
-        raise LightFieldError(f"{path} is not valid {kind}: {' '.join(str(error).split()).rstrip('.')}.") from error
+        raise LightFieldError(f"{path} is not valid {kind}: {reason_of(error)}.") from error

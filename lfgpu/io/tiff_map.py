@@ -22,18 +22,18 @@ _DESCRIPTION_TAG = 270
 
 
 def recognise(path: Path) -> bool:
-    """Whether a TIFF has one page; one of several pages is a light field."""
+    """Tell whether a TIFF has one page; one of several pages is a light field."""
     return path.is_file() and tiff_stack.recognise(path) is None
 
 
 def write(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
-    """float32, with the metadata as the description of the image."""
+    """Write float32 values, with the metadata as the description of the image."""
     tags = {_DESCRIPTION_TAG: map_about(values, invalid=UNKNOWN_IS_NAN)}
     Image.fromarray(np.asarray(values.disparity, np.float32)).save(path, format="TIFF", tiffinfo=tags)
 
 
 def read(path: Path) -> DisparityMap:
-    """A TIFF of one channel; of others than ours nothing but the values is known."""
+    """Read a TIFF of one channel; of others than ours nothing but the values is known."""
     if path.is_file() and len(list(islice(pages(path), 2))) > 1:
         raise LightFieldError(f"{path} has several pages, as a light field has; a map has one.")
     stored, _ = read_image(path, finite=False)

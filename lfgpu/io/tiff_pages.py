@@ -13,7 +13,7 @@ _KINDS = {42: ("I", "H", 12), 43: ("Q", "Q", 20)}  # by version: how offsets and
 
 
 def pages(path: Path) -> Iterator[int]:
-    """The offset of each page, as far as the file has them.
+    """Yield the offset of each page, as far as the file has them.
 
     Raises
     ------
@@ -49,6 +49,6 @@ def pages(path: Path) -> Iterator[int]:
 
 
 def check_pages(path: Path) -> None:
-    """LightFieldError unless the chain of pages ends."""
+    """Raise LightFieldError unless the chain of pages ends."""
     for _ in pages(path):
         pass

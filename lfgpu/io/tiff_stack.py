@@ -14,13 +14,14 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.reading import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, grid_field
+from lfgpu.io.damage import read_as
 from lfgpu.io.extras import require
 from lfgpu.io.limits import check_claim
 from lfgpu.io.tiff_pages import check_pages, pages
 
 
 def recognise(path: Path) -> str | None:
-    """Why a path is taken for a TIFF of several pages; None if it is not."""
+    """Say why a path is taken for a TIFF of several pages; None if it is not."""
     if path.suffix.lower() not in (".tif", ".tiff") or not path.is_file():
         return None
     try:
@@ -30,41 +31,21 @@ def recognise(path: Path) -> str | None:
     return "it is a TIFF file of several pages" if several else None
 
 
-def read_tiff_stack(
-    path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None, axes: str | None = None
-) -> LightField:
-    """Read a TIFF of which each page is a view, row by row.
+def read_tiff_stack(path: Path, *, grid: tuple[int, int] | None = None, axes: str | None = None) -> LightField:
+    """Read a TIFF of which each page is a view of uint8, uint16 or float32, grey or RGB (extra `tiff`).
 
-    Parameters
-    ----------
-    path
-        The file; pages of uint8, uint16 or float32, grey or RGB.
-    allow_missing
-        Not needed.
-    grid
-        (rows, columns); None takes what the file's own description says (as tifffile and ImageJ write it for arrays),
-        or a square.
-    axes
-        The order of the axes of its pages, such as "ncyx"; None takes what the file says.
-
-    Raises
-    ------
-    LightFieldError
-        If tifffile is missing, the file is damaged, or its pages are not alike.
+    Views stand row by row in the `grid` that is given, else as the file's own description says (tifffile and ImageJ
+    write it for arrays), else in a square. `axes` is the order of the axes of the pages, such as "ncyx"; None takes
+    what the file says.
     """
     if not path.is_file():
         raise LightFieldError(f"{path} is not a TIFF file of several pages.")
     tifffile = require("tifffile", "tiff", path)
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # what it logs of damaged files is raised below as well
-    try:
+    with read_as(path, "a TIFF file"):
         check_pages(path)
         with tifffile.TiffFile(path) as file:
             array, named = _pages(path, file)
-    except LightFieldError:
-        raise
-    except Exception as error:  # tifffile raises whatever comes to it when a file is damaged
-        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise LightFieldError(f"{path} cannot be read as a TIFF file: {reason}.") from error
     views, why = arranged(path, array, grid, axes or named)
     if axes is None and named is not None:
         why = why.replace("as told", "as the file names them")
@@ -72,7 +53,7 @@ def read_tiff_stack(
 
 
 def _pages(path: Path, file: Any) -> tuple[NDArray[Any], str | None]:
-    """All pages as one array, and its axes in the letters of `arranged` where the file names them."""
+    """Return all pages as one array, and its axes in the letters of `arranged` where the file names them."""
     series = list(file.series)
     if len(series) > 1 and all((s.shape, s.dtype) == (series[0].shape, series[0].dtype) for s in series):
         check_claim(path, (len(series), *series[0].shape), series[0].dtype)  # pages that were appended one by one
@@ -93,7 +74,7 @@ def _pages(path: Path, file: Any) -> tuple[NDArray[Any], str | None]:
 
 
 def _axes(series: Any) -> str | None:
-    """The axes of pages in the letters of `arranged`; None where the file does not name them, or they are none."""
+    """Return the axes of pages in the letters of `arranged`; None where the file does not name any."""
     named = series.axes
     if not {"Y", "X"} <= set(named) or "Q" in named or len(set(named)) < len(named):
         return None

@@ -79,7 +79,7 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], NDArray[np.bool_] |
 
 
 def mask_of(masks: Sequence[NDArray[np.bool_] | None], shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
-    """The masks of views as one array [n, y, x]; None if nothing is transparent, or everything."""
+    """Return the masks of views as one array [n, y, x]; None if nothing is transparent, or everything."""
     if all(mask is None or mask.all() for mask in masks):
         return None
     valid = np.ones(shape, np.bool_)
@@ -90,7 +90,7 @@ def mask_of(masks: Sequence[NDArray[np.bool_] | None], shape: tuple[int, ...]) -
 
 
 def mask_notes(valid: NDArray[np.bool_] | None) -> tuple[str, ...]:
-    """What there is to say of a mask from transparency."""
+    """Describe a mask from transparency in notes."""
     return () if valid is None else (f"Transparent pixels are not valid: {100 * (1 - valid.mean()):.1f} %.",)
 
 

@@ -1,4 +1,4 @@
-"""Which pixels of a lens array's views recorded something: its corners look past the main lens and are dark."""
+"""Pixels of a lens array's views that recorded something: its corners look past the main lens and are dark."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _AROUND = 16  # brightness is that of a window of a 16th of the shorter side: pa
 
 
 def lit(light_field: LightField) -> NDArray[np.bool_]:
-    """bool [n, y, x]: where a view is at least half as bright as the reference view is around the same place."""
+    """Mark, bool [n, y, x], where a view is at least half as bright as the reference view is around the same place."""
     from scipy import ndimage  # not for those who read something else
 
     window = max(5, min(light_field.size) // _AROUND)

@@ -1,4 +1,4 @@
-"""Which stored value is intensity 1: cameras of 10, 12 or 14 bits are stored as uint16, which they do not fill."""
+"""White of uint16 views: cameras of 10, 12 or 14 bits do not fill the type that they are stored in."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _BITS = (8, 10, 12, 14)  # of what is stored in 16
 
 
 def with_white(light_field: LightField) -> LightField:
-    """With `white` and a note where uint16 views use fewer bits than they have.
+    """Set `white`, with a note, where uint16 views use fewer bits than they have.
 
     Parameters of the methods are in units of intensity: in views that are taken for 16 times darker than they are,
     everything is noise to them.

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from lfgpu.cameras import Explanation
 from lfgpu.methods.base import Stage
 from lfgpu.metrics import Reliability, Sparsification
-from lfgpu.viz.figures import scale_limits
-from lfgpu.viz.panels import LOOKS
+from lfgpu.viz.colours import LOOKS
+from lfgpu.viz.scales import scale_limits
 
 _INK, _MUTED, _LINE, _ACCENT, _OTHER = "#010101", "#010102", "#010103", "#010104", "#010105"
 _COLOURS = {_INK: "--ink", _MUTED: "--muted", _LINE: "--line", _ACCENT: "--accent", _OTHER: "--other"}
@@ -39,7 +39,7 @@ _SPAN = 20  # of a curve: largest over smallest value from which its axis is log
 
 
 def svg(figure: Figure, label: str) -> Markup:
-    """A chart as SVG for a page; `label` says what it is to those who do not see it."""
+    """Return a chart as SVG for a page; `label` says what it is to those who do not see it."""
     buffer = io.StringIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "lfgpu"}):
         figure.savefig(buffer, format="svg", transparent=True)
@@ -54,7 +54,7 @@ def svg(figure: Figure, label: str) -> Markup:
 
 
 def distribution(values: NDArray[Any], unit: str, truth: NDArray[Any] | None = None) -> Figure:
-    """The distribution of the finite values of a map, and of its ground truth: percent of the pixels in each bin."""
+    """Draw the distribution of the finite values of a map, and of the truth: percent of the pixels in each bin."""
     known = values[np.isfinite(values)].astype(np.float64)
     true = np.empty(0) if truth is None else truth[np.isfinite(truth)].astype(np.float64)
     limits = [scale_limits(part.astype(np.float32)) for part in (known, true) if part.size]
@@ -73,7 +73,7 @@ def distribution(values: NDArray[Any], unit: str, truth: NDArray[Any] | None = N
 
 
 def sparsification(curve: Sparsification) -> Figure:
-    """The share of bad pixels among the most confident ones, and the smallest possible one."""
+    """Draw the share of bad pixels among the most confident ones, and the smallest possible one."""
     figure, axes = _chart()
     axes.plot(curve.kept, curve.bad, color=_ACCENT, marker="o", markersize=3, label="most confident first")
     axes.plot(curve.kept, curve.oracle, color=_OTHER, linestyle="--", label="smallest errors first (oracle)")
@@ -86,7 +86,7 @@ def sparsification(curve: Sparsification) -> Figure:
 
 
 def reliability(diagram: Reliability) -> Figure:
-    """The share of right pixels at each confidence, if enough pixels have it; bars show how many have it."""
+    """Draw the share of right pixels at each confidence, if enough pixels have it; bars show how many have it."""
     figure, axes = _chart()
     enough = diagram.share >= LEAST_SHARE
     axes.plot((0, 1), (0, 100), color=_OTHER, linestyle="--", linewidth=1, label="ideal")
@@ -101,7 +101,7 @@ def reliability(diagram: Reliability) -> Figure:
 
 
 def trace(stage: Stage, values: NDArray[np.float64]) -> Figure:
-    """What a stage reports after each iteration; the axis is logarithmic where the values span much."""
+    """Draw the value that a stage reports after each iteration; the axis is logarithmic where the values span much."""
     figure, axes = _chart()
     axes.plot(np.arange(len(values)) + (0 if stage.has_start else 1), values, color=_ACCENT, marker="o", markersize=3)
     if (values > 0).all() and values.max() > _SPAN * values.min():
@@ -113,7 +113,7 @@ def trace(stage: Stage, values: NDArray[np.float64]) -> Figure:
 
 
 def times(seconds: Mapping[str, float]) -> Figure:
-    """Seconds by name as bars, the first on top."""
+    """Draw seconds by name as bars, the first on top."""
     figure, axes = _chart(height=0.35 + 0.22 * max(len(seconds), 1))
     names, lengths = list(seconds), list(seconds.values())
     bars = axes.barh(names, lengths, height=0.62, color=_ACCENT)
@@ -129,7 +129,7 @@ def times(seconds: Mapping[str, float]) -> Figure:
 
 
 def cameras(found: Explanation, limits: tuple[float, float]) -> tuple[Figure, float]:
-    """The cameras where they are, coloured by how well they are predicted, with arrows of their left-over shifts.
+    """Draw the cameras at their places, coloured by how well they are predicted, with arrows of their left-over shifts.
 
     Returns
     -------
@@ -195,7 +195,7 @@ def _legend(axes: Axes) -> None:
 
 
 def _least_distance(places: NDArray[np.float64]) -> float:
-    """The median distance of a camera from its nearest neighbour."""
+    """Return the median distance of a camera from its nearest neighbour."""
     if len(places) < 2:
         return 1.0
     apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))

@@ -49,7 +49,7 @@ def write_comparison(path: Path, scenes: Sequence[Scene], scored: Table) -> None
 
 
 def _cards(scene: Scene, methods: Sequence[str], reach: float) -> Iterator[Card]:
-    """The truth and the map of each method, then the view and the error of each method."""
+    """Yield the truth and the map of each method, then the view and the error of each method."""
     limits = limits_of("disparity", scene.truth)
     maps = {method: np.asarray(scene.maps[method], np.float32) for method in methods if method in scene.maps}
     yield map_card("Ground truth", scene.truth, "disparity", limits=limits, most=_MOST)

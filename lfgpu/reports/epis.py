@@ -43,7 +43,7 @@ class Point:
 
 
 def find_points(lf: LightField, disparity: Float32Array) -> list[Point]:
-    """The point with most texture on a smooth surface, and one on the nearer side of the largest edge of the map.
+    """Find the point with most texture on a smooth surface, and one on the nearer side of the largest edge of the map.
 
     What is not there is left out. Points are chosen so that all views in line with the reference show them.
     """
@@ -72,7 +72,9 @@ def find_points(lf: LightField, disparity: Float32Array) -> list[Point]:
 
 
 def epi_cards(lf: LightField, disparity: Float32Array, point: Point) -> Iterator[Card]:
-    """The EPIs of the image row and of the image column of a point, enlarged, with the line that its disparity says."""
+    """Draw the EPIs of the image row and of the image column of a point, enlarged, with the line that its disparity
+    says.
+    """
     slope = float(disparity[point.y, point.x])
     for name, indices, lines, at, of in (
         ("row", lf.row(), lf.epi_horizontal, point.x, point.y),
@@ -88,7 +90,9 @@ def epi_cards(lf: LightField, disparity: Float32Array, point: Point) -> Iterator
 def _enlarged(
     epi: NDArray[np.uint8], offsets: NDArray[np.float64], at: int, slope: float
 ) -> tuple[NDArray[np.uint8], Mark]:
-    """A part of an EPI [view, pixel, 3] in which each pixel is a whole rectangle, and the line through pixel `at`."""
+    """Cut out a part of an EPI [view, pixel, 3], each pixel a whole rectangle; returns it and the line through pixel
+    `at`.
+    """
     beside = max(_LEAST, int(np.ceil(np.abs(slope * offsets).max())) + _BESIDE)
     first, last = max(0, at - beside), min(epi.shape[1], at + beside + 1)
     across = max(1, _WIDE // (last - first))
@@ -100,12 +104,12 @@ def _enlarged(
 
 
 def _in_line(lf: LightField) -> NDArray[np.intp]:
-    """Indices of the views in the row and the column of the reference."""
+    """Return indices of the views in the row and the column of the reference."""
     return np.concatenate([lf.row(), lf.column()])
 
 
 def _seen_by_all(lf: LightField, disparity: Float32Array) -> NDArray[np.bool_]:
-    """bool [y, x]: whether the point at a pixel of the reference is inside all views in line with it."""
+    """Tell, bool [y, x], whether the point at a pixel of the reference is inside all views in line with it."""
     height, width = lf.size
     y, x = np.mgrid[:height, :width]
     inside = np.isfinite(disparity)
@@ -119,7 +123,7 @@ def _seen_by_all(lf: LightField, disparity: Float32Array) -> NDArray[np.bool_]:
 
 
 def _texture(lf: LightField) -> Float32Array:
-    """How much texture there is around each pixel, [y, x]: in both directions where cameras lie in both."""
+    """Measure the texture around each pixel, [y, x]: in both directions where cameras lie in both."""
     grey = lf.image(lf.reference_index).mean(axis=2)
     lines = [axis for axis, line in ((1, lf.row()), (0, lf.column())) if len(line) > 1] or [0, 1]
     slopes = [ndimage.gaussian_filter(np.gradient(grey, axis=axis) ** 2, _SMOOTH) for axis in lines]

@@ -16,7 +16,7 @@ _NAMED = 8  # missing views that are named
 
 
 def rows(lf: LightField) -> list[tuple[str, str]]:
-    """All that is known of a light field: labels and lines of text."""
+    """Describe all that is known of a light field: labels and lines of text."""
     lost = missing(lf)
     return [
         ("views", views(lf)),
@@ -30,7 +30,7 @@ def rows(lf: LightField) -> list[tuple[str, str]]:
 
 
 def views(lf: LightField) -> str:
-    """The number and arrangement of the views: "81 of 81 in a 9 x 9 grid"."""
+    """Describe the number and arrangement of the views: "81 of 81 in a 9 x 9 grid"."""
     if lf.grid_shape is None:
         return f"{len(lf.views)}, not in a grid"
     rows, columns = lf.grid_shape
@@ -40,7 +40,7 @@ def views(lf: LightField) -> str:
 
 
 def missing(lf: LightField) -> str:
-    """The empty places of the grid, the first few by name; "" if there are none, or if they are meant to be empty.
+    """List the empty places of the grid, the first few by name; "" if there are none, or if they are meant to be empty.
 
     A cross, a star, a row and a column are meant, as is any choice of at most half of the places.
     """
@@ -52,7 +52,7 @@ def missing(lf: LightField) -> str:
 
 
 def pattern(lf: LightField) -> str:
-    """ "cross", "star", "row" or "column" if some places of the grid are meant to be empty; else ""."""
+    """Return "cross", "star", "row" or "column" if some places of the grid are meant to be empty; else ""."""
     from lfgpu.io.grid import pattern_of
 
     if lf.grid_shape is None or not lf.missing:
@@ -61,23 +61,23 @@ def pattern(lf: LightField) -> str:
 
 
 def size(lf: LightField) -> str:
-    """Width, height, colour and dtype of the views."""
+    """Describe width, height, colour and dtype of the views."""
     height, width = lf.size
     return f"{width} x {height} px (width x height), {'grey' if lf.channels == 1 else 'colour'}, {lf.views.dtype}"
 
 
 def reference(lf: LightField) -> str:
-    """The position of the reference view."""
+    """Describe the position of the reference view."""
     return place(*lf.positions[lf.reference_index])
 
 
 def place(u: float, v: float) -> str:
-    """A position (u, v) in words: "row 4, column 4"."""
+    """Describe a position (u, v) in words: "row 4, column 4"."""
     return f"row {v:g}, column {u:g}"
 
 
 def offsets(lf: LightField) -> str:
-    """The range of the offsets from the reference view."""
+    """Describe the range of the offsets from the reference view."""
     (left, top), (right, bottom) = lf.offsets.min(axis=0), lf.offsets.max(axis=0)
     return f"{left:g} to {right:g} view steps across (du), {top:g} to {bottom:g} down (dv), from the reference view"
 
@@ -93,7 +93,7 @@ def geometry(known: Geometry | None) -> str:
 
 
 def truth(lf: LightField) -> str:
-    """The view whose ground truth is known, its range, and the share of it that is scored."""
+    """Describe the view whose ground truth is known, its range, and the share of it that is scored."""
     import numpy as np
 
     if lf.truth is None:
@@ -111,7 +111,7 @@ def truth(lf: LightField) -> str:
 
 
 def preset(config: Config) -> str:
-    """The preset that parameters are nearest to, and how many differ: "fast with 2 parameters changed"."""
+    """Describe the preset that parameters are nearest to, and how many differ: "fast with 2 parameters changed"."""
     from lfgpu.methods import nearest_preset
 
     name, different = nearest_preset(config)
@@ -119,10 +119,10 @@ def preset(config: Config) -> str:
 
 
 def device(name: str, product: str | None) -> str:
-    """A device and its product name, if that is known: "cuda:0 (NVIDIA H200)"."""
+    """Describe a device and its product name, if that is known: "cuda:0 (NVIDIA H200)"."""
     return f"{name} ({product})" if product else name
 
 
 def date(moment: datetime) -> str:
-    """A date in words: "22 November 2026, 09:30 UTC"."""
+    """Describe a date in words: "22 November 2026, 09:30 UTC"."""
     return f"{moment.day} {moment:%B %Y, %H:%M %Z}".rstrip()

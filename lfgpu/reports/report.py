@@ -42,7 +42,7 @@ _PARTS = {_COMPILE: "compiling and loading kernels", "measure": "range and noise
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a result comes from, as far as it does not say so itself. What is empty or None is left out.
+    """Origin of a result, as far as the result does not say it itself. What is empty or None is left out.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def html(
     origin: Origin | None = None,
     explanation: Explanation | None = None,
 ) -> str:
-    """The report as text; arguments and errors as for `write_report`."""
+    """Return the report as text; arguments and errors as for `write_report`."""
     _check(lf, result)
     origin = origin or Origin()
     points = find_points(lf, result.disparity)
@@ -178,7 +178,7 @@ def _tiles(result: DepthResult, scored: _Scored | None, explanation: Explanation
 
 
 def _span(values: NDArray[Any]) -> str:
-    """ "−1.53 to 1.39": the ends of some values, with about three digits."""
+    """Return the ends of some values, with about three digits: "−1.53 to 1.39"."""
     if not values.size:
         return "undefined"
     low, high = float(values.min()), float(values.max())
@@ -284,7 +284,7 @@ def _cells(m: Metrics) -> list[str]:
 
 
 def _judged(found: Explanation) -> dict[str, Any]:
-    """What the judge says: sentences, numbers, and the cameras and the unexplained part as cards."""
+    """Collect what `lfgpu.explain` says: sentences, numbers, and the cameras and the unexplained part as cards."""
     known = found.psnr[np.isfinite(found.psnr)].astype(np.float32)
     limits = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     if limits[1] - limits[0] < 1.0:  # dB: what differs by less is alike
@@ -309,7 +309,7 @@ def _judged(found: Explanation) -> dict[str, Any]:
 
 
 def explanation_html(found: Explanation) -> str:
-    """What the judge says, for notebooks."""
+    """Return what `lfgpu.explain` says as HTML for notebooks."""
     judged = _judged(found)
     findings = judged["findings"] or ["the views fit together."]
     rows = [*(("finding", finding) for finding in findings), ("numbers", judged["numbers"])]
@@ -328,7 +328,7 @@ def _facts(lf: LightField, origin: Origin) -> list[tuple[str, str]]:
 
 
 def _typeset(text: str) -> str:
-    """Text of the command line with true signs of multiplication and minus."""
+    """Typeset text of the command line with true signs of multiplication and minus."""
     return re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text.replace(" x ", " \u00d7 "))
 
 
@@ -364,7 +364,7 @@ def _run_charts(result: DepthResult) -> list[Card]:
 
 
 def _labels(result: DepthResult) -> dict[str, str]:
-    """The names of stages and other parts of a run, for people."""
+    """Return the names of stages and other parts of a run, for people."""
     return {**_PARTS, **{stage.name: stage.label for stage in method_of(result.config).stages}}
 
 

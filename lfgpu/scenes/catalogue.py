@@ -69,11 +69,13 @@ class Stage:
         return float(self.rng.uniform(-size, size))
 
     def place(self, x: float, y: float, t: float) -> NDArray[np.float64]:
-        """A point from shares of the picture's half width and height (-1 to 1) and of the disparity range (0 to 1)."""
+        """Return a point from shares of the picture's half width and height (-1 to 1) and of the disparity range (0 to
+        1).
+        """
         return np.array([x * self.half[0], y * self.half[1], t])
 
     def paint(self) -> Texture:
-        """The next texture: new colours and a new pattern."""
+        """Paint the next texture: new colours and a new pattern."""
         number, self._painted = self._painted, self._painted + 1
         colours = self._palette[number % len(self._palette)]
         match number % 4:
@@ -87,17 +89,19 @@ class Stage:
                 return self.painter.clouds(colours, 0.10)
 
     def size(self, pixels: float, least: float) -> float:
-        """A pattern's size in pixels: as given for pictures of 512 pixels, but never below `least`."""
+        """Return a pattern's size in pixels: as given for pictures of 512 pixels, but never below `least`."""
         return max(least, pixels * self.frame.unit / 512)
 
     def wall(self, far: float, near: float, direction: float) -> Wall:
-        """A plane from T = `far` to `near` over the visible region, rising towards `direction` (radians)."""
+        """Place a plane from T = `far` to `near` over the visible region, rising towards `direction` (radians)."""
         rise = np.array([np.cos(direction), np.sin(direction)])
         grade = rise * (near - far) / 2 / (np.abs(rise) @ self.reach)
         return Wall(np.array([0.0, 0.0, (near + far) / 2]), _plane_edges(grade))
 
     def floor(self, horizon: float, far: float, near: float) -> Wall:
-        """A plane that rises from T = `far` at the share `horizon` of the half height to `near` at the lower edge."""
+        """Place a plane that rises from T = `far` at the share `horizon` of the half height to `near` at the lower
+        edge.
+        """
         top = horizon * self.half[1]
         grade = (near - far) / (self.reach[1] - top)
         grade = min(
@@ -146,7 +150,7 @@ def boxes(stage: Stage) -> list[Thing]:
 
 
 def moving(stage: Stage) -> list[Thing]:
-    """The objects of `boxes`; each moves along an ellipse once in time 1, and the room is fixed."""
+    """Make the objects of `boxes`; each moves along an ellipse once in time 1, and the room is fixed."""
     toys = _toys(stage)
     phases = stage.rng.uniform(0, 2 * np.pi, len(toys))
     spans = stage.rng.uniform(0.5, 1.0, len(toys))
@@ -210,7 +214,7 @@ def _room(stage: Stage) -> list[Thing]:
 
 
 def _toys(stage: Stage) -> list[tuple[Shape, Texture, float]]:
-    """The shape and texture of each object, and how far it may move in T in either direction."""
+    """Choose the shape and texture of each object, and how far it may move in T in either direction."""
     spots: list[tuple[float, float, float, float, type[Box] | type[Ellipsoid]]] = [
         (-0.62, -0.28, 0.36, 0.15, Box),
         (0.02, -0.30, 0.42, 0.15, Ellipsoid),
@@ -245,7 +249,7 @@ def _rotation(first: int, second: int, angle: float) -> NDArray[np.float64]:
 
 
 def _tilt(stage: Stage, size: float, span: float) -> NDArray[np.float64]:
-    """A random slant (dT/dX, dT/dY) that changes T by `span` either way over `size`."""
+    """Draw a random slant (dT/dX, dT/dY) that changes T by `span` either way over `size`."""
     angle = stage.rng.uniform(0, 2 * np.pi)
     return span / size * np.array([np.cos(angle), np.sin(angle)])
 

@@ -37,16 +37,16 @@ class Shape(Protocol):
     """A surface; all methods work in scene units."""
 
     def hit(self, rays: Rays) -> Floats:
-        """The largest T [h, w] at which each ray hits the surface; NaN for a miss."""
+        """Compute the largest T [h, w] at which each ray hits the surface; NaN for a miss."""
 
     def bounds(self, slope: tuple[float, float]) -> Bounds:
-        """The bounds (left, right, top, bottom) at T = 0 of the rays of a slope that may hit the surface."""
+        """Return the bounds (left, right, top, bottom) at T = 0 of the rays of a slope that may hit the surface."""
 
     def brightness(self, points: Floats) -> Floats | float:
-        """The shading factor of the texture at points [3, k] of the surface; it does not depend on the view."""
+        """Return the shading factor of the texture at points [3, k] of the surface; it does not depend on the view."""
 
     def moved(self, by: ArrayLike) -> Self:
-        """The surface moved by (X, Y, T)."""
+        """Return the surface moved by (X, Y, T)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class _Framed:
         return replace(self, centre=self.centre + np.asarray(by))
 
     def _local(self, rays: Rays) -> tuple[list[Floats], Floats]:
-        """a [3][h, w] and b [3] of rays in the unit body's coordinates."""
+        """Return a [3][h, w] and b [3] of rays in the unit body's coordinates."""
         x, y, t = rays.x - self.centre[0], rays.y - self.centre[1], -self.centre[2]
         a = [row[0] * x + (row[1] * y + row[2] * t) for row in self.inverse]
         return a, self.inverse @ (*rays.slope, 1.0)
@@ -202,7 +202,7 @@ class Relief:
         return self.level + sum(a * np.sin(x * kx + y * ky + phase) for a, kx, ky, phase in self.waves)
 
     def steepness(self, slope: tuple[float, float]) -> float:
-        """A bound on how much T grows along a ray of that slope (or smaller ones) when T grows by 1."""
+        """Return a bound on how much T grows along a ray of that slope (or smaller ones) when T grows by 1."""
         amplitude, kx, ky, _ = np.abs(self.waves.T)
         return float((amplitude * (kx * abs(slope[0]) + ky * abs(slope[1]))).sum())
 

@@ -24,7 +24,7 @@ class Thing:
     path: tuple[float, float, float, float] | None = None
 
     def place(self, time: float) -> NDArray[np.float64]:
-        """The displacement (X, Y, T) from the centre of its ellipse at a time."""
+        """Return the displacement (X, Y, T) from the centre of its ellipse at a time."""
         if self.path is None:
             return np.zeros(3)
         x, y, t, phase = self.path
@@ -32,7 +32,7 @@ class Thing:
         return np.array([x * np.cos(angle), y * np.sin(angle), t * np.sin(angle)])
 
     def at(self, time: float, unit: int) -> Thing:
-        """The object at a time, with `unit` pixels per scene unit."""
+        """Return the object at a time, with `unit` pixels per scene unit."""
         if self.path is None:
             return self
         by = self.place(time)
@@ -53,12 +53,12 @@ class Frame(NamedTuple):
         return min(self.height, self.width)
 
     def slope(self, offset: tuple[float, float]) -> tuple[float, float]:
-        """(U, V) of the rays of the view at `offset` (du, dv) from the middle view."""
+        """Return (U, V) of the rays of the view at `offset` (du, dv) from the middle view."""
         scale = (self.near - self.far) / self.unit
         return offset[0] * scale, offset[1] * scale
 
     def rays(self, offset: tuple[float, float], subpixels: int) -> Rays:
-        """All rays of the view at `offset`, with `subpixels` x `subpixels` rays per pixel."""
+        """Cast all rays of the view at `offset`, with `subpixels` x `subpixels` rays per pixel."""
         du, dv = offset
         x = (np.arange(self.width * subpixels) + 0.5) / subpixels - 0.5 - (self.width - 1) / 2
         y = (np.arange(self.height * subpixels) + 0.5) / subpixels - 0.5 - (self.height - 1) / 2
@@ -66,7 +66,7 @@ class Frame(NamedTuple):
 
 
 def disparity(things: list[Thing], frame: Frame, offset: tuple[float, float]) -> NDArray[np.float64]:
-    """The disparity [y, x] at the first hit of the ray through the centre of each pixel."""
+    """Compute the disparity [y, x] at the first hit of the ray through the centre of each pixel."""
     rays = frame.rays(offset, 1)
     nearest = np.concatenate([_cast(things, strip)[0] for strip in _strips(rays, 1)])
     return frame.far + (frame.near - frame.far) * nearest
@@ -75,8 +75,8 @@ def disparity(things: list[Thing], frame: Frame, offset: tuple[float, float]) ->
 def motion(
     things: list[Thing], times: tuple[float, float], frame: Frame, offset: tuple[float, float]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """[3, y, x], by how much what a pixel shows at the first time moves right and down (pixels) and in disparity until
-    the second; and [y, x], which thing that is.
+    """Compute [3, y, x], by how much what a pixel shows at the first time moves right and down (pixels) and in
+    disparity until the second; and [y, x], which thing that is.
     """
     before = [thing.at(times[0], frame.unit) for thing in things]
     owner = np.concatenate([_cast(before, strip)[1] for strip in _strips(frame.rays(offset, 1), 1)])
@@ -87,7 +87,7 @@ def motion(
 
 
 def picture(things: list[Thing], frame: Frame, offset: tuple[float, float]) -> NDArray[np.float32]:
-    """The image [c, y, x] in [0, 1]: the mean colour over each pixel."""
+    """Render the image [c, y, x] in [0, 1]: the mean colour over each pixel."""
     strips = []
     for rays in _strips(frame.rays(offset, SUBPIXELS), SUBPIXELS):
         colours = _colours(things, rays, frame.unit)
@@ -98,7 +98,7 @@ def picture(things: list[Thing], frame: Frame, offset: tuple[float, float]) -> N
 
 
 def _strips(rays: Rays, multiple: int) -> list[Rays]:
-    """The rays cut into strips of rows, a multiple of `multiple` rows each."""
+    """Cut the rays into strips of rows, a multiple of `multiple` rows each."""
     rows = max(1, _STRIP // (rays.x.size * multiple)) * multiple
     return [Rays(rays.x, rays.y[top : top + rows], rays.slope) for top in range(0, rays.y.size, rows)]
 
@@ -121,7 +121,7 @@ def _cast(things: list[Thing], rays: Rays) -> tuple[NDArray[np.float64], NDArray
 
 
 def _colours(things: list[Thing], rays: Rays, unit: int) -> NDArray[np.float32]:
-    """The colour [c, h, w] at the first hit of each ray."""
+    """Render the colour [c, h, w] at the first hit of each ray."""
     nearest, owner = _cast(things, rays)
     colours = np.empty((3, nearest.size), np.float32)
     for index in np.flatnonzero(np.bincount(owner.ravel())):

@@ -140,7 +140,7 @@ def true_disparity(
     disparity_range: tuple[float, float] = (-1.5, 1.5),
     time: float = 0.0,
 ) -> NDArray[np.float64]:
-    """The exact disparity, float64 [y, x], of the view at grid position (`row`, `column`).
+    """Compute the exact disparity, float64 [y, x], of the view at grid position (`row`, `column`).
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def true_motion(
     size: tuple[int, int] = (512, 512),
     disparity_range: tuple[float, float] = (-1.5, 1.5),
 ) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """The exact motion of each pixel of a view of the scene "moving" between two times.
+    """Compute the exact motion of each pixel of a view of the scene "moving" between two times.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def true_motion(
 
 
 class _Recording(NamedTuple):
-    """How a scene is recorded."""
+    """The way in which a scene is recorded."""
 
     seed: int
     noise: float
@@ -212,11 +212,11 @@ class _Scene:
     seed: int
 
     def offset(self, place: tuple[int, int]) -> tuple[float, float]:
-        """(du, dv) of the view at (row, column) from the middle view."""
+        """Return (du, dv) of the view at (row, column) from the middle view."""
         return float(place[1] - self.grid[1] // 2), float(place[0] - self.grid[0] // 2)
 
     def at(self, time: float) -> list[render.Thing]:
-        """The objects at a time."""
+        """Return the objects at a time."""
         return [thing.at(time, self.frame.unit) for thing in self.things]
 
     @cached_property
@@ -249,7 +249,7 @@ def _scene(
 
 
 def _farthest(grid: tuple[int, int]) -> tuple[float, float]:
-    """The largest |du| and |dv| of a view from the middle view."""
+    """Return the largest |du| and |dv| of a view from the middle view."""
     return float(grid[1] // 2), float(grid[0] // 2)
 
 

@@ -30,11 +30,11 @@ class Texture:
     origin: tuple[float, float] = (0.0, 0.0)
 
     def moved(self, by: NDArray[np.float64]) -> Texture:
-        """The texture moved by (x, y) pixels."""
+        """Return the texture moved by (x, y) pixels."""
         return replace(self, origin=(self.origin[0] + float(by[0]), self.origin[1] + float(by[1])))
 
     def sample(self, x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Colours [c, k] at the points x [k], y [k] in pixels."""
+        """Sample colours [c, k] at the points x [k], y [k] in pixels."""
         side = self.tile.shape[1]
         if side == 1:
             return np.broadcast_to(self.tile[:, :, 0], (len(self.tile), len(x)))
@@ -52,7 +52,7 @@ class Texture:
 
 
 def _texels(pixels: NDArray[np.float64], side: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32]]:
-    """The two texels beside each coordinate, and its fractional position between them."""
+    """Return the two texels beside each coordinate, and its fractional position between them."""
     texels = pixels * TEXELS_PER_PIXEL
     first = np.floor(texels)
     fraction = (texels - first).astype(np.float32)
@@ -89,7 +89,7 @@ class Painter:
         self._x, self._y = x, y
 
     def plain(self, colour: ArrayLike) -> Texture:
-        """A constant colour."""
+        """Paint a constant colour."""
         return Texture(np.asarray(colour, np.float32).reshape(-1, 1, 1))
 
     def clouds(self, colours: ArrayLike, grain: float) -> Texture:
@@ -112,7 +112,7 @@ class Painter:
         return self._blend(colours, 0.5 + 0.5 * np.tanh(3 * wave), grain)
 
     def checks(self, colours: ArrayLike, grain: float, width: float) -> Texture:
-        """A chessboard with fields of about `width` pixels."""
+        """Paint a chessboard with fields of about `width` pixels."""
         times = self._times(2 * width)
         return self._blend(colours, 0.5 + 0.5 * np.tanh(6 * np.sin(times * self._x) * np.sin(times * self._y)), grain)
 
@@ -123,7 +123,7 @@ class Painter:
         return self._blend(colours, 0.5 + 0.5 * np.tanh(4 * (bumps - 0.7)), grain)
 
     def _times(self, wavelength: float) -> int:
-        """How often a wave of about that many pixels fits into the tile."""
+        """Number of times that a wave of about that many pixels fits into the tile."""
         return max(1, round(self._period / wavelength))
 
     def _noise(self, amplitude: Tile) -> Tile:
@@ -135,7 +135,7 @@ class Painter:
         return np.asarray(noise / noise.std())
 
     def _blend(self, colours: ArrayLike, share: Tile, grain: float) -> Texture:
-        """From the first of the colours at share 0 to the last at 1, plus grain, without wavelengths that alias."""
+        """Blend colours from the first at share 0 to the last at 1, plus grain, without wavelengths that alias."""
         ramp = np.asarray(colours, np.float64)
         stops = np.linspace(0.0, 1.0, len(ramp))
         colour = np.stack([np.interp(share, stops, channel) for channel in ramp.T]) + grain * self._grain
@@ -147,7 +147,7 @@ class Painter:
 
 
 def _cells(phase: Tile, count: int) -> tuple[NDArray[np.intp], Tile]:
-    """Which of `count` cells of 2 pi each phase lies in, and how far from the cell's nearer edge, in cells."""
+    """Return which of `count` cells of 2 pi each phase lies in, and how far from the cell's nearer edge, in cells."""
     place = phase * count / (2 * np.pi)
     cell = np.floor(place)
     return cell.astype(np.intp), 0.5 - np.abs(place - cell - 0.5)

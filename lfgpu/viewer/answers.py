@@ -1,4 +1,4 @@
-"""What pages ask for, as functions of what is shown and the words of a request. It knows nothing of the web."""
+"""Answers to pages, as functions of the contents and the words of a request, without anything of the web."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class Query:
         self._words = words
 
     def text(self, name: str, default: str | None = None) -> str:
-        """A word as it is."""
+        """Return a word as it is."""
         found = self._words.get(name, default)
         if found is None:
             raise LightFieldError(f"the argument {name} is missing.")
         return found
 
     def number(self, name: str) -> float:
-        """A number of a size that pages need."""
+        """Return a number of a size that pages need."""
         try:
             found = float(self.text(name))
         except ValueError:
@@ -46,7 +46,7 @@ class Query:
         return found
 
     def whole(self, name: str) -> int:
-        """A whole number."""
+        """Return a whole number."""
         return int(np.clip(self.number(name), -(2**31), 2**31))
 
 
@@ -103,7 +103,7 @@ def _sharp(contents: Contents, query: Query) -> Any:
 
 
 def _at(contents: Contents, query: Query) -> Any:
-    """The pixel of the reference view that a pixel of a view shows, and the values of two maps there."""
+    """Return the pixel of the reference view that a pixel of a view shows, and the values of two maps there."""
     if contents.size is None:
         return {"pixel": None, "values": {}, "other": {}}
     name, stage = query.text("result", ""), query.text("stage", FINAL)

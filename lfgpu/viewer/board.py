@@ -1,4 +1,4 @@
-"""What all tabs of a viewer share: the contents, the estimate that runs, the stream. It knows nothing of the web."""
+"""State that all tabs of a viewer share: contents, running estimate, stream. It knows nothing of the web."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Switch = Callable[[bool], None]
 
 @dataclass(frozen=True)
 class Stream:
-    """What is known about a stream; None is unknown."""
+    """The facts about a stream; None is unknown."""
 
     rate: float | None = None
     """Frames per second."""
@@ -92,7 +92,7 @@ class Board:
 
     @property
     def contents(self) -> Contents:
-        """What is shown now."""
+        """The contents that are shown now."""
         return self._contents
 
     def replace(self, contents: Contents, *, newest: str | None = None) -> None:
@@ -141,7 +141,7 @@ class Board:
             self.replace(self._contents.turned(number))
 
     def open_from_page(self, path: str | os.PathLike[str]) -> None:
-        """The same for a page: LightFieldError also for what it may not open."""
+        """Open a path for a page: LightFieldError also for what the page may not open."""
         where = Path(path).resolve()
         if not self._allow_open and not any(where.is_relative_to(given) for given in self._given):
             raise LightFieldError(
@@ -243,7 +243,7 @@ class Board:
         self.tell()
 
     def switch(self, name: str, on: bool) -> None:
-        """What a page has switched: "pause" or "record". LightFieldError if that is not offered."""
+        """Switch "pause" or "record" of the stream, as a page asks. LightFieldError if that is not offered."""
         if name not in self.switches:
             raise LightFieldError(f"this stream has no switch {name!r}.")
         self.switches[name](on)

@@ -56,7 +56,7 @@ def shown_cloud(
     least_confidence: float = 0.0,
     most_points: int = MOST_POINTS,
 ) -> Cloud:
-    """The points of a map, those of `lfgpu.point_cloud` without a few outliers.
+    """Choose the points of a map, those of `lfgpu.point_cloud` without a few outliers.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def surface(cloud: Cloud, disparity: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def nearest_to_ray(cloud: Cloud, origin: Any, direction: Any) -> tuple[int, int] | None:
-    """(x, y) of the pixel whose point a ray meets first, within two spacings of it; None if it meets none."""
+    """Find (x, y) of the pixel whose point a ray meets first, within two spacings of it; None if it meets none."""
     towards = np.asarray(direction, np.float64) / np.linalg.norm(direction)
     relative = cloud.points - np.asarray(origin, np.float64)
     along = relative @ towards

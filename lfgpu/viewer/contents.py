@@ -20,6 +20,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import holds_map, load, read
 from lfgpu.metrics import Metrics, evaluate
 from lfgpu.viewer.film import Film, holds_maps_of_frames
+from lfgpu.viz.colours import LOOKS
 from lfgpu.viz.scales import error_reach, scale_limits
 
 TRUTH = "ground truth"
@@ -32,32 +33,8 @@ FINAL = "final"
 """The name of the map after the last stage."""
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """What a map shows, and how it is shown at first."""
-
-    label: str
-    unit: str
-    hint: str
-    colours: str
-    """The name of a colour map of matplotlib."""
-
-    @property
-    def title(self) -> str:
-        """The words beside a scale."""
-        unit = f" ({self.unit})" if self.unit else ""
-        return f"{self.label.lower()}{unit}" + (f"\n{self.hint}" if self.hint else "")
-
-
-_STEP = "px per view step"
-QUANTITIES = {
-    "disparity": Quantity("Disparity", _STEP, "larger is nearer", "viridis"),
-    "depth": Quantity("Depth", "m", "", "viridis_r"),
-    "confidence": Quantity("Confidence", "", "0 to 1, larger is surer", "cividis"),
-    "uncertainty": Quantity("Uncertainty", _STEP, "expected error as a standard deviation", "magma"),
-    "error": Quantity("Error", _STEP, "red: too near, blue: too far", "RdBu_r"),
-}
-"""The quantities of maps by name."""
+QUANTITIES = {kind: LOOKS[kind] for kind in ("disparity", "depth", "confidence", "uncertainty", "error")}
+"""The quantities of maps by name, and how they are shown at first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +52,7 @@ class Entry:
 
     @classmethod
     def of(cls, values: DepthResult | DisparityMap, frame: int | None = 0) -> Entry:
-        """The entry of a result or of a single map."""
+        """Return the entry of a result or of a single map."""
         return cls(values.map, values, frame) if isinstance(values, DepthResult) else cls(values, None, frame)
 
     @property
@@ -89,11 +66,11 @@ class Entry:
         return self.map.confidence
 
     def stage(self, name: str) -> NDArray[np.float32]:
-        """The map after a stage; the final map for `FINAL` and for unknown stages."""
+        """Return the map after a stage; the final map for `FINAL` and for unknown stages."""
         return self.disparity if self.result is None else self.result.stages.get(name, self.disparity)
 
     def ends(self, stage: str) -> tuple[float, float]:
-        """The smallest and the largest disparity after a stage; (0, 0) if it is undefined everywhere."""
+        """Return the smallest and the largest disparity after a stage; (0, 0) if it is undefined everywhere."""
         if stage not in self._ends:
             values = self.stage(stage)
             known = values[np.isfinite(values)]
@@ -158,7 +135,7 @@ class Contents:
         return np.where(truth.mask, truth.disparity, np.float32(np.nan))
 
     def all_entries(self) -> dict[str, Entry]:
-        """All maps, with the ground truth as one of them."""
+        """Return all maps, with the ground truth as one of them."""
         truth = None if self.lf is None else self.lf.reference_truth()
         if truth is None:
             return self.entries
@@ -177,7 +154,7 @@ class Contents:
         return replace(self, entries={**self.entries, name: entry})
 
     def map(self, name: str, kind: str, stage: str = FINAL) -> NDArray[np.float32] | None:
-        """A map of one of the `QUANTITIES`; None if there is none."""
+        """Return a map of one of the `QUANTITIES`; None if there is none."""
         entry = self.all_entries().get(name)
         if entry is None:
             return None
@@ -193,7 +170,7 @@ class Contents:
         return entry.stage(stage)
 
     def kinds(self, name: str) -> tuple[str, ...]:
-        """The quantities that a map has."""
+        """Return the quantities that a map has."""
         entry = self.all_entries()[name]
         missing = {
             "depth": self.geometry is None,
@@ -204,11 +181,11 @@ class Contents:
         return tuple(kind for kind in QUANTITIES if not missing.get(kind, False))
 
     def is_scored(self, name: str) -> bool:
-        """Whether the truth belongs to the same frame as a map."""
+        """Tell whether the truth belongs to the same frame as a map."""
         return self.truth is not None and name in self.entries and self.entries[name].frame == self.frame
 
     def scores(self, name: str) -> Metrics | None:
-        """The scores of a map; None without a truth of its frame, or where nothing can be scored."""
+        """Return the scores of a map; None without a truth of its frame, or where nothing can be scored."""
         truth = None if self.lf is None else self.lf.reference_truth()
         if truth is None or not self.is_scored(name):
             return None
@@ -218,7 +195,7 @@ class Contents:
         return _scores[entry][1]
 
     def limits(self, kind: str) -> tuple[float, float]:
-        """The scale (low, high) of a quantity, the same for all maps that may be compared."""
+        """Return the scale (low, high) of a quantity, the same for all maps that may be compared."""
         if kind == "confidence":
             return 0.0, 1.0
         if kind == "error":
@@ -231,7 +208,7 @@ class Contents:
         return min((low for low, _ in spans), default=0.0), max((high for _, high in spans), default=1.0)
 
     def extent(self, kind: str) -> tuple[float, float] | None:
-        """The smallest and the largest value of a quantity over all maps; None if there is none."""
+        """Return the smallest and the largest value of a quantity over all maps; None if there is none."""
         maps = [values for name in self.all_entries() if (values := self.map(name, kind)) is not None]
         ends = [(defined.min(), defined.max()) for v in maps if (defined := v[np.isfinite(v)]).size]
         return (float(min(low for low, _ in ends)), float(max(high for _, high in ends))) if ends else None
@@ -258,7 +235,7 @@ class Contents:
         return newer.with_entry(LIVE, replace(entry, frame=frame))
 
     def turned(self, number: int) -> Contents:
-        """Another frame of the film, with its map if there is one; LightFieldError if it is none of them."""
+        """Return another frame of the film, with its map if there is one; LightFieldError if it is none of them."""
         film = self.film
         if film is None:
             raise LightFieldError("what is shown is no film: it has no other frames.")
@@ -277,7 +254,7 @@ class Contents:
         return contents
 
     def free_name(self, wanted: str) -> str:
-        """`wanted`, with a number if that name is taken."""
+        """Return `wanted`, with a number if that name is taken."""
         names, number = set(self.all_entries()), 2
         if wanted not in names:
             return wanted
@@ -318,7 +295,7 @@ def _is_map(path: Path) -> bool:
 
 
 def _shown_view(result: ViewsResult, lf: LightField | None) -> int:
-    """Which of the maps of all views is shown: that of the light field's reference view, else that of their own."""
+    """Choose the map to show of those of all views: the light field's reference view, else their own."""
     if lf is None:
         return result.keys[0]
     u, v = lf.positions[lf.reference_index]
@@ -326,7 +303,7 @@ def _shown_view(result: ViewsResult, lf: LightField | None) -> int:
 
 
 def opened_all(paths: Sequence[Path], **reading: Any) -> Contents:
-    """What several paths hold together: at most one light field, and maps of it.
+    """Open several paths together: at most one light field, and maps of it.
 
     Parameters
     ----------

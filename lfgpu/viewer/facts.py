@@ -1,4 +1,4 @@
-"""What pages are told of the state of a viewer, as plain values for JSON. It knows nothing of the web."""
+"""Facts that pages are told of the state of a viewer, as plain values for JSON, without anything of the web."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from lfgpu.methods import METHODS, PRESETS, nearest_preset
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import LIVE, QUANTITIES, TRUTH, Contents, Entry
 from lfgpu.viewer.pictures import wire_type
+from lfgpu.viz.colours import shades
 
 COLOURS = ("viridis", "cividis", "magma", "turbo", "gray", "RdBu_r", "viridis_r")
 """Colour maps of matplotlib that pages may choose."""
@@ -54,11 +55,11 @@ class Facts:
         self._told = WeakValueDictionary[int, Contents]()
 
     def now(self) -> dict[str, Any]:
-        """The state as plain values. May be called from any thread."""
+        """Return the state as plain values. May be called from any thread."""
         return self.newest()[0]
 
     def newest(self) -> tuple[dict[str, Any], Contents]:
-        """The state as plain values, and the contents that it is of. May be called from any thread."""
+        """Return the state as plain values, and the contents that it is of. May be called from any thread."""
         with self._lock:
             contents = self._board.contents
             state = self._now(contents)
@@ -66,7 +67,7 @@ class Facts:
             return state, contents
 
     def contents(self, revision: int) -> Contents | None:
-        """The contents of a revision; None if they are forgotten."""
+        """Return the contents of a revision; None if they are forgotten."""
         return self._told.get(revision)
 
     def _now(self, contents: Contents) -> dict[str, Any]:
@@ -100,9 +101,7 @@ class Facts:
 
 @cache
 def fixed() -> dict[str, Any]:
-    """What never changes: presets with their parameters, colour maps, quantities, file formats."""
-    from matplotlib import colormaps
-
+    """Return the facts that never change: presets with their parameters, colour maps, quantities, file formats."""
     return {
         "presets": [
             {
@@ -113,10 +112,7 @@ def fixed() -> dict[str, Any]:
             }
             for name, config in PRESETS.items()
         ],
-        "colours": {
-            name: (colormaps[name](np.linspace(0, 1, 256))[:, :3] * 255 + 0.5).astype(int).ravel().tolist()
-            for name in COLOURS
-        },
+        "colours": {name: shades(name, 256).ravel().tolist() for name in COLOURS},
         "quantities": {name: dataclasses.asdict(quantity) for name, quantity in QUANTITIES.items()},
         "formats": [
             {"suffix": suffix, "about": about}
@@ -212,13 +208,13 @@ def _preset(config: Config) -> str:
 
 
 def _took(result: DepthResult) -> str:
-    """How long an estimate took; the time until kernels were ready is none of it."""
+    """Say how long an estimate took, without the time until kernels were ready."""
     total = result.timings.get("total")
     return "" if total is None else f", {max(total - result.timings.get('compile', 0.0), 0.0):.2g} s"
 
 
 def _scales(contents: Contents) -> dict[str, Any]:
-    """For each quantity that there is: the ends of its common scale, and its smallest and largest value."""
+    """Return the ends of the common scale of each quantity that there is, and its smallest and largest value."""
     found = {}
     for kind in QUANTITIES:
         extent = contents.extent(kind)

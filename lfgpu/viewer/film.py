@@ -33,7 +33,7 @@ class Film:
 
     @classmethod
     def of(cls, path: Path) -> Film | None:
-        """The film in a folder; None if there is none."""
+        """Return the film in a folder; None if there is none."""
         frames = _recorded(path)
         return cls(path, frames) if frames else None
 
@@ -43,13 +43,13 @@ class Film:
         return self.path.resolve().name
 
     def light_field(self, number: int) -> LightField:
-        """The light field of a frame; LightFieldError if there is none, or it cannot be read."""
+        """Read the light field of a frame; LightFieldError if there is none, or it cannot be read."""
         if number not in self.frames:
             raise LightFieldError(f"{self.path} has no frame {number}.")
         return replace(read(self.frames[number], allow_missing=True), name=self.name)
 
     def with_maps(self, path: Path, number: int) -> Film:
-        """The film with the maps in a folder.
+        """Return the film with the maps in a folder.
 
         Raises
         ------
@@ -64,7 +64,7 @@ class Film:
         return replace(self, maps=maps)
 
     def map(self, number: int, lf: LightField) -> DisparityMap | None:
-        """The map of a frame, whose light field is `lf`; None if there is none.
+        """Read the map of a frame, whose light field is `lf`; None if there is none.
 
         Frames that were played again after some were lost are numbered anew: the picture says which map is theirs.
         """
@@ -77,11 +77,11 @@ def _of(lf: LightField) -> str:
 
 
 def holds_maps_of_frames(path: Path) -> bool:
-    """Whether a folder is what `lfgpu live -o` wrote."""
+    """Tell whether a folder is what `lfgpu live -o` wrote."""
     return (path / LOG).is_file()
 
 
 def _recorded(folder: Path) -> dict[int, Path]:
-    """The folders of recorded frames by their numbers, in order; empty if nothing was recorded in `folder`."""
+    """Return the folders of recorded frames by their numbers, in order; empty if nothing was recorded in `folder`."""
     found = {int(place.name.rpartition("_")[2]): place for place in folder.glob("frame_" + "[0-9]" * 6)}
     return {number: found[number] for number in sorted(found) if (found[number] / DEFAULT_NAME).is_file()}

@@ -1,4 +1,4 @@
-"""Who is answered: those who know the token, by a name of this machine, and no pages of other sites."""
+"""Guard of the viewer: it answers those who know the token, by a name of this machine, and no pages of other sites."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _T = TypeVar("_T")
 
 
 class Site(Protocol):
-    """What all handlers share."""
+    """The site: what all handlers share."""
 
     token: str
     """The first part of every path."""
@@ -81,7 +81,7 @@ class Guarded(RequestHandler):
             logging.getLogger("lfgpu.viewer").error("a page could not be answered", exc_info=(typ, value, tb))
 
     async def or_sentence(self, work: Awaitable[_T]) -> _T | None:
-        """The result of some work; None if it failed with a sentence, which was sent."""
+        """Return the result of some work; None if it failed with a sentence, which was sent."""
         try:
             return await work
         except LfgpuError as error:

@@ -1,4 +1,4 @@
-"""What the viewer imports late, as the first pictures come before it: all of it, before any kernel is loaded.
+"""Modules that the viewer imports after the first pictures are drawn, and before any kernel is loaded.
 
 To import and to load a kernel both parse Python, which two threads must not do at the same time.
 """
@@ -23,14 +23,13 @@ _MODULES = (
     "trimesh",
     "rich.panel",
     "rich.table",
-    "plyfile",
-    "lfgpu.viz.figures",
+    "matplotlib",  # colours
 )
 _importing = threading.Lock()
 
 
 def import_all() -> None:
-    """Import all of it, unless that was done. Who comes meanwhile waits, and so loads no kernel yet."""
+    """Import these modules, unless that was done. Other callers wait meanwhile, so that they load no kernel yet."""
     with _importing:
         for name in (*_MODULES, *(one.name for one in pkgutil.walk_packages(methods.__path__, f"{methods.__name__}."))):
             importlib.import_module(name)

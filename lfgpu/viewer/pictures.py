@@ -1,4 +1,4 @@
-"""What pages draw, as arrays: tiles of views and maps, EPIs, thumbnails, refocused views. It knows nothing of the web.
+"""Arrays that pages draw: tiles of views and maps, EPIs, thumbnails, refocused views, without anything of the web.
 
 Views come as intensities in the whole range of uint8, or of uint16 where they are stored with more than 8 bits. Maps
 come as float32, so that pages colour them.
@@ -42,12 +42,12 @@ _keeping = Lock()
 
 
 def wire_type(lf: LightField) -> type[np.uint8] | type[np.uint16]:
-    """The type in which intensities of views are sent."""
+    """Return the type in which intensities of views are sent."""
     return np.uint8 if lf.views.dtype == np.uint8 else np.uint16
 
 
 def intensities(pixels: NDArray[Any], lf: LightField) -> NDArray[Any]:
-    """Stored values of views as intensities in the whole range of `wire_type`."""
+    """Convert stored values of views to intensities in the whole range of `wire_type`."""
     kind = wire_type(lf)
     factor = lf.scale * np.iinfo(kind).max
     if pixels.dtype == kind and abs(factor - 1) < 1e-9:
@@ -56,7 +56,7 @@ def intensities(pixels: NDArray[Any], lf: LightField) -> NDArray[Any]:
 
 
 def view_tile(lf: LightField, index: int, level: int, column: int, row: int) -> NDArray[Any]:
-    """A tile [y, x, c] of a view, in which each pixel is the mean over 2**level x 2**level pixels.
+    """Return a tile [y, x, c] of a view, in which each pixel is the mean over 2**level x 2**level pixels.
 
     Raises
     ------
@@ -70,14 +70,14 @@ def view_tile(lf: LightField, index: int, level: int, column: int, row: int) -> 
 
 
 def map_tile(values: NDArray[np.float32], level: int, column: int, row: int) -> NDArray[np.float32]:
-    """A tile [y, x] of every 2**level-th row and column of a map; LightFieldError if there is no such tile."""
+    """Return a tile [y, x] of every 2**level-th row and column of a map; LightFieldError if there is no such tile."""
     height, width = values.shape
     y, x = _window((height, width), level, column, row)
     return np.ascontiguousarray(values[y, x][:: 2**level, :: 2**level], np.float32)
 
 
 def histogram(values: NDArray[np.float32], low: float, high: float, bins: int) -> NDArray[np.float32]:
-    """Percent of the pixels of a map in each of equal bins from `low` to `high`; those that are undefined do not count.
+    """Compute the percent of the defined pixels of a map in each of equal bins from `low` to `high`.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def histogram(values: NDArray[np.float32], low: float, high: float, bins: int) -
 
 
 def epi(lf: LightField, along: str, at: int) -> NDArray[Any]:
-    """The EPI [view, pixel, c] of an image row ("row") or column ("column"); LightFieldError if there is none."""
+    """Return the EPI [view, pixel, c] of an image "row" or "column"; LightFieldError if there is none."""
     height, width = lf.size
     if along == "row" and 0 <= at < height:
         return intensities(lf.epi_horizontal(at), lf)
@@ -102,7 +102,7 @@ def epi(lf: LightField, along: str, at: int) -> NDArray[Any]:
 
 
 def thumbnails(lf: LightField) -> NDArray[np.uint8]:
-    """All views, small: uint8 [n, y, x, 3]."""
+    """Shrink all views: uint8 [n, y, x, 3]."""
     u, v = np.ptp(lf.positions, axis=0) + 1
     side = min(_LARGEST_THUMBNAIL, max(12, math.floor(_THUMBNAILS / max(float(u), float(v)))))
     step = max(1, math.floor(max(lf.size) / side))
@@ -114,7 +114,8 @@ def thumbnails(lf: LightField) -> NDArray[np.uint8]:
 def refocused(
     lf: LightField, disparity: float, aperture: float | None, level: int, column: int, row: int, side: int
 ) -> NDArray[Any]:
-    """A tile [y, x, c] of the view of a lens focused on a disparity, 2**level times smaller. See `lfgpu.refocus`.
+    """Render a tile [y, x, c] of the view of a lens focused on a disparity, 2**level times smaller. See
+    `lfgpu.refocus`.
 
     Raises
     ------
@@ -135,7 +136,7 @@ def refocused(
 
 
 def sharp(contents: Contents, name: str, stage: str, level: int, column: int, row: int, side: int) -> NDArray[Any]:
-    """A tile [y, x, c] of the reference view from all views, in focus everywhere, 2**level times smaller.
+    """Render a tile [y, x, c] of the reference view from all views, in focus everywhere, 2**level times smaller.
 
     Raises
     ------
@@ -168,7 +169,7 @@ def prepare() -> None:
 
 
 def values_at(contents: Contents, name: str, stage: str, x: int, y: int) -> dict[str, float | None]:
-    """The values of a map at a pixel of the reference view, by quantity; None where they are undefined."""
+    """Return the values of a map at a pixel of the reference view, by quantity; None where they are undefined."""
     if name not in contents.all_entries() or contents.size is None:
         return {}
     height, width = contents.size
@@ -183,7 +184,7 @@ def values_at(contents: Contents, name: str, stage: str, x: int, y: int) -> dict
 
 
 def _value(contents: Contents, name: str, kind: str, stage: str, x: int, y: int) -> float | None:
-    """One value of a map; None if it has none of this quantity."""
+    """Return one value of a map; None if it has none of this quantity."""
     entry, geometry = contents.all_entries()[name], contents.geometry
     disparity = float(entry.stage(stage)[y, x])
     match kind:
@@ -202,7 +203,7 @@ def _value(contents: Contents, name: str, kind: str, stage: str, x: int, y: int)
 
 
 def in_reference(contents: Contents, name: str, stage: str, index: int, x: float, y: float) -> tuple[int, int] | None:
-    """The pixel of the reference view that shows what pixel (x, y) of a view shows, by a map.
+    """Find the pixel of the reference view that shows what pixel (x, y) of a view shows, by a map.
 
     Of several surfaces that lie behind each other it is the nearest one. None if no pixel of the map is seen there.
     """
@@ -232,18 +233,18 @@ def in_reference(contents: Contents, name: str, stage: str, index: int, x: float
 
 
 def _between(at: float, step: float, low: float, high: float, side: int) -> range:
-    """Where the points that a view shows at `at` can be in the reference view, along one axis."""
+    """Return where the points that a view shows at `at` can be in the reference view, along one axis."""
     ends = sorted((at + low * step, at + high * step))
     return range(max(0, math.floor(ends[0] - 1)), min(side, math.ceil(ends[1] + 2)))
 
 
 def _farthest(lf: LightField, chosen: NDArray[np.intp]) -> float:
-    """How far views are from the reference, view steps along one axis."""
+    """Return how far views are from the reference, view steps along one axis."""
     return float(np.abs(lf.offsets[chosen]).max())
 
 
 def _around(size: tuple[int, int], level: int, window: _Window, reach: float) -> tuple[_Window, _Window]:
-    """A window with what lies at most `reach` pixels around it, and where the window is in this at a level.
+    """Return a window with what lies at most `reach` pixels around it, and where the window is in this at a level.
 
     What is computed from the larger window is right in the smaller one.
     """
@@ -254,14 +255,14 @@ def _around(size: tuple[int, int], level: int, window: _Window, reach: float) ->
 
 
 def _along(window: slice, side: int, step: int, margin: int) -> tuple[slice, slice]:
-    """`_around` along one axis."""
+    """Return `_around` along one axis."""
     part = slice(max(0, window.start - margin), min(side, window.stop + margin))
     first = (window.start - part.start) // step
     return part, slice(first, first + -(-(min(window.stop, side) - window.start) // step))
 
 
 def _smaller(lf: LightField, level: int, chosen: NDArray[np.intp], part: _Window) -> LightField:
-    """A part of some views of a light field, 2**level times smaller."""
+    """Shrink a part of some views of a light field 2**level times."""
     found = [_kept_view(lf, level, int(n), part) for n in chosen]
     return LightField(
         np.stack([views for views, _ in found]),
@@ -272,7 +273,7 @@ def _smaller(lf: LightField, level: int, chosen: NDArray[np.intp], part: _Window
 
 
 def _kept_view(lf: LightField, level: int, index: int, part: _Window) -> _SmallView:
-    """A part of a view, smaller. The last whole ones that were made are kept, as long as the light field is."""
+    """Return a part of a view, smaller. The last whole ones that were made are kept, as long as the light field is."""
     whole = all(one.stop - one.start == side for one, side in zip(part, lf.size, strict=True))
     if not (level and whole):
         return _small_view(lf, level, index, part)
@@ -289,7 +290,7 @@ def _kept_view(lf: LightField, level: int, index: int, part: _Window) -> _SmallV
 
 
 def _small_view(lf: LightField, level: int, index: int, part: _Window) -> _SmallView:
-    """A part [y, x, c] of a view, 2**level times smaller, and which of its pixels are valid."""
+    """Return a part [y, x, c] of a view, 2**level times smaller, and which of its pixels are valid."""
     if lf.valid is None:
         valid = np.ones((1, 1), np.bool_)  # is not asked for
     else:
@@ -298,7 +299,7 @@ def _small_view(lf: LightField, level: int, index: int, part: _Window) -> _Small
 
 
 def _middles(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
-    """Means over the four pixels in the middle of squares: enough where views are averaged, and sooner there."""
+    """Average the four pixels in the middle of squares: enough where views are averaged, and sooner there."""
     if factor == 1:
         return pixels
     pixels = _filled(pixels, factor)
@@ -309,7 +310,7 @@ def _middles(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
 
 
 def _window(size: tuple[int, int], level: int, column: int, row: int, side: int = TILE) -> _Window:
-    """Rows and columns of a tile of `side` pixels at a level, 1 to `TILE`; the ends may lie beyond the picture.
+    """Return rows and columns of a tile of `side` pixels at a level, 1 to `TILE`; the ends may lie beyond the picture.
 
     At the highest level one pixel is the whole picture.
     """
@@ -321,7 +322,7 @@ def _window(size: tuple[int, int], level: int, column: int, row: int, side: int 
 
 
 def _reduced(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
-    """Means over squares of pixels; those at the right and the lower end are of fewer."""
+    """Average squares of pixels; those at the right and the lower end are of fewer."""
     if factor == 1:
         return pixels
     pixels = _filled(pixels, factor)
@@ -334,7 +335,7 @@ def _reduced(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
 
 
 def _filled(pixels: NDArray[Any], factor: int) -> NDArray[Any]:
-    """Pixels [y, x, c] with the last row and column repeated, so that squares of `factor` pixels fill them."""
+    """Repeat the last row and column of pixels [y, x, c], so that squares of `factor` pixels fill them."""
     down, right = (-side % factor for side in pixels.shape[:2])
     return np.pad(pixels, ((0, down), (0, right), (0, 0)), mode="edge") if down or right else pixels
 

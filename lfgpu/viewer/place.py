@@ -1,4 +1,6 @@
-"""Where a page is: a port of this machine and a token. It imports little, so that the address is known at once."""
+"""Address of a page: a port of this machine and a token. The module imports little, so that the address is known at
+once.
+"""
 
 from __future__ import annotations
 

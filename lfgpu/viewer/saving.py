@@ -9,12 +9,14 @@ from pathlib import Path
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import MAP_FORMATS, save
-from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents
-from lfgpu.viewer.late import import_all
+from lfgpu.viewer.contents import FINAL, Contents
+from lfgpu.viz.colours import LOOKS
+from lfgpu.viz.panels import encoded
+from lfgpu.viz.pictures import draw_map
 
 
 def saved(contents: Contents, name: str, stage: str, suffix: str) -> bytes:
-    """A result as a file of one of the formats of `lfgpu.save`.
+    """Save a result as a file of one of the formats of `lfgpu.save`; returns its bytes.
 
     Parameters
     ----------
@@ -47,16 +49,9 @@ def saved(contents: Contents, name: str, stage: str, suffix: str) -> bytes:
 
 
 def figure(contents: Contents, name: str, kind: str, stage: str, *, colours: str, limits: tuple[float, float]) -> bytes:
-    """A map with its scale as a PNG, each pixel a square of whole pixels; LightFieldError if there is no such map."""
-    import_all()
-    from lfgpu.viz.figures import map_figure, save_png
-
+    """Draw a map with its scale as a PNG, each pixel a whole square; LightFieldError if there is no such map."""
     values = contents.map(name, kind, stage)
     if values is None:
         raise LightFieldError(f"{name!r} has no {kind} to save.")
-    quantity = QUANTITIES[kind]
-    title = f"{name}{'' if stage == FINAL else f', {stage}'}: {quantity.label.lower()}"
-    with tempfile.TemporaryDirectory(prefix="lfgpu-") as folder:
-        path = Path(folder) / "figure.png"
-        save_png(map_figure(values, title=title, label=quantity.title, colours=colours, limits=limits), path)
-        return path.read_bytes()
+    title = f"{name}{'' if stage == FINAL else f', {stage}'}: {kind}"
+    return encoded(draw_map(values, title=title, label=LOOKS[kind].title, colours=colours, limits=limits))

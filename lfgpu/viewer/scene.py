@@ -1,4 +1,4 @@
-"""What a page wants to see in space."""
+"""The scene in space that a page asks for."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LARGEST = 1e9
 
 @dataclass(frozen=True)
 class Scene:
-    """What a page wants to see in space."""
+    """The scene in space that a page asks for."""
 
     result: str = ""
     stage: str = FINAL
@@ -44,7 +44,7 @@ class Scene:
 
     @classmethod
     def of(cls, values: dict[str, Any]) -> Scene:
-        """From plain values; LightFieldError if one is missing its type."""
+        """Make a scene of plain values; LightFieldError if one is missing its type."""
         try:
             found = {name: type(getattr(cls, name))(value) for name, value in values.items()}
             if not all(abs(value) <= LARGEST for value in found.values() if isinstance(value, int | float)):

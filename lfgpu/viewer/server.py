@@ -80,7 +80,7 @@ class Viewer(Board):
         allow_open: bool = False,
         **reading: Any,
     ) -> Viewer:
-        """A viewer of files: at most one light field, and maps of it.
+        """Make a viewer of files: at most one light field, and maps of it.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class Viewer(Board):
         return f"<Viewer {'closed' if self._closed.is_set() else f'at {self.url}'}: {shown}{maps}>"
 
     def _repr_html_(self) -> str:
-        """The page itself, for notebooks of this machine."""
+        """Return the page itself, for notebooks of this machine."""
         if self._closed.is_set():
             return escape(repr(self))
         link = f'<a href="{self.url}" target="_blank">{self.url}</a>'
@@ -121,7 +121,7 @@ class Viewer(Board):
 
     @property
     def url(self) -> str:
-        """Where the page is; whoever knows it can use the page."""
+        """The address of the page; whoever knows it can use the page."""
         return self._place.url
 
     def close(self) -> None:

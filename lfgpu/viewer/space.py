@@ -5,13 +5,11 @@ from __future__ import annotations
 import logging
 import math
 import secrets
-import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from http import HTTPStatus
-from pathlib import Path
 from time import monotonic
 from typing import Any
 
@@ -24,7 +22,9 @@ from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud, surface
 from lfgpu.viewer.contents import QUANTITIES, Contents
 from lfgpu.viewer.place import HOST
 from lfgpu.viewer.scene import Scene
-from lfgpu.viz.panels import SLOPE, colour, encoded, rgb
+from lfgpu.viz.colours import LOOKS, painted
+from lfgpu.viz.panels import SLOPE, encoded, rgb
+from lfgpu.viz.pictures import beside_scale
 
 _EXPOSURE = 30.0  # at most, either way: every stored value is white or black before
 _LIVE_CLOUD = 0.5  # seconds between two point clouds of a stream
@@ -91,7 +91,7 @@ class Space:
         self._ask("eye")
 
     def picture(self) -> bytes:
-        """What the frame shows, without marks, before the background of the page, with its scale, as a PNG."""
+        """Render what the frame shows, without marks, before the background of the page, with its scale, as a PNG."""
         clients = list(self._server.get_clients().values())
         if not clients:
             raise LightFieldError("there is no picture of the points in space yet: open the tab 3D.")
@@ -182,9 +182,9 @@ class Space:
             position=contents.position,
             geometry=contents.geometry if scene.metric else None,
         )
-        painted = _painted(scene, contents)
+        colours = _painted(scene, contents)
         options: dict[str, Any] = {"most_points": _MESH_POINTS} if scene.mesh else {}
-        cloud = self._cloud = shown_cloud(values, painted, least_confidence=scene.least, **options)
+        cloud = self._cloud = shown_cloud(values, colours, least_confidence=scene.least, **options)
         scenery.remove_by_name("/cloud" if scene.mesh else "/surface")
         if scene.mesh and len(cloud.points):
             scenery.add_mesh_trimesh(
@@ -202,7 +202,7 @@ class Space:
             )
 
     def _draw_cameras(self, scene: Scene, contents: Contents) -> None:
-        """The frustums of the cameras, their size a part of their distance; they need a geometry."""
+        """Draw the frustums of the cameras, their size a part of their distance; they need a geometry."""
         lf, geometry = contents.lf, contents.geometry
         if not (scene.cameras and scene.metric and lf is not None and geometry is not None):
             self._server.scene.remove_by_name("/cameras")
@@ -263,7 +263,8 @@ class Space:
 def framed(
     cloud: Cloud, aspect: float, cameras: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """A camera that sees a cloud: its place [3], what it looks at [3], and its vertical field of view in radians.
+    """Return a camera that sees a cloud: its place [3], what it looks at [3], and its vertical field of view in
+    radians.
 
     `cameras` [n, 3] are to be seen, too.
     """
@@ -289,7 +290,8 @@ def framed(
 def _aimed(
     eye: NDArray[np.float64], target: NDArray[np.float64], points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[float, float]]:
-    """What an eye looks at to have points in the middle of its picture, in which direction, and how far they reach.
+    """Aim an eye so that points are in the middle of its picture: what it looks at, in which direction, how far they
+    reach.
 
     The reach is to the right and down, as tangents of angles; without a few of the outermost points.
     """
@@ -308,28 +310,24 @@ def _aimed(
 
 
 def _with_scale(drawn: NDArray[np.uint8], scene: Scene, contents: Contents) -> bytes:
-    """A picture of points as a PNG, with the scale of their colours if these are those of a map."""
+    """Encode a picture of points as PNG, with the scale of their colours if these are those of a map."""
     if scene.paint not in QUANTITIES or not scene.low < scene.high:
         return encoded(drawn)
-    from lfgpu.viz.figures import figure_with_scale, save_png
-
     limits = scene.low, scene.high
-    figure = figure_with_scale(
-        drawn,
-        label=QUANTITIES[scene.paint].title,
-        colours=scene.colours,
-        limits=limits,
-        extent=contents.extent(scene.paint) or limits,
-        paper=_PAGES.get(scene.background, _PAGES["white"]),
+    return encoded(
+        beside_scale(
+            drawn,
+            label=LOOKS[scene.paint].title,
+            colours=scene.colours,
+            limits=limits,
+            extent=contents.extent(scene.paint) or limits,
+            paper=_PAGES.get(scene.background, _PAGES["white"]),
+        )
     )
-    with tempfile.TemporaryDirectory(prefix="lfgpu-") as folder:
-        path = Path(folder) / "space.png"
-        save_png(figure, path)
-        return path.read_bytes()
 
 
 def _painted(scene: Scene, contents: Contents) -> NDArray[np.uint8]:
-    """The colours of the points: the view, or a map."""
+    """Return the colours of the points: the view, or a map."""
     lf = contents.lf
     if scene.paint == "picture" and lf is not None:
         picture = np.minimum(
@@ -341,7 +339,7 @@ def _painted(scene: Scene, contents: Contents) -> NDArray[np.uint8]:
     if values is None:
         assert contents.size is not None
         values = np.full(contents.size, np.nan, np.float32)
-    return colour(values, scene.colours, (scene.low, scene.high))
+    return painted(values, scene.colours, (scene.low, scene.high))
 
 
 def _mesh(cloud: Cloud, disparity: NDArray[np.float32]) -> Any:
@@ -370,7 +368,7 @@ def _silent() -> Iterator[None]:
 
 @contextmanager
 def _guarded(token: str) -> Iterator[None]:
-    """Servers that start meanwhile answer nobody who does not know the token, the first part of the path."""
+    """Have servers that start meanwhile answer nobody who does not know the token, the first part of the path."""
     import websockets.asyncio.server as place
 
     _starting.acquire()

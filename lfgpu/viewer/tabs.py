@@ -80,7 +80,7 @@ class Tab(Guarded, WebSocketHandler):
             logging.getLogger("lfgpu.viewer").exception("a page could not be told the state")
 
     async def on_message(self, text: str | bytes) -> None:
-        """A scene that the page wants to see in space, or the wish to start over there."""
+        """Take a scene that the page wants to see in space, or the wish to start over there."""
         try:
             wish = json.loads(text)
             if wish.get("taken") == self._told:

@@ -155,7 +155,7 @@ def _words(handler: RequestHandler) -> Query:
 
 
 def _contents(site: Site, query: Query) -> Contents:
-    """The contents of the revision that is asked for, those of now if none is; 410 if they are forgotten."""
+    """Return the contents of the revision that is asked for, those of now if none is; 410 if they are forgotten."""
     if not query.text("of", ""):
         return site.board.contents
     found = site.facts.contents(query.whole("of"))
@@ -165,7 +165,7 @@ def _contents(site: Site, query: Query) -> Contents:
 
 
 class _Data(Guarded):
-    """What the page draws: arrays as their bytes, with their shape and type as headers, or JSON."""
+    """The data of pictures: arrays as their bytes, with their shape and type as headers, or JSON."""
 
     async def get(self, _: str, what: str) -> None:
         if what not in DATA:
@@ -210,7 +210,7 @@ def _picture_in_space(site: Site, query: Query) -> tuple[bytes, str]:
 
 
 class _Do(Guarded):
-    """What the page wants to be done."""
+    """The actions that a page asks for."""
 
     async def post(self, _: str, what: str) -> None:
         if not self.request.headers.get("Content-Type", "").startswith("application/json"):

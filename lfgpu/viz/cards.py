@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib import colormaps
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
-from lfgpu.viz.figures import error_reach, scale_limits
-from lfgpu.viz.panels import LOOKS, UNDEFINED, Picture, fitted
+from lfgpu.viz.colours import GREY, LOOKS, indices, palette, shades
+from lfgpu.viz.panels import Picture, fitted
+from lfgpu.viz.scales import error_reach, scale_limits
 
 MOST_PIXELS = 500_000
 """Pixels of a picture in a page: larger ones are scaled down, so that the page stays at a few MB."""
@@ -25,7 +25,6 @@ SAVING: dict[str, dict[str, Any]] = {"JPEG": {"quality": 88}, "PNG": {"optimize"
 """How pictures are written, by the name of their format."""
 
 _SHARP = 480  # pixels: pictures whose longer side is shorter are enlarged in sharp squares
-_LEVELS = 255  # shades of a map; one more is the grey of undefined pixels
 _STOPS = 17
 _TICKS = 5
 _MOST_OF_ALL = 0.98  # share of the values that end a scale which begins at zero
@@ -113,7 +112,7 @@ class Card:
 
     @property
     def is_small(self) -> bool:
-        """Whether its pixels are to stay sharp squares when it is enlarged."""
+        """True if its pixels are to stay sharp squares when it is enlarged."""
         return max(self.size) < _SHARP
 
     @property
@@ -135,13 +134,13 @@ class Tile:
 def view_card(
     title: str, picture: Picture, *, remark: str = "", marks: tuple[Mark, ...] = (), most: int = MOST_PIXELS
 ) -> Card:
-    """A card of a view [y, x, 3], of at most so many pixels. Marks are in the pixels of the view."""
+    """Make a card of a view [y, x, 3], of at most so many pixels. Marks are in the pixels of the view."""
     height, width = picture.shape[:2]
     return Card(title, remark, address(view_image(picture, most=most), "JPEG"), (width, height), marks=marks)
 
 
 def drawn_card(title: str, picture: Picture, *, remark: str = "", marks: tuple[Mark, ...] = ()) -> Card:
-    """A card of a picture [y, x, 3] whose pixels have to stay as they are. Marks are in its pixels."""
+    """Make a card of a picture [y, x, 3] whose pixels have to stay as they are. Marks are in its pixels."""
     return Card(title, remark, address(Image.fromarray(picture), "PNG"), picture.shape[1::-1], marks=marks)
 
 
@@ -154,7 +153,7 @@ def map_card(
     remark: str = "",
     most: int = MOST_PIXELS,
 ) -> Card:
-    """A card of a map [y, x] of a kind in `LOOKS`, of at most so many pixels.
+    """Make a card of a map [y, x] of a kind in `LOOKS`, of at most so many pixels.
 
     Undefined pixels are grey; default limits are `limits_of`.
     """
@@ -164,7 +163,7 @@ def map_card(
 
 
 def limits_of(kind: str, values: NDArray[np.float32]) -> tuple[float, float]:
-    """The ends of the scale of a map of a kind in `LOOKS`."""
+    """Return the ends of the scale of a map of a kind in `LOOKS`."""
     if kind == "confidence":
         return 0.0, 1.0
     if kind == "error":
@@ -178,7 +177,7 @@ def limits_of(kind: str, values: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def view_image(picture: Picture, *, most: int = MOST_PIXELS) -> Image.Image:
-    """A view [y, x, 3] as a picture of at most so many pixels."""
+    """Scale a view [y, x, 3] as a picture of at most so many pixels."""
     height, width = picture.shape[:2]
     wide, tall = _size(width, height, most)
     return fitted(picture, wide=wide, tall=tall) if wide < width else Image.fromarray(np.ascontiguousarray(picture))
@@ -187,22 +186,18 @@ def view_image(picture: Picture, *, most: int = MOST_PIXELS) -> Image.Image:
 def map_image(
     values: NDArray[np.float32], kind: str, limits: tuple[float, float], *, most: int = MOST_PIXELS
 ) -> Image.Image:
-    """A map as a picture with a palette, of at most so many pixels; of a large map some pixels are left out."""
+    """Paint a map as a picture with a palette, of at most so many pixels; of a large map some pixels are left out."""
     height, width = values.shape
     wide, tall = _size(width, height, most)
     rows, columns = (((np.arange(n) + 0.5) * of / n).astype(np.intp) for n, of in ((tall, height), (wide, width)))
     shown = values[rows[:, None], columns]
-    low, high = limits
-    known = np.isfinite(shown)
-    places = np.clip((np.where(known, shown, low) - low) / max(high - low, 1e-12), 0, 1)
-    levels = np.where(known, np.rint(places * (_LEVELS - 1)), _LEVELS).astype(np.uint8)
-    image = Image.fromarray(levels)
-    image.putpalette([*_table(kind, _LEVELS).ravel().tolist(), *UNDEFINED])
+    image = Image.fromarray(indices(shown, limits), "P")
+    image.putpalette(palette(LOOKS[kind].colours)[: GREY + 1].tobytes())
     return image
 
 
 def scale_of(kind: str, values: NDArray[np.float32], limits: tuple[float, float]) -> Scale:
-    """The scale of a map; arrows where finite values lie beyond it."""
+    """Return the scale of a map; arrows where finite values lie beyond it."""
     known, (low, high) = values[np.isfinite(values)], limits
     return scale(
         kind,
@@ -216,7 +211,7 @@ def scale_of(kind: str, values: NDArray[np.float32], limits: tuple[float, float]
 def scale(
     kind: str, limits: tuple[float, float], *, below: bool = False, above: bool = False, undefined: bool = False
 ) -> Scale:
-    """The scale of a map of which some values lie below or above the limits, or are undefined."""
+    """Return the scale of a map of which some values lie below or above the limits, or are undefined."""
     low, high = limits
     span = max(high - low, 1e-12)
     ticks = [
@@ -225,21 +220,21 @@ def scale(
         if low - 1e-9 <= t <= high + 1e-9
     ]
     return Scale(
-        tuple(f"rgb({r} {g} {b})" for r, g, b in _table(kind, _STOPS)),
+        tuple(f"rgb({r} {g} {b})" for r, g, b in shades(LOOKS[kind].colours, _STOPS)),
         tuple(Tick(round(100 * (t - low) / span, 2), number(t)) for t in ticks),
-        f"{LOOKS[kind].unit}{'; grey: undefined' if undefined else ''}",
+        f"{LOOKS[kind].title}{'; grey: undefined' if undefined else ''}",
         below,
         above,
     )
 
 
 def number(value: float) -> str:
-    """A number with a true minus sign, without digits that say nothing."""
+    """Write a number with a true minus sign, without digits that say nothing."""
     return f"{round(value, 10):g}".replace("-", "\u2212")
 
 
 def address(image: Image.Image, kind: str) -> str:
-    """A picture as a data address; `kind` is PNG or JPEG."""
+    """Encode a picture as a data address; `kind` is PNG or JPEG."""
     buffer = io.BytesIO()
     image.save(buffer, kind, **SAVING[kind])
     return f"data:image/{kind.lower()};base64,{base64.b64encode(buffer.getvalue()).decode()}"
@@ -259,12 +254,6 @@ def cross_hair(x: float, y: float, size: tuple[int, int], letter: str) -> Mark:
 
 
 def _size(width: int, height: int, most: int) -> tuple[int, int]:
-    """The size of a picture, scaled down where it has too many pixels."""
+    """Return the size of a picture, scaled down where it has too many pixels."""
     factor = math.sqrt(most / (width * height))
     return (width, height) if factor >= 1 else (max(1, int(width * factor)), max(1, int(height * factor)))
-
-
-def _table(kind: str, count: int) -> NDArray[np.uint8]:
-    """Colours [count, 3] of a kind of map."""
-    shades = colormaps[LOOKS[kind].colours](np.linspace(0, 1, count))[:, :3]
-    return np.asarray(shades * 255 + 0.5, np.uint8)

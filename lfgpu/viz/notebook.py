@@ -32,7 +32,7 @@ def html(shown: object) -> str:
 
 
 def light_field_html(lf: LightField) -> str:
-    """The reference view, the EPIs through its middle, and a table of facts."""
+    """Show the reference view, the EPIs through its middle, and a table of facts."""
     height, width = lf.size
     x, y = width // 2, height // 2
     cards = [view_card("Reference view", rgb(lf.views[lf.reference_index], lf.scale))]
@@ -55,7 +55,7 @@ def light_field_html(lf: LightField) -> str:
 
 
 def result_html(result: DepthResult) -> str:
-    """Disparity, confidence and uncertainty with their scales, and a table of facts."""
+    """Show disparity, confidence and uncertainty with their scales, and a table of facts."""
     rows = [
         *_facts(result.map),
         ("computed by", f"{result.config.method}, {result.backend} on {result.device}"),
@@ -68,12 +68,12 @@ def result_html(result: DepthResult) -> str:
 
 
 def map_html(map_: DisparityMap) -> str:
-    """The map of a view, with what is known of it."""
+    """Show the map of a view, with what is known of it."""
     return notebook_page(map_.name, _cards(map_), _facts(map_))
 
 
 def views_html(result: ViewsResult) -> str:
-    """The map of the reference view, as one of all views."""
+    """Show the map of the reference view, as one of all views."""
     map_ = result.map(result.keys[0])
     rows = [("maps", f"of {len(result.disparities)} views; shown is that of the reference"), *_facts(map_)]
     return notebook_page(map_.name, _cards(map_), rows)
@@ -97,6 +97,6 @@ def _facts(map_: DisparityMap) -> list[tuple[str, str]]:
 
 
 def notebook_page(title: str, cards: Sequence[Card], rows: Sequence[tuple[str, str]]) -> str:
-    """Cards and a table of facts as HTML for a notebook."""
+    """Put cards and a table of facts into HTML for a notebook."""
     # Gradients have names, which all outputs of a notebook share.
     return rendered("notebook.html", title=title, cards=cards, facts=rows, id=f"lfgpu-{secrets.token_hex(4)}-")

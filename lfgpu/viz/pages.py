@@ -9,7 +9,7 @@ import jinja2
 
 
 def rendered(template: str, **values: Any) -> str:
-    """A template with its values; texts are escaped, those of type `markupsafe.Markup` excepted."""
+    """Fill in a template; texts are escaped, those of type `markupsafe.Markup` excepted."""
     return _environment().get_template(template).render(**values)
 
 

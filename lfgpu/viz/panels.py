@@ -1,13 +1,11 @@
-"""Looks of maps, and pictures of views, maps and EPIs as arrays of pixels, for pages and notebooks."""
+"""Pictures of views and EPIs as arrays of pixels, for pages and notebooks."""
 
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -17,37 +15,17 @@ Picture = NDArray[np.uint8]
 """An RGB picture, uint8 [y, x, 3]."""
 
 _EPI = 120  # pixels, roughly: the height of an EPI
-UNDEFINED = (158, 158, 158)
 SLOPE = (255, 64, 129)
 
 
-@dataclass(frozen=True)
-class Look:
-    """The colour map and the label of one kind of map."""
-
-    colours: str
-    unit: str
-
-
-LOOKS = {
-    "disparity": Look("viridis", "disparity, px per view step (larger is nearer)"),
-    "depth": Look("viridis_r", "depth, m"),
-    "confidence": Look("cividis", "confidence (larger is surer)"),
-    "error": Look("RdBu_r", "error, px per view step (red: too near, blue: too far)"),
-    "uncertainty": Look("magma", "expected error, px per view step (standard deviation)"),
-    "unexplained": Look("magma", "rms difference of the other views, share of full intensity"),
-    "predicted": Look("viridis", "predicted views: PSNR, dB (larger is better)"),
-}
-
-
 def rgb(view: NDArray[Any], scale: float) -> Picture:
-    """A view [y, x, c], as stored, as an RGB picture; `scale` turns stored values into intensities."""
+    """Convert a view [y, x, c], as stored, to an RGB picture; `scale` turns stored values into intensities."""
     pixels = view if view.dtype == np.uint8 else np.clip(view * (255 * scale) + 0.5, 0, 255).astype(np.uint8)
     return np.broadcast_to(pixels, (*pixels.shape[:2], 3)) if pixels.shape[2] == 1 else pixels
 
 
 def fitted(picture: Picture, *, wide: int, tall: int) -> Image.Image:
-    """A picture scaled to the largest size within a box; enlarged pixels stay sharp squares."""
+    """Scale a picture to the largest size within a box; enlarged pixels stay sharp squares."""
     height, width = picture.shape[:2]
     factor = min(wide / width, tall / height)
     size = max(1, round(width * factor)), max(1, round(height * factor))
@@ -67,21 +45,11 @@ def epi_of_column(lf: LightField, x: int, *, wide: int) -> Picture:
     return _epi(lf.epi_vertical(x), lf.scale, wide)
 
 
-def colour(values: NDArray[np.float32], colours: str, limits: tuple[float, float]) -> Picture:
-    """Apply a colour map to a map; undefined pixels are grey."""
-    low, high = limits
-    table = (colormaps[colours](np.linspace(0, 1, 256))[:, :3] * 255 + 0.5).astype(np.uint8)
-    defined = np.isfinite(values)
-    places = np.clip((np.where(defined, values, low) - low) * (255 / max(high - low, 1e-12)) + 0.5, 0, 255)
-    picture = table[places.astype(np.uint8)]
-    picture[~defined] = UNDEFINED
-    return picture
-
-
-def encoded(picture: Picture, kind: str = "PNG") -> bytes:
-    """A picture as the bytes of an image file."""
+def encoded(picture: Picture | Image.Image) -> bytes:
+    """Encode a picture as PNG."""
     buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(picture)).save(buffer, kind)
+    image = picture if isinstance(picture, Image.Image) else Image.fromarray(np.ascontiguousarray(picture))
+    image.save(buffer, "PNG")
     return buffer.getvalue()
 
 

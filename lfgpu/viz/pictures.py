@@ -1,7 +1,4 @@
-"""A map as a picture with a colour bar, drawn with Pillow: it is written before matplotlib would be imported.
-
-The picture has a palette: the steps of the colour map, the grey of what is undefined, and greys for the text.
-"""
+"""Maps as pictures with a colour bar, drawn with Pillow: matplotlib takes longer to import than these take to draw."""
 
 from __future__ import annotations
 
@@ -17,28 +14,13 @@ from PIL import Image, ImageDraw, ImageFont
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_write
+from lfgpu.viz.colours import GREYS, LOOKS, PAPER, STEPS, indices, palette
 from lfgpu.viz.scales import scale_limits
 
-_TABLES = {
-    "viridis": (
-        "44015446085c471063481769481d6f482475472a7a46307e453781433d844142873f48893d4e8a3a538b38598c355e8d33638d31688e"
-        "2e6d8e2c718e2a768e297b8e27808e25848e23898e218e8d20928c1f978b1e9c891fa18821a58524aa8328ae802eb37c35b7793dbc74"
-        "46c06f50c46a5ac86465cb5e70cf577cd25089d54895d840a2da37b0dd2fbddf26cae11fd8e219e5e419f1e51dfde725"
-    ),
-    "cividis": (
-        "00224e002656002a5f002d68003070083370163770203a6f273e6e2e416d34456c3a486c3f4c6c444f6c49536c4e566c535a6d575d6d"
-        "5c616e60646f656870696b716d6f727272747676767a7a787e7d788381798885788d8878928c789690779b9476a09875a59c74aaa073"
-        "afa471b5a86fbaac6dbfb06bc4b468c9b965cfbd62d4c15fdac65bdfca57e5cf52ead34cf0d846f6dd3ffce236fee838"
-    ),
-}
-"""Colours from low to high, red, green and blue, in equal steps; matplotlib's maps of these names."""
-
-_STEPS, _GREYS = 239, 16  # of the palette: of the colour map, and from white to black
-_UNDEFINED, _WHITE, _BLACK = _STEPS, _STEPS + 1, 255
-_GREY = 158  # occurs in none of the colour maps
 _LEAST_PIXELS = 900  # at least, the longer side of a map in the picture
 _LONGEST_NAME = 34  # characters
 _MOST_TICKS = 9
+_BESIDE = 600  # pixels that the sizes of a scale are shares of, beside a picture that is shown as it is
 _FONT = "mpl-data/fonts/ttf/DejaVuSans.ttf"
 _TEXT, _TITLE = 1 / 43, 1 / 36  # of the longer side: the height of letters
 _MARGIN, _BAR, _GAP, _TICK = 0.025, 0.033, 0.025, 0.008  # of the longer side
@@ -48,13 +30,12 @@ _COMPRESSION = 1  # of PNG: more takes twice as long and saves a third
 
 def write_disparity(disparity: ArrayLike, path: str | os.PathLike[str], *, name: str) -> None:
     """Write a disparity map [y, x] as PNG, in viridis; as `write_picture`."""
-    label = "disparity (px per view step), larger is nearer"
-    write_picture(disparity, path, title=f"{_short(name)}: disparity", label=label)
+    write_picture(disparity, path, title=f"{short(name)}: disparity", label=LOOKS["disparity"].title)
 
 
 def write_confidence(confidence: ArrayLike, path: str | os.PathLike[str], *, name: str) -> None:
     """Write a confidence map [y, x] as PNG, in cividis, on the scale 0 to 1; as `write_picture`."""
-    title, label = f"{_short(name)}: confidence", "confidence, larger is surer"
+    title, label = f"{short(name)}: confidence", LOOKS["confidence"].title
     write_picture(confidence, path, title=title, label=label, colours="cividis", limits=(0.0, 1.0))
 
 
@@ -78,9 +59,9 @@ def write_picture(
     title
         The title.
     label
-        What the colour bar shows, with its unit.
+        The words beside the colour bar, with the unit.
     colours
-        "viridis" (default) or "cividis".
+        The name of a colour map of matplotlib. Default "viridis", which is drawn without matplotlib, as "cividis" is.
     limits
         (low, high) of the scale. Default None: the range of the map without a few outliers. An end of the bar is
         pointed where values lie beyond it.
@@ -90,98 +71,148 @@ def write_picture(
     LightFieldError
         If the map is not [y, x], or the file cannot be written.
     """
-    map_ = np.asarray(values, np.float32)
-    if map_.ndim != 2 or 0 in map_.shape:
-        raise LightFieldError(f"a map must be [y, x]; found shape {map_.shape}.")
-    picture = _drawn(map_, title, label, colours, limits or scale_limits(map_))
+    save_picture(draw_map(values, title=title, label=label, colours=colours, limits=limits), path)
+
+
+def save_picture(picture: Image.Image, path: str | os.PathLike[str]) -> None:
+    """Save a picture as PNG, whole or not at all; LightFieldError if the file cannot be written."""
     with atomic_write(path) as temporary:
         picture.save(temporary, format="PNG", compress_level=_COMPRESSION)
 
 
-def palette(colours: str) -> NDArray[np.uint8]:
-    """The palette [256, 3] of pictures: `_STEPS` of the colour map, the grey of what is undefined, white to black."""
-    table = np.frombuffer(bytes.fromhex(_TABLES[colours]), np.uint8).reshape(-1, 3)
-    at = np.linspace(0, len(table) - 1, _STEPS)
-    steps = np.stack([np.interp(at, np.arange(len(table)), table[:, c]) for c in range(3)], axis=1)
-    greys = np.repeat(np.linspace(255, 0, _GREYS)[:, None], 3, axis=1)
-    return np.round(np.concatenate([steps, [[_GREY] * 3], greys])).astype(np.uint8)
+def draw_map(
+    values: ArrayLike, *, title: str, label: str, colours: str, limits: tuple[float, float] | None = None
+) -> Image.Image:
+    """Draw a map with its title and a colour bar; parameters and errors as of `write_picture`."""
+    map_ = np.asarray(values, np.float32)
+    if map_.ndim != 2 or 0 in map_.shape:
+        raise LightFieldError(f"a map must be [y, x]; found shape {map_.shape}.")
+    limits = limits or scale_limits(map_)
+    magnification = math.ceil(_LEAST_PIXELS / max(map_.shape))
+    height, width = (side * magnification for side in map_.shape)
+    unit = max(height, width)
+    known = map_[np.isfinite(map_)]
+    extent = (float(known.min()), float(known.max())) if known.size else limits
+    words = label if known.size == map_.size else f"{label}; grey: undefined"
+    scale = _scale(max(height, round(_LEAST_HEIGHT * unit)), unit, words, limits, extent)
+    heading, margin = font(round(_TITLE * unit)), round(_MARGIN * unit)
+    line, right = margin + round(1.6 * _TITLE * unit), margin + max(width, round(heading.getlength(title)))
+    y = max(line, margin + (len(scale) - height) // 2)  # of the map, in the middle of the scale
+    top = y - (len(scale) - height) // 2
+    inked = Image.new("L", (right + scale.shape[1], top + len(scale) + margin), 0)
+    ImageDraw.Draw(inked).text((margin, line - margin / 2), title, 255, heading, "ls")
+    pixels = _greys(inked)
+    pixels[top : top + len(scale), right:] = scale
+    shown = indices(map_, limits).repeat(magnification, 0).repeat(magnification, 1)
+    pixels[y : y + height, margin : margin + width] = shown
+    picture = Image.fromarray(pixels, "P")
+    picture.putpalette(palette(colours).tobytes())
+    return picture
 
 
-def indices(values: NDArray[np.float32], limits: tuple[float, float]) -> NDArray[np.uint8]:
-    """The places in the palette of a map [y, x]."""
-    low, high = limits
-    share = (values - np.float32(low)) * np.float32(1 / max(high - low, 1e-30))
-    known = np.isfinite(values)
-    steps = np.clip(np.where(known, share, 0) * (_STEPS - 1) + 0.5, 0, _STEPS - 1)
-    return np.where(known, steps, _UNDEFINED).astype(np.uint8)
+def draw_view(picture: NDArray[np.uint8], *, title: str) -> Image.Image:
+    """Draw a picture, uint8 [y, x, 3], with its title, as large as `draw_map` draws a map of its size."""
+    magnification = math.ceil(_LEAST_PIXELS / max(picture.shape))
+    large = picture.repeat(magnification, 0).repeat(magnification, 1)
+    unit = max(large.shape)
+    margin = round(_MARGIN * unit)
+    line = margin + round(1.6 * _TITLE * unit)
+    paper = Image.new("RGB", (large.shape[1] + 2 * margin, line + len(large) + margin), "white")
+    ImageDraw.Draw(paper).text((margin, line - margin / 2), title, "black", font(round(_TITLE * unit)), "ls")
+    paper.paste(Image.fromarray(large), (margin, line))
+    return paper
+
+
+def beside_scale(
+    picture: NDArray[np.uint8],
+    *,
+    label: str,
+    colours: str,
+    limits: tuple[float, float],
+    extent: tuple[float, float],
+    paper: tuple[int, int, int] = (255, 255, 255),
+) -> Image.Image:
+    """Put the scale of its colours beside a picture, whose pixels stay as they are.
+
+    Parameters
+    ----------
+    picture
+        uint8 [y, x, 3].
+    label
+        The words beside the scale.
+    colours
+        The name of a colour map of matplotlib.
+    limits
+        The ends of the scale.
+    extent
+        The smallest and the largest value: where one lies beyond the scale, its end is pointed.
+    paper
+        The colour behind the scale, RGB from 0 to 255.
+    """
+    height = len(picture)
+    scale = _scale(round(0.9 * min(height, _BESIDE)), _BESIDE, label, limits, extent)
+    over = max(0, (len(scale) - height + 1) // 2)
+    scale = scale[over : over + height]  # of a small picture, words are cut off
+    beside = np.full((height, scale.shape[1]), PAPER, np.uint8)
+    top = (height - len(scale)) // 2
+    beside[top : top + len(scale)] = scale
+    return Image.fromarray(np.concatenate([picture, palette(colours, paper)[beside]], axis=1))
 
 
 def ticks(low: float, high: float) -> list[float]:
-    """Round numbers within a scale, at most nine, at equal distances."""
+    """Choose round numbers within a scale, at most nine, at equal distances."""
     least = (high - low) / (_MOST_TICKS - 1)
     unit = 10.0 ** math.floor(math.log10(least))
     step = next(unit * factor for factor in (1, 2, 2.5, 5, 10) if unit * factor >= least * (1 - 1e-9))
     return [k * step for k in range(math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6) + 1)]
 
 
-def _drawn(
-    values: NDArray[np.float32], title: str, label: str, colours: str, limits: tuple[float, float]
-) -> Image.Image:
-    magnification = math.ceil(_LEAST_PIXELS / max(values.shape))
-    height, width = (side * magnification for side in values.shape)
-    longer = max(height, width)
-    margin, bar, gap, tick = (round(share * longer) for share in (_MARGIN, _BAR, _GAP, _TICK))
-    text, heading = (_font(round(share * longer)) for share in (_TEXT, _TITLE))
-    tall = max(height, round(_LEAST_HEIGHT * longer))
-    marks = {value: f"{value:.6g}".replace("-", "\N{MINUS SIGN}") for value in ticks(*limits)}
-    if not np.isfinite(values).all():
-        label += "; grey: undefined"
-    line = round(1.5 * _TEXT * longer)
-    top = margin + round(1.6 * _TITLE * longer)
-    right = margin + max(width, round(heading.getlength(title))) + gap
-    ends = right + bar + 2 * tick + max(round(text.getlength(mark)) for mark in (*marks.values(), " "))
-    written = Image.new("L", (max(tall, round(text.getlength(label)) + 1), line), 0)  # how black, along the bar
-    ImageDraw.Draw(written).text((written.width / 2, line / 2), label, 255, text, "mm")
-    foot = top + max(tall, written.width)
+def _scale(
+    tall: int, unit: int, label: str, limits: tuple[float, float], extent: tuple[float, float]
+) -> NDArray[np.uint8]:
+    """Draw a colour bar `tall` pixels high with its numbers and words, as places in a palette [y, x].
 
-    inked = Image.new("L", (ends + gap + line + margin, foot + margin), 0)
-    draw = ImageDraw.Draw(inked)
-    draw.text((margin, top - margin / 2), title, 255, heading, "ls")
-    inked.paste(written.rotate(90, expand=True), (ends + gap, top + (foot - top - written.width) // 2))
+    Sizes of letters and lines are shares of `unit` pixels. The bar is in the middle, with as much above as below it.
+    """
+    gap, bar, tick, margin = (round(share * unit) for share in (_GAP, _BAR, _TICK, _MARGIN))
+    text, line, point = font(round(_TEXT * unit)), round(1.5 * _TEXT * unit), round(bar / 2)
     low, high = limits
+    marks = {value: f"{value:.6g}".replace("-", "\N{MINUS SIGN}") for value in ticks(low, high)}
+    wide = max(round(text.getlength(mark)) for mark in (*marks.values(), " "))
+    words = Image.new("L", (max(tall, round(text.getlength(label)) + 1), line), 0)
+    ImageDraw.Draw(words).text((words.width / 2, line / 2), label, 255, text, "mm")
+    height = max(tall + 2 * point, words.width)
+    top, right, ends = (height - tall) // 2, gap + bar, gap + bar + 2 * tick + wide
+    inked = Image.new("L", (ends + gap + line + margin, height), 0)
+    draw = ImageDraw.Draw(inked)
+    inked.paste(words.rotate(90, expand=True), (ends + gap, (height - words.width) // 2))
     for value, mark in marks.items():
         y = top + (high - value) / (high - low) * (tall - 1)
-        draw.line([(right + bar, y), (right + bar + tick, y)], 255)
-        draw.text((right + bar + 2 * tick, y), mark, 255, text, "lm")
-
-    pixels = (_WHITE + (np.asarray(inked, np.uint16) * (_GREYS - 1) + 127) // 255).astype(np.uint8)
-    y, x = top + (tall - height) // 2, margin
-    shown = indices(values, limits)
-    pixels[y : y + height, x : x + width] = shown.repeat(magnification, 0).repeat(magnification, 1)
-    steps = np.linspace(_STEPS - 1, 0, tall).round().astype(np.uint8)
-    pixels[top : top + tall, right : right + bar] = steps[:, None]
-    defined = values[np.isfinite(values)]
-    point = np.abs(np.arange(bar) - (bar - 1) / 2)  # how far from its middle
-    rows = min(round(bar / 2), margin // 2 + bar)
-    for beyond, step, from_, sign in (
-        (bool((defined > high).any()), _STEPS - 1, top - 1, -1),
-        (bool((defined < low).any()), 0, top + tall, 1),
-    ):
-        for k in range(rows if beyond else 0):
-            pixels[from_ + sign * k, right : right + bar][point < (1 - k / rows) * bar / 2] = step
-    picture = Image.fromarray(pixels, "P")
-    picture.putpalette(palette(colours).tobytes())
-    return picture
+        draw.line([(right, y), (right + tick, y)], 255)
+        draw.text((right + 2 * tick, y), mark, 255, text, "lm")
+    pixels = _greys(inked)
+    pixels[top : top + tall, gap:right] = np.linspace(STEPS - 1, 0, tall).round().astype(np.uint8)[:, None]
+    aside = np.abs(np.arange(bar) - (bar - 1) / 2)  # how far from the middle of the bar
+    for beyond, step, begin, down in ((extent[1] > high, STEPS - 1, top - 1, -1), (extent[0] < low, 0, top + tall, 1)):
+        for k in range(point if beyond else 0):
+            pixels[begin + down * k, gap:right][aside < (1 - k / point) * bar / 2] = step
+    return pixels
 
 
-def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    """matplotlib's letters, read without importing it; Pillow's, which are fewer, where its files lie elsewhere."""
+def _greys(inked: Image.Image) -> NDArray[np.uint8]:
+    """Return the places in a palette of a picture that says how much ink there is."""
+    return (PAPER + (np.asarray(inked, np.uint16) * (GREYS - 1) + 127) // 255).astype(np.uint8)
+
+
+def font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+    """Load matplotlib's letters without importing it; Pillow's, which are fewer, where its files lie elsewhere."""
     spec = find_spec("matplotlib")
     for folder in (spec and spec.submodule_search_locations) or ():
         with suppress(OSError):
-            return ImageFont.truetype(Path(folder) / _FONT, size)
+            return ImageFont.truetype(Path(folder) / _FONT, max(size, 1))
     return ImageFont.load_default(size)
 
 
-def _short(name: str) -> str:
+def short(name: str) -> str:
+    """Cut a long name off."""
     return name if len(name) <= _LONGEST_NAME else f"{name[: _LONGEST_NAME - 3]}..."

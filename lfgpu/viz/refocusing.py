@@ -163,7 +163,7 @@ def all_in_focus(
 
 
 def within(lf: LightField, aperture: float | None) -> NDArray[np.intp]:
-    """Indices of the views of a lens of a radius in view steps, None for all; the reference is one."""
+    """Choose the views of a lens of a radius in view steps, None for all; returns indices, the reference among them."""
     if aperture is None:
         return np.arange(len(lf.views))
     check_number("aperture (view steps)", aperture, 0)
@@ -171,7 +171,9 @@ def within(lf: LightField, aperture: float | None) -> NDArray[np.intp]:
 
 
 def spread(lf: LightField, most: int | None, among: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
-    """Indices of at most so many views, spread evenly over the order in which they are stored; the reference is one."""
+    """Choose at most so many views, evenly over the order in which they are stored; returns indices, the reference
+    among them.
+    """
     among = np.arange(len(lf.views)) if among is None else among
     if most is None or len(among) <= most:
         return among

@@ -108,7 +108,7 @@ class Renderer:
         self._splines: dict[int, Float32Array] = {}
 
     def __call__(self, row: float, column: float) -> RenderedView:
-        """The view at position v = `row`, u = `column`; they need not be whole, nor within the grid.
+        """Render the view at position v = `row`, u = `column`; they need not be whole, nor within the grid.
 
         LightFieldError if they are no finite numbers, or so far away that nothing of the scene is left.
         """
@@ -136,7 +136,7 @@ class Renderer:
         return RenderedView(image, disparity, known, (float(u), float(v)))
 
     def _checked(self, row: float, column: float) -> Float64Array:
-        """The position (u, v)."""
+        """Check the position; returns it as (u, v)."""
         for name, value in (("row", row), ("column", column)):
             if not isinstance(value, Real) or not math.isfinite(value):
                 raise LightFieldError(f"{name} must be a finite number, not {value!r}.")
@@ -180,7 +180,7 @@ class Renderer:
         return colours(self._spline(index), at), agreeing.astype(np.float32), otherwise.astype(np.float32)
 
     def _spline(self, index: int) -> Float32Array:
-        """The spline coefficients [c, y, x] of a view; computed once."""
+        """Compute the spline coefficients [c, y, x] of a view, once."""
         if index not in self._splines:
             self._splines[index] = spline(self._lf.image(index))
         return self._splines[index]
@@ -217,7 +217,7 @@ def render_view(
 def _blended(
     looks: list[tuple[Float32Array, Float32Array, Float32Array]], distance: Float64Array
 ) -> tuple[Float32Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """The mean colour [y, x, c], where some view sees it, and where all of them see what hides it, [y, x]."""
+    """Blend views: the mean colour [y, x, c], where some view sees it, and where all see what hides it, [y, x]."""
     nearness = (1 / (distance + _NEAR) ** 2).astype(np.float32)
     nearness /= nearness.max()
     agreeing = sum(near * look[1] for near, look in zip(nearness, looks, strict=True))
@@ -234,7 +234,7 @@ def _blended(
 def filled_from_beside(
     image: Float32Array, disparity: Float32Array, hidden: NDArray[np.bool_], *, tolerance: float
 ) -> Float32Array:
-    """An image [y, x, c] whose hidden pixels have the colour of what is beside them and no nearer.
+    """Give hidden pixels of an image [y, x, c] the colour of what is beside them and no nearer.
 
     What hides them in all recorded views must not be seen there a second time. Colours spread from the rim of each
     hole, a pixel at a time; from what is nearer by more than `tolerance` (pixels per view step) only if there is

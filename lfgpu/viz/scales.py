@@ -12,7 +12,7 @@ _LEAST_ERROR = 0.07  # smallest end of an error scale: the coarsest threshold of
 
 
 def scale_limits(values: NDArray[np.float32]) -> tuple[float, float]:
-    """The ends of the scale of a map: its range without a few outliers; (0, 1) if it is undefined everywhere."""
+    """Choose the ends of the scale of a map: its range without a few outliers; (0, 1) if it is undefined everywhere."""
     defined = values[np.isfinite(values)]
     if defined.size == 0:
         return 0.0, 1.0
@@ -21,7 +21,7 @@ def scale_limits(values: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def error_reach(error: NDArray[np.float32]) -> float:
-    """The end of a symmetric error scale: the 95 % quantile of the absolute error, rounded up to one digit."""
+    """Choose the end of a symmetric error scale: the 95 % quantile of the absolute error, rounded up to one digit."""
     defined = np.abs(error[np.isfinite(error)])
     reach = max(float(np.quantile(defined, 0.95)) if defined.size else 0.0, _LEAST_ERROR)
     digit = 10.0 ** math.floor(math.log10(reach))

@@ -19,13 +19,13 @@ _PAD = 2  # pixels beyond the frame that a cubic spline at its border looks at
 
 
 def spline(image: Float32Array) -> Float32Array:
-    """Cubic spline coefficients [c, y, x] of an image [y, x, c], which is mirrored at its border."""
+    """Compute cubic spline coefficients [c, y, x] of an image [y, x, c], which is mirrored at its border."""
     planes = np.moveaxis(image, 2, 0)
     return np.stack([ndimage.spline_filter(plane, CUBIC, output=np.float32, mode="mirror") for plane in planes])
 
 
 def colours(coefficients: Float32Array, at: Float32Array, order: int = CUBIC) -> Float32Array:
-    """Colours [y, x, c] at rows and columns [2, y, x], mirrored beyond the frame.
+    """Sample colours [y, x, c] at rows and columns [2, y, x], mirrored beyond the frame.
 
     `coefficients` [c, y, x] are those of `spline`, or for order 1 the pixels themselves.
     """
@@ -36,7 +36,7 @@ def colours(coefficients: Float32Array, at: Float32Array, order: int = CUBIC) ->
 
 
 def sampled(values: Float32Array, at: Float32Array, order: int) -> Float32Array:
-    """Values [y, x] at rows and columns [2, y, x]: nearest (order 0), bilinear (1), or from coefficients (3)."""
+    """Sample values [y, x] at rows and columns [2, y, x]: nearest (order 0), bilinear (1), or from coefficients (3)."""
     found: Float32Array = ndimage.map_coordinates(
         values, at, output=np.float32, order=order, mode="mirror", prefilter=False
     )
@@ -44,14 +44,14 @@ def sampled(values: Float32Array, at: Float32Array, order: int) -> Float32Array:
 
 
 def valid_at(valid: np.ndarray, at: Float32Array) -> np.ndarray:
-    """bool [y, x]: whether all pixels of a mask around rows and columns [2, y, x] are True."""
+    """Tell, bool [y, x], whether all pixels of a mask around rows and columns [2, y, x] are True."""
     return np.asarray(sampled(valid.astype(np.float32), at, LINEAR) > 1 - 1e-3)
 
 
 def shifted(
     values: NDArray[Any], move: tuple[float, ...], step: int, order: int
 ) -> tuple[tuple[slice, slice], Float32Array]:
-    """What lies `move` beside every `step`-th pixel: as `colours`, but faster, as all pixels have one move.
+    """Sample the place `move` beside every `step`-th pixel: as `colours`, but faster, as all pixels have one move.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def _weighted(terms: Iterable[tuple[NDArray[Any], np.float32]]) -> Float32Array:
 
 
 def _taps(move: float, length: int, step: int, order: int) -> tuple[slice, list[tuple[slice, np.float32]]]:
-    """Of pixels 0, step ... of an axis: which have their place inside, and what of the padded axis weighs how much."""
+    """Return which pixels 0, step ... of an axis have their place inside, and the weights of the padded axis."""
     whole = math.floor(move)
     t = move - whole
     s = 1 - t

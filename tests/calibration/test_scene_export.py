@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from plyfile import PlyData
 from typer.testing import CliRunner
 
 import lfgpu
@@ -22,6 +21,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci, write_pfm
+from lfgpu.io.ply import read_ply
 
 
 @cache
@@ -51,7 +51,7 @@ def test_points_are_seen_where_the_depth_says(tmp_path: Path) -> None:
     """Every point lands on its pixel in the reference, at its depth, with its colour."""
     lf = scene()
     export_scene(lf, true_map(), tmp_path / "out")
-    points = PlyData.read(str(tmp_path / "out" / "points.ply"))["vertex"]
+    points = read_ply(tmp_path / "out" / "points.ply")[0]
     place = np.stack([points[axis] for axis in "xyz"], axis=1).astype(np.float64)
     camera = read_calibration(tmp_path / "out" / "transforms.json").cameras[lf.reference_index]
     at = camera.project((place - camera.centre) @ np.asarray(camera.rotation).T)

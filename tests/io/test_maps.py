@@ -82,8 +82,8 @@ def bad_maps(folder: Path) -> dict[str, str]:
         "colour.tif": "colour image",
         "map.exr": "not an OpenEXR file",
         "map.jpg": "known are .pfm, .npz, .png, .tif, .exr, .ply, .npy",
-        "folder.npy": "cannot be opened",
-        "missing.pfm": "cannot be opened: No such file",
+        "folder.npy": "cannot be read: Is a directory",
+        "missing.pfm": "cannot be read: No such file",
         "missing.tif": "No such file",
     }
 

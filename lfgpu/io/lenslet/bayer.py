@@ -24,14 +24,14 @@ _HALO = 2
 
 
 def colours(pattern: str) -> NDArray[np.int64]:
-    """[2, 2], the colour of each place of a pattern; all the same for `GREY`."""
+    """Return [2, 2], the colour of each place of a pattern; all the same for `GREY`."""
     if pattern == GREY:
         return np.zeros((2, 2), np.int64)
     return np.array(["rgb".index(letter) for letter in pattern]).reshape(2, 2)
 
 
 def check_pattern(pattern: str) -> str:
-    """The pattern in lower case; LightFieldError if there is no such one."""
+    """Return the pattern in lower case; LightFieldError if there is no such one."""
     if pattern.lower() not in (*PATTERNS, GREY):
         known = ", ".join((*PATTERNS, GREY))
         raise LightFieldError(f"the Bayer pattern must be one of {known}, not {pattern!r}.")
@@ -39,12 +39,12 @@ def check_pattern(pattern: str) -> str:
 
 
 def transposed(pattern: str) -> str:
-    """The pattern of the transposed sensor."""
+    """Return the pattern of the transposed sensor."""
     return pattern if pattern == GREY else pattern[0] + pattern[2] + pattern[1] + pattern[3]
 
 
 def green_diagonal(mosaic: Float32Array) -> int | None:
-    """Where the green pixels are: 0 if at (0, 0) and (1, 1), 1 if at (0, 1) and (1, 0); None if there is no mosaic.
+    """Find the green pixels: 0 if at (0, 0) and (1, 1), 1 if at (0, 1) and (1, 0); None if there is no mosaic.
 
     The two greens of a block are much more alike than its red and blue.
     """
@@ -65,7 +65,7 @@ def _coarse(block: NDArray[np.float64], step: int) -> NDArray[np.float64]:
 
 
 def demosaic(mosaic: Float32Array, light: Float32Array, grid: Microlenses, pattern: str) -> Float32Array:
-    """All three colours at every pixel, from neighbours under the same microlens.
+    """Interpolate all three colours at every pixel, from neighbours under the same microlens.
 
     A mean over pixels of two microlenses would mix rays through opposite rims of the main lens. Neighbours count by how
     much light they get, as their noise is the smaller for it. Red and blue follow green, by their differences from it.
@@ -104,7 +104,7 @@ def demosaic(mosaic: Float32Array, light: Float32Array, grid: Microlenses, patte
 def _band(
     values: Float32Array, light: Float32Array, lens: NDArray[np.int32], places: NDArray[np.int64]
 ) -> Float32Array:
-    """The colours [c, y, x] of a band whose halo is cut off; `lens` numbers the microlenses."""
+    """Return the colours [c, y, x] of a band whose halo is cut off; `lens` numbers the microlenses."""
     green = values.copy()
     for i, j in _sites(places, (RED, BLUE)):
         green[_grid(i, j, 1, values.shape)] = _mean(values, light, lens, (i, j), ((-1, 0), (1, 0), (0, -1), (0, 1)), 1)
@@ -128,7 +128,9 @@ def _sites(places: NDArray[np.int64], wanted: tuple[int, ...]) -> Iterator[tuple
 
 
 def _grid(i: int, j: int, halo: int, shape: tuple[int, ...], shift: tuple[int, int] = (0, 0)) -> tuple[slice, slice]:
-    """Every second pixel, those of the mosaic's place (i, j), `halo` or more pixels from the rim; moved by `shift`."""
+    """Return every second pixel, those of the mosaic's place (i, j), `halo` or more pixels from the rim; moved by
+    `shift`.
+    """
     rows, columns = (
         slice(halo + (place - halo) % 2 + step, length - halo + step, 2)
         for place, step, length in zip((i, j), shift, shape, strict=True)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.damage import read_as
 from lfgpu.io.folders import IMAGE_SUFFIXES
 from lfgpu.io.images import read_image
 from lfgpu.io.lenslet.vignetting import Float32Array
@@ -26,7 +27,7 @@ _PLACES = ("r", "gr", "gb", "b")
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """What the sensor recorded."""
+    """The picture that the sensor recorded."""
 
     mosaic: Float32Array
     """[y, x], linear: 0 is black and 1 the white level of the sensor."""
@@ -43,7 +44,7 @@ class Capture:
 
 @dataclass(frozen=True)
 class _Camera:
-    """What is known of bare raw files, which say nothing about themselves but by their length."""
+    """The format of the bare raw files of a camera, which say nothing about themselves but by their length."""
 
     name: str
     shape: tuple[int, int]
@@ -64,13 +65,13 @@ _CAMERAS = (
 
 
 def bare_raw(path: Path) -> str | None:
-    """The camera that a bare raw file is of, by its suffix and length; None if it is none."""
+    """Return the camera that a bare raw file is of, by its suffix and length; None if it is none."""
     camera = _camera(path) if path.suffix.lower() == ".raw" else None
     return camera.name if camera else None
 
 
 def is_image(path: Path) -> bool:
-    """Whether a file is an image by its suffix."""
+    """Tell whether a file is an image by its suffix."""
     return path.suffix.lower() in IMAGE_SUFFIXES
 
 
@@ -89,7 +90,7 @@ def read_capture(path: Path) -> Capture:
 
 
 def unpack(data: bytes, shape: tuple[int, int], bits: int, endianness: str) -> NDArray[np.uint16]:
-    """Numbers [y, x] of 8, 10, 12 or 16 bits, from as many bytes as they take.
+    """Unpack numbers [y, x] of 8, 10, 12 or 16 bits, from as many bytes as they take.
 
     12 bits: three bytes hold two numbers, the high bits first ("big"). 10 bits: four bytes hold the high eight bits of
     a number each, a fifth one the low bits of all four, those of the first number lowest ("little").
@@ -123,7 +124,7 @@ def _from_image(path: Path) -> Capture:
 
 
 def scaled(image: NDArray[Any]) -> tuple[Float32Array, tuple[str, ...]]:
-    """A grey picture with black at 0 and white at 1, and what was assumed of these levels.
+    """Scale a grey picture to black at 0 and white at 1; returns it and what was assumed of these levels.
 
     Between microlenses it is dark. Where a picture is not, as those of thermal sensors are, its values have an offset.
     """
@@ -153,10 +154,8 @@ def _from_bare_raw(path: Path) -> Capture:
         known = " or ".join(f"{camera.length} ({camera.name})" for camera in _CAMERAS)
         found = path.stat().st_size if path.is_file() else 0
         raise LightFieldError(f"{path} is not a raw file of a Lytro camera: it has {found} bytes, not {known}.")
-    try:
+    with read_as(path):
         values = unpack(path.read_bytes(), camera.shape, camera.bits, camera.endianness)
-    except OSError as error:
-        raise LightFieldError(f"{path} cannot be read: {error.strerror or error}.") from error
     white = (1 << camera.bits) - 1
     note = (
         f"Black level {camera.black} and white level {white} are assumed, as is the mosaic: a bare raw file has none."
@@ -209,13 +208,15 @@ def _from_container(path: Path) -> Capture:
 
 
 def _instead(contents: Contents) -> str:
-    """What a container without a raw picture holds, and what to do."""
+    """Describe what a container without a raw picture holds, and say what to do."""
     lost = "" if contents.missing is None else f", and names {contents.missing!r}, for which there is no such section"
     return f"it is a Lytro container with {contents.summary()}{lost}; give the one that the camera wrote"
 
 
 def _places(path: Path, mosaic: Members) -> list[list[str]]:
-    """[2][2], the names of the places of the mosaic, from the tile "r,gr:gb,b" and the name of the pixel at (0, 0)."""
+    """Return [2][2], the names of the places of the mosaic, from the tile "r,gr:gb,b" and the name of the pixel at (0,
+    0).
+    """
     tile = [row.split(",") for row in mosaic.text("tile").split(":")]
     first = mosaic.text("upperLeftPixel")
     if sorted(place for row in tile for place in row) != sorted(_PLACES) or [len(row) for row in tile] != [2, 2]:
@@ -228,7 +229,7 @@ def _places(path: Path, mosaic: Members) -> list[list[str]]:
 
 
 def _balance(image: Members) -> tuple[float, float, float]:
-    """The camera's white balance where it has one; green is 1."""
+    """Return the camera's white balance where it has one; green is 1."""
     color = image.values.get("color")
     if not isinstance(color, dict) or "whiteBalanceGain" not in color:
         return 1.0, 1.0, 1.0

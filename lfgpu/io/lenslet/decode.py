@@ -192,7 +192,7 @@ class _Sensor:
         return (views.swapaxes(1, 2), valid.swapaxes(1, 2)) if self._upright else (views, valid)
 
     def summary(self) -> str:
-        """The grid in a sentence."""
+        """Describe the grid in a sentence."""
         source = "the capture itself" if self._white_name is None else Path(self._white_name).name
         return (
             f"Microlenses {self.lenses.pitch:.3f} px apart{' in squares' if self.lenses.square else ''}, rows "
@@ -201,7 +201,7 @@ class _Sensor:
         )
 
     def about(self) -> dict[str, Any]:
-        """The grid as numbers."""
+        """Return the grid as numbers."""
         lenses = self.lenses.transposed() if self._upright else self.lenses
         return {
             "microlenses": {
@@ -236,7 +236,7 @@ def _pattern(capture: Capture) -> tuple[str, tuple[str, ...]]:
 
 
 def _expected(capture: Capture) -> Microlenses | None:
-    """The lattice that the camera says it has; None where it says nothing."""
+    """Return the lattice that the camera says it has; None where it says nothing."""
     array = None if capture.camera is None else capture.camera.microlenses
     if array is None:
         return None
@@ -257,12 +257,12 @@ def _white_image(path: Path, shape: tuple[int, ...]) -> Float32Array:
 
 
 def _default_views(pitch: float) -> int:
-    """The largest odd number of views of which the one in the corner lies under the round microlens."""
+    """Return the largest odd number of views of which the one in the corner lies under the round microlens."""
     return max(3, 2 * math.floor(pitch / 2 / math.sqrt(2) / STEP) + 1)
 
 
 def _positions(pitch: float, count: int) -> NDArray[np.float64]:
-    """(u, v), row by row, of the views of a grid that lie under the round microlens."""
+    """Return (u, v), row by row, of the views of a grid that lie under the round microlens."""
     positions = np.array([(u, v) for v in range(count) for u in range(count)], np.float64)
     seen = np.hypot(*(positions - (count - 1) / 2).T) * STEP <= pitch / 2
     return positions[seen]

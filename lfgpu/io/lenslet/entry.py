@@ -1,4 +1,4 @@
-"""What the table of formats needs: is it a raw capture, and its light field."""
+"""The row of raw captures in the table of formats: how they are recognised and read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LOOKED_AT = 1024  # pixels along each side, in the middle of a picture
 
 
 def recognise(path: Path) -> str | None:
-    """Why a file is taken for a raw capture; None if it is not."""
+    """Say why a file is taken for a raw capture; None if it is not."""
     if not path.is_file():
         return None
     if is_container(path):
@@ -35,24 +35,23 @@ def recognise(path: Path) -> str | None:
 def read_lenslet(
     path: str | os.PathLike[str],
     *,
-    allow_missing: bool = False,
     bayer: str | None = None,
     white: str | os.PathLike[str] | None = None,
     views: int | None = None,
 ) -> LightField:
-    """The light field of a raw capture; parameters and errors as of `decode.decode`."""
+    """Read the light field of a raw capture; parameters and errors as of `decode.decode`."""
     from lfgpu.io.lenslet.decode import decode  # scipy is not for those who read something else
 
     return decode(path, bayer=bayer, white=white, views=views).light_field
 
 
 def inside(path: Path) -> Inside:
-    """What else a container holds than its raw picture; nothing for other files."""
+    """Describe what a container holds beside its raw picture; nothing for other files."""
     return lytro.inside(path) if is_container(path) else Inside(())
 
 
 def _may_be_a_sensor(path: Path) -> bool:
-    """Whether a picture is grey and large enough, by its header."""
+    """Tell by its header whether a picture is grey and large enough."""
     try:
         with pillow.opened(path) as image:
             return image.mode in ("L", "I;16", "I;16L", "I;16B", "I", "F") and min(image.size) >= _LEAST_SIDE
@@ -61,7 +60,7 @@ def _may_be_a_sensor(path: Path) -> bool:
 
 
 def _lattice(path: Path) -> str | None:
-    """The lattice of microlenses in the middle of a picture, in words; None if there is none, or it cannot be read."""
+    """Describe the lattice of microlenses in the middle of a picture; None if there is none, or it cannot be read."""
     from lfgpu.io.lenslet.microlenses import find_microlenses
     from lfgpu.io.lenslet.spectrum import find_peaks
 

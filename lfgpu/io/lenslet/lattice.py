@@ -56,14 +56,14 @@ class Microlenses:
         return float(self.down @ self.axes[1])
 
     def centres(self, k: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(x, y) of lenses [..., 2]; `k` and `row` may be fractions."""
+        """Return (x, y) of lenses [..., 2]; `k` and `row` may be fractions."""
         steps = k[..., None] * self.along + row[..., None] * self.down
         if not self.slant.any():
             return self.origin + steps
         return self.origin + steps / (1 + k * self.slant[0] + row * self.slant[1])[..., None]
 
     def places(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """(k, row) as fractions of pixels at the columns `x` [w] and rows `y` [h]: two arrays [h, w]."""
+        """Return (k, row) as fractions of pixels at the columns `x` [w] and rows `y` [h]: two arrays [h, w]."""
         if not self.slant.any():
             inverse = np.linalg.inv(np.stack([self.along, self.down], axis=1)).astype(np.float32)
             shift = (inverse @ self.origin).astype(np.float32)
@@ -77,7 +77,7 @@ class Microlenses:
         return ((dx * by - bx * dy) / area).astype(np.float32), ((ax * dy - dx * ay) / area).astype(np.float32)
 
     def nearest(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """(k, row) of the lens nearest to each pixel at the columns `x` [w] and rows `y` [h]: two arrays [h, w]."""
+        """Return (k, row) of the lens nearest to each pixel at columns `x` [w] and rows `y` [h]: two arrays [h, w]."""
         k, row = self.places(x, y)
         if self.square:
             return np.rint(k).astype(np.int32), np.rint(row).astype(np.int32)
@@ -92,7 +92,7 @@ class Microlenses:
         )
 
     def inside(self, shape: tuple[int, ...], margin: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """(k, row), [n] each, of all lenses whose centres lie at least `margin` pixels inside a picture [y, x]."""
+        """Return (k, row), [n] each, of the lenses with centres at least `margin` pixels within a picture [y, x]."""
         height, width = shape[:2]
         k, row = self.places(np.array([0, width - 1], np.float32), np.array([0, height / 2, height - 1], np.float32))
         spans = [np.arange(math.floor(a.min()) - 1, math.ceil(a.max()) + 2) for a in (k, row)]
@@ -102,11 +102,13 @@ class Microlenses:
         return ks[there], rows[there]
 
     def transposed(self) -> Microlenses:
-        """The lattice of the transposed picture, x and y exchanged; its rows may no longer be those nearest to x."""
+        """Return the lattice of the transposed picture, x and y exchanged; its rows may no longer be those nearest to
+        x.
+        """
         return replace(self, origin=self.origin[::-1], along=self.along[::-1], down=self.down[::-1])
 
     def near(self, point: NDArray[np.float64]) -> Microlenses:
-        """The same lattice counted from the lens nearest to a point (x, y)."""
+        """Return the same lattice counted from the lens nearest to a point (x, y)."""
         k, row = (np.rint(a.astype(np.float64).ravel()) for a in self.places(*point.astype(np.float32)[:, None]))
         away = self.centres(k, row)[0] - self.origin
         scale = 1 + float(k[0] * self.slant[0] + row[0] * self.slant[1])
@@ -119,7 +121,8 @@ class Microlenses:
         )
 
     def reduced(self) -> Microlenses:
-        """The same lattice by its shortest steps: along the row that is nearest to the direction of x or y, and down.
+        """Return the same lattice by its shortest steps: along the row that is nearest to the direction of x or y, and
+        down.
 
         Also finds out whether it is square.
         """

@@ -22,7 +22,7 @@ _LEAST_NEIGHBOURHOODS = 4  # along the shorter side, for their phases to tell a 
 
 
 def find_microlenses(picture: NDArray[np.float32], *, name: str, expected: Microlenses | None = None) -> Microlenses:
-    """The microlens lattice of a picture.
+    """Find the microlens lattice of a picture.
 
     Parameters
     ----------
@@ -65,5 +65,5 @@ def find_microlenses(picture: NDArray[np.float32], *, name: str, expected: Micro
 
 
 def is_upright(grid: Microlenses) -> bool:
-    """Whether the rows of a hexagonal lattice are nearer to the direction of y than to that of x."""
+    """Tell whether the rows of a hexagonal lattice are nearer to the direction of y than to that of x."""
     return not grid.square and abs(math.sin(grid.rotation)) > math.sin(math.radians(15))

@@ -28,7 +28,7 @@ _GROWING = 1.25
 
 
 def fitted(picture: NDArray[np.float32], frequencies: NDArray[np.float64], pitch: float, *, name: str) -> Microlenses:
-    """The lattice of a picture [y, x], by trimmed least squares.
+    """Fit the lattice of a picture [y, x] by trimmed least squares.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class _Fit:
         self._shape = (len(np.unique(self._y)), len(np.unique(self._x)))
 
     def regular(self) -> _Found:
-        """The regular lattice that fits best."""
+        """Return the regular lattice that fits best."""
         fit = self
         for _ in range(2):  # with the second round's frequencies no phase turns within a neighbourhood
             design = np.stack([fit._x, fit._y, np.ones_like(fit._x)], axis=1)
@@ -108,7 +108,7 @@ class _Fit:
         return _Found(Microlenses(np.zeros(2), along, down), *found)
 
     def slanted(self) -> _Found | None:
-        """The lattice that becomes denser towards one side which fits best; None if there is none.
+        """Return the lattice that becomes denser towards one side which fits best; None if there is none.
 
         Phases are known up to whole turns: what fits the middle of the picture says how many there are a bit farther
         out, and so on to the corners.
@@ -170,13 +170,13 @@ class _Fit:
 
 
 def _quotients(p: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """[2, n], (k, row) at points."""
+    """Return [2, n], (k, row) at points."""
     below = 1 + p[6] * x + p[7] * y
     return np.array([p[0] * x + p[1] * y + p[2], p[3] * x + p[4] * y + p[5]]) / below
 
 
 def _lattice(p: NDArray[np.float64], middle: NDArray[np.float64], half: float) -> Microlenses:
-    """The lattice whose (k, row) at a pixel are the quotients of that pixel's place against the middle."""
+    """Return the lattice whose (k, row) at a pixel are the quotients of that pixel's place against the middle."""
     to_unit = np.array([[1 / half, 0, -middle[0] / half], [0, 1 / half, -middle[1] / half], [0, 0, 1]])
     back = np.linalg.inv(np.array([p[:3], p[3:6], [p[6], p[7], 1.0]]) @ to_unit)
     back /= back[2, 2]
@@ -223,7 +223,7 @@ def _phases(
 def _plane(
     design: NDArray[np.float64], phase: NDArray[np.float64], weight: NDArray[np.float64], shape: tuple[int, int]
 ) -> NDArray[np.float64]:
-    """(per x, per y, constant), turns: the plane through phases that are known up to whole turns.
+    """Return (per x, per y, constant), turns: the plane through phases that are known up to whole turns.
 
     Its slopes come from neighbours first, which differ by less than half a turn; what is left then is no turn any more.
     """

@@ -42,7 +42,7 @@ class ViewGrid:
 
 
 def view_grid(lenses: Microlenses, shape: tuple[int, ...], reach: float, *, name: str) -> ViewGrid:
-    """The largest grid of view pixels that a sensor [y, x] holds, with `reach` pixels around all of them."""
+    """Find the largest grid of view pixels that a sensor [y, x] holds, with `reach` pixels around all of them."""
     height, width = (side - 1 - 2 * reach for side in shape)
     c, s = abs(math.cos(lenses.rotation)), abs(math.sin(lenses.rotation))
     if c * c - s * s > _SMALL_ANGLE:  # the largest upright rectangle in a sensor that is seen rotated
@@ -67,7 +67,7 @@ def view_grid(lenses: Microlenses, shape: tuple[int, ...], reach: float, *, name
 
 
 def _centred(lenses: Microlenses, middle: NDArray[np.float64], half_rows: int, columns: int) -> ViewGrid:
-    """The grid of so many rows and columns around a point of the sensor."""
+    """Return the grid of so many rows and columns around a point of the sensor."""
     pixel, axes = lenses.row_distance, lenses.axes
     middle_row = round(float((middle - lenses.origin) @ axes[1]) / pixel)
     off_row = float((middle - lenses.origin) @ axes[1]) - middle_row * pixel
@@ -76,7 +76,7 @@ def _centred(lenses: Microlenses, middle: NDArray[np.float64], half_rows: int, c
 
 
 def _inside(grid: ViewGrid, shape: tuple[int, ...], reach: float) -> bool:
-    """Whether the corners of the grid lie at least `reach` pixels inside a sensor [y, x]."""
+    """Tell whether the corners of the grid lie at least `reach` pixels inside a sensor [y, x]."""
     height, width = grid.shape
     rows, columns = (np.array(a, np.float64) for a in ([0, 0, height - 1, height - 1], [0, width - 1, 0, width - 1]))
     lenses = grid.lenses
@@ -89,7 +89,7 @@ def _inside(grid: ViewGrid, shape: tuple[int, ...], reach: float) -> bool:
 def sample_views(
     image: Float32Array, grid: ViewGrid, positions: NDArray[np.float64], step: float
 ) -> NDArray[np.float32]:
-    """Views from a sensor image.
+    """Sample views from a sensor image.
 
     Parameters
     ----------
@@ -130,7 +130,8 @@ def sample_views(
 def _between(
     points: NDArray[np.float64], shape: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], Float32Array, Float32Array]:
-    """For points (x, y) [..., 2]: the pixel above and to the left, as its place in memory, and how far beyond it.
+    """Return the pixel above and to the left of points (x, y) [..., 2], as its place in memory, and how far beyond it
+    they are.
 
     Points outside the image are as those on its rim.
     """
@@ -146,7 +147,7 @@ def _linear(plane: Float32Array, start: NDArray[np.int64], x: Float32Array, y: F
 
 
 def _cubic(t: NDArray[np.float64]) -> NDArray[np.float32]:
-    """[4, ...], the weights of the nodes at -1, 0, 1, 2 for a value at t in [0, 1): Keys 1981 with a = -1/2."""
+    """Return [4, ...], the weights of the nodes at -1, 0, 1, 2 for a value at t in [0, 1): Keys 1981 with a = -1/2."""
     return np.stack(
         [
             ((2 - t) * t - 1) * t / 2,

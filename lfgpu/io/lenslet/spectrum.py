@@ -39,7 +39,7 @@ class Peaks:
 
     @property
     def square(self) -> bool:
-        """Whether they are those of a square lattice."""
+        """True if they are those of a square lattice."""
         return len(self.frequencies) == len(_SQUARE)
 
     @property
@@ -50,7 +50,7 @@ class Peaks:
 
 
 def find_peaks(picture: NDArray[np.float32]) -> Peaks | None:
-    """The peaks of a lattice in the power spectrum of a picture [y, x], or None if there is no such lattice.
+    """Find the peaks of a lattice in the power spectrum of a picture [y, x], or None if there is no such lattice.
 
     Looks for pitches of 5 to 60 pixels and any rotation. A hexagonal lattice goes before a square one: two pairs of
     peaks at right angles are sooner there by chance than three at 60 degrees.
@@ -82,7 +82,7 @@ def find_peaks(picture: NDArray[np.float32]) -> Peaks | None:
 
 
 def _power(picture: NDArray[np.float32], side: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean power spectrum of tiles, [side, side // 2 + 1], and how far each bin is from zero, in bins."""
+    """Compute mean power spectrum of tiles, [side, side // 2 + 1], and how far each bin is from zero, in bins."""
     window = np.hanning(side).astype(np.float32)
     height, width = picture.shape
     total, tiles = np.zeros((side, side // 2 + 1)), 0
@@ -100,7 +100,7 @@ def _power(picture: NDArray[np.float32], side: int) -> tuple[NDArray[np.float64]
 
 
 def _least_power(side: int) -> float:
-    """The power of a wave of the least contrast that counts; far less may stand out of a picture without noise."""
+    """Compute the power of a wave of the least contrast that counts; far less may stand out without noise."""
     return float((_LEAST_CONTRAST / 2 * np.hanning(side).sum() ** 2) ** 2)
 
 
@@ -116,7 +116,7 @@ def _window(middle: int, reach: int, length: int) -> NDArray[np.intp]:
 
 
 def _frequency(excess: NDArray[np.float64], peak: tuple[int, ...]) -> NDArray[np.float64]:
-    """(x, y), cycles per pixel, of a peak between the bins, from the parabola through its logarithm."""
+    """Return (x, y), cycles per pixel, of a peak between the bins, from the parabola through its logarithm."""
     side = excess.shape[0]
     found = []
     for axis in (1, 0):
@@ -135,7 +135,7 @@ def _frequency(excess: NDArray[np.float64], peak: tuple[int, ...]) -> NDArray[np
 def _partners(
     excess: NDArray[np.float64], power: NDArray[np.float64], first: NDArray[np.float64], angles: tuple[float, ...]
 ) -> Peaks:
-    """A peak and the strongest ones near where a lattice has its partners, turned by `angles`."""
+    """Return a peak and the strongest ones near where a lattice has its partners, turned by `angles`."""
     side = excess.shape[0]
     frequencies, strengths, powers = [], [], []
     for angle in angles:
@@ -159,7 +159,7 @@ def _partners(
 def _fundamental(
     excess: NDArray[np.float64], power: NDArray[np.float64], found: Peaks, angles: tuple[float, ...]
 ) -> Peaks:
-    """The set of peaks that the one found is a harmonic of, if there is such a one.
+    """Find the set of peaks that the one found is a harmonic of, if there is such a one.
 
     Discs that touch have little power at the frequency of their lattice, and may have more at the next ones.
     """

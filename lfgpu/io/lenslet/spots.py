@@ -25,7 +25,7 @@ _FOUND = 0.05  # px that spots may move at the end, by the median
 
 
 def find_spots(picture: NDArray[np.float32]) -> Microlenses | None:
-    """The lattice of a picture [y, x] of few spots, at least 3 x 3; None if there is none.
+    """Find the lattice of a picture [y, x] of few spots, at least 3 x 3; None if there is none.
 
     Their middles are those of evenly lit spots: in the picture of a scene, what it shows moves them.
     """
@@ -43,7 +43,7 @@ def find_spots(picture: NDArray[np.float32]) -> Microlenses | None:
 
 
 def _are_bright(picture: NDArray[np.float32], lenses: Microlenses) -> bool:
-    """Whether it is darker than in the middle of the spots half-way to the next one, along each of two steps."""
+    """Tell whether it is darker than in the middle of the spots half-way to the next one, along each of two steps."""
     smooth = ndimage.gaussian_filter(picture.astype(np.float64), lenses.pitch / 20)
     k, row = (a.astype(np.float64) for a in lenses.inside(picture.shape, lenses.pitch / 2))
 
@@ -55,7 +55,7 @@ def _are_bright(picture: NDArray[np.float32], lenses: Microlenses) -> bool:
 
 
 def _steps(picture: NDArray[np.float32]) -> NDArray[np.float64] | None:
-    """[2, 2], two steps (x, y) of the lattice by which the picture is most like itself; None if it is not."""
+    """Find [2, 2], two steps (x, y) of the lattice by which the picture is most like itself; None if it is not."""
     likeness = _likeness(picture)
     height, width = picture.shape
     limit = _MOST_PITCH * min(height, width)
@@ -76,7 +76,7 @@ def _steps(picture: NDArray[np.float32]) -> NDArray[np.float64] | None:
 
 
 def _likeness(picture: NDArray[np.float32]) -> NDArray[np.float64]:
-    """The correlation of the picture with itself moved by each (y, x), 0 in the middle."""
+    """Compute the correlation of the picture with itself moved by each (y, x), 0 in the middle."""
     height, width = picture.shape
     values = ndimage.gaussian_filter(picture.astype(np.float64), 1.0)
     values -= values.mean()
@@ -94,7 +94,7 @@ def _likeness(picture: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def _placed(picture: NDArray[np.float32], lenses: Microlenses) -> Microlenses:
-    """The lattice moved to where its spots are bright, by the phases of the picture against two of its waves."""
+    """Return the lattice moved to where its spots are bright, by the phases of the picture against two of its waves."""
     waves = np.linalg.inv(np.stack([lenses.along, lenses.down], axis=1))
     height, width = picture.shape
     window = np.outer(np.hanning(height), np.hanning(width))
@@ -108,7 +108,7 @@ def _placed(picture: NDArray[np.float32], lenses: Microlenses) -> Microlenses:
 
 
 def _moved(picture: NDArray[np.float32], lenses: Microlenses) -> tuple[Microlenses | None, float]:
-    """The regular lattice through the middles of the spots, and by how many pixels they were off (median)."""
+    """Return the regular lattice through the middles of the spots, and by how many pixels they were off (median)."""
     lenses = lenses.near(np.array([(n - 1) / 2 for n in reversed(picture.shape)]))
     reach = lenses.pitch / 2
     k, row = lenses.inside(picture.shape, reach + 1)
@@ -130,7 +130,7 @@ def _moved(picture: NDArray[np.float32], lenses: Microlenses) -> tuple[Microlens
 
 
 def _off_middle(picture: NDArray[np.float32], centre: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
-    """How far the mean of a spot is off a point (x, y), both under a round window around that point."""
+    """Measure how far the mean of a spot is off a point (x, y), both under a round window around that point."""
     left, top = (math.ceil(c - reach) for c in centre)
     right, bottom = (math.floor(c + reach) for c in centre)
     x, y = np.arange(left, right + 1) - centre[0], np.arange(top, bottom + 1) - centre[1]

@@ -1,4 +1,6 @@
-"""How much of the light each pixel under a microlens gets: from a white image, or from the capture itself."""
+"""Vignetting of microlenses: the share of the light that each pixel gets, from a white image or from the capture
+itself.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ def bands(height: int) -> Iterator[slice]:
 
 
 def offsets(grid: Microlenses, rows: slice, width: int) -> tuple[NDArray[np.int32], NDArray[np.int32], Float32Array]:
-    """For each pixel of some rows: (k, row) of its lens, and its offset [2, y, x] from that lens's centre along `axes`.
+    """Return (k, row) of the lens of each pixel of some rows, and its offset [2, y, x] from that lens's centre along
+    `axes`.
 
     Offsets are in pixels.
     """
@@ -48,7 +51,7 @@ def offsets(grid: Microlenses, rows: slice, width: int) -> tuple[NDArray[np.int3
 
 
 def from_white_image(white: Float32Array, colours: NDArray[np.int64]) -> Float32Array:
-    """[y, x] in [0, 1] from a white image [y, x] of the same mosaic: each colour's white becomes 1.
+    """Compute [y, x] in [0, 1] from a white image [y, x] of the same mosaic: each colour's white becomes 1.
 
     `colours` [2, 2] is the colour of each place of the mosaic (see `bayer.COLOURS`).
     """
@@ -106,7 +109,7 @@ def field_gains(views: Float32Array, middle: int) -> Float32Array:
 
 
 def _powers(y: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """All products x^i y^j with i + j <= 4, [15, y, x]."""
+    """Compute all products x^i y^j with i + j <= 4, [15, y, x]."""
     return np.array([y[:, None] ** j * x**i for j in range(5) for i in range(5 - j)])
 
 
@@ -132,7 +135,7 @@ class MeanMicrolens:
         """float32 [across, along], in [0, 1], 1 where it is brightest; the middle bin is the lens's centre."""
 
     def at(self, offset: Float32Array) -> Float32Array:
-        """Its value at offsets [2, ...] (along, across) from the lens's centre, in pixels."""
+        """Return the brightness at offsets [2, ...] (along, across) from the lens's centre, in pixels."""
         from scipy import ndimage  # not for those who read something else
 
         return np.asarray(
@@ -143,7 +146,7 @@ class MeanMicrolens:
         )
 
     def over(self, grid: Microlenses, shape: tuple[int, ...]) -> Float32Array:
-        """Its value at every pixel of a sensor [y, x]."""
+        """Return the brightness at every pixel of a sensor [y, x]."""
         values = np.empty(shape, np.float32)
         for rows in bands(shape[0]):
             values[rows] = self.at(offsets(grid, rows, shape[1])[2])

@@ -41,7 +41,7 @@ def write_decoded(decoded: Decoded, out: str | os.PathLike[str]) -> list[str]:
 
 
 def check_no_others(out: Path, names: list[str]) -> None:
-    """LightFieldError if a folder holds views that would stay beside those of these names."""
+    """Raise LightFieldError if a folder holds views that would stay beside those of these names."""
     if not out.is_dir():
         return
     if others := sorted(path.name for path in out.iterdir() if _VIEW.fullmatch(path.name) and path.name not in names):

@@ -1,4 +1,4 @@
-"""What a Lytro camera wrote of itself and of a capture."""
+"""Facts that a Lytro camera wrote of itself and of a capture."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Camera:
 
     @classmethod
     def of(cls, metadata: Members) -> Camera:
-        """What the metadata of a capture say; what is not as it should be is left out."""
+        """Read the metadata of a capture; what is not as it should be is left out."""
         lens, shutter = ("devices", "lens"), ("devices", "shutter")
         focal_length = metadata.find_number(*lens, "focalLength")
         maker, model = (metadata.find_text("camera", key) for key in ("make", "model"))
@@ -55,7 +55,7 @@ class Camera:
         )
 
     def facts(self) -> list[tuple[str, str]]:
-        """(label, text) of what is known."""
+        """Return (label, text) of what is known."""
         lens = [
             *([f"{self.focal_length_mm:.4g} mm"] if self.focal_length_mm is not None else []),
             *([f"f/{self.f_number:.3g}"] if self.f_number is not None else []),
@@ -81,7 +81,7 @@ class Camera:
 
 
 def _microlenses(metadata: Members) -> MicrolensArray | None:
-    """None where the camera did not write it, or wrote what cannot be."""
+    """Read the microlenses; None where the camera did not write them, or wrote what cannot be."""
     mla = ("devices", "mla")
     pitch, pixel = metadata.find_number(*mla, "lensPitch"), metadata.find_number("devices", "sensor", "pixelPitch")
     if not pitch or not pixel or metadata.find(*mla, "tiling") != "hexUniformRowMajor":

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.damage import read_as
 from lfgpu.io.folders import head
 
 _MAGIC, _TABLE, _DATA = (b"\x89LF" + kind + b"\r\n\x1a\n" for kind in (b"P", b"M", b"C"))
@@ -45,49 +46,43 @@ class Container:
     """All sections of data by name."""
 
     def has(self, name: object) -> bool:
-        """Whether a section of this name is there; `name` is whatever stood in JSON."""
+        """Tell whether a section of this name is there; `name` is whatever stood in JSON."""
         return isinstance(name, str) and name in self.sections
 
     def length(self, name: str) -> int:
-        """Bytes of data of a section."""
+        """Return the number of bytes of data of a section."""
         return self.sections[name].length
 
     def data(self, name: str) -> bytes:
-        """The data of a section; LightFieldError if the file cannot be read."""
-        try:
-            with self.path.open("rb") as file:
-                return _read(file, self.sections[name])
-        except OSError as error:
-            raise LightFieldError(f"{self.path} cannot be read: {error.strerror or error}.") from error
+        """Read the data of a section; LightFieldError if the file cannot be read."""
+        with read_as(self.path), self.path.open("rb") as file:
+            return _read(file, self.sections[name])
 
     def json(self, name: str, what: str) -> dict[str, Any]:
-        """The data of a section as a JSON object; LightFieldError, which calls it `what`, if they are none."""
+        """Read the data of a section as a JSON object; LightFieldError, which calls it `what`, if they are none."""
         if self.length(name) > _MOST_JSON:
             raise LightFieldError(f"{self.path} is damaged: {what} is not JSON (it is too long).")
         return _json(self.path, self.data(name), what)
 
 
 def is_container(path: Path) -> bool:
-    """Whether a file begins as a container does."""
+    """Tell whether a file begins as a container does."""
     return head(path, len(_MAGIC)) == _MAGIC
 
 
 def is_sound(name: str, data: bytes) -> bool:
-    """Whether data have the SHA-1 that their section is named by."""
+    """Tell whether data have the SHA-1 that their section is named by."""
     return name == f"sha1-{hashlib.sha1(data, usedforsecurity=False).hexdigest()}"
 
 
 def open_container(path: Path) -> Container:
     """Find the sections of a container and read its table of contents; LightFieldError if it is none, or damaged."""
-    try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            if file.read(_HEADER)[: len(_MAGIC)] != _MAGIC:
-                raise LightFieldError(f"{path} is not a Lytro container: it does not begin as one.")
-            sections = list(_sections(path, file, size))
-            table = _table(path, file, sections)
-    except OSError as error:
-        raise LightFieldError(f"{path} cannot be read: {error.strerror or error}.") from error
+    with read_as(path), path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if file.read(_HEADER)[: len(_MAGIC)] != _MAGIC:
+            raise LightFieldError(f"{path} is not a Lytro container: it does not begin as one.")
+        sections = list(_sections(path, file, size))
+        table = _table(path, file, sections)
     return Container(path, table, {section.name: section for section in sections if section.kind == _DATA})
 
 

@@ -1,4 +1,4 @@
-"""What a Lytro container holds: a raw picture, views, stacks of refocused pictures, a depth table, facts of the camera.
+"""Contents of a Lytro container: raw picture, views, stacks of refocused pictures, depth table, facts of the camera.
 
 Cameras write the raw picture. Lytro's desktop program and web service write "accelerations" instead: pictures that were
 computed from it, for viewers. The first camera's program and the Illum's describe them with different words.
@@ -68,7 +68,7 @@ class DepthTable:
 
 @dataclass(frozen=True)
 class RawPicture:
-    """What the sensor recorded: the section of its values, and what the camera says of them."""
+    """The picture of the sensor: the section of its values, and the camera's metadata of them."""
 
     section: str
     metadata: dict[str, Any]
@@ -95,7 +95,7 @@ class Contents:
         return self.container.path
 
     def summary(self) -> str:
-        """What is in it, in words: "37 views of 1080 x 1080 px, a depth table of 330 x 330"; "nothing"."""
+        """Describe the contents in words: "37 views of 1080 x 1080 px, a depth table of 330 x 330"; "nothing"."""
         parts = [] if self.raw is None else ["a raw picture"]
         if self.views is not None:
             parts.append(f"{self.views.pictures.count} views of {across(self.views.pictures.size)} px")
@@ -110,12 +110,12 @@ class Contents:
 
 
 def across(size: tuple[int, int]) -> str:
-    """A (height, width) as people write it: "1080 x 720", width first."""
+    """Write a (height, width) as people do: "1080 x 720", width first."""
     return f"{size[1]} x {size[0]}"
 
 
 def read_contents(path: Path) -> Contents:
-    """What a container holds; LightFieldError if it is damaged, or names sections that are missing."""
+    """Read the contents of a container; LightFieldError if it is damaged, or names sections that are missing."""
     container = open_container(path)
     frame = Members(path, _frame(container.table))
     metadata = _metadata(container, frame)
@@ -134,7 +134,7 @@ def read_contents(path: Path) -> Contents:
 
 
 def _frame(table: dict[str, Any]) -> dict[str, Any]:
-    """The object of the first frame; empty if there is none."""
+    """Return the object of the first frame; empty if there is none."""
     for keys in _FRAMES:
         frames: Any = table
         for key in keys:
@@ -147,7 +147,9 @@ def _frame(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _metadata(container: Container, frame: Members) -> dict[str, Any] | None:
-    """What the camera says: in a section of its own, or in the table itself; None where it is not in the file."""
+    """Return the metadata of the camera: in a section of its own, or in the table itself; None where it is not in the
+    file.
+    """
     inline, name = frame.values.get("metadata"), frame.values.get("metadataRef")
     if isinstance(inline, dict):
         return inline
@@ -155,7 +157,7 @@ def _metadata(container: Container, frame: Members) -> dict[str, Any] | None:
 
 
 def _section(container: Container, of: Members, key: str) -> str:
-    """The name of a section that has to be there."""
+    """Return the name of a section that has to be there."""
     name = of.values.get(key)
     if not container.has(name):
         raise LightFieldError(
@@ -187,7 +189,7 @@ def _accelerations(
 
 
 def _listed(container: Container) -> list[tuple[str, Members]]:
-    """(kind, content) of each acceleration."""
+    """Yield (kind, content) of each acceleration."""
     whole = Members(container.path, container.table)
     for picture in (whole.find("picture"), whole.find("master", "picture")):
         if isinstance(picture, dict) and "accelerationArray" in picture:
@@ -213,7 +215,7 @@ def _stack(container: Container, content: Members) -> FocusStack:
 
 
 def _pictures(container: Container, content: Members) -> tuple[Pictures, list[Members]]:
-    """The pictures of an acceleration, and what is said of each of them; there is at least one."""
+    """Return the pictures of an acceleration, and what is said of each of them; there is at least one."""
     if "blockOfImages" in content.values:  # a video
         block = content.object("blockOfImages")
         entries = block.objects("metadataArray")

@@ -20,7 +20,7 @@ _STILL = {"jpeg": "JPEG", "png": "PNG"}
 
 
 def decoded(container: Container, pictures: Pictures) -> Iterator[NDArray[np.uint8]]:
-    """The pictures one after the other, each uint8 [y, x, 3].
+    """Decode the pictures one after the other, each uint8 [y, x, 3].
 
     Raises
     ------
@@ -39,12 +39,12 @@ def decoded(container: Container, pictures: Pictures) -> Iterator[NDArray[np.uin
 
 
 def depth_table(container: Container, table: DepthTable) -> NDArray[np.float32]:
-    """λ, float32 [y, x]; NaN where the file has no finite number."""
+    """Read λ, float32 [y, x]; NaN where the file has no finite number."""
     return _table(container, table.section, table.size)
 
 
 def confidence_table(container: Container, table: DepthTable) -> NDArray[np.float32] | None:
-    """The confidence of each cell, float32 [y, x]; None if the container has none."""
+    """Read the confidence of each cell, float32 [y, x]; None if the container has none."""
     return None if table.confidence is None else _table(container, table.confidence, table.size)
 
 

@@ -18,7 +18,7 @@ from lfgpu.io.lytro.pictures import decoded, depth_table
 
 
 def recognise(path: Path) -> str | None:
-    """Why a file is taken for a container without a raw picture; None if it is not, or damaged."""
+    """Say why a file is taken for a container without a raw picture; None if it is not, or damaged."""
     if not is_container(path):
         return None
     try:
@@ -28,24 +28,12 @@ def recognise(path: Path) -> str | None:
     return None if contents.raw is not None else "it is a container of Lytro's program, not of the camera"
 
 
-def read_lytro(path: Path, *, allow_missing: bool = False) -> LightField:
-    """Read the views of a processed container.
+def read_lytro(path: Path) -> LightField:
+    """Read the views of a processed container (.lfp).
 
     The places of the views on the main lens become view steps by the distance of nearest neighbours; they lie on a
-    hexagonal lattice, x to the right and y down. The view in the middle is the reference.
-
-    Parameters
-    ----------
-    path
-        The container (.lfp).
-    allow_missing
-        Not needed: any array of views is as good as another.
-
-    Raises
-    ------
-    LightFieldError
-        If there are no views in it (a focal stack shows the scene from one place only), it is damaged, or
-        imageio-ffmpeg is missing.
+    hexagonal lattice, x to the right and y down. The view in the middle is the reference. A focal stack shows the scene
+    from one place only and is refused.
     """
     contents = read_contents(path)
     if contents.views is None:
@@ -66,7 +54,7 @@ def read_lytro(path: Path, *, allow_missing: bool = False) -> LightField:
 
 
 def inside(path: Path) -> Inside:
-    """What else a container holds than views, or instead of them."""
+    """Describe what a container holds beside views, or instead of them."""
     contents = read_contents(path)
     facts = [("contents", contents.summary())]
     for stack in contents.stacks:
@@ -85,7 +73,7 @@ def inside(path: Path) -> Inside:
 
 
 def _reason(contents: Contents) -> str:
-    """Why there is no light field in a container, without the full stop."""
+    """Say why there is no light field in a container, without the full stop."""
     give = "give the container with the raw picture, as the camera wrote it"
     if contents.missing is not None and not contents.stacks:
         return (
@@ -101,7 +89,7 @@ def _reason(contents: Contents) -> str:
 
 
 def _step(path: Path, views: Views) -> float:
-    """The median distance of each view's nearest neighbour."""
+    """Measure the median distance of each view's nearest neighbour."""
     places: NDArray[np.float64] = views.coordinates
     if len(places) < 2:
         raise LightFieldError(f"{path} has one view only; depth needs at least two.")

@@ -1,4 +1,4 @@
-"""What a processed container holds as files that can be read again."""
+"""Contents of a processed container as files that can be read again."""
 
 from __future__ import annotations
 

@@ -1,0 +1,93 @@
+"""The English of docstrings: a class or a module begins with a noun, a function with a verb, none with a question."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+QUESTIONS = frozenset(
+    {"What", "Whether", "Which", "How", "Where", "When", "Why", "Who", "Whom", "Whose"}
+    | {"That", "This", "These", "Those", "There", "It", "They", "He", "She"}
+)
+"""Words that no docstring begins with: they ask, or stand for a noun of another sentence."""
+
+NO_VERBS = frozenset({"The", "A", "An", "All", "Each", "One", "Every", "Its", "LightFieldError", "LfgpuError"})
+"""Words with which a noun begins. Properties and attributes may begin so, functions not."""
+
+TO_DO = ("benchmarks", "kernels", "lfgpu/batch", "lfgpu/calibration", "lfgpu/contract", "lfgpu/data", "lfgpu/methods")
+TO_DO += ("lfgpu/native", "lfgpu/pipelines", "lfgpu/solvers", "lfgpu/training", "lfgpu/_backends.py")
+TO_DO += tuple(f"lfgpu/io/{name}.py" for name in ("grid", "naming", "numbered", "several", "stanford", "video"))
+"""Rooms that are still to be done. A room that is done goes from this list; it must be empty in the end."""
+
+Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def documented(path: Path) -> Iterator[tuple[Documented, str]]:
+    """Yield what has a docstring in a file, with the first word of it."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, Documented) and (text := ast.get_docstring(node)):
+            yield node, re.sub(r"\W+$", "", text.split()[0])
+
+
+def is_property(node: Documented) -> bool:
+    """Tell whether a function is read as an attribute."""
+    names = {ast.unparse(decorator) for decorator in getattr(node, "decorator_list", ())}
+    return bool(names & {"property", "cached_property", "functools.cached_property"})
+
+
+def wrong(path: Path) -> list[str]:
+    """List the docstrings of a file that begin as they must not."""
+    found = []
+    for node, word in documented(path):
+        is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not is_property(node)
+        if word in QUESTIONS or (is_function and word in NO_VERBS):
+            name = getattr(node, "name", "the module")
+            found.append(f"{path.name}:{getattr(node, 'lineno', 1)}: {name} begins with {word!r}")
+    return found
+
+
+def sources(room: str) -> list[Path]:
+    """List the files of a room, which is a folder or a file."""
+    return [ROOT / room] if room.endswith(".py") else sorted((ROOT / room).rglob("*.py"))
+
+
+def all_sources() -> Iterator[Path]:
+    """Yield all files of the package and of the benchmarks."""
+    for folder in ("lfgpu", "kernels", "benchmarks"):
+        yield from sources(folder)
+
+
+def test_docstrings_begin_as_they_should() -> None:
+    left = {path for room in TO_DO for path in sources(room) if path.is_file()}
+    found = [sentence for path in all_sources() if path not in left for sentence in wrong(path)]
+    assert found == [], "see CONTRIBUTING.md, What a change needs"
+
+
+@pytest.mark.parametrize("room", TO_DO)
+def test_a_room_that_is_done_is_no_longer_to_do(room: str) -> None:
+    """Fail where nothing is left to do, so that the list shrinks."""
+    files = [path for path in sources(room) if path.is_file()]
+    assert not files or any(map(wrong, files)), f"take {room!r} from TO_DO: all its docstrings begin as they should"
+
+
+@pytest.mark.parametrize(
+    ("code", "count"),
+    [
+        ('"""What a file holds."""', 1),
+        ('"""Contents of a file."""\n\n\nclass A:\n    """That of a file."""\n', 1),
+        ('def f():\n    """The sum."""\n', 1),
+        ('def f():\n    """Sum the costs. What is left is NaN."""\n', 0),
+        ('class A:\n    @property\n    def f(self):\n        """The sum."""\n', 0),
+        ('class A:\n    @property\n    def f(self):\n        """Whether it is."""\n', 1),
+        ('async def f():\n    """LightFieldError: always."""\n', 1),
+    ],
+)
+def test_what_is_wrong_is_found(code: str, count: int, tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text(code, encoding="utf-8")
+    assert len(wrong(tmp_path / "a.py")) == count
