@@ -7,13 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from PIL import Image
 
 from lfgpu.errors import LightFieldError
-from lfgpu.metrics import sparsification
 from lfgpu.viz.colours import LOOKS, UNDEFINED, painted
-from lfgpu.viz.figures import save_png, sparsification_figure
+from lfgpu.viz.pictures import save_picture
 from lfgpu.viz.sheets import overview
 
 SHAPE = (30, 40)
@@ -21,12 +19,6 @@ SHAPE = (30, 40)
 
 def ramp(low: float = -1.0, high: float = 2.0) -> np.ndarray:
     return np.linspace(low, high, SHAPE[0] * SHAPE[1], dtype=np.float32).reshape(SHAPE)
-
-
-def pixels(figure: Figure, folder: Path) -> np.ndarray:
-    save_png(figure, folder / "figure.png")
-    with Image.open(folder / "figure.png") as image:
-        return np.asarray(image.convert("RGB"))
 
 
 def greys(picture: Image.Image) -> int:
@@ -52,30 +44,6 @@ def test_errors_outside_the_mask_and_in_the_border_are_grey() -> None:
     assert [n // size for n in drawn] == [0, 10 * SHAPE[1], SHAPE[0] * SHAPE[1] - 20 * 30]
 
 
-@pytest.mark.parametrize("wrong", [True, False])
-def test_the_curve_is_drawn_beside_that_of_the_oracle(wrong: bool, tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    error = rng.normal(0, 0.1 if wrong else 1e-3, SHAPE)
-    curve = sparsification(error, rng.random(SHAPE), np.zeros(SHAPE), border=0)
-    figure = sparsification_figure(curve, name="$a$")
-    (axes,) = figure.axes
-    drawn = [line.get_ydata() for line in axes.lines]
-    np.testing.assert_array_equal(drawn, [curve.bad, curve.oracle])
-    assert axes.get_title().startswith("$a$: sparsification")
-    assert ("AUSE" in axes.get_title()) == wrong
-    assert "0.07 px" in axes.get_ylabel()
-    low, high = axes.get_ylim()
-    assert low == 0 < high
-    assert pixels(figure, tmp_path).size
-
-
-@pytest.mark.parametrize("name", ["$x_$", "a" * 200, "深度", "two\nlines"])
-def test_any_name_can_be_a_title(name: str, tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
-    curve = sparsification(ramp(), ramp(), ramp(), border=0)
-    assert pixels(sparsification_figure(curve, name=name), tmp_path).size
-    assert not recwarn.list
-
-
 def test_what_is_no_map_is_refused() -> None:
     with pytest.raises(LightFieldError, match=r"\[y, x\]"):
         overview(np.zeros((2, 3, 3)), np.zeros((2, 3, 4)), np.zeros((2, 3)), title="")
@@ -86,4 +54,4 @@ def test_what_is_no_map_is_refused() -> None:
 def test_a_picture_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(LightFieldError, match="cannot be written"):
-        save_png(Figure(), tmp_path / "file" / "x.png")
+        save_picture(overview(np.zeros((*SHAPE, 3)), ramp(), ramp(), title=""), tmp_path / "file" / "x.png")

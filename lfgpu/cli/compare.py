@@ -11,6 +11,7 @@ from lfgpu.io.names import REPORT_FILE
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+    from rich.console import Console
 
     from lfgpu.comparison import Scene, Table
     from lfgpu.data.lightfield import LightField
@@ -33,7 +34,6 @@ def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: i
     LightFieldError
         If a path is missing, two names are equal, a scene has no ground truth, or no method has a result of a scene.
     """
-    from lfgpu.cli.console import comparison, output, remark
     from lfgpu.cli.summary import show_outputs
     from lfgpu.comparison import table
     from lfgpu.io import check_writable
@@ -41,30 +41,15 @@ def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: i
 
     if out is not None:
         check_writable(out)
-    names = [method.resolve().name for method in methods]
-    if len(set(names)) < len(names):
-        raise LightFieldError(
-            f"two methods are called {_repeated(names)!r}, but the name of the folder is the title of the column; "
-            "rename one folder."
-        )
+    _check_names("methods", "column", [method.resolve().name for method in methods])
     for method in methods:
         if not method.exists():
             raise LightFieldError(f"{method} does not exist; give folders that hold one result for each scene.")
     left_out = BORDER if border is None else border
     found = [_scene(scene, methods, left_out, alone=len(scenes) == 1) for scene in scenes]
-    if len({scene.name for scene in found}) < len(found):
-        raise LightFieldError(
-            f"two scenes are called {_repeated([scene.name for scene in found])!r}, but the name is the title of the "
-            "row; rename one."
-        )
+    _check_names("scenes", "row", [scene.name for scene in found])
     scored = table(found)
-    console = output()
-    comparison(console, scored)
-    remark(
-        console,
-        f"Smaller is better. A border of {left_out} px is left out. BadPix is in percent and counts undefined pixels "
-        "as bad.",
-    )
+    console = _show(scored, left_out)
     if out is not None:
         _write(out, found, scored)
         show_outputs(console, out, list(_FILES.items()))
@@ -86,7 +71,7 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
         If two folders have the same name, or no item has ground truth.
     """
     from lfgpu.batch.manifest import DONE, read_manifest, standing
-    from lfgpu.cli.console import comparison, output, remark
+    from lfgpu.cli.console import remark
     from lfgpu.cli.summary import show_outputs
     from lfgpu.comparison import table_of
     from lfgpu.io import check_writable
@@ -95,11 +80,7 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
     if out is not None:
         check_writable(out)
     names = [folder.resolve().name for folder in folders]
-    if len(set(names)) < len(names):
-        raise LightFieldError(
-            f"two batches are called {_repeated(names)!r}, but the name of the folder is the title of the column; "
-            "rename one folder."
-        )
+    _check_names("batches", "column", names)
     scores: dict[str, dict[str, Metrics]] = {}
     unscored = gone = 0
     mixed = []
@@ -121,13 +102,7 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
             f"no item in {', '.join(map(str, folders))} has ground truth, so there is nothing to compare."
         )
     scored = table_of(tuple(names), scores)
-    console = output()
-    comparison(console, scored)
-    remark(
-        console,
-        f"Smaller is better. A border of {BORDER} px is left out. BadPix is in percent and counts undefined pixels as "
-        "bad.",
-    )
+    console = _show(scored, BORDER)
     if unscored:
         remark(console, f"{unscored} item{'s' * (unscored > 1)} failed or without ground truth.")
     if gone:
@@ -142,9 +117,26 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
         show_outputs(console, out, [(name, what) for name, what in _FILES.items() if name.startswith("table")])
 
 
-def _repeated(names: list[str]) -> str:
-    """Return the first name that occurs twice."""
-    return next(name for name in names if names.count(name) > 1)
+def _check_names(what: str, line: str, names: list[str]) -> None:
+    """Raise LightFieldError if a name occurs twice: names are the titles of rows and columns."""
+    for name in names:
+        if names.count(name) > 1:
+            raise LightFieldError(
+                f"two {what} are called {name!r}, but the name is the title of the {line}; rename one folder."
+            )
+
+
+def _show(scored: Table, border: int) -> Console:
+    from lfgpu.cli.console import comparison, output, remark
+
+    console = output()
+    comparison(console, scored)
+    remark(
+        console,
+        f"Smaller is better. A border of {border} px is left out. BadPix is in percent and counts undefined pixels as "
+        "bad.",
+    )
+    return console
 
 
 def _metrics(found: dict[str, float | None], folder: Path) -> Metrics:

@@ -67,12 +67,21 @@ def lines(console: Console, facts: Sequence[tuple[str, str]]) -> None:
     grid.add_column(overflow="fold")
     for label, text in facts:
         grid.add_row(label, text)
-    console.print(Padding(grid, (0, 0, 0, 2), expand=False))
+    _print(console, grid)
+
+
+def _table() -> Table:
+    return Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
+
+
+def _print(console: Console, what: RenderableType) -> None:
+    """Print something below a heading."""
+    console.print(Padding(what, (0, 0, 0, 2), expand=False))
 
 
 def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
     """Print the metrics of the HCI 4D benchmark, a row for each map; the table fits into 80 columns."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
+    table = _table()
     table.add_column("")
     for name in ("MSE\nx100", "BadPix\n0.07", "BadPix\n0.03", "BadPix\n0.01", "Q25\nx100", "RMSE", "un-\ndefined"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -85,14 +94,14 @@ def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
             f"{m.rmse:.4f}",
             f"{m.undefined:.2f} %",
         )
-    console.print(Padding(table, (0, 0, 0, 2), expand=False))
+    _print(console, table)
 
 
 def region_scores(console: Console, rows: Mapping[str, Mapping[str, float]]) -> None:
     """Print the benchmark's measures of regions from top to bottom, maps from left to right."""
     from lfgpu.region_metrics import REGION_METRICS
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
+    table = _table()
     table.add_column("")
     for name in rows:
         table.add_column(Text(name), justify="right")
@@ -100,14 +109,14 @@ def region_scores(console: Console, rows: Mapping[str, Mapping[str, float]]) -> 
         values = [scores[metric.name] for scores in rows.values() if metric.name in scores]
         if values:
             table.add_row(f"{metric.name} ({metric.unit})", *(f"{value:.2f}" for value in values))
-    console.print(Padding(table, (0, 0, 0, 2), expand=False))
+    _print(console, table)
 
 
 def comparison(console: Console, scored: Compared) -> None:
     """Print a table with a row per scene and method and a column per metric; the best of each scene is bold."""
     from lfgpu.comparison import COLUMNS
 
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
+    table = _table()
     table.add_column("scene")
     table.add_column("method")
     for metric in COLUMNS:
@@ -117,19 +126,19 @@ def comparison(console: Console, scored: Compared) -> None:
             cells = [Text(cell, style="bold" if best else "") for cell, best in zip(row.cells, row.best, strict=True)]
             table.add_row(Text(scene if row is rows[0] else ""), Text(row.method), *cells)
         table.add_section()
-    console.print(Padding(table, (0, 0, 0, 2), expand=False))
+    _print(console, table)
 
 
 def sparsification(console: Console, curve: Sparsification) -> None:
     """Print the share of bad pixels among the most confident ones, and the smallest possible share, in 80 columns."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
+    table = _table()
     table.add_column(f"BadPix {curve.threshold:g}\nof the surest", vertical="bottom", no_wrap=True)
     shown = [index for index, share in enumerate(curve.kept) if round(share) in _KEPT]
     for index in shown:
         table.add_column(f"{curve.kept[index]:.0f} %", justify="right", no_wrap=True)
     for name, shares in (("confidence", curve.bad), ("oracle", curve.oracle)):
         table.add_row(name, *(f"{shares[index]:.2f} %" for index in shown))
-    console.print(Padding(table, (0, 0, 0, 2), expand=False))
+    _print(console, table)
     if math.isnan(curve.ause):
         remark(console, "No pixel is bad, so the confidence cannot be judged.")
         return
@@ -143,7 +152,7 @@ def sparsification(console: Console, curve: Sparsification) -> None:
 
 def backend_rows(console: Console, rows: Sequence[tuple[str, str, Sequence[str]]]) -> None:
     """Print a row for each backend: its name, the installed package, and its devices or why it cannot run."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1), header_style="cyan")
+    table = _table()
     table.add_column("backend", no_wrap=True)
     table.add_column("needs", no_wrap=True)
     table.add_column("runs on", overflow="fold")
@@ -154,7 +163,7 @@ def backend_rows(console: Console, rows: Sequence[tuple[str, str, Sequence[str]]
 
 def remark(console: Console, text: str) -> None:
     """Print a sentence below a heading."""
-    console.print(Padding(Text(text), (0, 0, 0, 2), expand=False))
+    _print(console, Text(text))
 
 
 @contextmanager

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 GRID, SIZE = (7, 7), (192, 256)
 """Size of the light field: a few seconds of work on two CPU cores."""
 
-_SCENE, _LIGHT_FIELD, _OVERVIEW, _CURVE = "boxes", "light-field", "overview.png", "sparsification.png"
+_SCENE, _LIGHT_FIELD, _OVERVIEW = "boxes", "light-field", "overview.png"
 
 
 def demo(
@@ -34,7 +34,6 @@ def demo(
     from lfgpu.io import atomic_folder, check_writable, write_hci
     from lfgpu.methods import preset
     from lfgpu.scenes import make
-    from lfgpu.viz.figures import save_png, sparsification_figure
 
     check_writable(out)
     values.use_threads("--threads", threads)
@@ -45,14 +44,11 @@ def demo(
     result = Estimation(preset("accurate")).run(lf, quiet=False)
     summary.show_input(console, lf)
     summary.show_result(console, result, range_given=False)
-    scores, curve = summary.show_scores(console, lf, result)
+    scores = summary.show_scores(console, lf, result)
     with atomic_folder(out) as folder:
         write_hci(lf, folder / _LIGHT_FIELD)
         files = write_outputs(folder, result)
         _draw_overview(lf, result, scores, folder / _OVERVIEW)
-        if curve is not None:
-            save_png(sparsification_figure(curve, name=lf.name), folder / _CURVE)
-            files.append((_CURVE, "share of bad pixels among the most confident ones"))
     summary.show_outputs(
         console,
         out,

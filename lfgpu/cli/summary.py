@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult
-    from lfgpu.metrics import Metrics, Sparsification
+    from lfgpu.metrics import Metrics
 
 
 def show_input(console: Console, lf: LightField) -> None:
@@ -58,23 +58,21 @@ def show_result(console: Console, result: DepthResult, *, range_given: bool) -> 
     shown.lines(console, rows)
 
 
-def show_scores(
-    console: Console, lf: LightField, result: DepthResult
-) -> tuple[dict[str, Metrics], Sparsification | None]:
+def show_scores(console: Console, lf: LightField, result: DepthResult) -> dict[str, Metrics]:
     """Print the metrics after each stage and the sparsification curve, or why there are none.
 
     Returns
     -------
-    The metrics by stage, and the curve: ({}, None) if the ground truth of the reference view is unknown.
+    The metrics by stage; none if the ground truth of the reference view is unknown.
     """
     if lf.truth is None:
-        return {}, None
+        return {}
     shown.heading(console, "Against the ground truth (which the estimate does not use)")
     truth = lf.reference_truth()
     if truth is None:
         place = facts.place(*lf.truth.position)
         shown.remark(console, f"It belongs to the view at {place}, not to the reference view, so there is no score.")
-        return {}, None
+        return {}
     from lfgpu.metrics import BORDER, evaluate, sparsification
 
     try:
@@ -83,11 +81,11 @@ def show_scores(
         curve = sparsification(result.disparity, result.confidence, truth.disparity, mask=truth.mask)
     except LightFieldError as error:
         shown.remark(console, f"The result cannot be scored: {error}")
-        return {}, None
+        return {}
     shown.scores(console, rows)
     shown.remark(console, scored_where(next(iter(rows.values())).count, BORDER))
     shown.sparsification(console, curve)
-    return rows, curve
+    return rows
 
 
 def scored_where(count: int, border: int) -> str:

@@ -49,6 +49,10 @@ class Query:
         """Return a whole number."""
         return int(np.clip(self.number(name), -(2**31), 2**31))
 
+    def wholes(self, *names: str) -> Iterator[int]:
+        """Yield whole numbers."""
+        return (self.whole(name) for name in names)
+
 
 # --- what is drawn ---
 
@@ -59,47 +63,12 @@ def _lf(contents: Contents) -> LightField:
     return contents.lf
 
 
-def _view(contents: Contents, query: Query) -> Any:
-    at = (query.whole(name) for name in ("index", "level", "column", "row"))
-    return pictures.view_tile(_lf(contents), *at)
-
-
 def _values(contents: Contents, query: Query) -> NDArray[np.float32]:
     name, kind = query.text("result"), query.text("kind")
     values = contents.map(name, kind, query.text("stage", FINAL))
     if values is None:
         raise LightFieldError(f"there is no {kind} of {name!r}.")
     return values
-
-
-def _map(contents: Contents, query: Query) -> Any:
-    return pictures.map_tile(_values(contents, query), *(query.whole(name) for name in ("level", "column", "row")))
-
-
-def _histogram(contents: Contents, query: Query) -> Any:
-    ends = query.number("low"), query.number("high")
-    return pictures.histogram(_values(contents, query), *ends, query.whole("bins"))
-
-
-def _epi(contents: Contents, query: Query) -> Any:
-    return pictures.epi(_lf(contents), query.text("along"), query.whole("at"))
-
-
-def _thumbnails(contents: Contents, _: Query) -> Any:
-    return pictures.thumbnails(_lf(contents))
-
-
-def _computed_tile(query: Query) -> Iterator[int]:
-    return (query.whole(name) for name in ("level", "column", "row", "side"))
-
-
-def _refocused(contents: Contents, query: Query) -> Any:
-    lens = query.number("disparity"), query.number("aperture")
-    return pictures.refocused(_lf(contents), *lens, *_computed_tile(query))
-
-
-def _sharp(contents: Contents, query: Query) -> Any:
-    return pictures.sharp(contents, query.text("result"), query.text("stage", FINAL), *_computed_tile(query))
 
 
 def _at(contents: Contents, query: Query) -> Any:
@@ -123,14 +92,22 @@ def _at(contents: Contents, query: Query) -> Any:
     }
 
 
+_TILE = ("level", "column", "row")
+
 DATA: dict[str, Callable[[Contents, Query], Any]] = {
-    "view": _view,
-    "map": _map,
-    "histogram": _histogram,
-    "epi": _epi,
-    "thumbnails": _thumbnails,
-    "refocused": _refocused,
-    "sharp": _sharp,
+    "view": lambda of, query: pictures.view_tile(_lf(of), *query.wholes("index", *_TILE)),
+    "map": lambda of, query: pictures.map_tile(_values(of, query), *query.wholes(*_TILE)),
+    "histogram": lambda of, query: pictures.histogram(
+        _values(of, query), query.number("low"), query.number("high"), query.whole("bins")
+    ),
+    "epi": lambda of, query: pictures.epi(_lf(of), query.text("along"), query.whole("at")),
+    "thumbnails": lambda of, _: pictures.thumbnails(_lf(of)),
+    "refocused": lambda of, query: pictures.refocused(
+        _lf(of), query.number("disparity"), query.number("aperture"), *query.wholes(*_TILE, "side")
+    ),
+    "sharp": lambda of, query: pictures.sharp(
+        of, query.text("result"), query.text("stage", FINAL), *query.wholes(*_TILE, "side")
+    ),
     "at": _at,
     "fixed": lambda *_: fixed(),
 }

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 from PIL import Image
 
 from lfgpu.viz.colours import GREY, LOOKS, indices, palette, shades
 from lfgpu.viz.panels import Picture, fitted
+from lfgpu.viz.pictures import ticks
 from lfgpu.viz.scales import error_reach, scale_limits
 
 MOST_PIXELS = 500_000
@@ -26,7 +26,7 @@ SAVING: dict[str, dict[str, Any]] = {"JPEG": {"quality": 88}, "PNG": {"optimize"
 
 _SHARP = 480  # pixels: pictures whose longer side is shorter are enlarged in sharp squares
 _STOPS = 17
-_TICKS = 5
+_TICKS = 7  # at most
 _MOST_OF_ALL = 0.98  # share of the values that end a scale which begins at zero
 _THIN, _THICK = 1 / 450, 1 / 190  # width of a line, as a share of the picture's: without and with a letter
 
@@ -214,14 +214,9 @@ def scale(
     """Return the scale of a map of which some values lie below or above the limits, or are undefined."""
     low, high = limits
     span = max(high - low, 1e-12)
-    ticks = [
-        float(t)
-        for t in MaxNLocator(_TICKS, steps=[1, 2, 5, 10]).tick_values(low, high)
-        if low - 1e-9 <= t <= high + 1e-9
-    ]
     return Scale(
         tuple(f"rgb({r} {g} {b})" for r, g, b in shades(LOOKS[kind].colours, _STOPS)),
-        tuple(Tick(round(100 * (t - low) / span, 2), number(t)) for t in ticks),
+        tuple(Tick(round(100 * (t - low) / span, 2), number(t)) for t in ticks(low, low + span, _TICKS)),
         f"{LOOKS[kind].title}{'; grey: undefined' if undefined else ''}",
         below,
         above,

@@ -159,9 +159,9 @@ def beside_scale(
     return Image.fromarray(np.concatenate([picture, palette(colours, paper)[beside]], axis=1))
 
 
-def ticks(low: float, high: float) -> list[float]:
-    """Choose round numbers within a scale, at most nine, at equal distances."""
-    least = (high - low) / (_MOST_TICKS - 1)
+def ticks(low: float, high: float, most: int = _MOST_TICKS) -> list[float]:
+    """Choose round numbers within a scale, at most `most`, at equal distances."""
+    least = (high - low) / (most - 1)
     unit = 10.0 ** math.floor(math.log10(least))
     step = next(unit * factor for factor in (1, 2, 2.5, 5, 10) if unit * factor >= least * (1 - 1e-9))
     return [k * step for k in range(math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6) + 1)]
