@@ -57,7 +57,7 @@ class Row:
     values: tuple[float, ...]
     """A value for each of `COLUMNS`; NaN without a map."""
     best: tuple[bool, ...]
-    """Whether it is the smallest on this scene, for each of `COLUMNS`."""
+    """True if it is the smallest on this scene, for each of `COLUMNS`."""
 
     @property
     def cells(self) -> list[str]:

@@ -122,7 +122,7 @@ class Sparsification:
     0 is the best. A random confidence has at most 0.95, and less if many pixels are bad. NaN if no pixel is bad.
     """
     monotone: bool
-    """Whether `bad` never rises as less confident pixels are left out."""
+    """True if `bad` never rises as less confident pixels are left out."""
     threshold: float
     """Pixels with a larger absolute error, pixels per view step, are bad."""
     count: int

@@ -29,7 +29,7 @@ class RegionMetric:
     unit: str
     """ "%" of the pixels of the mask, or "x100"."""
     values: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-    """What the mean over the mask is taken of, [y, x], from estimate - truth; NaN of the estimate stays NaN."""
+    """Values whose mean over the mask is the measure, [y, x], from estimate - truth; NaN of the estimate stays NaN."""
 
 
 def _share(

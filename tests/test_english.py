@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,17 @@ TO_DO += ("lfgpu/native", "lfgpu/pipelines", "lfgpu/solvers", "lfgpu/training", 
 TO_DO += tuple(f"lfgpu/io/{name}.py" for name in ("grid", "naming", "numbered", "several", "stanford", "video"))
 """Rooms that are still to be done. A room that is done goes from this list; it must be empty in the end."""
 
+HELP_AND_ATTRIBUTES_TO_DO = ("lfgpu/batch", "lfgpu/calibration", "lfgpu/contract", "lfgpu/data", "lfgpu/methods")
+HELP_AND_ATTRIBUTES_TO_DO += (
+    "lfgpu/native",
+    "lfgpu/pipelines",
+    "lfgpu/solvers",
+    "lfgpu/training",
+    "kernels",
+    "benchmarks",
+)
+"""Rooms whose attributes and help texts are still to be done."""
+
 Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -33,6 +45,18 @@ def documented(path: Path) -> Iterator[tuple[Documented, str]]:
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, Documented) and (text := ast.get_docstring(node)):
             yield node, re.sub(r"\W+$", "", text.split()[0])
+
+
+def said_beside(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield line and first word of the docstrings of attributes, and of help texts of the command line."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.keyword) and node.arg == "help" and isinstance(node.value, ast.Constant):
+            yield node.value.lineno, str(node.value.value).split(" ")[0]
+        if isinstance(node, ast.Module | ast.ClassDef):
+            for before, after in pairwise(node.body):
+                text = ast.unparse(after.value)[1:-1].strip() if isinstance(after, ast.Expr) else ""
+                if isinstance(before, ast.Assign | ast.AnnAssign) and text:
+                    yield after.lineno, text.split()[0]
 
 
 def is_property(node: Documented) -> bool:
@@ -67,6 +91,18 @@ def test_docstrings_begin_as_they_should() -> None:
     left = {path for room in TO_DO for path in sources(room) if path.is_file()}
     found = [sentence for path in all_sources() if path not in left for sentence in wrong(path)]
     assert found == [], "see CONTRIBUTING.md, What a change needs"
+
+
+def test_attributes_and_help_texts_begin_as_they_should() -> None:
+    left = {path for room in HELP_AND_ATTRIBUTES_TO_DO for path in sources(room)}
+    found = [
+        f"{path.name}:{line}: {word}"
+        for path in all_sources()
+        if path not in left
+        for line, word in said_beside(path)
+        if word in QUESTIONS
+    ]
+    assert found == []
 
 
 @pytest.mark.parametrize("room", TO_DO)

@@ -65,7 +65,9 @@ def batch(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Number of local worker processes.", show_default="one per GPU, or one")
     ] = None,
-    retries: Annotated[int, typer.Option(min=0, help="How often an item is tried again after its worker died.")] = 3,
+    retries: Annotated[
+        int, typer.Option(min=0, help="Number of times that an item is tried again after its worker died.")
+    ] = 3,
     item_timeout: Annotated[
         float, typer.Option(min=1, metavar="SECONDS", help="An item that takes longer is given up.")
     ] = 7200,

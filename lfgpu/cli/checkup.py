@@ -36,7 +36,7 @@ PARTS = {
     "video": "videos as input, films as MP4",
     "viewer": "the viewer in the browser",
 }
-"""What the extras of the package are for. Those of developers are left out."""
+"""Purposes of the extras of the package. Those of developers are left out."""
 
 _SCENE, _GRID, _SIZE, _RANGE = "relief", (5, 5), (64, 80), (-1.5, 1.5)
 _FROM_TRUTH = 0.03  # px per view step: three times the median error that a working backend has on the scene

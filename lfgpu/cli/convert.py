@@ -24,7 +24,7 @@ def convert(
     view: Annotated[
         str | None,
         typer.Option(
-            metavar="ROW,COL", help="Which map to take from maps of all views.", show_default="the reference view"
+            metavar="ROW,COL", help="View whose map is taken from maps of all views.", show_default="the reference view"
         ),
     ] = None,
     colours: Annotated[

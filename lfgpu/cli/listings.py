@@ -12,7 +12,7 @@ from typing import Any
 from typer.core import TyperCommand
 
 EXAMPLE = "Example: "
-"""How the epilog of a command begins; the rest of it is the example."""
+"""Beginning of the epilog of a command; the rest of it is the example."""
 
 
 class Command(TyperCommand):

@@ -60,7 +60,7 @@ def live(
         str | None,
         typer.Option(
             metavar="NAME[:N]",
-            help="What happens to frames that come too fast: latest (only the newest one waits), block (the source "
+            help="Treatment of frames that come too fast: latest (only the newest one waits), block (the source "
             "waits) or queue:N (up to N frames wait).",
             show_default="latest for cameras, rings, growing folders and functions, block for the rest",
         ),

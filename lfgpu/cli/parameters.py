@@ -28,7 +28,7 @@ class Row:
     allowed: str
     """The range or the choices."""
     meaning: str
-    """What it is, with its unit."""
+    """The meaning, with the unit."""
     symbol: str
     """Its symbol in the paper; "" if it has none."""
 

@@ -16,13 +16,13 @@ from lfgpu.errors import LightFieldError
 from lfgpu.machine import version_of
 
 DAMAGE = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
-"""What comes of metadata that are not what they have to be."""
+"""Errors that come of metadata that are not what they have to be."""
 
 KEY = "lfgpu"
-"""What the text is called where metadata have names."""
+"""Name of the text where metadata have names."""
 
 UNKNOWN_IS_NAN = "NaN is not known"
-"""What the metadata say of pixels that are not known, where the format has NaN."""
+"""Words of the metadata about unknown pixels, where the format has NaN."""
 
 CONVENTION = (
     "Disparity in pixels per view step, larger is nearer: the point at (x, y) of the reference view is at "

@@ -12,7 +12,7 @@ from pathlib import Path
 from lfgpu.errors import LightFieldError
 
 LEFT_OVER = ".lfgpu-"
-"""What the names of outputs begin with until they are whole."""
+"""Beginning of the names of outputs until they are whole."""
 
 
 @contextmanager

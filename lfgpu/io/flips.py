@@ -12,8 +12,8 @@ from lfgpu.errors import LightFieldError
 
 FLIPS = ("", "u", "v", "uv")
 ORDERS = ("row-major", "column-major", "serpentine", "serpentine-columns")
-"""How views that are stored one after the other fill a grid: row by row, column by column, or with every second row (or
-column) backwards."""
+"""Orders in which views that are stored one after the other fill a grid: row by row, column by column, or with every
+second row (or column) backwards."""
 
 
 def check_flip(flip: str) -> None:

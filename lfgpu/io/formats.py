@@ -48,12 +48,12 @@ class Format:
     """One entry of the table."""
 
     name: str
-    """What users write to choose it: lower case, hyphens."""
+    """The word by which users choose it: lower case, hyphens."""
     description: str
     """One line for lists and help, without a full stop."""
     recognise: Callable[[Path], str | None]
-    """Why a path that exists is of this format ("it is a folder with ..."), or None. Looks at names and magic, and at
-    what is in a file only where a quick look can be sure."""
+    """Says why a path that exists is of this format ("it is a folder with ..."), or None. Looks at names and magic,
+    and at what is in a file only where a quick look can be sure."""
     read: Callable[..., LightField]
     """Reads a path that exists, given the keywords in `takes` that users gave. Raises LightFieldError with a sentence
     that names the file at fault: if it is missing, damaged, of another kind, claims more than it can hold, contradicts
@@ -63,9 +63,9 @@ class Format:
     takes: tuple[str, ...] = ()
     """The keywords of `lfgpu.read` that have a meaning for it, "allow_missing" among them."""
     inside: Callable[[Path], Inside] | None = None
-    """What else its files hold; None where that is nothing."""
+    """Describes what its files hold beside views; None where that is nothing."""
     looks_below: bool = False
-    """Whether a folder is of this format if only one of its sub-folders has the views."""
+    """True if a folder is of this format where only one of its sub-folders has the views."""
 
 
 def _read_source(path: Path, **options: Any) -> LightField:

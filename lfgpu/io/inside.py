@@ -12,4 +12,4 @@ class Inside:
     facts: tuple[tuple[str, str], ...]
     """(label, text) each, in the order of importance."""
     no_depth: str | None = None
-    """Why there is no light field in it, a sentence; None if there is one."""
+    """A sentence that says why there is no light field in it; None if there is one."""

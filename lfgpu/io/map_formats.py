@@ -47,7 +47,7 @@ class MapFormat:
     write_whole: Callable[[Whole, Path], None] | None = None
     """Writes such a result to a path; None if the format holds maps only."""
     recognise: Callable[[Path], bool] | None = None
-    """Whether a file with such a suffix is a map, where it may be a light field too; None if the suffix says it."""
+    """Tells maps from light fields with the same suffix; None if the suffix says it."""
     library: str | None = None
     """The library that it needs besides those of the package."""
     extra: str | None = None

@@ -42,7 +42,7 @@ class Moves:
     explained: float
     """Share of the motion that they explain, 0 to 1."""
     still: bool
-    """Whether nothing moves in any pair."""
+    """True if nothing moves in any pair."""
 
     @property
     def told(self) -> bool:

@@ -17,7 +17,7 @@ from PIL import Image, ImageFile, _imaging
 from lfgpu.io.limits import check_claim
 
 FORMATS = ("PNG", "BMP", "DIB", "JPEG", "TIFF", "WEBP", "PPM")
-"""What a file may be, whatever its suffix says. Pillow knows more: EPS is a program that Ghostscript runs."""
+"""Formats that a file may have, whatever its suffix says. Pillow knows more: EPS is a program that Ghostscript runs."""
 
 
 @contextmanager

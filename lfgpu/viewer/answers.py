@@ -193,4 +193,4 @@ ACTIONS: dict[str, Callable[[Board, Mapping[str, Any]], None]] = {
     "switch": _switch,
     "turn": _turn,
 }
-"""What is done for a page."""
+"""Actions that pages ask for."""

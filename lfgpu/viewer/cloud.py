@@ -35,7 +35,7 @@ class Cloud:
     spacing: float
     """Distance of neighbouring points in the middle of the cloud."""
     metric: bool
-    """Whether the points are in metres."""
+    """True if the points are in metres."""
     eye: NDArray[np.float64]
     """[3], where the camera stands that sees the map."""
     step: int

@@ -19,9 +19,9 @@ class Scene:
     result: str = ""
     stage: str = FINAL
     metric: bool = True
-    """Whether points are in metres; else their depth is the disparity."""
+    """True if points are in metres; else their depth is the disparity."""
     paint: str = "picture"
-    """What colours the points: "picture", or one of the `QUANTITIES`."""
+    """Source of the colours of the points: "picture", or one of the `QUANTITIES`."""
     colours: str = "viridis"
     low: float = 0.0
     high: float = 1.0

@@ -22,7 +22,7 @@ MOST_PIXELS = 500_000
 """Pixels of a picture in a page: larger ones are scaled down, so that the page stays at a few MB."""
 
 SAVING: dict[str, dict[str, Any]] = {"JPEG": {"quality": 88}, "PNG": {"optimize": True}}
-"""How pictures are written, by the name of their format."""
+"""Options of Pillow by the name of the format."""
 
 _SHARP = 480  # pixels: pictures whose longer side is shorter are enlarged in sharp squares
 _STOPS = 17
@@ -216,7 +216,10 @@ def scale(
     span = max(high - low, 1e-12)
     return Scale(
         tuple(f"rgb({r} {g} {b})" for r, g, b in shades(LOOKS[kind].colours, _STOPS)),
-        tuple(Tick(round(100 * (t - low) / span, 2), number(t)) for t in ticks(low, low + span, _TICKS)),
+        tuple(
+            Tick(round(100 * (t - low) / span, 2), number(t))
+            for t in (ticks(low, high, _TICKS) if high > low else [low])
+        ),
         f"{LOOKS[kind].title}{'; grey: undefined' if undefined else ''}",
         below,
         above,

@@ -15,7 +15,7 @@ RED, GREEN, BLUE = 0, 1, 2
 PATTERNS = ("bggr", "grbg", "gbrg", "rggb")
 """Colours of the pixels (0, 0), (0, 1), (1, 0), (1, 1), (row, column)."""
 GREY = "grey"
-"""What stands for a sensor without a mosaic."""
+"""Name of the pattern of a sensor without a mosaic."""
 
 _ALIKE = 0.5  # ratio of the differences along the two diagonals that decides where green is
 _NO_MOSAIC = 0.01  # difference of the four places, of their mean, below which there is no mosaic

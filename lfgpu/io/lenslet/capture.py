@@ -36,10 +36,10 @@ class Capture:
     balance: tuple[float, float, float]
     """Gains of red, green and blue that make white of white, if the file has them; else 1."""
     source: str
-    """What it came in, for people."""
+    """The kind of its file, for people."""
     notes: tuple[str, ...] = ()
     camera: Camera | None = None
-    """What the file says of the camera."""
+    """The camera, as far as the file describes it."""
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ class Decoded:
     light_field: LightField
     """Views uint16 [n, y, x, c], square roots of linear values."""
     about: dict[str, Any]
-    """What was found and done, for people and JSON."""
+    """Findings and steps, for people and JSON."""
 
 
 def decode(

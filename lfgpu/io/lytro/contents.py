@@ -21,7 +21,7 @@ from lfgpu.io.members import Members
 _SIDES = (8, 16384)  # pixels of a picture or table
 _LAMBDAS = (-1000.0, 1000.0)
 _FRAMES = (("picture", "frameArray"), ("master", "picture", "frameArray"), ("frames",))
-"""Where the first Lytro, the Illum's desktop files and the Illum itself list what belongs to a picture."""
+"""Places where the first Lytro, the Illum's desktop files and the Illum itself list what belongs to a picture."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Pictures:
     """Pictures of one size, each in a section of its own or all of them in one video."""
 
     representation: str
-    """How they are stored: "jpeg", "png", or "h264" for a video."""
+    """Kind of their files: "jpeg", "png", or "h264" for a video."""
     size: tuple[int, int]
     """(height, width) in pixels."""
     count: int
@@ -52,7 +52,7 @@ class FocusStack:
 
     pictures: Pictures
     lambdas: tuple[float, ...]
-    """Where each is focused; see `DepthTable`."""
+    """The focus of each; see `DepthTable`."""
 
 
 @dataclass(frozen=True)
