@@ -215,7 +215,7 @@ def field_of(
 
 
 def without_dark_views(light_field: LightField) -> LightField:
-    """Without the views of which nothing is valid, with notes on what is not; `valid` None where everything is."""
+    """Leave out the views of which nothing is valid, with notes on what is not; `valid` is None where everything is."""
     valid = light_field.valid
     assert valid is not None
     if valid.all():

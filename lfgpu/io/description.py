@@ -368,7 +368,9 @@ def _relative(name: str | os.PathLike[str], folder: Path) -> str:
 
 
 def _toml(table: Mapping[str, Any]) -> str:
-    """TOML of a description: scalars and lists first, then tables, then the views, a line for each of their entries."""
+    """Write a description as TOML: scalars and lists first, then tables, then the views, a line for each of their
+    entries.
+    """
     lines = [f"{key} = {_toml_value(value)}" for key, value in table.items() if not _is_table(value)]
     for key, value in table.items():
         if isinstance(value, dict):

@@ -83,7 +83,7 @@ def offsets(lf: LightField) -> str:
 
 
 def geometry(known: Geometry | None) -> str:
-    """Baseline, focal length and focus distance."""
+    """Describe baseline, focal length and focus distance."""
     if known is None:
         return "unknown: disparity only, no metric depth"
     focus = "at infinity" if math.isinf(known.focus_distance_m) else f"at {known.focus_distance_m:.4g} m"

@@ -65,7 +65,7 @@ class Stage:
         self._painted = 0
 
     def jitter(self, size: float) -> float:
-        """Uniform in [-size, size]."""
+        """Draw a number uniformly from [-size, size]."""
         return float(self.rng.uniform(-size, size))
 
     def place(self, x: float, y: float, t: float) -> NDArray[np.float64]:
@@ -111,7 +111,7 @@ class Stage:
 
 
 def relief(stage: Stage) -> list[Thing]:
-    """Smooth hills without occlusions."""
+    """Build smooth hills without occlusions."""
     angles = stage.rng.uniform(0, 2 * np.pi) + np.array([0.0, 1.2, 2.2])
     phases = np.array([0.0, stage.jitter(np.pi), stage.jitter(np.pi)])
     x = np.linspace(-stage.reach[0], stage.reach[0], 65)[None]
@@ -133,7 +133,7 @@ def relief(stage: Stage) -> list[Thing]:
 
 
 def planes(stage: Stage) -> list[Thing]:
-    """Slanted, overlapping rectangles in front of a slanted wall."""
+    """Build slanted, overlapping rectangles in front of a slanted wall."""
     things = [Thing(stage.wall(_LOW, 0.34, 0.5 + stage.jitter(0.4)), stage.wall_painter.clouds(_NIGHT, 0.08))]
     spots = [(-0.45, -0.42, 0.42), (0.42, -0.30, 0.52), (-0.30, 0.42, 0.64), (0.48, 0.45, 0.72), (0.04, 0.05, 0.86)]
     for (x, y, t), size in zip(spots, (0.29, 0.26, 0.25, 0.21, 0.15), strict=True):
@@ -145,7 +145,7 @@ def planes(stage: Stage) -> list[Thing]:
 
 
 def boxes(stage: Stage) -> list[Thing]:
-    """Boxes and balls on a floor in front of a wall."""
+    """Build boxes and balls on a floor in front of a wall."""
     return _room(stage) + [Thing(shape, paint) for shape, paint, _ in _toys(stage)]
 
 
@@ -162,7 +162,7 @@ def moving(stage: Stage) -> list[Thing]:
 
 
 def bars(stage: Stage) -> list[Thing]:
-    """Thin rods, 2 to 8 pixels wide, in front of a distant wall."""
+    """Build thin rods, 2 to 8 pixels wide, in front of a distant wall."""
     things = [Thing(stage.wall(_LOW, 0.20, 2.2 + stage.jitter(0.5)), stage.wall_painter.clouds(_PLASTER, 0.08))]
     paints = [stage.painter.stripes(pair, 0.07, stage.size(12, 4.0), (0, 1)) for pair in _CANDY[:5]]
     count = int(np.clip(stage.frame.width / 30, 2, 15))
@@ -180,7 +180,7 @@ def bars(stage: Stage) -> list[Thing]:
 
 
 def textureless(stage: Stage) -> list[Thing]:
-    """Patches, a disc and a box, each of one colour, on and in front of a textured slanted wall."""
+    """Build patches, a disc and a box, each of one colour, on and in front of a textured slanted wall."""
     wall = stage.wall(_LOW, 0.5, stage.jitter(0.6))
     plain = [stage.painter.plain(pair.mean(0)) for pair in _CANDY[stage.rng.permutation(len(_CANDY))]]
     bricks = stage.wall_painter.bricks(_SLATE, 0.07, stage.size(58, 18.0), stage.size(28, 10.0))
@@ -235,7 +235,7 @@ def _toys(stage: Stage) -> list[tuple[Shape, Texture, float]]:
 
 
 def _turned(stage: Stage, size: float) -> NDArray[np.float64]:
-    """Edges of a cube of that half side that shows three faces, flattened along T."""
+    """Return the edges of a cube of that half side that shows three faces, flattened along T."""
     yaw, pitch, roll = 0.6 + stage.jitter(0.2), -0.5 + stage.jitter(0.15), stage.jitter(0.2)
     turn = np.linalg.multi_dot([_rotation(0, 1, roll), _rotation(1, 2, pitch), _rotation(0, 2, yaw)])
     return np.asarray(np.array([[1.0], [1.0], [0.7]]) * turn * size * 0.75)
@@ -255,7 +255,7 @@ def _tilt(stage: Stage, size: float, span: float) -> NDArray[np.float64]:
 
 
 def _plane_edges(grade: ArrayLike, width: float = 1.0, height: float = 1.0, angle: float = 0.0) -> NDArray[np.float64]:
-    """Edges of a flat piece of that half width and height, turned by `angle`, in a plane of that slant."""
+    """Return the edges of a flat piece of that half width and height, turned by `angle`, in a plane of that slant."""
     b, c = np.asarray(grade)
     first = width * np.array([np.cos(angle), np.sin(angle)])
     second = height * np.array([-np.sin(angle), np.cos(angle)])

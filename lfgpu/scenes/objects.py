@@ -135,7 +135,7 @@ class _Flat(_Framed):
     _extent = 2
 
     def _cross(self, rays: Rays) -> tuple[Floats, Floats, Floats]:
-        """T [h, w] where rays cross the plane, and q_0, q_1 there."""
+        """Return T [h, w] where rays cross the plane, and q_0, q_1 there."""
         (a0, a1, a2), (b0, b1, b2) = self._local(rays)
         t = a2 / -b2
         return t, a0 + t * b0, a1 + t * b1
@@ -198,7 +198,7 @@ class Relief:
     waves: Floats
 
     def height(self, x: Floats, y: Floats) -> Floats:
-        """T above the points (X, Y)."""
+        """Return T above the points (X, Y)."""
         return self.level + sum(a * np.sin(x * kx + y * ky + phase) for a, kx, ky, phase in self.waves)
 
     def steepness(self, slope: tuple[float, float]) -> float:
@@ -226,7 +226,7 @@ class Relief:
         return t
 
     def _newton_single(self, phases: Sequence[Floats], amplitudes: Floats, speeds: Floats) -> Floats:
-        """T to about 1e-6: single-precision sines cost a tenth."""
+        """Find T to about 1e-6: single-precision sines cost a tenth."""
         single = [
             (phase.astype(np.float32), np.float32(amplitude), np.float32(speed))
             for phase, amplitude, speed in zip(phases, amplitudes, speeds, strict=True)
@@ -265,7 +265,7 @@ class Relief:
 
 
 def _lambert(normals: Floats) -> Floats:
-    """Brightness of surfaces with those normals [3, k], of any length, pointing out."""
+    """Shade surfaces with those normals [3, k], of any length, pointing out."""
     length = np.sqrt((normals * normals).sum(0))
     facing = _LIGHT @ normals / (length * np.linalg.norm(_LIGHT))
     return np.asarray(_AMBIENT + _DIFFUSE * np.maximum(facing, 0.0))

@@ -104,7 +104,7 @@ def _strips(rays: Rays, multiple: int) -> list[Rays]:
 
 
 def _cast(things: list[Thing], rays: Rays) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
-    """T [h, w] of the first hit of each ray, and the index of the object."""
+    """Return T [h, w] of the first hit of each ray, and the index of the object."""
     nearest = np.full((rays.y.size, rays.x.size), -np.inf)
     owner = np.full(nearest.shape, -1)
     for index, thing in enumerate(things):

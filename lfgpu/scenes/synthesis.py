@@ -292,7 +292,7 @@ def _stored(intensities: NDArray[np.float32], dtype: np.dtype[Any]) -> NDArray[A
 
 
 def _geometry(scene: _Scene) -> Geometry:
-    """Cameras for which the disparity range reaches from 8 m to 4 m."""
+    """Return cameras for which the disparity range reaches from 8 m to 4 m."""
     frame, middle = scene.frame, _farthest(scene.grid)
     focal_length = _FOCAL_LENGTH * frame.width
     if frame.far > frame.near - frame.far:

@@ -93,11 +93,11 @@ class Painter:
         return Texture(np.asarray(colour, np.float32).reshape(-1, 1, 1))
 
     def clouds(self, colours: ArrayLike, grain: float) -> Texture:
-        """Soft patches with the colours [k, 3], k >= 2."""
+        """Paint soft patches with the colours [k, 3], k >= 2."""
         return self._blend(colours, 0.5 + 0.5 * np.tanh(self._swell), grain)
 
     def bricks(self, colours: ArrayLike, grain: float, width: float, height: float) -> Texture:
-        """Bricks of that size in pixels, each of its own shade between two colours, in joints of a third."""
+        """Paint bricks of that size in pixels, each of its own shade between two colours, in joints of a third."""
         columns, rows = self._times(width), 2 * self._times(2 * height)  # even, so that the last row meets the first
         row, down = _cells(self._y, rows)
         column, across = _cells(self._x + np.pi / columns * (row % 2), columns)
@@ -106,7 +106,9 @@ class Painter:
         return self._blend(colours, np.where(joint, 1.0, 0.5 * shades), grain)
 
     def stripes(self, colours: ArrayLike, grain: float, width: float, turn: tuple[int, int]) -> Texture:
-        """Wavy stripes, each about `width` pixels wide; `turn` (x, y) is their direction across in small integers."""
+        """Paint wavy stripes, each about `width` pixels wide; `turn` (x, y) is their direction across in small
+        integers.
+        """
         times = self._times(2 * width * float(np.hypot(*turn)))
         wave = np.sin(times * (turn[0] * self._x + turn[1] * self._y) + 0.8 * self._swell)
         return self._blend(colours, 0.5 + 0.5 * np.tanh(3 * wave), grain)
@@ -127,7 +129,7 @@ class Painter:
         return max(1, round(self._period / wavelength))
 
     def _noise(self, amplitude: Tile) -> Tile:
-        """Noise of that spectrum, mean 0, standard deviation 1."""
+        """Draw noise of that spectrum, mean 0, standard deviation 1."""
         side = len(amplitude)
         spectrum = amplitude * np.exp(2j * np.pi * self._rng.random(amplitude.shape))
         noise = scipy.fft.irfft2(spectrum, (side, side))

@@ -98,7 +98,7 @@ def shown_cloud(
 
 
 def surface(cloud: Cloud, disparity: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Triangles [n, 3] between neighbouring points of a cloud, none across an edge of depth.
+    """Span triangles [n, 3] between neighbouring points of a cloud, none across an edge of depth.
 
     An edge is where the disparity [y, x] of neighbours differs by more than a small part of its range.
     """

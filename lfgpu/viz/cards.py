@@ -239,7 +239,7 @@ def address(image: Image.Image, kind: str) -> str:
 
 
 def cross_hair(x: float, y: float, size: tuple[int, int], letter: str) -> Mark:
-    """Cross hairs around a point of a picture of (width, height), open in the middle, with a letter beside them."""
+    """Draw cross hairs around a point of a picture of (width, height), open in the middle, a letter beside them."""
     width, height = size
     near, far = 0.022 * width, 0.055 * width
     path = "".join(

@@ -146,7 +146,7 @@ def _mean(
     near: Sequence[tuple[int, int]],
     halo: int,
 ) -> Float32Array:
-    """At every pixel of a place of the mosaic: the weighted mean of those `near` it."""
+    """Average the pixels `near` every pixel of a place of the mosaic, with weights."""
     own = lens[_grid(*place, halo, values.shape)]
     total, weight = np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
     for shift in near:

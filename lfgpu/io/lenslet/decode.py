@@ -178,7 +178,9 @@ class _Sensor:
         self._grid = view_grid(lenses, mosaic.shape, lenses.pitch / 2 + 2, name=name)
 
     def views(self, offsets: NDArray[np.float64]) -> tuple[Float32Array, NDArray[np.bool_]]:
-        """Linear views [n, y, x, c] at offsets (du, dv) from the middle, and where they are of use, bool [n, y, x]."""
+        """Sample linear views [n, y, x, c] at offsets (du, dv) from the middle, and where they are of use, bool [n, y,
+        x].
+        """
         if self._upright:
             offsets = offsets[:, ::-1]
         if self._mean:  # the same under all microlenses
@@ -269,7 +271,7 @@ def _positions(pitch: float, count: int) -> NDArray[np.float64]:
 
 
 def _encoded(linear: Float32Array, level: float) -> NDArray[np.uint16]:
-    """Square roots of linear values, `level` being 1; `linear` is used up."""
+    """Take square roots of linear values, `level` being 1; `linear` is used up."""
     linear /= np.float32(level)
     np.clip(linear, 0.0, 1.0, out=linear)
     np.sqrt(linear, out=linear)

@@ -136,7 +136,7 @@ class _Fit:
     def _start(
         self, x: NDArray[np.float64], y: NDArray[np.float64], base: NDArray[np.float64], chosen: NDArray[np.bool_]
     ) -> NDArray[np.float64] | None:
-        """Planes through the phases around the middle, as the parameters of quotients with the denominator 1."""
+        """Fit planes through the phases around the middle: the parameters of quotients with the denominator 1."""
         shape = (len(np.unique(y[chosen])), len(np.unique(x[chosen])))
         if min(shape) < 2:
             return None
@@ -186,7 +186,7 @@ def _lattice(p: NDArray[np.float64], middle: NDArray[np.float64], half: float) -
 
 
 def _flattened(picture: NDArray[np.float32], period: float) -> NDArray[np.float32]:
-    """Contrast against the surroundings, so that bright parts of the scene do not count more than dark ones."""
+    """Compute the contrast against the surroundings, so that bright parts of the scene count no more than dark ones."""
     values = picture.astype(np.float32)
     size = 2 * round(1.5 * period) + 1
     mean = ndimage.uniform_filter(values, size, mode="nearest")
@@ -200,7 +200,9 @@ def _flattened(picture: NDArray[np.float32], period: float) -> NDArray[np.float3
 def _phases(
     flat: NDArray[np.float32], waves: NDArray[np.float64], side: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Middles (x, y) of square neighbourhoods, and there each wave's phase in turns and amplitude, [2, n]."""
+    """Measure each wave's phase in turns and amplitude, [2, n], in square neighbourhoods; returns their middles (x, y),
+    too.
+    """
     height, width = flat.shape
     rows, columns = height // side, width // side
     flat = flat[: rows * side, : columns * side]

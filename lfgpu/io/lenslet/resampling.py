@@ -141,7 +141,7 @@ def _between(
 
 
 def _linear(plane: Float32Array, start: NDArray[np.int64], x: Float32Array, y: Float32Array) -> Float32Array:
-    """Linear interpolation of a plane [y, x] between the pixels that `_between` found."""
+    """Interpolate a plane [y, x] linearly between the pixels that `_between` found."""
     upper, lower = (plane.take(start + row) * (1 - x) + plane.take(start + row + 1) * x for row in (0, plane.shape[1]))
     return np.asarray(upper * (1 - y) + lower * y)
 

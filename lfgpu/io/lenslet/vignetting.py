@@ -29,7 +29,7 @@ _WHITE_PERCENTILE = 99.0
 
 
 def bands(height: int) -> Iterator[slice]:
-    """Slices of rows that together are the whole height."""
+    """Return slices of rows that together are the whole height."""
     for top in range(0, height, _ROWS):
         yield slice(top, min(top + _ROWS, height))
 
@@ -65,7 +65,7 @@ def from_white_image(white: Float32Array, colours: NDArray[np.int64]) -> Float32
 
 
 def field_gains(views: Float32Array, middle: int) -> Float32Array:
-    """Gains [n, y, x] that make each view as bright as the middle one, over its field.
+    """Return gains [n, y, x] that make each view as bright as the middle one, over its field.
 
     Microlenses far from the middle of the sensor see the main lens from the side, so that one and the same mean
     microlens is not quite right for them. What is missing varies slowly over the field: a polynomial of degree 4 fitted
@@ -114,7 +114,7 @@ def _powers(y: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def _strips(shape: tuple[int, ...], grid: Microlenses) -> Iterator[slice]:
-    """Slices of rows, spread over a sensor [y, x], that together have about `_ENOUGH` pixels, or all there are."""
+    """Return slices of rows, spread over a sensor [y, x], that have about `_ENOUGH` pixels, or all there are."""
     height = round(_STRIP * grid.row_distance)
     step = max(1, round(shape[0] * shape[1] / _ENOUGH))
     for top in range(0, shape[0], step * height):
