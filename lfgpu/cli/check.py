@@ -54,7 +54,7 @@ def check(
     """
     from lfgpu.cameras import explain
     from lfgpu.cli.console import output
-    from lfgpu.io import check_writable, read
+    from lfgpu.io import check_writable, load, one_map, read
 
     if out is not None:
         check_writable(out)
@@ -62,7 +62,7 @@ def check(
     options = reading.options()
     estimation = computing.estimation(values.configured("fast", ()))
     lf = read(source, **options)
-    found = None if result is None else _map(result)
+    found = None if result is None else one_map(load(result))
     if place is not None:
         lf = lf.with_reference(lf.index_of(*place))
     elif found is not None and found.position is not None:
@@ -76,14 +76,6 @@ def check(
             from lfgpu.cli.summary import show_outputs
 
             show_outputs(output(), out, files)
-
-
-def _map(path: Path) -> DepthResult | DisparityMap:
-    from lfgpu.data.views_result import ViewsResult
-    from lfgpu.io import load
-
-    found = load(path)
-    return found.map(found.keys[0]) if isinstance(found, ViewsResult) else found
 
 
 def _show(console: Console, lf: LightField, found: Explanation) -> None:

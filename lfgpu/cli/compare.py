@@ -208,14 +208,11 @@ def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
 
 
 def _map(file: Path, lf: LightField) -> NDArray[np.float32]:
-    from lfgpu.data.views_result import ViewsResult
-    from lfgpu.io import load
+    from lfgpu.io import load, one_map
     from lfgpu.reports.facts import place
 
     assert lf.truth is not None  # the caller looked
-    result = load(file)
-    if isinstance(result, ViewsResult):
-        result = result.map(result.index_of(lf.truth.position[1], lf.truth.position[0]))
+    result = one_map(load(file), lf.truth.position)
     if result.position is not None and result.position != lf.truth.position:
         raise LightFieldError(
             f"{file} belongs to the view at {place(*result.position)}, but the ground truth of {lf.name} belongs to "

@@ -34,20 +34,18 @@ def convert(
 ) -> None:
     """Write a disparity map in another format, or as a point cloud, with its metadata."""
     from lfgpu.data.views_result import ViewsResult
-    from lfgpu.io import check_writable, load, read, save, writable_format
+    from lfgpu.io import check_writable, load, one_map, read, save, writable_format
 
     check_writable(out, folder=False)
     writable_format(out)
     place = None if view is None else values.parse_place("--view", view)
-    found = load(result)
-    if isinstance(found, ViewsResult):
-        found = found.map(found.keys[0] if place is None else found.index_of(*place))
-    elif place is not None:
+    whole = load(result)
+    if place is not None and not isinstance(whole, ViewsResult):
         raise LightFieldError(
             f"--view chooses from the maps of all views, but {result} holds a single map; leave --view out, or give a "
             "disparities.npz."
         )
-    image = None
+    found, image = one_map(whole, None if place is None else place[::-1]), None
     if colours is not None:
         lf = read(colours, allow_missing=True)
         if found.position is None:

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from lfgpu.data.lightfield import GroundTruth
     from lfgpu.data.result import DepthResult, DisparityMap
-    from lfgpu.data.views_result import ViewsResult
 
 
 def evaluate(
@@ -161,27 +160,17 @@ def _maps(path: Path, truth: Path) -> tuple[dict[str, NDArray[np.float32]], Dept
     """Read the maps to score, by name (the stages of a result), and the estimate itself, if its view is known."""
     from lfgpu.data.result import DepthResult
     from lfgpu.data.views_result import ViewsResult
-    from lfgpu.io import load, result_in
+    from lfgpu.io import load, one_map, read, result_in
 
     _check_exists(path)
-    found = load(path)
+    whole = load(path)
     file = result_in(path) or path if path.is_dir() else path
-    if isinstance(found, DepthResult):
-        return found.disparity_stages, found
-    if isinstance(found, ViewsResult):
-        found = found.map(_true_view(found, truth))
+    if isinstance(whole, DepthResult):
+        return whole.disparity_stages, whole
+    several = isinstance(whole, ViewsResult)
+    known = read(truth, allow_missing=True).truth if several and truth.is_dir() else None
+    found = one_map(whole, None if known is None else known.position)
     return {file.name: found.disparity}, None if found.position is None else found
-
-
-def _true_view(result: ViewsResult, truth: Path) -> int:
-    """Return index of the view whose ground truth a light field holds; the reference view if `truth` is a map."""
-    from lfgpu.io import read
-
-    known = read(truth, allow_missing=True).truth if truth.is_dir() else None
-    if known is None:
-        return result.keys[0]
-    u, v = known.position
-    return result.index_of(v, u)
 
 
 def _check_exists(path: Path) -> None:

@@ -229,7 +229,7 @@ def _colour_and_depth(lf: LightField, maps: Path | None, estimation: Estimation,
 
 
 def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> ViewsResult:
-    """Read the maps of all views, read from `path` or estimated."""
+    """Read the maps of all views from `path`, or estimate them."""
     from lfgpu.data.views_result import ViewsResult
     from lfgpu.io import VIEWS_FILE, load
 
@@ -250,14 +250,10 @@ def _maps(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: b
 
 
 def _map(lf: LightField, path: Path | None, estimation: Estimation, *, quiet: bool) -> DepthResult | DisparityMap:
-    """Read the map of the reference view, read from `path` or estimated."""
-    from lfgpu.data.views_result import ViewsResult
-    from lfgpu.io import VIEWS_FILE, load
+    """Read the map of the reference view from `path`, or estimate it."""
+    from lfgpu.io import VIEWS_FILE, load, one_map
 
     if path is None:
         return estimation.run(lf, quiet=quiet, check_cameras=False)
     found = load(path / VIEWS_FILE if (path / VIEWS_FILE).exists() else path)
-    if not isinstance(found, ViewsResult):
-        return found
-    u, v = lf.positions[lf.reference_index]
-    return found.map(found.index_of(float(v), float(u)))
+    return one_map(found, lf.positions[lf.reference_index])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -28,6 +28,7 @@ from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.names import DISPARITY_FILE, RESULT_FILE
 
 Whole: TypeAlias = DepthResult | ViewsResult
+OneMap: TypeAlias = DepthResult | DisparityMap
 
 
 @dataclass(frozen=True)
@@ -182,6 +183,16 @@ def load(path: str | os.PathLike[str]) -> DepthResult | ViewsResult | DisparityM
     chosen = readable_format(path)
     whole = None if chosen.read_whole is None else chosen.read_whole(path)
     return whole if whole is not None else _map(path, chosen)
+
+
+def one_map(found: DepthResult | ViewsResult | DisparityMap, at: Sequence[float] | None = None) -> OneMap:
+    """Return the map of one view of what `load` returned: of maps of all views that of the view at (u, v).
+
+    Default None: that of the reference view. LightFieldError if there is no view at (u, v).
+    """
+    if not isinstance(found, ViewsResult):
+        return found
+    return found.map(found.keys[0] if at is None else found.index_of(float(at[1]), float(at[0])))
 
 
 def read_map(path: str | os.PathLike[str]) -> NDArray[np.float32]:

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.io import holds_map, load, read
+from lfgpu.io import holds_map, load, one_map, read
 from lfgpu.metrics import Metrics, evaluate
 from lfgpu.viewer.film import Film, holds_maps_of_frames
 from lfgpu.viz.colours import LOOKS
@@ -281,9 +280,8 @@ def opened(path: Path, into: Contents) -> Contents:
         return Contents(film=film).turned(next(iter(film.frames)))
     if not holds_map(path):
         return Contents(read(path, allow_missing=True))
-    found, lf = load(path), into.lf
-    if isinstance(found, ViewsResult):
-        found = found.map(_shown_view(found, lf))
+    lf = into.lf
+    found = one_map(load(path), None if lf is None else lf.positions[lf.reference_index])
     if lf is not None and found.position is not None and into.position != found.position:
         lf = lf.with_reference(lf.index_of(found.position[1], found.position[0]))
     name = path.name if path.is_dir() else path.stem
@@ -292,14 +290,6 @@ def opened(path: Path, into: Contents) -> Contents:
 
 def _is_map(path: Path) -> bool:
     return holds_maps_of_frames(path) or holds_map(path)
-
-
-def _shown_view(result: ViewsResult, lf: LightField | None) -> int:
-    """Choose the map to show of those of all views: the light field's reference view, else their own."""
-    if lf is None:
-        return result.keys[0]
-    u, v = lf.positions[lf.reference_index]
-    return result.index_of(v, u)
 
 
 def opened_all(paths: Sequence[Path], **reading: Any) -> Contents:
