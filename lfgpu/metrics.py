@@ -137,7 +137,7 @@ class Sparsification:
 
 
 def other_unit(disparity: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None) -> str | None:
-    """A sentence if a map is the truth with the opposite sign, or in another unit; None if it is not, or is right.
+    """Say in a sentence if a map is the truth of the opposite sign or in another unit; None if it is not, or is right.
 
     Parameters
     ----------
