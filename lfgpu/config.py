@@ -170,14 +170,14 @@ class Config:
 
 
 def parameters(config: Config | type[Config]) -> Iterator[tuple[str, dataclasses.Field[Any]]]:
-    """All parameters as (`section.parameter`, field). The metadata of the field hold range, meaning and symbol."""
+    """Yield all parameters as (`section.parameter`, field); the field's metadata hold range, meaning and symbol."""
     for name, section in sections(config):
         for parameter in dataclasses.fields(section):
             yield f"{name}.{parameter.name}", parameter
 
 
 def sections(config: Config | type[Config]) -> Iterator[tuple[str, Section]]:
-    """The sections of a configuration, or the defaults of those of a class, by name."""
+    """Yield the sections of a configuration, or the defaults of those of a class, by name."""
     for section in dataclasses.fields(config):
         if isinstance(section.default, Section):
             yield section.name, section.default if isinstance(config, type) else getattr(config, section.name)
@@ -190,17 +190,17 @@ def value_of(config: Config, name: str) -> Any:
 
 
 def as_dict(config: Config) -> dict[str, Any]:
-    """The parameters as plain values: the names of method and `Tuning`, and a dictionary per section."""
+    """Return the parameters as plain values: the names of method and `Tuning`, and a dictionary per section."""
     plain = {name: dataclasses.asdict(section) for name, section in sections(config)}
     held = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
     return {"method": config.method, **plain, **{k: v.name for k, v in held.items() if isinstance(v, Tuning)}}
 
 
 def restored(values: Mapping[str, Any], presets: Mapping[str, Config]) -> Config:
-    """The parameters that a file holds, as `as_dict` or an older version wrote them.
+    """Restore the parameters that a file holds, as `as_dict` or an older version wrote them.
 
-    The preset with most values in common is taken. It gives what the file lacks; values that this version does not
-    have are left out.
+    The preset with most values in common is taken. It gives what the file lacks; values that this version does not have
+    are left out.
 
     Raises
     ------

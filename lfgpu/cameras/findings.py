@@ -47,7 +47,7 @@ _SIGNS: dict[Signs, tuple[str, bool, str, str]] = {
 
 
 def axes(lf: LightField, fault: Signs) -> str:
-    """A sentence about a fault of the axes, with the options that mend it; those that were given are counted in."""
+    """Describe a fault of the axes, with the options that mend it; those that were given are counted in."""
     what, transpose, flip, more = _SIGNS[fault]
     return f"{what}: {lf.reading.advice(transpose=transpose, flip=flip)}{more}."
 

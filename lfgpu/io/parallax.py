@@ -245,7 +245,7 @@ _WAYS = (
 
 
 def no_parallax(light_field: LightField) -> str | None:
-    """A sentence if all views are the same picture, which shows something; else None."""
+    """Return a sentence if all views are the same picture, which shows something; else None."""
     views = light_field.views
     if views[0].min() == views[0].max() or any(not np.array_equal(views[0], view) for view in views[1:]):
         return None

@@ -260,7 +260,7 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
 
 
 def _config(about: Mapping[str, Any]) -> Config:
-    """The parameters of a result, also of an older version: parameters come and go, and the maps stay what they are."""
+    """Restore the parameters of a result, also of an older version: parameters come and go, maps do not."""
     return restored(about, METHODS[about["method"]].presets)
 
 
