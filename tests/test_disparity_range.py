@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
-from lfgpu import read, scenes
+from lfgpu import estimate_depth, read, scenes
 from lfgpu._backends import load
 from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
@@ -171,3 +172,21 @@ def test_it_holds_rendered_scenes(name: str) -> None:
     if not (DATA / name).is_dir():
         pytest.skip(f"{DATA / name} is not there: set LFGPU_DATA")
     spans(read(DATA / name), missing=0.002, more=0.0)
+
+
+@pytest.mark.parametrize(
+    ("sigma", "step", "count", "side"), [(0, 1, 5, 200), (0.5, 3, 5, 200), (0.7, 2, 3, 400), (0, 5, 3, 700)]
+)
+def test_texture_finer_than_the_pixels_of_reduced_views(sigma: float, step: int, count: int, side: int) -> None:
+    """Speckle on a plane of whole disparity is matched perfectly at full resolution, and looks like noise reduced."""
+    reach = side + step * count
+    texture = np.random.default_rng(0).random((reach, reach, 3))
+    texture = gaussian_filter(texture, (sigma, sigma, 0), mode="wrap") if sigma else texture
+    texture = ((texture - texture.min()) / (texture.max() - texture.min()) * 255).astype(np.uint8)
+    places = np.arange(count) * step
+    lf = LightField.from_grid([[texture[v : v + side, u : u + side] for u in places] for v in places])
+    low, high = find_disparity_range(lf)
+    assert low < step < high
+    result = estimate_depth(lf, config="fast", disparity_range=(step - 1.3, step + 1.3), device="cpu")
+    assert np.median(result.confidence) > 0.3
+    assert result.notes == ()

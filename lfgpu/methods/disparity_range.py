@@ -23,6 +23,7 @@ from lfgpu.data.mapping import forget
 from lfgpu.errors import LightFieldError
 
 _SIDE = 170  # about as many pixels has the shorter side of the shrunk views
+_WINDOW = 250  # pixels along each side, of views that show nothing reduced: so many are not reduced
 _COARSEST = 24  # pixels, the least that it has
 _COARSER = 2  # times that they may be shrunk to half of that
 _FARTHEST = 64.0  # pixels between neighbouring views, what is searched,
@@ -90,6 +91,19 @@ def find_disparity_range(lf: LightField, device: Device, *, views: Array | None 
     LightFieldError
         If no pixel is evidence for any disparity.
     """
+    try:
+        return _found(lf, device, views)
+    except LightFieldError:
+        if max(lf.size) <= _WINDOW:
+            raise
+        # Reduced views show nothing of textures that are finer than their pixels: the middle as it is.
+        (height, width), half = lf.size, _WINDOW // 2
+        rows, columns = (slice(max(0, side // 2 - half), side // 2 + half) for side in (height, width))
+        return _found(lf.crop(rows, columns), device, None)
+
+
+def _found(lf: LightField, device: Device, views: Array | None) -> tuple[float, float]:
+    """Find the range, see `find_disparity_range`; views may be reduced to a `_SIDE`-th of their shorter side."""
     shorter, farthest = min(lf.size), lf.layout.farthest
     nearest = _nearest(lf.layout)
     fine = max(1, round(shorter / _SIDE))
@@ -98,6 +112,8 @@ def find_disparity_range(lf: LightField, device: Device, *, views: Array | None 
     search = _Search(lf, device, views, fine)
     with device.asking():
         found = search.compare(_sides(lf.layout, nearest), (-most, most), sizes[:2][-1:])
+        if len(sizes) > 1 and not np.isfinite(found[0].disparity).any():  # finer than the pixels of reduced views
+            found = search.compare(_sides(lf.layout, nearest), (-most, most), sizes[:1])
         low, high = _ends(lf, found)
         low, high = low - 2 * found[0].step, high + 2 * found[0].step
         for _ in range(_TRIES):
