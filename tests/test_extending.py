@@ -58,7 +58,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("copy")
     for name in ("lfgpu", "kernels"):
         shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"), symlinks=True)
-    assert len(follow(PAGE, folder)) == 8
+    assert len(follow(PAGE, folder)) == 20
     return folder
 
 
@@ -180,6 +180,39 @@ def test_a_third_method_in_a_batch(copy: Path, recorded: Path, tmp_path: Path) -
     assert len(found) == 2
     for path in found:
         assert (read_map(path) == PLANE).all()
+
+
+IN_MATCHING = """
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.methods import PRESETS
+from lfgpu.methods.matching.passes import TABLES
+
+assert Path(lfgpu.__file__).is_relative_to(sys.argv[1]), lfgpu.__file__
+lf, fast = scenes.make("boxes", grid=(5, 5), size=(64, 72)), PRESETS["fast"].with_values({"sweep.views": "star"})
+names = ["matching", "two costs", "diagonals", "least cost"]
+assert list(TABLES) == names
+results = {}
+for name in names:
+    config = fast.with_tuning({"passes": name})
+    results[name] = lfgpu.estimate_depth(lf, config=config, disparity_range=(-1.6, 1.6), device="cpu")
+    scores = lfgpu.evaluate(results[name], lf.truth)
+    print(name, scores.mse_100)
+    assert scores.mse_100 < 40
+for name in names[1:]:
+    assert np.array_equal(results[name].stages["sweep"], results["matching"].stages["sweep"])
+    assert not np.array_equal(results[name].stages["resweep"], results["matching"].stages["resweep"])
+assert (results["least cost"].confidence <= 0.5).all()
+"""
+
+
+def test_a_cost_a_view_rule_and_an_aggregation_are_rows_of_tables(copy: Path, tmp_path: Path) -> None:
+    run(copy, tmp_path, "-c", IN_MATCHING, copy)
 
 
 def test_a_new_format_is_read(copy: Path, tmp_path: Path) -> None:

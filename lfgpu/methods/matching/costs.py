@@ -4,24 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Protocol
 
 from lfgpu.contract import REDUCTION, Array, SweepCost
+from lfgpu.methods.matching.base import Cost
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.frame import SweptViews
 from lfgpu.methods.matching.reduced import ReducedViews
 
 _LEAST_REDUCED = 2  # pixels: smallest side of reduced views that are worth comparing
-
-
-class Cost(Protocol):
-    """A cost of the views of a sweep. `SweptViews.on_load` gives it the views of each frame."""
-
-    def by_view_sets(self, volume_out: Array) -> None:
-        """Costs [l, y, x] over all views and over partial sets of them, whichever agree best."""
-
-    def by_visibility(self, nearest: Array, volume_out: Array) -> None:
-        """Costs [l, y, x] over the views that see a pixel past the nearest surface in them, `nearest` [n, y, x]."""
 
 
 class PlaneSweepCost:

@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from lfgpu.contract import Array
-from lfgpu.methods.matching.aggregation import AGGREGATIONS, Swept
+from lfgpu.methods.matching.aggregation import AGGREGATIONS
+from lfgpu.methods.matching.base import Cost, Swept
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.costs import COSTS, Cost, noise_cost
+from lfgpu.methods.matching.costs import COSTS, noise_cost
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.guesses import GuessedSurfaces
 from lfgpu.methods.matching.judging import Judging
@@ -67,7 +68,9 @@ def matching_sweeps(resweeps: int) -> tuple[Sweep, ...]:
     return (first, second, *(third,) * (resweeps - 2), last)
 
 
-TABLES: Mapping[str, Callable[[int], tuple[Sweep, ...]]] = {"matching": matching_sweeps}
+TABLES: Mapping[str, Callable[[int], tuple[Sweep, ...]]] = {
+    "matching": matching_sweeps,
+}
 """Tables of sweeps by name (`MatchingTuning.passes`), each for a number of sweeps after the first."""
 
 

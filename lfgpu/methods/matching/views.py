@@ -61,7 +61,11 @@ def _all(layout: ViewLayout, pattern: str) -> list[int]:
     return list(range(layout.count))
 
 
-VIEWS: Mapping[str, ViewRule] = {"all": _all, "cross": cross_views, "every other": every_other_view}
+VIEWS: Mapping[str, ViewRule] = {
+    "all": _all,
+    "cross": cross_views,
+    "every other": every_other_view,
+}
 """Rules by name, each for the compared views of a sweep."""
 
 

@@ -1,0 +1,68 @@
+"""The interfaces of what the table of sweeps names: costs and aggregations. `views.ViewRule` is that of view rules."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+from lfgpu.contract import Array
+
+
+class Cost(Protocol):
+    """A cost of the views of a sweep. `SweptViews.on_load` gives it the views of each frame."""
+
+    def by_view_sets(self, volume_out: Array) -> None:
+        """Costs [l, y, x] over all views and over partial sets of them, whichever agree best."""
+
+    def by_visibility(self, nearest: Array, volume_out: Array) -> None:
+        """Costs [l, y, x] over the views that see a pixel past the nearest surface in them, `nearest` [n, y, x]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Swept:
+    """What a sweep hands to its aggregation.
+
+    Parameters
+    ----------
+    views, valid
+        The views [n, y, x, c] of the sweep, and their masks [n, y, x] or None.
+    nearest
+        The nearest surface in each view, [n, y, x], that the map found so far leaves; None in the first sweep.
+    volume
+        The costs [l, y, x] of each pixel, which the aggregation may overwrite; None if `Aggregation.has_own_costs`.
+    expect
+        Changes costs [l, y, x] for what is known beforehand, such as the last map of a stream; None if nothing is.
+    """
+
+    views: Array
+    valid: Array | None
+    nearest: Array | None
+    volume: Array | None
+    expect: Callable[[Array], None] | None = None
+
+
+class Aggregation(ABC):
+    """A way to find the best surface through costs, planned for the views of a sweep.
+
+    One is made for each row of the table of sweeps. `SweptViews.frame` has the arena, size, disparities, parameters,
+    reference image and weights of like pixels. An aggregation with costs of its own, at disparities of its own or for
+    sets of views, plans plane sweeps over `SweptViews.layout` and has them loaded by `SweptViews.on_load`.
+    """
+
+    has_own_costs: ClassVar[bool] = False
+    """Whether the sweep leaves its costs to the aggregation, which reads `Swept.views` instead of `Swept.volume`."""
+
+    evidence: tuple[Array, Array] | None = None
+    """Costs and path costs, fields [l, y, x] after each call, by which the map is judged; None if it judges itself."""
+
+    confidence: Array | None = None
+    """The confidence [y, x], 0 to 1, of the last map; None if it is judged by `evidence`."""
+
+    variance: Array | None = None
+    """The variance of the disparity [y, x], (pixels per view step)², with `confidence`."""
+
+    @abstractmethod
+    def __call__(self, swept: Swept, disparity_out: Array) -> None:
+        """Find the disparity [y, x] of each pixel, pixels per view step."""
