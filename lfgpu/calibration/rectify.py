@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName
-from lfgpu.calibration.formats import BESIDE, UNITS, Calibration, read_calibration
+from lfgpu.calibration.formats import BESIDE, Calibration, read_calibration
 from lfgpu.calibration.rectifiers import NUMBERS, numbers, rectifier_of
 from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.resample import pixels, through
 from lfgpu.calibration.rig import Rig, fit_rig, matched, told_by_order
 from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data.geometry import UNITS
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError

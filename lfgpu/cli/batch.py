@@ -125,7 +125,14 @@ def batch(
             )
         devices = () if device is None else (device,)
         cluster = Cluster(scheduler=scheduler, devices=devices, threads=threads, **lasting)
-    items, barren = find_items(inputs, sequence=sequence, format_name=reading.format_name, leave_out=out)
+    items, barren = find_items(
+        inputs,
+        sequence=sequence,
+        format_name=reading.format_name,
+        pattern=reading.names,
+        frame=reading.frame,
+        leave_out=out,
+    )
 
     work, title = Batch(items, out, how), out.resolve().name
     try:

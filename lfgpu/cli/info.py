@@ -29,15 +29,14 @@ def info(
     """
     from lfgpu._backends import DEFAULT, open_device
     from lfgpu.cli.console import heading, lines, output, waiting
-    from lfgpu.io import inside, read, recognise, write_description
+    from lfgpu.io import inside, read, write_description
+    from lfgpu.io.formats import chosen_format
     from lfgpu.pipelines.verdict import views_alone
     from lfgpu.reports import facts
 
     options = reading.options()
-    name, reason = reading.format_name, "as told"
-    if name is None:
-        chosen, because = recognise(source)
-        name, reason = chosen.name, f"because {because}"
+    chosen, reason = chosen_format(source, reading.format_name, reading.names)
+    name = chosen.name
     console = output()
     held = inside(source, format=name)
     if held.no_depth is not None:

@@ -88,6 +88,36 @@ class Reading:
     every: Annotated[
         int | None, typer.Option(metavar="N", help="Use every N-th image or frame as a view.", show_default="all")
     ] = None
+    order: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ORDER",
+            help="Order of numbered views in the grid: row-major, column-major, serpentine, serpentine-columns.",
+            show_default="row-major",
+        ),
+    ] = None
+    names: Annotated[
+        str | None,
+        typer.Option(
+            "--pattern",
+            metavar="PATTERN",
+            help="Meaning of numbers in names of images: cam{u}_frame{t}.png; u column, v row, n camera, t time.",
+            show_default="found",
+        ),
+    ] = None
+    frame: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Time to read, from 0, where cameras have several.", show_default="the first"),
+    ] = None
+    axes: Annotated[
+        str | None,
+        typer.Option(metavar="ORDER", help="Order of the axes of an array, such as yxvuc.", show_default="vuyxc"),
+    ] = None
+    unit: Annotated[
+        str | None,
+        typer.Option(metavar="UNIT", help="Unit of lengths without one: mm, cm or m.", show_default="m"),
+    ] = None
+    transpose: Annotated[bool, typer.Option("--transpose", help="Swap rows and columns of cameras.")] = False
     flip: Annotated[
         str, typer.Option(metavar="AXES", help="Reverse the order of the columns (u), the rows (v) or both (uv).")
     ] = ""
@@ -95,7 +125,8 @@ class Reading:
     def options(self) -> dict[str, Any]:
         """Return the options that were given, as keywords of `lfgpu.read`; LightFieldError if --grid is no pair."""
         found: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
-        found |= {"format": found.pop("format_name"), "grid": values.parse_grid(self.grid)}
+        found |= {"format": found.pop("format_name"), "pattern": found.pop("names")}
+        found["grid"] = values.parse_grid(self.grid)
         return {name: value for name, value in found.items() if value not in (None, "", False)}
 
 

@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.errors import LightFieldError
 
+UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+"""Units of lengths, in metres."""
+
 
 @dataclass(frozen=True)
 class Geometry:

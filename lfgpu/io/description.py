@@ -22,7 +22,6 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import field_of
 from lfgpu.io.atomic import atomic_write, check_writable
 from lfgpu.io.damage import read_as
-from lfgpu.io.flips import check_flip, flipped
 from lfgpu.io.images import check_size, read_mask
 from lfgpu.io.map_formats import read_map
 from lfgpu.io.pfm import write_pfm
@@ -36,11 +35,13 @@ DEFAULT_NAME = "lightfield.toml"
 _MOST_SHOWN = 80  # characters of a wrong value
 
 _PLACES = ("principal_point", "unshifted_at")  # of the geometry; the rest of it are lengths
+_TOLD = ("grid", "every", "order", "pattern", "frame", "axes", "unit", "transpose", "flip")
+"""Options of `lfgpu.read` that a source may have."""
 _KEYS = {
     "": {"name", "grid", "reference", "geometry", "truth", "source", "views"},
     "geometry": {"focal_length_px", "baseline_m", "focus_distance_m", "pixel_aspect", *_PLACES},
     "truth": {"disparity", "position", "mask"},
-    "source": {"path", "format", "grid", "every", "flip"},
+    "source": {"path", "format", *_TOLD},
     "views": {"file", "position", "valid"},
 }
 
@@ -89,7 +90,8 @@ def write_description(
     path
         The file to write, .toml or .json.
     source
-        `path` and `format`, and `grid`, `every` and `flip` where they were given, as in `lfgpu.read`.
+        `path` and `format`, and what else `lfgpu.read` was told: `grid`, `every`, `order`, `pattern`, `frame`, `axes`,
+        `unit`, `transpose` and `flip`.
 
     Returns
     -------
@@ -191,17 +193,13 @@ def _of_source(
     chosen = source.get("format")
     if read is None or not isinstance(path, str) or not isinstance(chosen, str) or chosen == "lightfield-toml":
         raise LightFieldError(f"{file}: source must name a path and its format, one that `lfgpu.read` knows.")
-    options: dict[str, Any] = {}
+    options = {name: value for name, value in source.items() if name in _TOLD}
     if "grid" in source:
         options["grid"] = _pair(file, source["grid"], "source.grid", whole=True)
-    if "every" in source:
-        options["every"] = _whole(file, source["every"], "source.every")
-    flip = source.get("flip", "")
-    if not isinstance(flip, str):
-        raise LightFieldError(f"{file}: source.flip must be u, v or uv, not {_shown(flip)}.")
-    check_flip(flip)
-    light_field = read(_beside(file, path), format=chosen, allow_missing=allow_missing, **options)
-    light_field = flipped(light_field, flip)
+    try:
+        light_field = read(_beside(file, path), format=chosen, allow_missing=allow_missing, **options)
+    except LightFieldError as error:
+        raise LightFieldError(f"{file}: source: {error}") from error
     if not listed:
         return light_field
     if len(listed) != len(light_field.views):

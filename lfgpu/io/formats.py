@@ -40,6 +40,7 @@ from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, listed
 from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.inside import Inside
 from lfgpu.io.parallax import contradiction, no_parallax
+from lfgpu.io.taken import check_unit, in_unit, told
 from lfgpu.io.white import with_white
 
 
@@ -117,7 +118,7 @@ FORMATS: tuple[Format, ...] = (
         description="a folder exported from the old HCI light fields: lf/00_00.png ..., attributes.dat, depth.bin",
         recognise=hci_old.recognise_export,
         read=hci_old.read_hci_export,
-        takes=(_MISSING,),
+        takes=(_MISSING, "unit"),
     ),
     Format(
         name="stanford",
@@ -179,6 +180,7 @@ FORMATS: tuple[Format, ...] = (
         recognise=hci_old.recognise_hdf5,
         read=hci_old.read_hci_hdf5,
         extra="hdf5",
+        takes=("unit",),
     ),
     _numbered(
         "camera-row",
@@ -216,6 +218,7 @@ def read(
     pattern: str | None = None,
     frame: int | None = None,
     axes: str | None = None,
+    unit: str | None = None,
     transpose: bool = False,
     flip: str = "",
     lazy: bool = False,
@@ -252,6 +255,9 @@ def read(
         The order of the axes of an array, one letter each: v and u (rows and columns of views) or n (views one after
         the other), y, x and c (colours): "yxvuc". For formats with "axes" in `Format.takes`. Default None: as the
         format has it.
+    unit
+        Unit of the lengths in files that do not say it, "mm", "cm" or "m"; for formats with "unit" in `Format.takes`.
+        Default None: metres.
     transpose
         Whether the files count rows of cameras for columns; before `flip`. Default False.
     flip
@@ -280,6 +286,7 @@ def read(
     path = Path(path)
     check_flip(flip)
     check_grid_option(grid, order)
+    check_unit(unit)
     if axes is not None:
         check_axes(axes)
     for name, count, least in (("every", every, 1), ("frame", frame, 0)):
@@ -290,20 +297,22 @@ def read(
             raise LightFieldError(f"{name} must be a text, not {text!r:.60}.")
     chosen = chosen_format(path, format, pattern)[0]
     check_exists(path)
-    told = {"grid": grid, "order": order, "every": every, "pattern": pattern, "frame": frame, "axes": axes}
-    options: dict[str, Any] = {name: value for name, value in told.items() if value is not None}
+    given = {"grid": grid, "order": order, "every": every, "pattern": pattern, "frame": frame, "axes": axes}
+    options: dict[str, Any] = {name: value for name, value in {**given, "unit": unit}.items() if value is not None}
     for name in options:
         if name not in chosen.takes:
             raise LightFieldError(f"{path} is read as {chosen.name}, for which {name} means nothing; leave it out.")
-    options.pop("order", None)
+    for name in ("order", "unit"):
+        options.pop(name, None)
     if allow_missing and _MISSING in chosen.takes:
         options[_MISSING] = True
     with on_disk(lazy):
         found = chosen.read(path, **options)
         found = reordered(found, order or ORDERS[0])
         found = flipped(transposed(found) if transpose else found, flip)
-        found = replace(found, reading=replace(found.reading, transpose=transpose, flip=flip))
-        found = _checked(without_black_corners(with_white(found)))
+        found = in_unit(found, unit) if "unit" in chosen.takes else found
+        found = without_black_corners(with_white(found))
+        found = _checked(told(found, chosen.name, order=order or ORDERS[0], transpose=transpose, flip=flip))
     forget(found.views)
     return found
 

@@ -36,6 +36,7 @@ _SAME = 4.0  # times the noise: views that differ by less look alike
 _OTHER = 1.6  # times the noise: what other disparities must be worse by
 _APART = 2.0  # shrunk pixels in the farthest view: what differs by more is another disparity
 _AGREEING = 5  # of the eight neighbours
+_LARGEST = 1.0  # intensity: the difference of what no view shows
 _LEAST_NOISE = 0.002  # intensity: half a step of 8 bits
 _OUTLIERS = 5  # pixels left out at either end,
 _UNCHECKED = 500  # or one in so many, where no other view confirms what a pair of views says
@@ -282,7 +283,10 @@ class _Comparison:
         noise is the median difference at the better textured half of the pixels.
         """
         place, least, spread, others, worst = found.astype(np.float32, copy=False)
-        noise = max(float(np.median(least[spread >= np.median(spread)])), _LEAST_NOISE)
+        seen = least < _LARGEST  # masked pixels have no say
+        if not seen.any():
+            return _Evidence(np.full(place.shape, np.nan, np.float32), self.step, self.unchecked)
+        noise = max(float(np.median(least[seen & (spread >= np.median(spread[seen]))])), _LEAST_NOISE)
         certain = (worst <= min(_SAME * noise, 1.0)) & (others >= _OTHER * noise)
         disparity = np.where(certain, self.first + self.step * place, np.inf).astype(np.float32)
         count, mean = _agreeing(disparity, 1.5 * self.step)

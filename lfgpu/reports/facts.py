@@ -26,6 +26,7 @@ def rows(lf: LightField) -> list[tuple[str, str]]:
         ("offsets", offsets(lf)),
         ("geometry", geometry(lf.geometry)),
         ("ground truth", truth(lf)),
+        *lf.reading.lines(),
     ]
 
 

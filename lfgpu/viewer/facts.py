@@ -171,7 +171,7 @@ def _light_field(lf: LightField) -> dict[str, Any]:
         "grid": lf.grid_shape,
         "row": lf.row().tolist(),
         "column": lf.column().tolist(),
-        "notes": list(lf.notes),
+        "notes": [*(f"{label.capitalize()}: {sentence}." for label, sentence in lf.reading.lines()), *lf.notes],
         "aperture": float(np.hypot(*lf.offsets.T).max()),
     }
 

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 from samples import picture, refusal, save
+from typer.testing import CliRunner
 
 from lfgpu.batch.items import find_items
+from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
 from lfgpu.pipelines.sources.base import Options
@@ -124,6 +126,13 @@ def test_dates_and_times_are_no_places(name: str, pattern: str | None, tmp_path:
     np.testing.assert_array_equal(found.views[3], picture(3))
 
 
+def run(*arguments: object) -> str:
+    """The output of a command that ends well."""
+    found = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert found.exit_code == 0, found.output
+    return str(found.output)
+
+
 def asked(folder: Path, **options: Any) -> str:
     return refusal(lambda: read(folder, **options))
 
@@ -206,3 +215,26 @@ def test_equal_pictures_are_no_light_field(tmp_path: Path) -> None:
     for number in range(5):
         save(tmp_path / f"cam{number}.png", view)
     assert "All views are the same picture: there is no parallax" in read(tmp_path).notes[-1]
+
+
+def test_info_says_what_was_taken_for_what(true: LightField, tmp_path: Path) -> None:
+    folder = written(true, tmp_path / "in", WORDS["u and v"])
+    lines = " ".join(run("info", folder).split())
+    assert "places the numbers in names such as u0_v0.png are column (the word u says so); row (the word v" in lines
+    assert "pictures oriented as they are stored, all pixels are valid" in lines
+    assert "lengths none: there is disparity only" in lines
+    written(true, tmp_path / "named", lambda v, u: f"a{u}-b{v}.png")
+    lines = " ".join(run("info", tmp_path / "named", "--pattern", "a{v}-b{u}.png", "--transpose").split())
+    assert "3 x 4 grid" in lines
+    assert "rows and columns swapped, as told" in lines
+    lines = run("info", tmp_path / "named", "--pattern", "a{u}-b{v}.png", "--write", tmp_path / "a.toml")
+    assert read(tmp_path / "a.toml").grid_shape == (3, 4)
+
+
+def test_a_description_of_an_array_keeps_what_was_told(true: LightField, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", true.views.reshape(3, 4, 96, 112, 3).transpose(2, 3, 1, 0, 4))
+    assert "--axes yxvuc or yxcvu or yxuvc" in asked(tmp_path / "a.npy")
+    run("info", tmp_path / "a.npy", "--axes", "yxuvc", "--write", tmp_path / "a.toml")
+    np.testing.assert_array_equal(read(tmp_path / "a.toml").views, true.views)
+    run("info", tmp_path / "a.npy", "--axes", "yxvuc", "--transpose", "--write", tmp_path / "b.toml")
+    np.testing.assert_array_equal(read(tmp_path / "b.toml").view(2, 1), true.view(2, 1))

@@ -25,7 +25,9 @@ from lfgpu.calibration.formats.llff import read_llff
 from lfgpu.calibration.formats.nerfstudio import nerfstudio_cameras
 from lfgpu.calibration.formats.opencv import opencv_cameras
 from lfgpu.calibration.formats.toml import read_toml, write_cameras
+from lfgpu.data.geometry import UNITS
 from lfgpu.errors import LightFieldError
+from lfgpu.io.taken import check_unit
 from lfgpu.io.texts import read_json_or_toml
 
 __all__ = ["BESIDE", "Calibration", "read_calibration", "read_toml", "write_cameras"]
@@ -63,10 +65,6 @@ class Calibration:
     rig: tuple[Camera, ...] = ()
 
 
-UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-"""Units of lengths, in metres."""
-
-
 def read_calibration(path: str | Path, *, unit: str | None = None) -> Calibration:
     """Read calibrated cameras.
 
@@ -85,8 +83,7 @@ def read_calibration(path: str | Path, *, unit: str | None = None) -> Calibratio
     LightFieldError
         If there is no such file, it is of another kind, or damaged; the sentence says which entry.
     """
-    if unit is not None and unit not in UNITS:
-        raise LightFieldError(f"unit must be one of {', '.join(UNITS)}, not {unit!r}.")
+    check_unit(unit)
     found = _read(path)
     if unit is None or UNITS[unit] == 1:
         return found

@@ -1,0 +1,68 @@
+"""Sentences about what was taken for what when a light field was read: places, pictures, lengths."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from lfgpu.data.geometry import UNITS, Geometry
+from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
+from lfgpu.io.images import INVERTED, LINEAR, TURNED
+
+_NARROWEST, _WIDEST = 1e-5, 2.0  # metres between neighbouring cameras; others are probably of another unit
+
+
+def told(light_field: LightField, name: str, *, order: str, transpose: bool, flip: str) -> LightField:
+    """Complete `reading` of a light field that was read as the format `name`, with the options that were given."""
+    reading = light_field.reading
+    places = reading.places or f"rows and columns of views as the format {name} has them"
+    if order != "row-major":
+        places += f"; stored in {order} order, as told"
+    if transpose or flip:
+        ways = [*(["rows and columns swapped"] if transpose else []), *([f"turned round along {flip}"] if flip else [])]
+        places += f"; {', '.join(ways)}, as told"
+    pictures = ", ".join([*_changes(light_field), _valid(light_field)])
+    lengths = reading.lengths or _lengths(light_field.geometry)
+    done = replace(reading, places=places, pictures=pictures, lengths=lengths, transpose=transpose, flip=flip)
+    return replace(light_field, reading=done)
+
+
+def in_unit(light_field: LightField, unit: str | None) -> LightField:
+    """Scale the lengths of files that do not say their unit; without `unit` they are metres, doubted if implausible."""
+    geometry = light_field.geometry
+    if geometry is None:
+        return light_field
+    if unit is None:
+        if _NARROWEST <= geometry.baseline_m <= _WIDEST:
+            return light_field
+        note = f"Neighbouring cameras would stand {geometry.baseline_m:.4g} m apart: say the unit with --unit mm or cm."
+        return replace(light_field, notes=(*light_field.notes, note))
+    scale = UNITS[unit]
+    geometry = replace(
+        geometry, baseline_m=scale * geometry.baseline_m, focus_distance_m=scale * geometry.focus_distance_m
+    )
+    reading = replace(light_field.reading, lengths=f"lengths of the file are {unit}, as told")
+    notes = tuple(note for note in light_field.notes if not note.startswith("Lengths have no unit"))
+    return replace(light_field, geometry=geometry, reading=reading, notes=notes)
+
+
+def check_unit(unit: object) -> None:
+    """Raise LightFieldError unless `unit` is None or the name of a unit of lengths."""
+    if unit is not None and unit not in UNITS:
+        raise LightFieldError(f"unit must be one of {', '.join(UNITS)}, not {unit!r:.60}.")
+
+
+def _changes(light_field: LightField) -> list[str]:
+    """Describe how pictures differ from the files."""
+    changes = [text for text in (TURNED, INVERTED, LINEAR) if any(text[1:] in note for note in light_field.notes)]
+    return changes or ["oriented as they are stored"]
+
+
+def _valid(light_field: LightField) -> str:
+    if light_field.valid is None:
+        return "all pixels are valid"
+    return f"{100 * float(light_field.valid.mean()):.1f} % of the pixels are valid, as masks or dark corners say"
+
+
+def _lengths(geometry: Geometry | None) -> str:
+    return "none: there is disparity only" if geometry is None else "metres, from the files"
