@@ -99,6 +99,8 @@ def arranged(
 def _seen_as_square(path: Path, array: NDArray[Any], shape: tuple[int, int]) -> str:
     """Say why n views [n, y, x, c] are taken for a square grid; LightFieldError if their pictures contradict that."""
     count = len(array)
+    if array.dtype.kind not in "uf":  # which is refused later
+        return "which is taken for a square"
     grids = [(rows, count // rows) for rows in range(1, count + 1) if count % rows == 0]
     told = parallax.in_sequence([parallax.grey(view) for view in array[:_LOOKED_AT]])
     found = None if told is None else parallax.best_order(told, grids)

@@ -387,4 +387,4 @@ def _toml_value(value: Any) -> str:
         return f"[{', '.join(_toml_value(entry) for entry in value)}]"
     if isinstance(value, str):  # JSON escapes as TOML does, but for one character
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return repr(value)
+    return str(value).lower() if isinstance(value, bool) else repr(value)

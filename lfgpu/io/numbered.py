@@ -139,7 +139,11 @@ def read_numbered(
     if not cameras and rows and columns:
         light_field = _read_grid(path, naming, rows[0], columns[0], notes, allow_missing=allow_missing)
     else:
-        number = (cameras or columns or rows or naming.of(TIME))[0]
+        number = next(iter(cameras or columns or rows or naming.of(TIME)), None)
+        if number is None:
+            raise LightFieldError(
+                f"{path} has one view only ({naming.files[0].name}); depth needs at least two views of the scene."
+            )
         down = bool(rows) and not cameras and not columns
         light_field = _read_row(
             path, naming, number, notes, grid=grid, every=every, down=down, allow_missing=allow_missing

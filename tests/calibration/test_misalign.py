@@ -95,7 +95,7 @@ def test_the_command_writes_both_calibrations(tmp_path) -> None:
     ("change", "words"),
     [
         ({"rotation": np.diag([1.0, -1.0, 1.0])}, "mirrors"),
-        ({"rotation": 2 * np.eye(3)}, "no rotation"),
+        ({"rotation": 2 * np.eye(3)}, "orthonormal"),
         ({"distortion": (0.1,)}, "found 1"),
         ({"model": "pinhol"}, "must be one of"),
         ({"focal_length": (0.0, 1.0)}, "positive"),
