@@ -50,7 +50,7 @@ def fill_unknown(disparity: ArrayLike) -> Float32Array:
 
 
 def filled(result: DepthResult) -> DepthResult:
-    """The same result without holes; its confidence is 0 there, and its status says how much was filled."""
+    """Fill the holes of a result; its confidence is 0 there, and its status says how much was filled."""
     unknown = float(np.isnan(result.disparity).mean())
     if not unknown:
         return result
@@ -65,6 +65,6 @@ def filled(result: DepthResult) -> DepthResult:
 
 
 def _next_value(values: Float32Array, unknown: NDArray[np.bool_]) -> Float32Array:
-    """Each unknown value replaced by the next known one to the left, where there is one."""
+    """Replace each unknown value by the next known one to the left, where there is one."""
     columns = np.where(unknown, 0, np.arange(values.shape[1]))
     return np.take_along_axis(values, np.maximum.accumulate(columns, axis=1), axis=1)

@@ -98,7 +98,7 @@ class Geometry:
     def points(
         self, disparity: ArrayLike, *, position: tuple[float, float] | None = None, step: int = 1
     ) -> NDArray[np.float64]:
-        """The 3D points of the pixels of a disparity map.
+        """Compute the 3D points of the pixels of a disparity map.
 
         Parameters
         ----------

@@ -16,7 +16,7 @@ _HOST, _CUDA = (1, 3), (2, 13)  # device types of DLPack: CPU memory, pageable o
 
 
 def place_of(name: str, values: Any) -> str:
-    """The device of an array: "cpu", "cuda:0" and so on, or `SOME_GPU`.
+    """Find the device of an array: "cpu", "cuda:0" and so on, or `SOME_GPU`.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def kind_of(name: str, values: Any) -> tuple[str, tuple[int, ...]]:
 
 
 def on_host(name: str, values: Any) -> NDArray[Any]:
-    """A NumPy array with the same values; copied only if it is on a GPU, or its library requires it."""
+    """Return a NumPy array with the same values; copy only if it is on a GPU, or if its library requires it."""
     if isinstance(values, np.ndarray):
         return values
     place = place_of(name, values)

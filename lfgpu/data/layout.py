@@ -68,7 +68,8 @@ class ViewLayout:
 
     @property
     def farthest(self) -> float:
-        """The largest distance of a view from the reference view, along u or v, in view steps."""
+        """Return the largest distance of views at `offsets` [n, 2] from the reference view, along u or v, in view
+        steps."""
         return farthest(self.offsets)
 
     def row(self) -> NDArray[np.intp]:
@@ -134,7 +135,7 @@ class ViewLayout:
         return np.flatnonzero(keep)
 
     def subset(self, which: str | Sequence[int] | NDArray[Any]) -> ViewLayout:
-        """The layout of some of the views; `which`, and what is raised, as for `chosen`."""
+        """Return the layout of some of the views; parameters and errors are those of `chosen`."""
         kept = self.chosen(which)
         if len(kept) == self.count:
             return self
@@ -151,5 +152,5 @@ class ViewLayout:
 
 
 def farthest(offsets: NDArray[np.float64]) -> float:
-    """The largest distance of views from the reference view, along u or v; offsets [n, 2] and result in view steps."""
+    """Return the largest distance of views at `offsets` [n, 2] from the reference view, along u or v, in view steps."""
     return float(np.abs(offsets).max())

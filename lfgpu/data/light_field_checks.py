@@ -22,7 +22,7 @@ _FLOAT_RANGE = -0.5, 1.5  # of values on [0, 1]: resampling may overshoot a litt
 
 
 def array_of_numbers(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:
-    """An array of any library, on the host; LightFieldError, with its name, if it holds no numbers."""
+    """Return an array of any library on the host; raise LightFieldError, with its name, if it holds no numbers."""
     if hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__"):
         values = interop.on_host(name, values)
     try:
@@ -32,7 +32,7 @@ def array_of_numbers(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:
 
 
 def check_number(name: str, value: Any, least: float = -math.inf, most: float = math.inf) -> None:
-    """LightFieldError unless `value` is a number from `least` to `most`; NaN is none."""
+    """Raise LightFieldError unless `value` is a number from `least` to `most`; NaN is none."""
     known = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
     if not (known and least <= value <= most):
         bounds = "" if math.isinf(least) and math.isinf(most) else f" from {least:g} to {most:g}"
@@ -41,21 +41,21 @@ def check_number(name: str, value: Any, least: float = -math.inf, most: float = 
 
 
 def check_whole(name: str, value: Any, least: int, most: float = math.inf) -> None:
-    """LightFieldError unless `value` is a whole number from `least` to `most`."""
+    """Raise LightFieldError unless `value` is a whole number from `least` to `most`."""
     if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) <= most:
         bounds = f"of at least {least}" if math.isinf(most) else f"from {least} to {most:g}"
         raise LightFieldError(f"{name} must be a whole number {bounds}, not {value!r:.60}.")
 
 
 def texts(name: str, values: Any) -> tuple[str, ...]:
-    """A sequence of texts as a tuple; LightFieldError if it is none, or a single text."""
+    """Return a sequence of texts as a tuple; raise LightFieldError if it is none, or a single text."""
     if isinstance(values, str) or not isinstance(values, Iterable):
         raise LightFieldError(f"{name} must be a sequence of texts, not {values!r:.60}.")
     return tuple(map(str, values))
 
 
 def without_mask(views: Any, valid: Any) -> tuple[Any, Any]:
-    """The values of views that may be a NumPy masked array, and `valid` with what is not masked in any channel.
+    """Return the values of views that may be a NumPy masked array, and `valid` with what is not masked in any channel.
 
     `views` are [n, y, x] or [n, y, x, c], and `valid` is bool [n, y, x] or None.
     """
@@ -67,7 +67,7 @@ def without_mask(views: Any, valid: Any) -> tuple[Any, Any]:
 
 
 def check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:
-    """LightFieldError that names the view if float views [n, y, x, c] are not finite and on [0, 1]."""
+    """Raise LightFieldError that names the view if float views [n, y, x, c] are not finite and on [0, 1]."""
     if views.dtype != np.float32:
         return
 
@@ -82,13 +82,13 @@ def check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:
 
 
 def check_scaled(where: str, low: float, high: float) -> None:
-    """LightFieldError that names `where` if float values from `low` to `high` are not on [0, 1]."""
+    """Raise LightFieldError that names `where` if float values from `low` to `high` are not on [0, 1]."""
     if low < _FLOAT_RANGE[0] or high > _FLOAT_RANGE[1]:
         raise LightFieldError(f"{where} has values from {low:g} to {high:g}; scale float views to [0, 1].")
 
 
 def check_distinct(positions: NDArray[np.float64]) -> None:
-    """LightFieldError if two of the positions [n, 2] are the same, or nearly so."""
+    """Raise LightFieldError if two of the positions [n, 2] are the same, or nearly so."""
     rounded = np.round(positions / POSITION_TOLERANCE).astype(np.int64)
     unique, counts = np.unique(rounded, axis=0, return_counts=True)
     if len(unique) < len(positions):
@@ -103,7 +103,7 @@ def check_distinct(positions: NDArray[np.float64]) -> None:
 
 
 def _nearest(positions: NDArray[np.float64]) -> tuple[float, int]:
-    """The smallest distance of two positions, and the index of one of them; a larger one if it is not below
+    """Find the smallest distance of two positions, and the index of one of them; any larger distance unless it is below
     `_NEAREST`."""
     order = np.lexsort(positions.T[::-1])
     ordered, found = positions[order], (np.inf, 0)
@@ -117,7 +117,7 @@ def _nearest(positions: NDArray[np.float64]) -> tuple[float, int]:
 
 
 def check_grid(positions: NDArray[np.float64], grid_shape: tuple[int, int]) -> None:
-    """LightFieldError if positions [n, 2] are not places of a grid of (rows, columns)."""
+    """Raise LightFieldError if positions [n, 2] are not places of a grid of (rows, columns)."""
     sides = tuple(grid_shape) if isinstance(grid_shape, tuple | list) else ()
     if len(sides) != 2 or not all(isinstance(side, Integral) and side > 0 for side in sides):
         raise LightFieldError(f"grid_shape must be (rows, columns), whole numbers from 1 on, not {grid_shape!r:.60}.")
@@ -131,5 +131,5 @@ def check_grid(positions: NDArray[np.float64], grid_shape: tuple[int, int]) -> N
 
 
 def span(values: NDArray[np.float64]) -> str:
-    """The least and the largest value, as a sentence has them."""
+    """Write the least and the largest value as a part of a sentence."""
     return f"{values.min():g} to {values.max():g}"

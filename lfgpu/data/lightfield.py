@@ -180,7 +180,7 @@ class LightField:
 
     @classmethod
     def from_grid(cls, views: ArrayLike, *, vertical_step: float = 1.0, **fields: Any) -> LightField:
-        """A light field from a full grid of views.
+        """Make a light field from a full grid of views.
 
         Parameters
         ----------
@@ -266,7 +266,7 @@ class LightField:
         return tuple((v, u) for v in range(rows) for u in range(columns) if (v, u) not in present)
 
     def reference_truth(self) -> GroundTruth | None:
-        """The ground truth if it belongs to the reference view, else None."""
+        """Return the ground truth if it belongs to the reference view, else None."""
         if self.truth is None or self._find(*self.truth.position) != self.reference_index:
             return None
         return self.truth
@@ -280,7 +280,7 @@ class LightField:
         return self.views[index].astype(np.float32) * np.float32(self.scale)
 
     def view(self, row: float, column: float) -> NDArray[Any]:
-        """The view at position v = `row`, u = `column`, as stored: [y, x, c]."""
+        """Return the view at position v = `row`, u = `column`, as stored: [y, x, c]."""
         return np.asarray(self.views[self.index_of(row, column)])
 
     def index_of(self, row: float, column: float) -> int:
@@ -308,12 +308,12 @@ class LightField:
         return self.layout.pattern(name)
 
     def epi_horizontal(self, y: int) -> NDArray[Any]:
-        """The epipolar plane image [u, x, c] of image row `y`, from the reference view's row of views."""
+        """Return the epipolar plane image [u, x, c] of image row `y`, from the reference view's row of views."""
         check_whole("row of pixels", y, -self.size[0], self.size[0] - 1)
         return np.asarray(self.views[self.row(), y])
 
     def epi_vertical(self, x: int) -> NDArray[Any]:
-        """The epipolar plane image [v, y, c] of image column `x`, from the reference view's column of views."""
+        """Return the epipolar plane image [v, y, c] of image column `x`, from the reference view's column of views."""
         check_whole("column of pixels", x, -self.size[1], self.size[1] - 1)
         return np.asarray(self.views[self.column(), :, x])
 
@@ -331,17 +331,17 @@ class LightField:
         )
 
     def _repr_html_(self) -> str:
-        """The HTML for notebooks."""
+        """Write the HTML for notebooks."""
         return hooks.html(self)
 
     # --- derived light fields ---
 
     def with_reference(self, index: int) -> LightField:
-        """The same light field with view `index` as the reference; `index_of` finds an index by row and column."""
+        """Return the same light field with view `index` as the reference, an index as of `index_of`."""
         return replace(self, reference=index)
 
     def subset(self, which: str | Sequence[int] | NDArray[Any]) -> LightField:
-        """A light field with some of the views.
+        """Return a light field with some of the views.
 
         Parameters
         ----------
@@ -422,7 +422,7 @@ class LightField:
     def _with_views(
         self, chosen: NDArray[np.intp], views: NDArray[Any], valid: NDArray[np.bool_] | None, **others: Any
     ) -> LightField:
-        """A light field of the chosen views, with new pixels `views` and other fields changed."""
+        """Return a light field of the chosen views, with new pixels `views` and other fields changed."""
         fields = {
             "positions": self.positions[chosen],
             "reference": int((chosen < self.reference_index).sum()),
@@ -436,7 +436,7 @@ class LightField:
 
 
 def check_light_field(lf: object) -> None:
-    """LightFieldError that says how to make one if `lf` is no `LightField`, but an array or a path."""
+    """Raise LightFieldError that says how to make a light field if `lf` is no `LightField`, but an array or a path."""
     if isinstance(lf, LightField):
         return
     if isinstance(lf, (str, os.PathLike)):

@@ -22,7 +22,7 @@ _WORTHWHILE = 2**22  # bytes: below this size, threads are not worth their start
 def mapped(
     file: IO[bytes], shape: Sequence[int], dtype: Any, *, offset: int = 0, fortran: bool = False
 ) -> NDArray[Any]:
-    """A read-only array mapped from an open file, beginning at byte `offset`."""
+    """Map a read-only array from an open file, beginning at byte `offset`."""
     order: Any = "F" if fortran else "C"
     array = np.asarray(np.memmap(file, dtype, "r", offset=offset, shape=tuple(shape), order=order))
     mapping = _mapping(array)
@@ -37,8 +37,8 @@ _FILES: WeakKeyDictionary[mmap.mmap, tuple[str, tuple[int, int, int]]] = WeakKey
 
 
 def check_unchanged(array: NDArray[Any]) -> None:
-    """LightFieldError if the file of a mapped array was cut short or written anew: reading on would end the process, or
-    mix two contents. A file that was replaced is another one, and leaves the array as it is."""
+    """Raise LightFieldError if the file of a mapped array was cut short or written anew: reading on would end the
+    process, or mix two contents. A file that was replaced is another one, and leaves the array as it is."""
     mapping = _mapping(array)
     if mapping is None:
         return
@@ -83,7 +83,7 @@ def each_view(views: NDArray[Any], chosen: Sequence[int], work: Callable[[int, N
 
 
 def _mapping(array: Any) -> mmap.mmap | None:
-    """The mapping of a read-only mapped array, else None; a writable one could lose changes when it is released."""
+    """Return the mapping of a read-only mapped array, else None: a writable one could lose changes when released."""
     while isinstance(array, np.ndarray):
         if isinstance(array, np.memmap) and array.mode != "r":
             return None

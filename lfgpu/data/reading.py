@@ -1,4 +1,4 @@
-"""What was taken for what when a light field was read, and why."""
+"""Decisions of a reader about the files of a light field, with their reasons."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Reading:
-    """What a reader took for what, and why: sentences without a full stop, "" where there is nothing to say.
+    """Decisions of a reader, with their reasons: sentences without a full stop, "" where nothing was decided.
 
     Parameters
     ----------
@@ -30,12 +30,13 @@ class Reading:
     flip: str = ""
 
     def lines(self) -> list[tuple[str, str]]:
-        """A label and a sentence each of what there is to say."""
+        """List a label and a sentence for each decision."""
         said = (("places", self.places), ("pictures", self.pictures), ("lengths", self.lengths))
         return [(label, sentence) for label, sentence in said if sentence]
 
     def advice(self, *, transpose: bool = False, flip: str = "") -> str:
-        """How to read the same files such that the axes of cameras are turned as well: the options of `lfgpu.read`.
+        """Advise on the options of `lfgpu.read` with which the axes of the cameras of the same files are turned as
+        well.
 
         What was given already is taken into account. "" where nothing is left to be given.
         """

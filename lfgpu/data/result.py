@@ -116,7 +116,7 @@ class DepthResult:
         )
 
     def _repr_html_(self) -> str:
-        """The HTML for notebooks."""
+        """Write the HTML for notebooks."""
         return hooks.html(self)
 
     @property
@@ -171,7 +171,7 @@ class DisparityMap:
         return f"<DisparityMap {_map_lines(self)}>"
 
     def _repr_html_(self) -> str:
-        """The HTML for notebooks."""
+        """Write the HTML for notebooks."""
         return hooks.html(self)
 
     @property

@@ -60,7 +60,7 @@ class ViewsResult:
         )
 
     def _repr_html_(self) -> str:
-        """The HTML for notebooks."""
+        """Write the HTML for notebooks."""
         return hooks.html(self)
 
     def index_of(self, row: float, column: float) -> int:
@@ -73,7 +73,7 @@ class ViewsResult:
         return int(np.argmin(distance))
 
     def map(self, index: int) -> DisparityMap:
-        """The map of view `index`, with its metadata."""
+        """Return the map of view `index`, with its metadata."""
         u, v = (float(value) for value in self.positions[index])
         about = self.reference
         return DisparityMap(

@@ -45,6 +45,6 @@ def without_black_corners(lf: LightField) -> LightField:
 
 
 def _connected(labels: NDArray[np.int32], seeds: Any) -> NDArray[np.bool_]:
-    """The labelled regions that contain the pixels `seeds`."""
+    """Select the labelled regions that contain the pixels `seeds`."""
     found = np.unique(labels[seeds])
     return np.isin(labels, found[found > 0])

@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 
 
 def window_max(values: NDArray[Any], size: int) -> NDArray[Any]:
-    """The largest of the size x size pixels around each pixel [y, x], as far as they are there; size is odd."""
+    """Find the largest of the size x size pixels around each pixel [y, x], within the image; size is odd."""
     return _along_both(np.maximum, values, size, "edge")
 
 
 def window_min(values: NDArray[Any], size: int) -> NDArray[Any]:
-    """The smallest value; as `window_max`."""
+    """Find the smallest value; as `window_max`."""
     return _along_both(np.minimum, values, size, "edge")
 
 
 def window_mean(values: NDArray[Any], size: int) -> NDArray[Any]:
-    """The mean of the size x size pixels around each pixel [y, x], which is mirrored at its borders; size is odd."""
+    """Average the size x size pixels around each pixel [y, x], mirrored at the borders; size is odd."""
     return _along_both(np.add, values, size, "symmetric") / values.dtype.type(size**2)
 
 
 def smoothed(values: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
-    """A Gaussian of that standard deviation, in pixels, over an image [y, x] that is mirrored at its borders."""
+    """Smooth an image [y, x], mirrored at its borders, by a Gaussian of that standard deviation in pixels."""
     places = np.arange(-int(4 * deviation + 0.5), int(4 * deviation + 0.5) + 1)
     weights = np.exp(-0.5 * (places / deviation) ** 2)
     for axis in (0, 1):
@@ -34,7 +34,7 @@ def smoothed(values: NDArray[np.float32], deviation: float) -> NDArray[np.float3
 
 
 def gradient_size(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The length of the gradient of an image [y, x], differences per pixel, by Sobel's filters."""
+    """Compute the length of the gradient of an image [y, x], differences per pixel, by Sobel's filters."""
     slopes = [_weighted(_weighted(values, (-0.5, 0, 0.5), axis), (0.25, 0.5, 0.25), 1 - axis) for axis in (0, 1)]
     return np.hypot(*slopes)
 

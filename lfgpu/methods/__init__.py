@@ -46,14 +46,14 @@ PresetName: TypeAlias = Literal["accurate", "fast", "paper", "paper-exact"]
 
 
 def preset(name: str) -> Config:
-    """The parameters of a preset; LightFieldError if there is none of that name."""
+    """Return the parameters of a preset; raise LightFieldError if there is none of that name."""
     if name not in PRESETS:
         raise LightFieldError(f"unknown preset {name!r}; use one of {', '.join(PRESETS)}.")
     return PRESETS[name]
 
 
 def configured(config: Config | str) -> Config:
-    """The parameters that `config` is or names; LightFieldError if it is neither."""
+    """Return the parameters that `config` is or names; raise LightFieldError if it is neither."""
     found = preset(config) if isinstance(config, str) else config
     if not isinstance(found, Config):
         raise LightFieldError(
@@ -63,7 +63,7 @@ def configured(config: Config | str) -> Config:
 
 
 def nearest_preset(config: Config) -> tuple[str, frozenset[str]]:
-    """The preset of the same method that has most values in common, and the names of the parameters that differ."""
+    """Find the preset of the same method with most values in common, and the names of the parameters that differ."""
     own = dict(parameters(config))
     different = {
         name: frozenset(parameter for parameter in own if value_of(config, parameter) != value_of(other, parameter))
@@ -73,7 +73,7 @@ def nearest_preset(config: Config) -> tuple[str, frozenset[str]]:
 
 
 def method_of(config: Config | str) -> Method[Any]:
-    """The method with these parameters, or with those of a preset; LightFieldError if there is no such preset."""
+    """Make the method with parameters, or with those of a preset; raise LightFieldError if there is no such preset."""
     found = configured(config)
     module, _, name = METHODS[found.method].home.partition(":")
     method: Method[Any] = getattr(importlib.import_module(module), name)(found)

@@ -36,15 +36,15 @@ class Arena:
         self._scopes: list[list[tuple[_Kind, Array]]] = []
 
     def field(self, name: str, shape: Sequence[int]) -> Array:
-        """The field of that name, of zeros when it is new."""
+        """Return the field of a name; it holds zeros when it is new."""
         return self._kept(name, (tuple(shape), ""))
 
     def image(self, name: str, shape: Sequence[int], stored: DTypeLike = np.float32) -> Array:
-        """The image of that name, [..., c], stored in the NumPy type `stored`; of zeros when it is new."""
+        """Return the image [..., c] of a name, stored in the NumPy type `stored`; it holds zeros when it is new."""
         return self._kept(name, (tuple(shape), np.dtype(stored).name))
 
     def constant(self, name: str, values: NDArray[Any]) -> Array:
-        """The field of that name, which holds `values` when it is new; nothing may write into it."""
+        """Return the field of a name, which holds `values` when it is new; nothing may write into it."""
         kind = (values.shape, "")
         if name not in self._named:
             self._named[name] = kind, self.device.field(values)
@@ -52,7 +52,7 @@ class Arena:
 
     @contextmanager
     def scratch(self) -> Iterator[Scratch]:
-        """A scope in which scratch is lent; when it ends, scopes that follow are lent the same."""
+        """Begin a scope in which scratch is lent; scopes that follow are lent the same buffers."""
         self._scopes.append([])
         try:
             yield Scratch(self)
@@ -61,7 +61,7 @@ class Arena:
                 self._free.setdefault(kind, []).append(buffer)
 
     def lend(self, kind: _Kind) -> Array:
-        """A free buffer, or a new one, for the scope that began last."""
+        """Lend a free buffer, or a new one, to the innermost scope."""
         free = self._free.get(kind)
         buffer = free.pop() if free else self._made(kind)
         self._scopes[-1].append((kind, buffer))

@@ -72,22 +72,22 @@ class Plan(Protocol):
     """The stage after which `check` can tell whether the run finds an estimate."""
 
     def stages(self, views: Array) -> dict[str, Work]:
-        """The work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
+        """Return the work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
 
     def check(self, name: str) -> None:
         """Raise LightFieldError, which names `name`, if the last run found no estimate; waits for the device."""
 
     def is_finite(self) -> bool:
-        """Whether all numbers of the last run were finite; waits for the device."""
+        """Tell whether all numbers of the last run were finite; waits for the device."""
 
     def maps(self) -> dict[str, Float32Array]:
-        """The map after each stage, float32 [y, x], NaN where it is undefined; waits for the device."""
+        """Copy the map after each stage to the host, float32 [y, x] by name, NaN where it is undefined."""
 
     def uncertainty(self) -> Float32Array | None:
         """Standard deviation of the disparity, float32 [y, x], None if the method has none; waits for the device."""
 
     def solution(self) -> Solution:
-        """How the solvers did in the last run; waits for the device."""
+        """Report the outcome of the solvers in the last run; waits for the device."""
 
 
 class LivePlan(Protocol):
@@ -114,7 +114,7 @@ class LivePlan(Protocol):
 
     @property
     def state(self) -> dict[str, Array]:
-        """What a frame leaves for the next one, by name."""
+        """The arrays that a frame leaves for the next one, by name."""
 
     def mask(self, valid: Array | None) -> None:
         """Set the mask of the used views, a field [n, y, x], 0 at invalid pixels; None if all are valid."""
@@ -150,7 +150,7 @@ class Method(ABC, Generic[C]):
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """The stages that run with these parameters, in order."""
+        """Return the work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
         return self.STAGES
 
     @property
@@ -159,17 +159,17 @@ class Method(ABC, Generic[C]):
         return next(stage for stage in self.STAGES if stage.name == self.TRACED)
 
     def iterations(self, stage: str) -> int | None:
-        """The largest number of iterations of a stage; None if it is not iterative."""
+        """Return the largest number of iterations of a stage; None if it is not iterative."""
         return None
 
     @property
     def is_on_device(self) -> bool:
-        """Whether all solvers run on the device, so that a whole run can be captured."""
+        """True if all solvers run on the device, so that a whole run can be captured."""
         return True
 
     @property
     def is_recordable(self) -> bool:
-        """Whether it can be exported: a run is the same sequence of operations for all views."""
+        """True if it can be exported: a run is the same sequence of operations for all views."""
         return False
 
     @property
@@ -179,7 +179,7 @@ class Method(ABC, Generic[C]):
 
     @property
     def is_live(self) -> bool:
-        """Whether it can run on streams of frames."""
+        """True if it can run on streams of frames."""
         return type(self).live_plan is not Method.live_plan
 
     # --- measuring a light field ---
@@ -208,13 +208,13 @@ class Method(ABC, Generic[C]):
         return self.measured(lf, bounds, device)
 
     def measured(self, lf: LightField, bounds: tuple[float, float], device: Device) -> Measured:
-        """What the method needs besides the disparity range, with that range."""
+        """Measure what the method needs besides a disparity range."""
         return Measured(bounds)
 
     def given(
         self, layout: ViewLayout, disparity_range: tuple[float, float] | None, noise: float | None = None
     ) -> Measured | None:
-        """The result of `measure` if it needs no views; None if it needs them.
+        """Return the result of `measure` if it needs no views; None if it needs them.
 
         `noise` is used in place of a measured noise, if the parameters do not give one.
         """
@@ -227,7 +227,7 @@ class Method(ABC, Generic[C]):
         return list(range(layout.count))
 
     def footprint(self, layout: ViewLayout, measured: Measured, *, on_gpu: bool) -> Footprint:
-        """The memory of a pipeline for light fields of one kind, whose views are on disk.
+        """Foresee the memory of a pipeline for light fields of one kind, whose views are on disk.
 
         It is the memory of a GPU if `on_gpu`, else that of the process: the views that are used, and what a dry run of
         the plan counts.
@@ -243,7 +243,7 @@ class Method(ABC, Generic[C]):
 
     @abstractmethod
     def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:
-        """The halo (y, x) in pixels: how far around a pixel its disparity depends on others; tiles overlap so far."""
+        """Return the halo (y, x): pixels around a pixel on which its disparity depends. Tiles overlap by it."""
 
     def same_surface(self, layout: ViewLayout) -> float:
         """Largest difference between disparities of the same surface, pixels per view step."""

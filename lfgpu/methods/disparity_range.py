@@ -1,9 +1,10 @@
 """The range of disparities in a scene, found from the views alone by matching them at low resolution.
 
-A pixel is evidence for a disparity if the views to one side of the reference look alike there (horizontally and
-vertically, where there are views of both), if they look alike at no other disparity, and if its neighbours say the
-same; its disparity is the mean over these. What a coarser comparison finds counts where a finer one finds nothing. The
-outermost evidence, with a margin, is the range: a pixel without texture has no say in it.
+A pixel is evidence for a disparity if three things hold: the views to one side of the reference look alike there
+(horizontally and vertically, where there are views of both), they look alike at no other disparity, and most
+neighbours have the same disparity. The evidence is the mean disparity over these neighbours. Evidence of a coarser
+comparison counts where a finer comparison has none. The range goes from the lowest to the highest evidence, with a
+margin: pixels without texture do not count.
 """
 
 from __future__ import annotations
@@ -51,19 +52,19 @@ class _Side:
 
     views: list[int]
     horizontal: bool
-    """Whether the side is the left or the right one, not the upper or the lower."""
+    """True for the left and the right side, False for the upper and the lower one."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """What one comparison found."""
+    """Evidence that one comparison found."""
 
     disparity: Float32Array
     """[y, x], NaN where a pixel is no evidence."""
     step: float
     """Distance of the disparities that were compared."""
     unchecked: bool
-    """Whether each side was a single view, and none stood opposite."""
+    """True if each side was a single view, and none stood opposite."""
 
 
 def find_disparity_range(lf: LightField, device: Device, *, views: Array | None = None) -> tuple[float, float]:
@@ -132,12 +133,12 @@ def _found(lf: LightField, device: Device, views: Array | None) -> tuple[float, 
 
 
 def largest_disparity(layout: ViewLayout) -> float:
-    """The largest disparity that is searched, pixels per view step."""
+    """Return the largest disparity that is searched, pixels per view step."""
     return min(_FARTHEST, _SHIFT * min(layout.size)) / _nearest(layout)
 
 
 def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
-    """The disparities of the outermost evidence, without a few pixels of each comparison at either end.
+    """Find the disparities of the outermost evidence, without a few pixels of each comparison at either end.
 
     Each comparison but the first is half as fine as the one before; it counts where no finer one found anything.
     """
@@ -166,7 +167,7 @@ def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
 
 
 def _along(layout: ViewLayout, *, horizontal: bool) -> tuple[NDArray[np.bool_], Float64Array]:
-    """Which views stand to the left or right (above or below), and how far, [n]."""
+    """Select the views to the left or right (above or below), bool [n]; and return the distances of all views, [n]."""
     line = layout.pattern("cross")
     if line.sum() < 2:
         line = layout.pattern("full")
@@ -176,13 +177,13 @@ def _along(layout: ViewLayout, *, horizontal: bool) -> tuple[NDArray[np.bool_], 
 
 
 def _nearest(layout: ViewLayout) -> float:
-    """How far away the nearest views are, horizontally or vertically, whichever is farther; view steps."""
+    """Return the distance of the nearest views, horizontally or vertically, whichever is larger; view steps."""
     lines = [_along(layout, horizontal=horizontal) for horizontal in (True, False)]
     return float(max(np.abs(along[beside]).min() for beside, along in lines if beside.any()))
 
 
 def _sides(layout: ViewLayout, reach: float) -> list[_Side]:
-    """The sides that have views, and `_VIEWS` evenly chosen of each within reach: the nearest one if none is."""
+    """List the sides that have views, each with `_VIEWS` evenly chosen views within reach, or its nearest one."""
     sides = []
     for horizontal in (True, False):
         beside, along = _along(layout, horizontal=horizontal)
@@ -215,7 +216,7 @@ class _Search:
     def _started(
         self, images: Array, chosen: list[int], sides: list[_Side], bounds: tuple[float, float], times: int
     ) -> _Comparison:
-        """One comparison, which the device may not have finished."""
+        """Start one comparison, which the device may not have finished."""
         lf, kernels, factor = self._lf, self._device.kernels, times * self._factor
         far = max(float(np.abs(lf.offsets[side.views]).max()) for side in sides)
         step = max(_STEP * factor / far, (bounds[1] - bounds[0]) / (_MOST - 1))
@@ -268,7 +269,7 @@ class _Search:
 
 @dataclass(frozen=True, eq=False)
 class _Comparison:
-    """What a device finds."""
+    """Outcome of a comparison on the device."""
 
     found: Array
     """See `RangeSearch.distinct_minimum` in `lfgpu/contract`."""
@@ -277,7 +278,7 @@ class _Comparison:
     unchecked: bool
 
     def evidence(self, found: NDArray[np.floating]) -> _Evidence:
-        """The pixels that are evidence, of `found` on the host.
+        """Select the pixels that are evidence, of `found` on the host.
 
         Views differ there by the noise at most, along each line, and by clearly more at all other disparities. The
         noise is the median difference at the better textured half of the pixels.
@@ -294,7 +295,7 @@ class _Comparison:
 
 
 def _agreeing(disparity: Float32Array, tolerance: float) -> tuple[NDArray[np.intp], Float32Array]:
-    """How many of the eight neighbours of each pixel have its disparity, and the mean of these and itself, [y, x].
+    """Count the neighbours of each pixel, of eight, that have its disparity, and average these and the pixel, [y, x].
 
     Both are 0 where a disparity is infinite.
     """

@@ -17,7 +17,7 @@ _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "
 
 
 def parse_memory(value: str | float) -> int:
-    """A size in bytes, from a number or from text such as "8GiB", "500 MB" or "2g"; LightFieldError for other text."""
+    """Convert a number or text such as "8GiB", "500 MB" or "2g" to bytes; raise LightFieldError for other text."""
     if isinstance(value, Real) and not isinstance(value, bool) and 1 <= float(value) < math.inf:
         return int(value)
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([kmgt]i?|)b?\s*", str(value).lower())
@@ -40,6 +40,6 @@ class Footprint:
     spare: int = 0
 
     def bytes(self, height: int, width: int) -> int:
-        """The bytes for views of one size, including the process, or the context of the GPU."""
+        """Count the bytes for views of one size, including the process, or the context of the GPU."""
         spare = min(self.spare_per_pixel * height * width, self.spare)
         return self.besides + int(_SLACK * (self.per_pixel * height * width + spare))

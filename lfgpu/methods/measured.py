@@ -1,4 +1,4 @@
-"""What is measured on a light field before the estimate: its disparity range and its noise."""
+"""Measurements on a light field before the estimate: its disparity range and its noise."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Measured:
 
 
 def checked_range(disparity_range: tuple[float, float], layout: ViewLayout) -> tuple[float, float]:
-    """A range that the user gave, as two numbers; LightFieldError if this light field cannot have it."""
+    """Convert a range that the user gave to two numbers; raise LightFieldError if this light field cannot have it."""
     try:
         low, high = (float(bound) for bound in disparity_range)
     except (TypeError, ValueError):

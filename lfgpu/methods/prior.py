@@ -83,7 +83,8 @@ class NonLocalMeans:
         self.kernels.nlm_average(self.weights, volume, window=self.window, average_out=average_out)
 
     def plane(self, values: Array, certainty: Array, *, support: float, ridge: float, plane_out: Array) -> None:
-        """The planes through the values, by their certainty, on the same surface around each pixel, at that pixel."""
+        """Fit planes to the values, weighted by certainty, on the surface around each pixel, and evaluate them at the
+        pixel."""
         self.kernels.nlm_plane(
             self.weights, values, certainty, window=self.window, support=support, ridge=ridge, plane_out=plane_out
         )

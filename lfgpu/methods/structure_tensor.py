@@ -152,13 +152,13 @@ class _Line:
 
 
 def _spacing(offsets: Float64Array) -> float:
-    """The smallest distance between views at `offsets`, view steps; views at nearly equal offsets count as one."""
+    """Find the smallest distance between views at `offsets`, view steps; views at nearly equal offsets count as one."""
     gaps = np.diff(np.sort(offsets))
     return float(gaps[gaps > 1e-3 * gaps.max()].min())
 
 
 def structure_filters(offsets: Float64Array, config: LocalConfig) -> StructureFilters:
-    """The filters of a structure tensor at offset 0, for views at `offsets` [u], which may be unevenly spaced.
+    """Compute the filters of a structure tensor at offset 0, for views at `offsets` [u], which may be unevenly spaced.
 
     Along the views, value and slope come from a line fit with Gaussian weights. On a regular grid this gives the
     Gaussian and its derivative. At the end of a row of views it stays unbiased.
@@ -195,7 +195,8 @@ def structure_filters(offsets: Float64Array, config: LocalConfig) -> StructureFi
 def _rests_on_valid(
     valid: NDArray[np.bool_], offsets: Float64Array, shear: float, config: LocalConfig
 ) -> NDArray[np.bool_]:
-    """Where all pixels under the filters are valid: [y, x], from masks [u, y, x] that are sheared like the EPIs."""
+    """Select the pixels [y, x] under whose filters all pixels are valid, by masks [u, y, x] that are sheared like the
+    EPIs."""
     across = int(_reach(config.inner_scale)) + int(_reach(config.outer_scale)) + 1  # one for the shear's rounding
     columns = np.arange(valid.shape[2])
     clean = np.ones(valid.shape[1:], np.bool_)

@@ -18,7 +18,7 @@ _RANGES = {
 
 @dataclass(frozen=True)
 class TemporalPrior:
-    """How strongly the map of a frame follows the map of the frame before.
+    """Strength with which the map of a frame follows the map of the frame before.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ class ConjugateGradients:
         k.repeat(iterate, self._residuals.go_on, self._most)
 
     def report(self) -> Solution:
-        """The outcome of the last solve; waits for the device."""
+        """Report the outcome of the last solve; waits for the device."""
         trace = self._residuals.report()
         iterations, converged = len(trace) - 1, trace[-1] <= self._tolerance
         reason = "the residual is small enough" if converged else "the limit of iterations is reached"

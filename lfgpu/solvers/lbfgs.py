@@ -101,7 +101,7 @@ class BoundedLbfgs:
         self._kernels.repeat(iterate, memory.go_on, 2 * self._most + 20)
 
     def report(self) -> Solution:
-        """The outcome of the last minimisation; waits for the device."""
+        """Report the outcome of the last minimisation; waits for the device."""
         trace, evaluations, flat = self._memory.report()
         iterations = len(trace) - 1
         if iterations == 0 and evaluations == 1 and self._most > 0:  # there was no direction to try

@@ -54,7 +54,7 @@ class ScipyLbfgsb:
         kernels.upload(values, x)
 
     def report(self) -> Solution:
-        """The outcome of the last minimisation."""
+        """Report the outcome of the last minimisation."""
         assert self._solution is not None, "nothing was minimised yet"
         return self._solution
 

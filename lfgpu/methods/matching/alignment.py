@@ -74,7 +74,7 @@ class Alignment:
         kernels.dot(workspace, self._prior.ones, self.trust)
 
     def trace(self) -> tuple[float, ...]:
-        """The root mean square of each step, pixels per view step; waits for the device."""
+        """Compute the root mean square of each step, pixels per view step; waits for the device."""
         return tuple(map(self._size_of, self.moves))
 
     def put_back(self, matched: Array, map_: Array) -> None:

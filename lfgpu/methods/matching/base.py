@@ -22,7 +22,7 @@ class Cost(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """What a sweep hands to its aggregation.
+    """Views and costs that a sweep hands to its aggregation.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Aggregation(ABC):
     """
 
     has_own_costs: ClassVar[bool] = False
-    """Whether the sweep leaves its costs to the aggregation, which reads `Swept.views` instead of `Swept.volume`."""
+    """True if the aggregation computes costs itself: it reads `Swept.views`, and `Swept.volume` is None."""
 
     evidence: tuple[Array, Array] | None = None
     """Costs and path costs, fields [l, y, x] after each call, by which the map is judged; None if it judges itself."""

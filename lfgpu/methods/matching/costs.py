@@ -49,29 +49,29 @@ class WithReducedViews(PlaneSweepCost):
 
 
 def first_cost(config: MatchingConfig) -> SweepCost:
-    """The cost of intensities and gradients: cameras may differ in brightness."""
+    """Return the cost of intensities and gradients: cameras may differ in brightness."""
     tuning = config.tuning.sweep
     return SweepCost(tuning.truncation, tuning.gradient_weight, tuning.gradient_truncation, softness(config))
 
 
 def middle_cost(config: MatchingConfig) -> SweepCost:
-    """The cost of intensities alone: beside an outline the gradient is that of the nearer surface."""
+    """Return the cost of intensities alone: beside an outline the gradient is that of the nearer surface."""
     return SweepCost(config.tuning.sweep.resweep_truncation, softness=softness(config))
 
 
 def last_cost(config: MatchingConfig) -> SweepCost:
-    """The cost of intensities and, with less weight, gradients."""
+    """Return the cost of intensities and, with less weight, gradients."""
     tuning = config.tuning.sweep
     return SweepCost(tuning.truncation, tuning.resweep_gradient_weight, tuning.gradient_truncation, softness(config))
 
 
 def softness(config: MatchingConfig) -> float:
-    """The difference in intensity beyond which differences count by their square root."""
+    """Return the difference in intensity beyond which differences count by their square root."""
     return config.tuning.sweep.softness * config.sweep.noise
 
 
 def noise_cost(config: MatchingConfig) -> float:
-    """The cost of a difference in intensity as large as the noise, if gradients do not differ."""
+    """Compute the cost of a difference in intensity as large as the noise, if gradients do not differ."""
     s, noise = config.tuning.sweep.softness, config.sweep.noise
     return 2 * s * noise * (math.sqrt(1 + 1 / s) - 1) if s else noise
 

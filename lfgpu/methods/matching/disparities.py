@@ -16,7 +16,7 @@ _FEWEST = 3  # a minimum between two disparities is found from three
 
 
 def compared_disparities(bounds: tuple[float, float], farthest: float, config: SweepConfig) -> Disparities:
-    """The disparities that are compared: odd halves of a step that cover the bounds.
+    """Choose the disparities that are compared: odd halves of a step that cover the bounds.
 
     A step is `config.step` pixels in the farthest view, or as long as it takes for `config.max_labels` disparities. The
     outermost disparities are on a bound or less than a step beyond it: maps are clamped, so surfaces beyond a bound end

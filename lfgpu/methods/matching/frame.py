@@ -106,7 +106,7 @@ class Frame:
             swept.is_loaded = False
 
     def like_pixels(self, window: int) -> NonLocalMeans:
-        """The weights of like pixels in a window around each pixel of the reference image."""
+        """Return the weights of like pixels in a window around each pixel of the reference image."""
         if window not in self._priors:
             tuning, shape = self.config.tuning.prior, (*self.size, self.layout.channels)
             prior = PriorConfig(window, tuning.patch, tuning.sigma_color, tuning.sigma_gradient, tuning.floor)
@@ -119,7 +119,7 @@ class Frame:
         return self.like_pixels(self.config.prior.window)
 
     def swept(self, rule: str) -> SweptViews:
-        """The compared views that a row of `VIEWS` chooses; rules that choose the same views share them."""
+        """Return the compared views that a row of `VIEWS` chooses; rules that choose the same views share them."""
         layout = self.compared_layout
         chosen = tuple(VIEWS[rule](layout, self.config.sweep.views))
         if chosen not in self._swept:
@@ -197,7 +197,7 @@ class SweptViews:
         return sweep
 
     def cost(self, name: str, plan: Callable[[SweptViews], Any]) -> Any:
-        """The cost of that name over these views, planned when it is first asked for."""
+        """Return the cost of a name over these views; it is planned when it is first asked for."""
         if name not in self._costs:
             self._costs[name] = plan(self)
         return self._costs[name]
@@ -207,7 +207,7 @@ class SweptViews:
         self._loads.append(load)
 
     def hiding(self, widening: int) -> ZBuffer:
-        """What finds the nearest surface in each view, when surfaces are widened by so many pixels."""
+        """Return the operation that finds the nearest surface in each view, with surfaces widened by so many pixels."""
         if widening not in self._hiding:
             self._hiding[widening] = self.frame.kernels.z_buffer(self.layout.shape, self.offsets, reach=widening)
         return self._hiding[widening]

@@ -17,7 +17,7 @@ _WIDE = 16  # pixels on each side over which evidence and costs farther around a
 
 
 def kind_of(resweeps: int) -> str:
-    """The key of the weights in `trust.py` for a number of sweeps after the first one."""
+    """Return the key of the weights in `trust.py` for a number of sweeps after the first one."""
     return "again" if resweeps > 1 else "once"
 
 
@@ -58,7 +58,7 @@ class Judging:
             self._fields = scratch.fields(len(FEATURES), size)
 
     def evidence(self, costs: Array, path_costs: Array, evidence_out: Array) -> None:
-        """The negative logarithm of the width of the disparities that are as good as the best one, a field [y, x]."""
+        """Compute -log of the width of the disparities that are as good as the best one, a field [y, x]."""
         conflict, cost, *_ = self._fields
         self._evaluate(costs, path_costs, conflict, evidence_out, cost)
 
@@ -101,12 +101,12 @@ class Judging:
         k.clamp(self.variance, 0.0, self._span**2 / 12, self.variance)
 
     def features(self) -> dict[str, Float32Array]:
-        """The six maps of the last run, float32 [y, x] by name, until another pass runs; waits for the device."""
+        """Copy the six maps of the last run to the host, float32 [y, x] by name; they last until another pass runs."""
         found = zip(FEATURES, self._fields, strict=True)
         return {name: self.kernels.numpy(field).astype(np.float32) for name, field in found}
 
     def deviation(self) -> Float32Array:
-        """The standard deviation of the disparity, float32 [y, x]; waits for the device."""
+        """Copy the standard deviation of the disparity to the host, float32 [y, x]; waits for the device."""
         return np.asarray(np.sqrt(self.kernels.numpy(self.variance)), np.float32)
 
     def _evaluate(self, costs: Array, path_costs: Array, conflict: Array, evidence: Array, cost: Array) -> None:

@@ -72,7 +72,7 @@ def of_given_noise(noise: float, config: SweepConfig) -> tuple[float, float]:
 
 
 def smoothing_deviation(grain: float | None, config: SweepConfig) -> float | None:
-    """The difference between pixels of a view that smoothing averages, intensity; None if views are not smoothed."""
+    """Return the difference between pixels of a view that smoothing averages, intensity; None if it does not smooth."""
     deviation = config.smoothing * (grain or 0.0)
     return deviation if deviation > _LEAST_GRAIN else None
 

@@ -61,7 +61,7 @@ FAST = (
 
 
 def matching_sweeps(resweeps: int) -> tuple[Sweep, ...]:
-    """The table for a number of sweeps after the first: `ACCURATE` with its third row left out or repeated."""
+    """Return the table for a number of sweeps after the first: `ACCURATE` with its third row left out or repeated."""
     first, second, third, last = ACCURATE
     if resweeps < len(FAST):
         return FAST[: 1 + resweeps]
@@ -75,7 +75,7 @@ TABLES: Mapping[str, Callable[[int], tuple[Sweep, ...]]] = {
 
 
 def sweeps_of(config: MatchingConfig) -> tuple[Sweep, ...]:
-    """The table that parameters name."""
+    """Return the table that parameters name."""
     first, *further = TABLES[config.tuning.passes](config.sweep.resweeps)
     return (replace(first, views=config.tuning.sweep.first_views), *further)
 
@@ -155,7 +155,7 @@ class Sweeps:
 
     @property
     def are_several(self) -> bool:
-        """Whether sweeps follow the first one."""
+        """True if sweeps follow the first one."""
         return bool(self._further)
 
     @property
@@ -177,7 +177,7 @@ class Sweeps:
             before, found, evidence = sweep, map_out, None
 
     def past(self) -> PlannedSweep:
-        """The last sweep, in a form that looks past a surface even if no sweep follows the first one."""
+        """Return the last sweep, planned to look past a surface even if no sweep follows the first one."""
         if self._further:
             return self._further[-1]
         row = replace(self._first.row, past="surface", aggregation=ACCURATE[-1].aggregation)
@@ -211,7 +211,7 @@ class Sweeps:
         self._put_far(map_out)
 
     def _hiding_part(self, found: Array, before: PlannedSweep, evidence: Array | None) -> Array:
-        """The surfaces of a found map that hide anything: guessed ones are replaced by farther ones."""
+        """Return the surfaces of a found map that hide anything: guessed ones are replaced by farther ones."""
         if self._guesses is None or before.aggregation.evidence is None:
             return found
         if evidence is None:

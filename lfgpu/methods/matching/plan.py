@@ -47,7 +47,7 @@ class MatchingPlan:
 
     decided = "align"
     may_be_masked = False
-    """Whether views may come with masks that the layout does not have."""
+    """True if views may come with masks that the layout does not have."""
 
     def __init__(self, layout: ViewLayout, measured: Measured, config: MatchingConfig, device: Device) -> None:
         assert measured.noise is not None  # this method measures it
@@ -72,7 +72,7 @@ class MatchingPlan:
         self._steps = config.alignment.iterations
 
     def stages(self, views: Array) -> dict[str, Work]:
-        """The work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
+        """Return the work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
         again: dict[str, Work] = {"resweep": self._sweep_again} if self._sweeps.are_several else {}
         return {"sweep": lambda _: self._sweep(views), **again, "align": self._align, "boundaries": self._finish}
 
@@ -85,18 +85,18 @@ class MatchingPlan:
             )
 
     def is_finite(self) -> bool:
-        """Whether all numbers of the last run were finite; waits for the device."""
+        """Tell whether all numbers of the last run were finite; waits for the device."""
         return bool(np.isfinite(self._kernels.number(self._alignment.moves[0])))
 
     def maps(self) -> dict[str, Float32Array]:
-        """The map after each stage, float32 [y, x], NaN where it is undefined; waits for the device."""
+        """Copy the map after each stage to the host, float32 [y, x] by name, NaN where it is undefined."""
         again = {"resweep": self._matched} if self._sweeps.are_several else {}
         kept = {"sweep": self._swept, **again, "align": self._aligned, "boundaries": self.disparity}
         found = {name: self._kernels.numpy(field).astype(np.float32) for name, field in kept.items()}
         return {name: self._frame.known.on_host(map_) for name, map_ in found.items()}
 
     def solution(self) -> Solution:
-        """The result of the alignment; its trace is the root mean square of each step, pixels per view step."""
+        """Report the outcome of the alignment; the trace is the root mean square of each step, pixels per view step."""
         trace = self._alignment.trace()
         return Solution(
             converged=trace[-1] <= _CONVERGED,
@@ -108,11 +108,11 @@ class MatchingPlan:
         )
 
     def features(self) -> dict[str, Float32Array]:
-        """The maps on which the confidence of the last run depends, float32 [y, x] by name; waits for the device."""
+        """Copy the maps on which the confidence of the last run depends to the host, float32 [y, x] by name."""
         return self._sweeps.judging.features()
 
     def uncertainty(self) -> Float32Array:
-        """The standard deviation of the disparity, float32 [y, x], NaN where it is undefined; waits for the device."""
+        """Copy the standard deviation of the disparity to the host, float32 [y, x], NaN where it is undefined."""
         return self._frame.known.on_host(self._sweeps.judging.deviation())
 
     def _sweep(self, views: Array) -> None:

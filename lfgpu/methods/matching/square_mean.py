@@ -6,7 +6,7 @@ from lfgpu.contract import Array, KernelSet
 
 
 def square_mean(kernels: KernelSet, values: Array, *, reach: int, workspace: Array, means_out: Array) -> None:
-    """The mean over each pixel of a map [y, x] and those at most `reach` rows and columns from it.
+    """Average each pixel of a map [y, x] and the pixels at most `reach` rows and columns from it.
 
     Only pixels in the image count. `values`, `workspace` [y, x] and `means_out` are different fields.
     """

@@ -105,14 +105,14 @@ def chosen_views(layout: ViewLayout, pattern: str) -> ChosenViews:
 
 
 def are_around(offsets: Float64Array) -> bool:
-    """Whether views at `offsets` [n, 2] surround the reference: their directions leave no half of a turn open."""
+    """Tell whether views at `offsets` [n, 2] surround the reference: their directions leave no half of a turn open."""
     du, dv = offsets[np.hypot(*offsets.T) > _ON_PLACE].T
     turns = np.sort(np.arctan2(dv, du))
     return bool(np.diff(turns, append=turns[:1] + 2 * np.pi).max(initial=0) < np.pi - _ON_PLACE)
 
 
 def _places(layout: ViewLayout) -> Float64Array | None:
-    """The places of views in a grid, in view steps from the reference; None if a view is beside them."""
+    """Find the places of views in a grid, in view steps from the reference; None if a view is beside them."""
     places = np.rint(layout.offsets)
     return places if np.abs(layout.offsets - places).max() < _ON_PLACE else None
 

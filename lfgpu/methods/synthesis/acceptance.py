@@ -1,10 +1,11 @@
-"""Acceptance: how much of the refinement each pixel takes, judged by the views that see it; and the confidence.
+"""Acceptance: the share of the refinement that each pixel takes, by the views that see the pixel; and the confidence.
 
-The additive model of the refinement does not know what hides what, and moves pixels beside outlines away from the
-truth. The judge does: it compares the views where nothing nearer hides the pixel, each with their robust mean
-(`lfgpu.contract.Alignment`). Its derivative along the change of a pixel is known at both ends, so that the change is
-cut where the views agree best between them. That says something near the truth only: a pixel that was given to the
-wrong surface would go anywhere. Where most views disagree with the mean at the start, pixels stay where they are.
+The additive model of the refinement knows no occlusions, and moves pixels beside outlines away from the truth. The
+acceptance compares only the views in which nothing nearer hides a pixel, each with the robust mean of these views
+(`lfgpu.contract.Alignment`). The derivative of their agreement along the change of a pixel is known at both ends of the
+change, so the change is cut where the views agree best between the ends. The derivative means something near the truth
+only: a pixel on the wrong surface could go anywhere. So pixels stay where most views disagree with the mean at the
+start.
 """
 
 from __future__ import annotations
@@ -13,25 +14,25 @@ from lfgpu.contract import Array, Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.prior import NonLocalMeans
 
-_GRADIENT_WEIGHT = 2.0  # of image gradients against intensities
+_GRADIENT_WEIGHT = 2.0  # weight of image gradients against intensities
 _CONTRAST = 0.07  # intensity at the usual noise: steps between pixels that halve the weight of gradients around them
 _ROBUST = 0.005  # intensity at the usual noise: larger differences from the mean of the views count less
 _UNLIMITED = 10.0  # intensity: all views count the same
-_LEAST_SHARE = 0.2  # of the curvature of all views that those have that agree, at which a pixel is moved half as far
+_LEAST_SHARE = 0.2  # share of agreeing views in the curvature of all views at which a pixel is moved half as far
 _TOLERANCE = 1.2  # pixels in the farthest view: a surface hides only what lies behind it by more
-_REACH = 1  # pixels around a surface in another view that it hides, too: there both sides mix
+_REACH = 1  # pixels around a surface in another view that are hidden as well: there both sides mix
 _STIFFNESS = 0.1  # 1 / pixel²: curvature over robust² at which the confidence is a half
 
 
 class Acceptance:
-    """Moves each pixel from one map towards another as far as the views agree better.
+    """Step of each pixel from one map towards another, as far as the views agree better.
 
     Parameters
     ----------
     layout
         The layout of the views.
     prior
-        Its weights: the views' agreement is that of the pixels around that look alike.
+        The weights of like pixels, over which the agreement of the views is averaged.
     longest
         Most by which a pixel is moved, pixels in the farthest view.
     noise
@@ -115,7 +116,7 @@ class Acceptance:
         k.divide(mean, square, confidence_out)
 
     def _improvement(self, disparity: Array, improvement_out: Array) -> None:
-        """How much better the views agree per share of the change, at a map; the mean over like pixels."""
+        """Measure how much better the views agree per share of the change, at a map; the mean over like pixels."""
         self._align(disparity, self._nearest, self._curvature, self._slope)
         self._kernels.multiply(self._slope, self._change, self._slope)
         self._prior.mean(self._slope, improvement_out)

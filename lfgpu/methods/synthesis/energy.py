@@ -49,7 +49,7 @@ class Energy:
         kernels.axpby(self._share, curvature, _EVENNESS, prior.ones, curvature)
 
     def __call__(self, disparity: Array, gradient_out: Array, value_out: Scalar) -> None:
-        """The value and the gradient at a disparity map [y, x], pixels per view step."""
+        """Compute the value and the gradient at a disparity map [y, x], pixels per view step."""
         kernels, mean = self._prior.kernels, self._model.mean
         self._model.squared_error(disparity, gradient_out, value_out)
         smoothed = disparity

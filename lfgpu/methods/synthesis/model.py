@@ -10,7 +10,7 @@ from lfgpu.methods.synthesis.config import RefinementConfig
 
 
 def compared_as(config: RefinementConfig, *, on_gpu: bool) -> type[np.floating]:
-    """The type in which views are kept that the model is compared with.
+    """Choose the type in which recorded views are kept for comparison with the model.
 
     On a GPU memory bandwidth is the limit, and normalised views are kept in half precision: its rounding is far below
     their noise. Raw intensities are kept as they are: rounded ones would move the printed energy by 3e-5 of its value.
@@ -107,9 +107,9 @@ class ForwardModel:
         return k.numpy(views), k.numpy(coverage)
 
     def squared_error(self, disparity: Array, gradient_out: Array, value_out: Scalar) -> None:
-        """The squared error, summed over pixels, views and channels, and its gradient; `mean` is its factor."""
+        """Compute the squared error, summed over pixels, views and channels, and its gradient; `mean` is its factor."""
         self._data_term(disparity, gradient_out, value_out)
 
     def curvature(self, curvature_out: Array) -> None:
-        """The approximate second derivative of the squared error by the disparity of each pixel, a field [y, x]."""
+        """Approximate the second derivative of the squared error by the disparity of each pixel, a field [y, x]."""
         self._data_term.curvature(curvature_out)

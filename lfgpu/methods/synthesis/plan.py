@@ -32,7 +32,7 @@ _SOLVERS: dict[str, type[BoundedLbfgs] | type[ScipyLbfgsb]] = {"lbfgs": BoundedL
 
 
 def planned_prior(shape: tuple[int, int, int], config: SynthesisPriorConfig, device: Device) -> NonLocalMeans:
-    """The prior in the forms that the parameters name, for images of `shape` [y, x, c]."""
+    """Plan the prior in the forms that the parameters name, for images of `shape` [y, x, c]."""
     over_patch: OverPatch = "sum" if config.over_patch == "sum" else "mean"
     gradients: PatchGradients = "patch" if config.gradients == "patch" else "central"
     return NonLocalMeans(shape, config, device, over_patch=over_patch, gradients=gradients)
@@ -91,7 +91,7 @@ class SynthesisPlan:
         )
 
     def stages(self, views: Array) -> dict[str, Work]:
-        """The work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
+        """Return the work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
         return {
             "local": lambda _: self._local.run(views),
             "propagate": lambda callback: self._fill(views, callback),
@@ -107,11 +107,11 @@ class SynthesisPlan:
             )
 
     def is_finite(self) -> bool:
-        """Whether all numbers of the last run were finite; waits for the device."""
+        """Tell whether all numbers of the last run were finite; waits for the device."""
         return bool(np.isfinite(self._refinement.report().trace[0]))
 
     def maps(self) -> dict[str, Float32Array]:
-        """The map after each stage, float32 [y, x], NaN where it is undefined; waits for the device.
+        """Copy the map after each stage to the host, float32 [y, x], NaN where it is undefined; waits for the device.
 
         Before them stand the local estimates from the row and from the column of views alone, each with its coherence,
         0 to 1 (paper, figure 1).
@@ -141,7 +141,7 @@ class SynthesisPlan:
         """None: the method does not tell."""
 
     def solution(self) -> Solution:
-        """How the solvers did in the last run; the trace is the energy of the refinement. Waits for the device."""
+        """Report the outcome of the solvers in the last run; the trace is the energy of the refinement."""
         refined = self._refinement.report()
         status = f"Propagation: {self._propagation.report().status} Refinement: {refined.status}"
         return dataclasses.replace(refined, status=status)

@@ -70,7 +70,7 @@ class Propagation:
         self._linear.solve(self._apply, self._target, inverse, self.filled, callback)
 
     def report(self) -> Solution:
-        """How the solver did in the last run; waits for the device."""
+        """Report the outcome of the solver in the last run; waits for the device."""
         return (self._by_gradient or self._linear).report()
 
     def _apply(self, m: Array, result_out: Array) -> None:

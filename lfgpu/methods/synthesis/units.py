@@ -41,7 +41,7 @@ def spread(lf: LightField, patch: int) -> tuple[float, float]:
 
 
 def in_units_of(measured: Measured, config: SynthesisConfig) -> SynthesisConfig:
-    """The parameters with differences of intensity in the units that `prior.sigma_unit` names.
+    """Scale differences of intensity in the parameters to the units that `prior.sigma_unit` names.
 
     With "noise" these, and `refinement.longest_change`, grow in proportion to the noise, from 0.004 to 0.02.
     """
@@ -64,7 +64,7 @@ def in_units_of(measured: Measured, config: SynthesisConfig) -> SynthesisConfig:
 
 
 def noise_in_units(measured: Measured) -> float:
-    """The noise in units of the usual one, 1 to 5; 1 if it was not measured."""
+    """Return the noise in units of the usual one, 1 to 5; 1 if it was not measured."""
     return min(max((measured.noise or 0.0) / USUAL_NOISE, 1.0), _MOST_NOISE)
 
 
