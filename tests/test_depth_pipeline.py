@@ -258,7 +258,7 @@ def test_views_that_are_not_used_stay_on_the_host(target: Any, damaged: bool) ->
         )
     used = [2, 7, 10, 11, 12, 13, 14, 17, 22]
     pipeline, others = made(first, target, config), second.views.copy()
-    assert len(target.kernels.numpy(pipeline._input)) == len(used)
+    assert len(target.kernels.numpy(pipeline._front.frame)) == len(used)
     others[[index for index in range(25) if index not in used]] = 0
     # The range and the noise are those of the first light field.
     measured = DepthPipeline(

@@ -41,7 +41,7 @@ class Problem(NamedTuple):
         kernels, device = self.target.kernels, self.target.device
         config = PARAMETERS.refinement
         limits = {"tolerance": config.tolerance, "max_iterations": config.max_iterations} | options
-        minimizer = solver(self.lf.size, bounds, kernels, device, **limits)
+        minimizer = solver(self.lf.size, bounds, Device(kernels, device), **limits)
         x = kernels.field(self.start, device)
         minimizer.minimize(self.energy, x, callback, curvature=self.energy.curvature)
         return Found(kernels.numpy(x), minimizer.report())

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from solver_runs import Found, Solver, assert_sentence, both
 
+from lfgpu.contract import Device
 from lfgpu.solvers.cg import ConjugateGradients
 from lfgpu.solvers.lbfgs import BoundedLbfgs
 
@@ -29,7 +30,7 @@ class DenseSystems:
     def __init__(self, target: Any, *, tolerance: float = 1e-6, max_iterations: int = 500) -> None:
         self._kernels, self._device = target.kernels, target.device
         self._solver = ConjugateGradients(
-            SHAPE, self._kernels, self._device, tolerance=tolerance, max_iterations=max_iterations
+            SHAPE, Device(self._kernels, self._device), tolerance=tolerance, max_iterations=max_iterations
         )
 
     def solve(
@@ -138,7 +139,7 @@ class Functions:
     def __init__(self, solver: Solver, target: Any, bounds: tuple[float, float], **options: Any) -> None:
         self._kernels, self._device = target.kernels, target.device
         limits = {"tolerance": self.least_decrease, "max_iterations": 2000} | options
-        self._solver = solver(SHAPE, bounds, self._kernels, self._device, **limits)
+        self._solver = solver(SHAPE, bounds, Device(self._kernels, self._device), **limits)
 
     @property
     def least_decrease(self) -> float:
