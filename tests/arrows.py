@@ -19,7 +19,7 @@ DRAWING = ROOT / "docs" / "arrows.svg"
 
 FLOORS = (
     ("cli",),
-    ("batch", "viewer"),
+    ("batch", "viewer", "training"),
     ("reports",),
     ("viz", "calibration"),
     ("pipelines",),

@@ -1,0 +1,127 @@
+"""The network: from sector costs to a distribution over disparities for each pixel.
+
+It is a U-Net over pixels and disparities. Costs are those of the full resolution; 2 x 2 pixels are folded into channels
+before the first layer and unfolded after the last, so volumes are a quarter as large and nothing is averaged away.
+
+Disparities are in pixels of the farthest view.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F  # noqa: N812 - its usual name
+from torch import Tensor, nn
+
+from lfgpu.contract import Float64Array
+from lfgpu.training.sectors import CHANNELS, sector_costs
+
+FOLD = 2
+"""Pixels of an image, each way, in one of the network's."""
+
+MULTIPLE = 16 * FOLD
+"""Heights and widths that the network takes are multiples of this; counts of disparities are multiples of 4."""
+
+BRIGHTNESS = 0.4
+"""Mean intensity that references are brought to."""
+
+
+def brightness(reference: Tensor) -> Tensor:
+    """Give the factors [b] that bring references [b, y, x, 3] to about the same mean."""
+    return (BRIGHTNESS / (reference.mean((1, 2, 3)) + 0.08)).clamp(0.5, 4.0)
+
+
+def block(
+    inputs: int, outputs: int, *, size: tuple[int, ...] = (3, 3, 3), stride: int | tuple[int, ...] = 1
+) -> nn.Module:
+    """Make a convolution over [l, y, x], its normalisation and a rectifier."""
+    convolution = nn.Conv3d(inputs, outputs, size, stride, tuple(k // 2 for k in size), bias=False)
+    return nn.Sequential(convolution, nn.BatchNorm3d(outputs), nn.ReLU(inplace=True))
+
+
+class Merge(nn.Module):
+    """A coarse volume, repeated to the size of a finer one, and that finer one, mixed pixel by pixel."""
+
+    def __init__(self, coarse: int, fine: int) -> None:
+        super().__init__()
+        self.coarse, self.fine = nn.Conv3d(coarse, fine, 1, bias=False), nn.Conv3d(fine, fine, 1, bias=False)
+        self.norm = nn.BatchNorm3d(fine)
+
+    def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:
+        """Mix volumes [b, c, l, y, x]."""
+        return F.relu(self.norm(F.interpolate(self.coarse(coarse), size=fine.shape[2:]) + self.fine(fine)))
+
+
+class Network(nn.Module):
+    """The network; `widths` are channels at each of its resolutions."""
+
+    def __init__(self, widths: tuple[int, int, int, int] = (24, 40, 56, 72)) -> None:
+        super().__init__()
+        c0, c1, c2, c3 = widths
+        folded = FOLD**2
+        self.sectors = nn.Sequential(
+            nn.Conv3d(CHANNELS * folded, 2 * c0, 1), nn.ReLU(inplace=True), nn.Conv3d(2 * c0, c0, 1)
+        )
+        self.image = nn.Sequential(
+            nn.Conv2d(3 * folded, c0, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(c0, c0, 3, padding=1)
+        )
+        self.level0 = block(c0, c0)
+        self.level1 = nn.Sequential(block(c0, c1, stride=(1, 2, 2)), block(c1, c1))
+        self.level2 = nn.Sequential(block(c1, c2, stride=2), block(c2, c2))
+        self.level3 = nn.Sequential(block(c2, c3, stride=2), block(c3, c3))
+        self.level4 = nn.Sequential(block(c3, c3, size=(1, 3, 3), stride=(1, 2, 2)), block(c3, c3))
+        self.merge3, self.back3 = Merge(c3, c3), block(c3, c3)
+        self.merge2, self.back2 = Merge(c3, c2), block(c2, c2)
+        self.merge1, self.back1 = Merge(c2, c1), block(c1, c1)
+        self.merge0, self.back0 = Merge(c1, c0), block(c0, c0)
+        self.logits = nn.Conv3d(c0, folded, 3, padding=1)
+
+    def forward(self, costs: Tensor, image: Tensor) -> Tensor:
+        """Give logits float32 [b, l, y, x] to costs [b, CHANNELS, l, y, x] and images [b, 3, y, x]."""
+        mixed = self.sectors(F.pixel_unshuffle(costs.transpose(1, 2), FOLD).transpose(1, 2))
+        x0 = self.level0(F.relu(mixed + self.image(F.pixel_unshuffle(image, FOLD))[:, :, None]))
+        x1 = self.level1(x0)
+        x2 = self.level2(x1)
+        x3 = self.level3(x2)
+        y = self.back3(self.merge3(self.level4(x3), x3))
+        y = self.back2(self.merge2(y, x2))
+        y = self.back1(self.merge1(y, x1))
+        y = self.back0(self.merge0(y, x0))
+        return F.pixel_shuffle(self.logits(y).transpose(1, 2), FOLD)[:, :, 0].float()
+
+
+def peak(logits: Tensor, first: Tensor, steps: Tensor, *, reach: int = 2) -> tuple[Tensor, Tensor]:
+    """The mean disparity around the likeliest one, and the share of the distribution there, both [b, y, x]."""
+    count = logits.shape[1]
+    best = logits.argmax(1, keepdim=True)
+    around = best + torch.arange(-reach, reach + 1, device=logits.device)[None, :, None, None]
+    inside = (around >= 0) & (around < count)
+    around = around.clamp(0, count - 1)
+    near = logits.gather(1, around).masked_fill(~inside, -1e4)
+    share = (near.logsumexp(1) - logits.logsumexp(1)).exp()
+    place = (near.softmax(1) * around).sum(1)
+    return first[:, None, None] + steps[:, None, None] * place, share
+
+
+def estimate(
+    network: Network,
+    views: Tensor,
+    reference: Tensor,
+    offsets: Float64Array,
+    starts: list[int],
+    *,
+    margin: int,
+    first: Tensor,
+    steps: Tensor,
+    count: int,
+) -> Tensor:
+    """Give logits float32 [b, l, y, x] to light fields at the disparities first [b] + l steps [b], l < `count`.
+
+    `views` and `reference` are as in `Batch`.
+    """
+    scale = brightness(reference)[:, None, None, None]
+    with torch.no_grad():
+        reference = reference * scale
+        costs = sector_costs(
+            views * scale[..., None], reference, offsets, starts, margin=margin, first=first, steps=steps, count=count
+        )
+    return network(costs, reference.permute(0, 3, 1, 2))
