@@ -9,7 +9,8 @@ from .native_code import kernel, names_of
 from .threads import once
 
 BLOCK = 128
-_STRIPS = {(False, True): 6, (True, True): 7, (True, False): 10}  # rows, by what hides and gradients: as measured
+_STRIPS = {(False, False): 6, (False, True): 6, (True, True): 7, (True, False): 10}
+"""Rows of a strip, by whether surfaces hide and gradients count: as measured, but for the first, which is a guess."""
 _WARP = 32
 
 
