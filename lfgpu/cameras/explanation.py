@@ -21,7 +21,7 @@ from lfgpu.cameras.points import known_pixels
 from lfgpu.contract import Device, Float32Array, Float64Array
 from lfgpu.data import hooks
 from lfgpu.data.lightfield import LightField
-from lfgpu.io.parallax import contradiction, no_parallax
+from lfgpu.io.contradictions import contradictions, no_parallax
 
 if TYPE_CHECKING:
     from lfgpu.data.result import DepthResult, DisparityMap
@@ -160,10 +160,8 @@ def explain(
     errors = {n: np.sqrt((residual**2).mean(axis=2)) for n, residual in prediction.residuals()}
     psnr, predicted, unexplained = prediction.compared(errors)
     findings = found.findings
-    if (still := no_parallax(lf)) is not None:
-        findings = (still,)
-    elif found.signs is None and (against := contradiction(lf)) is not None:
-        findings = (against,)
+    if (against := contradictions(lf)) and (found.signs is None or no_parallax(lf) is not None):
+        findings = against
     elif found.signs is None and not prediction.is_as_good_as_plane(errors):
         findings = (
             "the map predicts the views worse than a plane does: it belongs to another light field or view, or the "

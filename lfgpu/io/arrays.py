@@ -82,6 +82,11 @@ def arranged(
         _check_sense(path, array.shape, axes, grid)
     elif len(axes) != array.ndim:
         raise LightFieldError(f"{path} holds an array of shape {array.shape}, which axes {axes} do not fit; name each.")
+    elif "c" in axes and array.shape[axes.index("c")] > _COLOURS[-1]:
+        raise LightFieldError(
+            f"{path} holds an array of shape {array.shape}, of which axes {axes} make {array.shape[axes.index('c')]} "
+            "colours; give an order with up to 4."
+        )
     why = f"the axes of its array of shape {array.shape} are {axes}, {'as told' if told else 'as they fit'}"
     wanted = [axis for axis in "vunyxc" if axis in axes]
     array = array.transpose([axes.index(axis) for axis in wanted])

@@ -31,15 +31,16 @@ from lfgpu.io import (
     several,
     stanford,
     tiff_stack,
+    tiles,
     video,
 )
 from lfgpu.io.arrays import check_axes
+from lfgpu.io.contradictions import contradictions
 from lfgpu.io.disk import on_disk, wanted_on_disk
 from lfgpu.io.flips import ORDERS, check_flip, flipped, reordered, transposed
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, listed
 from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.inside import Inside
-from lfgpu.io.parallax import contradiction, no_parallax
 from lfgpu.io.taken import check_unit, in_unit, told
 from lfgpu.io.white import with_white
 
@@ -165,6 +166,13 @@ FORMATS: tuple[Format, ...] = (
         takes=("grid", "order"),
     ),
     Format(
+        name="tiles",
+        description="an image of all views side by side",
+        recognise=tiles.recognise,
+        read=tiles.read_tiles,
+        takes=("grid", "order"),
+    ),
+    Format(
         name="video",
         description="a video of a camera that moves along a row",
         recognise=video.recognise,
@@ -172,8 +180,8 @@ FORMATS: tuple[Format, ...] = (
         extra="video",
         takes=("grid", "order", "every"),
     ),
-    _numbered("named-views", "a folder of images named by row and column, such as view_00_03.png or x3_y0.bmp"),
-    _numbered("row-folders", "a folder of folders, one for each row of cameras, with numbered images"),
+    _numbered("named-views", "a folder of images named by row and column, such as view_00_03.png", "order"),
+    _numbered("row-folders", "a folder of folders, one for each row of cameras, with numbered images", "order"),
     Format(
         name="hci-hdf5",
         description="old HCI light fields: an HDF5 file with LF and GT_DEPTH",
@@ -339,8 +347,7 @@ def chosen_format(path: Path, name: str | None, pattern: str | None = None) -> t
 
 def _checked(light_field: LightField) -> LightField:
     """Add a note if the pictures contradict the positions of their cameras."""
-    against = no_parallax(light_field) or contradiction(light_field)
-    return light_field if against is None else replace(light_field, notes=(*light_field.notes, against))
+    return replace(light_field, notes=(*light_field.notes, *contradictions(light_field)))
 
 
 def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
@@ -420,5 +427,5 @@ def _what(path: Path) -> str:
             return f"one image (give the folder {path.resolve().parent}, which is {candidate.name})"
     return (
         "one image (give the folder that holds the views; --format mosaic if its pixels are blocks of views behind "
-        "microlenses)"
+        "microlenses, --format tiles if it shows views side by side)"
     )

@@ -14,6 +14,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import grid_field
 from lfgpu.io.folders import IMAGE_SUFFIXES
 from lfgpu.io.images import read_image
+from lfgpu.io.tiles import tiles_in
 from lfgpu.io.vignette import lit
 
 _STANFORD = (14, 14)  # of the Stanford Lytro archive, whose files are named ..._eslf.png
@@ -44,12 +45,16 @@ def read_mosaic(path: Path, *, grid: tuple[int, int] | None = None) -> LightFiel
     notes = []
     if grid is None:
         grid = _STANFORD if recognise(path) and _divides(_STANFORD, image) else _block(image)
+        if grid is None and (side_by_side := tiles_in(image)) is not None:
+            raise LightFieldError(_side_by_side(path, side_by_side))
         if grid is None:
             raise LightFieldError(
                 f"{path} does not look like a mosaic of views: no block of pixels repeats in it; if it is one, say how "
                 "many views it has: grid=(rows, columns), --grid ROWSxCOLUMNS on the command line."
             )
         notes.append(f"Each microlens is taken for a block of {grid[0]} x {grid[1]} pixels (rows x columns).")
+    if (side_by_side := tiles_in(image, factor=max(grid))) is not None:
+        raise LightFieldError(_side_by_side(path, side_by_side))
     rows, columns = grid
     height, width = image.shape[0] // rows if rows > 0 else 0, image.shape[1] // columns if columns > 0 else 0
     if height < 2 or width < 2:
@@ -63,6 +68,13 @@ def read_mosaic(path: Path, *, grid: tuple[int, int] | None = None) -> LightFiel
     light_field = grid_field(path, views)
     return replace(
         grid_field(path, views, valid=lit(light_field).reshape(views.shape[:4]), notes=notes), reference=None
+    )
+
+
+def _side_by_side(path: Path, shape: tuple[int, int]) -> str:
+    return (
+        f"{path} shows views side by side, not pixels of all views under each microlens: read it with --format tiles "
+        f"--grid {shape[0]}x{shape[1]} (format= and grid= in Python)."
     )
 
 

@@ -21,14 +21,14 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.flips import ORDERS, places_in
 from lfgpu.io.images import read_image
 
-_SMALLEST = 32  # pixels: smaller views tell nothing
+SMALLEST = 32  # pixels: smaller views tell nothing
 _BLOCK = 8  # pixels of the shrunken views in which one disparity is taken for constant
-_AROUND = 160  # pixels to which the longer side of the views is shrunk
+AROUND = 160  # pixels to which the longer side of the views is shrunk
 _COARSER = (1, 2, 4)  # times smaller, where views move too far
 _SURE = 0.35  # correlation from which two sets of disparities agree, or are opposed
 _EXPLAINED = 0.6  # share of the motion that one disparity map explains where it can be believed
-_FITS = 0.85  # share of the motion that the right order of cameras explains, at least
-_BETTER = 0.3  # of the motion: how much more another way to count cameras must explain
+FITS = 0.85  # share of the motion that the right order of cameras explains, at least
+_CLEARER = 0.05  # of the motion: how much more the right order explains than any other
 _STILL = 0.01  # pixels of the shrunken views, rms: less is no motion
 _ALIKE = 0.7  # correlation of pictures of one scene; those of other scenes are below it, as a rule
 
@@ -54,11 +54,11 @@ def moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> M
     """Return the distances of the cameras of pairs of grey pictures [y, x] of one size; None if they are too small to
     tell.
     """
-    if not pairs or min(pairs[0][0].shape) < _SMALLEST:
+    if not pairs or min(pairs[0][0].shape) < SMALLEST:
         return None
     best: Moves | None = None
     for factor in _COARSER:
-        if min(pairs[0][0].shape) // factor < _SMALLEST:
+        if min(pairs[0][0].shape) // factor < SMALLEST:
             break
         found = _moves([(shrunk(a, factor), shrunk(b, factor)) for a, b in pairs], factor)
         if best is None or found.explained > best.explained + 0.05:
@@ -105,21 +105,21 @@ def measured(light_field: LightField, axis: int) -> tuple[NDArray[np.float64], N
     the views are too small. A view at offset o is the reference moved by -d o, to first order; d follows from
     differences over gradients (Lucas and Kanade).
     """
-    factor = max(1, max(light_field.size) // _AROUND)
-    if min(light_field.size) < max(_SMALLEST, _BLOCK // 2 * factor):
+    factor = max(1, max(light_field.size) // AROUND)
+    if min(light_field.size) < max(SMALLEST, _BLOCK // 2 * factor):
         return None
-    nearest = _beside(light_field, axis)
+    nearest = beside(light_field, axis)
     if nearest is None:
         return None
     offset = light_field.offsets[nearest, axis]
-    centre, other = (_grey(light_field, index, factor) for index in (light_field.reference_index, nearest))
+    centre, other = (grey_of(light_field, index, factor) for index in (light_field.reference_index, nearest))
     gradient = np.gradient((centre + other) / 2, axis=1 - axis)
     bottom = shrunk(gradient**2, _BLOCK // 2)
     top = shrunk(gradient * (other - centre) / offset, _BLOCK // 2)
     return factor * top / np.maximum(bottom, 1e-12), bottom
 
 
-def _beside(light_field: LightField, axis: int) -> int | None:
+def beside(light_field: LightField, axis: int) -> int | None:
     line = light_field.row() if axis == 0 else light_field.column()
     apart = np.abs(light_field.offsets[line, axis])
     beside = np.flatnonzero(apart > 0)
@@ -147,7 +147,7 @@ def runs_as_truth(light_field: LightField, axis: int) -> bool | None:
     found, truth = measured(light_field, axis), light_field.reference_truth()
     if found is None or truth is None:
         return None
-    factor = max(1, max(light_field.size) // _AROUND)
+    factor = max(1, max(light_field.size) // AROUND)
     disparity = np.nan_to_num(truth.disparity.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
     return _verdict(agreement(found[0], shrunk(shrunk(disparity, factor), _BLOCK // 2), found[1]))
 
@@ -209,7 +209,7 @@ def in_sequence(pictures: Sequence[NDArray[np.float64]]) -> Moves | None:
 def grey(picture: NDArray[Any]) -> NDArray[np.float64]:
     """Return a picture [y, x, c] as grey of about 160 pixels, on [0, 1]."""
     scale = 1.0 if picture.dtype.kind == "f" else float(np.iinfo(picture.dtype).max)
-    return shrunk(picture.mean(axis=2, dtype=np.float64) / scale, max(1, max(picture.shape) // _AROUND))
+    return shrunk(picture.mean(axis=2, dtype=np.float64) / scale, max(1, max(picture.shape) // AROUND))
 
 
 def best_order(found: Moves, shapes: Sequence[tuple[int, int]]) -> str | None:
@@ -223,81 +223,29 @@ def best_order(found: Moves, shapes: Sequence[tuple[int, int]]) -> str | None:
         for order in ORDERS if min(shape) > 1 else ORDERS[:1]:
             steps = np.diff(places_in(shape, order)[: len(found.vectors) + 1, ::-1], axis=0).astype(np.float64)
             long = np.hypot(*steps.T)[:, None]  # jumps tell no more than steps do
-            for flip in ("", "v") if min(shape) > 1 else ("",):
-                options = f"--grid {shape[0]}x{shape[1]}" + f" --order {order}" * (order != ORDERS[0])
-                options += " --flip v" * (flip == "v")
-                turned = steps * (1, -1 if flip else 1)
-                scores[options] = _fit(found.vectors / long, turned / long)
-    first, second = sorted(scores, key=lambda options: -scores[options])[:2]
-    return first if scores[first] > _FITS and scores[second] < scores[first] - 0.05 else None
+            seen, steps = found.vectors / long, steps / long
+            along = (seen * steps).sum(0) / np.maximum((steps**2).sum(0), 1e-12)
+            options = f"--grid {shape[0]}x{shape[1]}" + f" --order {order}" * (order != ORDERS[0])
+            options += " --flip v" * bool(along[0] * along[1] < 0)
+            scores[options] = 1 - float(((seen - along * steps) ** 2).sum() / (seen**2).sum())
+    first, *others = sorted(scores, key=lambda options: -scores[options])
+    clear = not others or scores[others[0]] < scores[first] - _CLEARER
+    return first if scores[first] > FITS and clear else None
 
 
-# --- light fields ---
-
-
-_STEPS = 4  # of views that are looked at on either side of the reference
-_WAYS = (
-    (False, "", np.eye(2)),
-    (False, "v", np.diag([1.0, -1.0])),
-    (True, "", np.array([[0.0, 1.0], [1.0, 0.0]])),
-    (True, "v", np.array([[0.0, 1.0], [-1.0, 0.0]])),
-)
-
-
-def no_parallax(light_field: LightField) -> str | None:
-    """Return a sentence if all views are the same picture, which shows something; else None."""
-    views = light_field.views
-    if views[0].min() == views[0].max() or any(not np.array_equal(views[0], view) for view in views[1:]):
-        return None
-    return (
-        "All views are the same picture: there is no parallax, so there is no depth. Probably one camera took them, or "
-        "one file was copied."
-    )
-
-
-def contradiction(light_field: LightField) -> str | None:
-    """Say in a sentence how the pictures contradict the places of their cameras; None if they do not."""
-    factor = max(1, max(light_field.size) // _AROUND)
-    if min(light_field.size) < _SMALLEST * factor:
-        return None
-    beside = np.argsort(np.abs(light_field.offsets).sum(1), kind="stable")[1 : 2 * _STEPS + 1]
-    chosen = sorted({int(n) for n in beside} | {n for axis in (0, 1) if (n := _beside(light_field, axis)) is not None})
-    centre = _grey(light_field, light_field.reference_index, factor)
-    found = moves([(centre, _grey(light_field, n, factor)) for n in chosen])
-    if found is None or found.still or not found.told:
-        return None
-    offsets = light_field.offsets[chosen]
-    scores = [_fit(found.vectors, offsets @ matrix.T) for *_, matrix in _WAYS]
-    in_line = min(np.ptp(np.vstack([offsets, np.zeros((1, 2))]), axis=0)) == 0
-    best = int(np.argmax(scores[::2])) * 2 if in_line else int(np.argmax(scores))
-    if scores[best] < _FITS or scores[0] > scores[best] - _BETTER:
-        return None
-    transpose, flip, _ = _WAYS[best]
-    what = (
-        "the views move at right angles to the line in which their cameras are said to stand"
-        if in_line
-        else ("rows of cameras are taken for columns" if transpose else "views in a column move against those in a row")
-    )
-    if transpose and flip:
-        what += ", and one of the two is counted the other way round"
-    elif flip:
-        what += ", so one of the two is counted the other way round"
-    advice = light_field.reading.advice(transpose=transpose, flip=flip)
-    return f"By their parallax {what}: {advice}{', or with the other axis flipped if near comes out far' * bool(flip)}."
-
-
-def _fit(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def fit(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     """Return the share of vectors that others explain up to a common factor of any sign."""
     return float((a * b).sum() ** 2 / max(float((a**2).sum() * (b**2).sum()), 1e-12))
 
 
-def _grey(light_field: LightField, index: int, factor: int) -> NDArray[np.float64]:
+def grey_of(light_field: LightField, index: int, factor: int) -> NDArray[np.float64]:
+    """Return a view [y, x], grey and `factor` times smaller, in [0, 1]."""
     sums = light_field.views[index].sum(axis=2, dtype=np.float64)
     return shrunk(sums * (light_field.scale / light_field.channels), factor)
 
 
 def shrunk(image: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
-    """Return Means of blocks of factor x factor pixels; what is left at the right and below is cut off."""
+    """Return means of blocks of factor x factor pixels; what is left at the right and below is cut off."""
     height, width = (side // factor for side in image.shape)
     cut = image[: height * factor, : width * factor]
     return np.asarray(cut.reshape(height, factor, width, factor).mean(axis=(1, 3)))

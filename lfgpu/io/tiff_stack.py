@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import struct
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,9 @@ from lfgpu.io.extras import require
 from lfgpu.io.limits import check_claim
 from lfgpu.io.tiff_pages import check_pages, pages
 
+_COLOURS = 4  # samples of a pixel; more are views
+_SAMPLES = {"<": struct.pack("<H", 277), ">": struct.pack(">H", 277)}  # the tag SamplesPerPixel
+
 
 def recognise(path: Path) -> str | None:
     """Say why a path is taken for a TIFF of several pages; None if it is not."""
@@ -28,7 +32,23 @@ def recognise(path: Path) -> str | None:
         several = len(list(islice(pages(path), 2))) == 2
     except LightFieldError:  # linked in a circle, which who reads it says
         several = True
+    if not several and _planes(path) > _COLOURS:
+        return f"it is a TIFF file of {_planes(path)} planes"
     return "it is a TIFF file of several pages" if several else None
+
+
+def _planes(path: Path) -> int:
+    """Count the samples of a pixel of the first page, from its tags alone; 0 if there are none."""
+    with path.open("rb") as file:
+        start = file.read(8)
+        order = {b"II*\0": "<", b"MM\0*": ">"}.get(start[:4])
+        if order is None or len(start) < 8:
+            return 0
+        file.seek(struct.unpack(f"{order}I", start[4:])[0])
+        count = file.read(2)
+        entries = file.read(12 * struct.unpack(f"{order}H", count)[0]) if len(count) == 2 else b""
+    tags = (entries[k : k + 12] for k in range(0, len(entries) - 11, 12))
+    return next((struct.unpack(f"{order}HHIHH", tag)[3] for tag in tags if tag[:2] == _SAMPLES[order]), 0)
 
 
 def read_tiff_stack(path: Path, *, grid: tuple[int, int] | None = None, axes: str | None = None) -> LightField:
@@ -45,14 +65,14 @@ def read_tiff_stack(path: Path, *, grid: tuple[int, int] | None = None, axes: st
     with read_as(path, "a TIFF file"):
         check_pages(path)
         with tifffile.TiffFile(path) as file:
-            array, named = _pages(path, file)
+            array, named = _pages(path, file, as_stored=axes is not None)
     views, why = arranged(path, array, grid, axes or named)
     if axes is None and named is not None:
         why = why.replace("as told", "as the file names them")
     return grid_field(path, views, reading=Reading(why))
 
 
-def _pages(path: Path, file: Any) -> tuple[NDArray[Any], str | None]:
+def _pages(path: Path, file: Any, *, as_stored: bool) -> tuple[NDArray[Any], str | None]:
     """Return all pages as one array, and its axes in the letters of `arranged` where the file names them."""
     series = list(file.series)
     if len(series) > 1 and all((s.shape, s.dtype) == (series[0].shape, series[0].dtype) for s in series):
@@ -68,7 +88,7 @@ def _pages(path: Path, file: Any) -> tuple[NDArray[Any], str | None]:
     _check_whole(path, file)
     array, axes = np.asarray(one.asarray()), _axes(one)
     samples = one.axes.find("S")
-    if axes is None and 0 <= samples < array.ndim - 1:
+    if axes is None and not as_stored and 0 <= samples < array.ndim - 1:
         array = np.moveaxis(array, samples, -1)
     return array, axes
 
@@ -78,10 +98,10 @@ def _axes(series: Any) -> str | None:
     named = series.axes
     if not {"Y", "X"} <= set(named) or "Q" in named or len(set(named)) < len(named):
         return None
+    size = dict(zip(named, series.shape, strict=True))
     colour = "S" if "S" in named else "C"
     views = [axis for axis in named if axis not in ("Y", "X", colour)]
-    size = dict(zip(named, series.shape, strict=True))
-    if colour == "C" and size.get("C", 1) not in (1, 3, 4):
+    if size.get(colour, 1) not in (1, 3, 4):
         views = [axis for axis in named if axis not in "YX"]
         colour = ""
     if len(views) not in (1, 2):

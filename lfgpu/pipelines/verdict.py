@@ -20,7 +20,7 @@ from lfgpu.contract import Device, Float32Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
-from lfgpu.io.parallax import no_parallax
+from lfgpu.io.contradictions import no_parallax
 from lfgpu.methods.disparity_range import find_disparity_range
 
 MANY = 0.01

@@ -135,6 +135,13 @@ def _mosaic(lf: LightField, place: Path) -> Path:
     return place / "boxes_eslf.png"
 
 
+def _tiles(lf: LightField, place: Path) -> Path:
+    grid = _grid(lf)
+    image = np.concatenate([np.concatenate(list(row), axis=1) for row in grid], axis=0)
+    Image.fromarray(image).save(place / "boxes_tiles.png")
+    return place / "boxes_tiles.png"
+
+
 def _video(lf: LightField, place: Path) -> Path:
     import imageio_ffmpeg
 
@@ -306,6 +313,7 @@ SAMPLES = {
     "npz": Sample("numpy", _npz),
     "tiff-stack": Sample("tiff-stack", _tiff),
     "mosaic": Sample("mosaic", _mosaic, options={"grid": (5, 5)}),
+    "tiles": Sample("tiles", _tiles, options={"grid": (5, 5)}),
     "video": Sample("video", _video, views="row"),
     "lytro": Sample("lytro", _lytro),
     "lytro-pictures": Sample("lytro", _lytro_pictures),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from lfgpu.batch.items import find_items
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
+from lfgpu.io.images import TURNED, read_image
 from lfgpu.pipelines.sources.base import Options
 from lfgpu.pipelines.sources.folder import frames
 from lfgpu.scenes import make
@@ -238,3 +240,127 @@ def test_a_description_of_an_array_keeps_what_was_told(true: LightField, tmp_pat
     np.testing.assert_array_equal(read(tmp_path / "a.toml").views, true.views)
     run("info", tmp_path / "a.npy", "--axes", "yxvuc", "--transpose", "--write", tmp_path / "b.toml")
     np.testing.assert_array_equal(read(tmp_path / "b.toml").view(2, 1), true.view(2, 1))
+
+
+def test_rows_in_alternating_directions_are_named(true: LightField, tmp_path: Path) -> None:
+    written(true, tmp_path, lambda v, u: f"row{v}_col{u if v % 2 == 0 else 3 - u}.png")
+    turning = read(tmp_path)
+    assert turning.notes[-1].endswith("--order serpentine fits (order= in Python).")
+    right = read(tmp_path, order="serpentine")
+    assert right.notes == ()
+    np.testing.assert_array_equal(right.view(1, 0), true.view(1, 0))
+
+
+@pytest.mark.parametrize("places", [[(1, 3)], [(0, 0), (2, 2)], [(1, 2)]])
+def test_pictures_upside_down_are_named(places: list[tuple[int, int]], true: LightField, tmp_path: Path) -> None:
+    views = true.views.copy()
+    for row, column in places:
+        views[true.index_of(row, column)] = true.view(row, column)[::-1, ::-1]
+    written(replace(true, views=views), tmp_path, lambda v, u: f"view_{v}_{u}.png")
+    note = read(tmp_path).notes[-1]
+    assert all(f"row {row}, column {column}" in note for row, column in places)
+    assert note.endswith("upside down: turn it by 180 degrees." if len(places) == 1 else "turn them by 180 degrees.")
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("kind", ["png", "jpg", "tif", "webp"])
+def test_all_formats_are_upright_as_exif_says(kind: str, orientation: int, tmp_path: Path) -> None:
+    """A square with a bright corner, stored such that the orientation brings it upright."""
+    stored = {1: (0, 0), 2: (0, 1), 3: (1, 1), 4: (1, 0), 5: (0, 0), 6: (1, 0), 7: (1, 1), 8: (0, 1)}
+    picture = np.full((32, 32, 3), 40, np.uint8)
+    row, column = stored[orientation]
+    picture[16 * row : 16 * row + 16, 16 * column : 16 * column + 16] = 220
+    exif = Image.Exif()
+    exif[0x112] = orientation
+    Image.fromarray(picture).save(tmp_path / f"a.{kind}", exif=exif)
+    upright, remarks = read_image(tmp_path / f"a.{kind}")
+    assert upright[:14, :14].min() > 200
+    assert max(upright[18:, :].max(), upright[:, 18:].max()) < 60
+    assert (TURNED in remarks) == (orientation != 1 and kind != "tif")
+
+
+@pytest.mark.parametrize("kind", ["u1", "u2", "f4"])
+def test_white_stored_as_0(kind: str, tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    top = {"u1": 255, "u2": 65535, "f4": 1}[kind]
+    ramp = np.tile(np.linspace(0, top, 40).astype(kind), (32, 1))
+    tifffile.imwrite(tmp_path / "a.tif", (top - ramp).astype(kind), photometric="miniswhite")
+    found, _ = read_image(tmp_path / "a.tif")
+    np.testing.assert_allclose(found[..., 0], ramp, atol=1e-6 if kind == "f4" else 0)
+
+
+def test_folders_of_openexr(true: LightField, tmp_path: Path) -> None:
+    exr = pytest.importorskip("OpenEXR")
+    for view, (u, v) in zip(true.views, true.positions.astype(int).tolist(), strict=True):
+        coded = view.astype(np.float64) / 255
+        linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)
+        channels = {c: np.ascontiguousarray(linear[..., i]) for i, c in enumerate("RGB")}
+        channels["A"] = np.pad(np.ones((96, 100), np.float32), ((0, 0), (0, 12)))
+        with exr.File({"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}, channels) as file:
+            file.write(str(tmp_path / f"view_{v}_{u}.exr"))
+    found = read(tmp_path)
+    assert (found.grid_shape, found.views.dtype) == ((3, 4), np.uint16)
+    np.testing.assert_allclose(found.views / 65535, true.views / 255, atol=1e-4)
+    assert found.valid is not None
+    assert found.valid[:, :, :100].all()
+    assert not found.valid[:, :, 100:].any()
+
+
+def test_arrays_whose_axes_make_no_sense_are_asked_about(true: LightField, tmp_path: Path) -> None:
+    grid = true.views.reshape(3, 4, 96, 112, 3)
+    for order in ("yxvuc", "vucyx", "cvuyx", "yxcvu"):
+        np.save(tmp_path / "a.npy", grid.transpose(["vuyxc".index(axis) for axis in order]))
+        assert f" {order}" in asked(tmp_path / "a.npy")
+        np.testing.assert_array_equal(read(tmp_path / "a.npy", axes=order).views, true.views)
+    flat = grid.reshape(12, 96, 112, 3)[:9]
+    for order in ("ncyx", "yxcn", "yxnc", "cnyx"):
+        np.save(tmp_path / "a.npy", flat.transpose(["nyxc".index(axis) for axis in order]))
+        assert f" {order}" in asked(tmp_path / "a.npy", grid=(3, 3))
+        np.testing.assert_array_equal(read(tmp_path / "a.npy", axes=order, grid=(3, 3)).views, flat)
+    assert "axes must be letters such as vuyxc" in asked(tmp_path / "a.npy", axes="vux")
+    assert "of which axes nyxc make" in asked(tmp_path / "a.npy", axes="nyxc", grid=(3, 3))
+
+
+def test_arrays_of_views_one_after_the_other(true: LightField, tmp_path: Path) -> None:
+    lf = make("planes", grid=(3, 3), size=(96, 112), disparity_range=(-1.5, 1.5), seed=1)
+    np.save(tmp_path / "a.npy", lf.views)
+    assert "a square, as their parallax shows" in read(tmp_path / "a.npy").reading.places
+    row = make("planes", grid=(1, 9), size=(96, 112), disparity_range=(-1.5, 1.5), seed=1)
+    np.save(tmp_path / "b.npy", row.views)
+    assert "--grid 1x9 fits" in asked(tmp_path / "b.npy")
+    assert read(tmp_path / "b.npy", grid=(1, 9)).grid_shape == (1, 9)
+
+
+@pytest.mark.parametrize(("order", "kind"), [("ZCYX", "imagej"), ("ZCYX", "ome"), ("CZYX", "ome"), ("TZCYX", "ome")])
+def test_axes_that_a_tiff_names(order: str, kind: str, tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    lf = make("planes", grid=(3, 3), size=(40, 48), seed=1)
+    grid = lf.views.reshape(3, 3, 40, 48, 3) if "T" in order else lf.views
+    axes = order.replace("T", "v").replace("Z", "u" if "T" in order else "n").lower()
+    stored = grid.transpose([("vuyxc" if "T" in order else "nyxc").index(axis) for axis in axes])
+    tifffile.imwrite(tmp_path / "a.tif", stored, **{kind: True}, metadata={"axes": order})
+    found = read(tmp_path / "a.tif")
+    np.testing.assert_array_equal(found.views, lf.views)
+    assert f"are {axes}, as the file names them" in found.reading.places
+
+
+def test_pages_that_were_appended_and_planes(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    lf = make("planes", grid=(3, 3), size=(40, 48), seed=1)
+    for view in lf.views:
+        tifffile.imwrite(tmp_path / "a.tif", view, append=True, photometric="rgb")
+    np.testing.assert_array_equal(read(tmp_path / "a.tif").views, lf.views)
+    tifffile.imwrite(tmp_path / "b.tif", lf.views[..., 0], planarconfig="separate", photometric="minisblack")
+    np.testing.assert_array_equal(read(tmp_path / "b.tif").views[..., 0], lf.views[..., 0])
+
+
+def test_tiles_given_as_a_mosaic(true: LightField, tmp_path: Path) -> None:
+    sheet = np.concatenate([np.concatenate(list(row), axis=1) for row in true.views.reshape(3, 4, 96, 112, 3)])
+    save(tmp_path / "a.png", sheet)
+    for options in ({}, {"grid": (3, 4)}, {"grid": (8, 8)}):
+        assert "--format tiles --grid 3x4" in asked(tmp_path / "a.png", format="mosaic", **options)
+    for options in ({}, {"grid": (3, 4)}):
+        np.testing.assert_array_equal(read(tmp_path / "a.png", format="tiles", **options).views, true.views)
+    assert "does not fill" in asked(tmp_path / "a.png", format="tiles", grid=(5, 5))
+    save(tmp_path / "b.png", true.views[0])
+    assert "no views side by side that look alike" in asked(tmp_path / "b.png", format="tiles")
