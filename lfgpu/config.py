@@ -7,6 +7,7 @@ parameters: a `Tuning` holds them.
 from __future__ import annotations
 
 import dataclasses
+import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from numbers import Integral, Real
@@ -155,9 +156,9 @@ class Config:
         for old in (name, section):
             if old in self.renamed:
                 now = self.renamed[old] + (f".{parameter}" if old == section else "")
-                if now not in self.fixed:
+                if now in dict(parameters(self)):
                     return f"parameter {name!r} is called {now!r} now; use that name."
-                name = now
+                name = now if now in self.fixed else name
         if name in self.fixed:
             return f"{name!r} is no parameter any more, but a fixed number of {self.method}; leave it out."
         for kind in self.known.values():
@@ -166,7 +167,19 @@ class Config:
                     f"parameter {name!r} belongs to the method {kind.method}, but {self.method} does not use it; "
                     f"use a preset of {kind.method}, or leave the parameter out."
                 )
-        return f"unknown parameter {name!r}; {self.method} has {', '.join(dict(parameters(self)))}."
+        mine = dict(parameters(self))
+        alike = {known: max(_alike(name, known), _alike(parameter or name, known.partition(".")[2])) for known in mine}
+        nearest = max(alike, key=lambda known: alike[known])
+        if alike[nearest] > _SO_ALIKE:
+            return f"unknown parameter {name!r}; did you mean {nearest!r}?"
+        return f"unknown parameter {name!r}; {self.method} has {', '.join(mine)}."
+
+
+_SO_ALIKE = 0.8  # share of the letters of two names that are a misspelt one and the right one
+
+
+def _alike(a: str, b: str) -> float:
+    return difflib.SequenceMatcher(None, a, b).ratio()
 
 
 def parameters(config: Config | type[Config]) -> Iterator[tuple[str, dataclasses.Field[Any]]]:

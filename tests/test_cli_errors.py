@@ -172,3 +172,9 @@ def test_bugs_keep_their_traceback(
 ) -> None:
     monkeypatch.setattr("lfgpu.pipelines.estimate.estimate_depth", raising(error))
     assert lfgpu("depth", recorded, "-o", out).raised is error
+
+
+def test_a_range_may_be_two_numbers(recorded: Path, tmp_path: Path) -> None:
+    for pair in (("-2", "2"), ("-2,2",)):
+        outcome = lfgpu("depth", recorded, "--disparity-range", *pair, "--preset", "fast", "-q", "-o", tmp_path / "out")
+        assert outcome.code == 0

@@ -167,10 +167,24 @@ UNKNOWN = ["window", "prior.", "prior.windows", "priors.window", "", "prior.wind
 
 @pytest.mark.parametrize("config", [MatchingConfig(), SynthesisConfig()], ids=lambda config: config.method)
 @pytest.mark.parametrize("name", UNKNOWN)
-def test_unknown_parameters_are_refused_with_all_that_there_are(name: str, config: Config) -> None:
+def test_unknown_parameters_are_refused_with_the_nearest_or_all_that_there_are(name: str, config: Config) -> None:
     sentence = refusal({name: 7}, config)
     assert repr(name) in sentence
-    assert all(known in sentence for known, _ in parameters(config))
+    known = [known for known, _ in parameters(config)]
+    assert all(one in sentence for one in known) or any(f"did you mean {one!r}?" in sentence for one in known)
+
+
+@pytest.mark.parametrize(
+    ("name", "nearest"),
+    [
+        ("sweep.vews", "sweep.views"),
+        ("window", "prior.window"),
+        ("prior.wndow", "prior.window"),
+        ("Sweep.step", "sweep.step"),
+    ],
+)
+def test_the_nearest_name_of_a_misspelt_parameter(name: str, nearest: str) -> None:
+    assert refusal({name: 7}, MatchingConfig()) == f"unknown parameter {name!r}; did you mean {nearest!r}?"
 
 
 @pytest.mark.parametrize(("preset_name", "name"), [("fast", "refinement.smoothness"), ("paper", "sweep.step")])

@@ -15,6 +15,9 @@ EXAMPLE = "Example: "
 """Beginning of the epilog of a command; the rest of it is the example."""
 
 
+_RANGES = ("--disparity-range", "--depths")
+
+
 class Command(TyperCommand):
     """A command whose help texts may name lists, and whose example stands in the list of all commands."""
 
@@ -29,12 +32,30 @@ class Command(TyperCommand):
         """Return the summary, for the shell's completion; Click's own would cut it off after `limit` characters."""
         return self.summary
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse arguments; a range may be two numbers, "-2 2", where its option takes "-2,2"."""
+        joined = list(args)
+        for place, name in enumerate(args):
+            pair = args[place + 1 : place + 3]
+            if name in _RANGES and len(pair) == 2 and all(map(_is_number, pair)):
+                joined[place + 1 : place + 3] = [",".join(pair)]
+                break
+        return super().parse_args(ctx, joined)
+
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Put the lists into the help texts, then show them."""
         for parameter in self.params:
             if getattr(parameter, "help", None):
                 parameter.help = filled(parameter.help)  # type: ignore[attr-defined]  # options and arguments have one
         super().format_help(ctx, formatter)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def filled(text: str) -> str:

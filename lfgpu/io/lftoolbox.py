@@ -54,7 +54,14 @@ def read_lftoolbox(path: Path, *, axes: str | None = None) -> LightField:
 def _load_5(path: Path, axes: str | None) -> NDArray[Any]:
     with read_as(path):
         found = {variable.name: variable for variable in matlab5.variables(path)}
-        return matlab5.load(path, found[_chosen(path, {name: v.shape for name, v in found.items()}, axes)])
+        for variable in found.values():
+            if variable.name == "LF" and variable.kind.startswith(("a struct", "cells", "an object")):
+                raise LightFieldError(
+                    f"{path}: LF is {variable.kind}, not an array; in MATLAB, save the array in it by itself, such as "
+                    "LF = LF.data; save('LF.mat', 'LF')."
+                )
+        shapes = {name: v.shape for name, v in found.items() if v.kind[0].islower() and " " not in v.kind}
+        return matlab5.load(path, found[_chosen(path, shapes, axes)])
 
 
 def _load_7(path: Path, axes: str | None) -> NDArray[Any]:
@@ -71,6 +78,12 @@ def _chosen(path: Path, shapes: dict[str, tuple[int, ...]], axes: str | None) ->
         return "LF"
     if len(fitting) == 1:
         return fitting[0]
+    other = [shape for name, shape in shapes.items() if name == "LF"]
+    if other and len(other[0]) == 4 and axes is None:
+        raise LightFieldError(
+            f"{path}: LF has the shape {other[0]}, four axes instead of [t, s, v, u, c]; say which, with --axes vuyx "
+            "for grey views, or nyxc (axes= in Python)."
+        )
     held = ", ".join(f"{name} {shape}" for name, shape in list(shapes.items())[:5]) or "no array"
     raise LightFieldError(
         f"{path} has no variable LF [t, s, v, u, c] of 1 to 4 colours; it holds {held}; other orders of "

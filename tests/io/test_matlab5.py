@@ -122,3 +122,15 @@ def test_any_damage_is_no_other_error(tmp_path: Path, rng: np.random.Generator) 
             sentences.append(str(error))
     assert sentences, "nothing was damaged"
     assert [sentence for sentence in sentences if str(file) not in sentence] == []
+
+
+def test_what_a_variable_lf_may_be_instead_of_an_array(tmp_path: Path) -> None:
+    views = np.zeros((3, 3, 8, 9, 3), np.uint8)
+    savemat(tmp_path / "a.mat", {"LF": {"data": views}})
+    assert "LF is a struct, not an array; in MATLAB, save the array in it" in refusal(lambda: read(tmp_path / "a.mat"))
+    savemat(tmp_path / "b.mat", {"LF": views[..., 0]})
+    assert "say which, with --axes vuyx for grey views" in refusal(lambda: read(tmp_path / "b.mat"))
+    assert read(tmp_path / "b.mat", axes="vuyx").grid_shape == (3, 3)
+    savemat(tmp_path / "c.mat", {"LF": np.zeros((20, 24, 3, 4, 3), np.uint8)})
+    assert "--axes yxvuc" in refusal(lambda: read(tmp_path / "c.mat"))
+    assert read(tmp_path / "c.mat", axes="yxvuc").grid_shape == (3, 4)
