@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.calibration.cameras import Camera, of_quaternion
+from lfgpu.calibration.formats.colmap_frames import check_frames
 from lfgpu.calibration.formats.entries import numbers
 from lfgpu.errors import LightFieldError
 from lfgpu.io.texts import read_text
@@ -34,7 +35,8 @@ _LARGEST_TEXT = 1 << 30  # bytes: the points that images show stand in it, too
 _LONGEST_NAME = 4096  # bytes
 
 Lens = tuple[str, int, int, tuple[float, ...]]
-Pose = tuple[tuple[float, ...], tuple[float, ...], int, str]
+Pose = tuple[tuple[float, ...], tuple[float, ...], int, str, int]
+"""Of an image: quaternion, translation, number of its camera, name, number."""
 RigPoses = dict[int, tuple[float, ...]]
 """Of a rig the poses of its cameras (quaternion, translation; rig to camera), by the number of the camera."""
 
@@ -53,8 +55,12 @@ def read_colmap(folder: Path) -> list[Camera]:
     """Read the cameras of all images of a model, in the order of their names."""
     with _sentences(folder, "model"):
         lenses, poses = _lenses(folder), _poses(folder)
-        _check_known({key for _, _, key, _ in poses}, lenses, "images name")
-        return sorted((_camera(lenses[key], q, t, name) for q, t, key, name in poses), key=lambda camera: camera.name)
+        _check_known({key for _, _, key, _, _ in poses}, lenses, "images name")
+        found = [_camera(lenses[key], q, t, name) for q, t, key, name, _ in poses]
+    with _sentences(folder, "rig"):
+        images = {number: (key, (*q, *t), name) for q, t, key, name, number in poses}
+        check_frames(folder, images, {key: pose for rig in _rigs(folder) for key, pose in rig.items()})
+    return sorted(found, key=lambda camera: camera.name)
 
 
 def read_rig(folder: Path) -> list[Camera]:
@@ -63,13 +69,7 @@ def read_rig(folder: Path) -> list[Camera]:
     Of several rigs it is the one with the most cameras. Rigs are those of COLMAP 3.12 and later (rigs.bin, rigs.txt).
     """
     with _sentences(folder, "rig"):
-        if (folder / "rigs.bin").is_file():
-            with (folder / "rigs.bin").open("rb") as file:
-                largest = max(_binary_rigs(file), key=len, default={})
-        elif (folder / "rigs.txt").is_file():
-            largest = max(_text_rigs(read_text(folder / "rigs.txt")), key=len, default={})
-        else:
-            return []
+        largest = max(_rigs(folder), key=len, default={})
         if len(largest) < 2:
             return []
         lenses, names = _lenses(folder), _folders(_poses(folder))
@@ -109,6 +109,14 @@ def _poses(folder: Path) -> list[Pose]:
         return list(_binary_images(file))
 
 
+def _rigs(folder: Path) -> list[RigPoses]:
+    """Read the poses of the cameras of each rig; none of models without rigs."""
+    if (folder / "rigs.bin").is_file():
+        with (folder / "rigs.bin").open("rb") as file:
+            return list(_binary_rigs(file))
+    return list(_text_rigs(read_text(folder / "rigs.txt"))) if (folder / "rigs.txt").is_file() else []
+
+
 def _is_binary(folder: Path) -> bool:
     return (folder / "cameras.bin").is_file()
 
@@ -121,7 +129,7 @@ def _check_known(keys: set[int], lenses: Mapping[int, Lens], who: str) -> None:
 def _folders(poses: list[Pose]) -> dict[int, str]:
     """Folder of all images of a camera, by the number of the camera, where they share one."""
     found: dict[int, set[str]] = {}
-    for _, _, key, name in poses:
+    for _, _, key, name, _ in poses:
         parent, slash, _name = name.replace("\\", "/").rpartition("/")
         if slash:
             found.setdefault(key, set()).add(parent)
@@ -166,7 +174,7 @@ def _text_images(text: str) -> Iterator[Pose]:
             continue
         parts = line.split(maxsplit=9)
         values = tuple(map(float, parts[1:8]))
-        yield values[:4], values[4:], int(parts[8]), parts[9].strip()
+        yield values[:4], values[4:], int(parts[8]), parts[9].strip(), int(parts[0])
         next(rows, "")  # its points
 
 
@@ -199,7 +207,7 @@ def _binary_cameras(file: BinaryIO) -> Iterator[tuple[int, Lens]]:
 def _binary_images(file: BinaryIO) -> Iterator[Pose]:
     (count,) = _unpacked(file, "<Q")
     for _ in range(count):
-        _, *values, key = _unpacked(file, "<I7dI")
+        number, *values, key = _unpacked(file, "<I7dI")
         name = bytearray()
         while (letter := _unpacked(file, "<c")[0]) != b"\0":
             name += letter
@@ -209,7 +217,7 @@ def _binary_images(file: BinaryIO) -> Iterator[Pose]:
         if 24 * points > os.fstat(file.fileno()).st_size - file.tell():
             raise ValueError("it ends too early")
         file.seek(24 * points, os.SEEK_CUR)
-        yield tuple(values[:4]), tuple(values[4:]), key, name.decode("utf-8", "replace")
+        yield tuple(values[:4]), tuple(values[4:]), key, name.decode("utf-8", "replace"), number
 
 
 def _binary_rigs(file: BinaryIO) -> Iterator[RigPoses]:
