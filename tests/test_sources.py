@@ -326,7 +326,7 @@ def test_the_command_records_frames_and_says_that_the_range_is_too_small(videos:
     outcome = CliRunner().invoke(app, [*arguments, f"--record={tmp_path / 'kept'}", "--until=1h"])
     assert outcome.exit_code == 0, outcome.output
     assert f"{FRAMES} of {FRAMES}, 0 dropped, 0 failed" in outcome.stdout
-    assert "is too small for what comes" in " ".join(outcome.stdout.split())
+    assert "is too small for the frames" in " ".join(outcome.stdout.split())
     again = open_source(str(tmp_path / "kept"))
     np.testing.assert_array_equal(all_views(again.frames), [lf.views for lf in film()])
 
