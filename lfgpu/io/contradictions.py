@@ -116,5 +116,6 @@ def _order(light_field: LightField, chosen: list[int], vectors: NDArray[np.float
 
 
 def _alike(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Correlation of two pictures; 0 if one of them is plain."""
-    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1]) if a.std() > 0 and b.std() > 0 else 0.0
+    """Correlation of two pictures; 0 if one of them is plain, or has no pixels."""
+    plain = min(a.size, b.size) == 0 or min(a.std(), b.std()) == 0
+    return 0.0 if plain else float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
