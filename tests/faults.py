@@ -263,7 +263,7 @@ FAULTS = (
         "holes filled with certainties that the noise does not scale",
         "lfgpu/methods/matching/hole_filling.py",
         "tuning.hole_filling.stiffness * tuning.alignment.robust**2",
-        "tuning.hole_filling.stiffness",
+        "tuning.hole_filling.stiffness * 1.0",
         ("tests/test_matching.py", "-k", "filled or outlines"),
     ),
     Fault(
