@@ -52,7 +52,7 @@ class Scene:
     """Name of the package's scene; none for a folder."""
     noise: float = 0.0
     judging: bool = False
-    """Whether no parameter was ever chosen by it."""
+    """True if no parameter was ever chosen by the scene."""
 
 
 SCENES = (
@@ -131,7 +131,7 @@ def command(
         str, typer.Option("--scenes", metavar="NAME,...", help=f"{', '.join(s.name for s in SCENES)}.")
     ] = "",
     size: Annotated[int, typer.Option(min=48, help="Pixels along each side of the ray-cast scenes.")] = 256,
-    seeds: Annotated[int, typer.Option(min=1, help="How many of each ray-cast scene; errors are means over them.")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="Seeds of each ray-cast scene; errors are means.")] = 1,
     data: Data = DATA,
     out: Out = None,
 ) -> None:

@@ -75,7 +75,7 @@ COLUMNS: dict[str, Callable[[Any], str]] = {
 def command(
     case_name: CaseName = "9x9x512x512",
     preset: Preset = "fast",
-    kinds: Annotated[str, typer.Option(metavar="KIND,...", help="What the items are.")] = ",".join(KINDS),
+    kinds: Annotated[str, typer.Option(metavar="KIND,...", help="Kinds of items.")] = ",".join(KINDS),
     counts: Annotated[str, typer.Option(metavar="N,...", help="On how many GPUs; default: 1, 2, 4 and all.")] = "",
     items: Annotated[int, typer.Option(min=10, help="For each worker.")] = 100,
     per_gpu: Annotated[str, typer.Option(metavar="N,...", help="Workers for each GPU.")] = "1",

@@ -20,9 +20,9 @@ class Case:
     grid: tuple[int, int]
     size: tuple[int, int]
     default: bool = True
-    """Whether it is measured if no cases are named."""
+    """True if the case is measured when none is named."""
     tiny: bool = False
-    """Whether it is small enough for the reference backend (float64 NumPy, written to be read)."""
+    """True if the case is small enough for the reference backend (float64 NumPy, written to be read)."""
 
     @property
     def name(self) -> str:

@@ -41,7 +41,7 @@ class Timed:
     calls: int
     stop: float
     captured: bool
-    """Whether the device was given many calls as one piece of work."""
+    """True if the device was given many calls as one piece of work."""
 
 
 def stopper(device: Device) -> Callable[[], object]:

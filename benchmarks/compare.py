@@ -39,7 +39,7 @@ class Comparison:
 
     @property
     def fails(self) -> bool:
-        """Whether something is slower or worse."""
+        """True if something is slower or worse."""
         return bool(self.slower or self.worse)
 
 

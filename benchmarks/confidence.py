@@ -84,7 +84,7 @@ class Sample:
     span: float
     """Length of the searched range, pixels per view step."""
     own: bool = False
-    """Whether it is of a scene of the package."""
+    """True if the sample is of a scene of the package."""
 
     def judged(self, weights: Weights) -> Judged:
         confidence, variance = (np.empty_like(self.error) for _ in range(2))
@@ -157,9 +157,7 @@ def command(
         typer.Option("--fit", help="Fit the weights, also on the package's own scenes, and write them to the method."),
     ] = False,
     presets: Presets = "fast,accurate",
-    diagram: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Where the reliability diagram goes.")
-    ] = None,
+    diagram: Annotated[Path | None, typer.Option(metavar="FILE.png", help="File of the reliability diagram.")] = None,
     out: Out = None,
 ) -> None:
     """Compare the confidence with the truth; with `--fit`, weights for each scene are those of the others."""

@@ -73,7 +73,7 @@ def command(
     noise: Annotated[float, typer.Option(help="Noise of the views; intensities are 0 to 1.")] = 0.01,
     seeds: Annotated[str, typer.Option(metavar="N,...", help="Seeds of the scenes; one film for each.")] = "0,1,2,3",
     presets: Presets = "accurate,fast",
-    pasts: Annotated[str, typer.Option(metavar="NAME,...", help="How the last map is used.")] = ",".join(PASTS),
+    pasts: Annotated[str, typer.Option(metavar="NAME,...", help="Uses of the last map.")] = ",".join(PASTS),
     device: DeviceName = None,
     out: Out = None,
 ) -> None:

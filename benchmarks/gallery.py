@@ -38,7 +38,7 @@ _FINER = 2  # pixels of the drawing for one of the picture, each way
 
 
 def command(
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.png", help="Where the picture goes.")] = OUT,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.png", help="File of the picture.")] = OUT,
 ) -> None:
     """Draw the picture of the site's first page: three scenes, their disparity, its error, and points in space."""
     check_out(out)

@@ -90,7 +90,7 @@ def command(
         list[str] | None,
         typer.Option(metavar="LIGHT_FIELD", help="Also look at this one, with nothing moved; may be repeated."),
     ] = None,
-    noises: Annotated[int, typer.Option(min=0, help="How often noise is added to each of these.")] = 3,
+    noises: Annotated[int, typer.Option(min=0, help="Number of noisy copies of each of these.")] = 3,
     shift: Annotated[float, typer.Option(min=0.01, help="By how many pixels a view is moved.")] = 0.2,
     crop: Annotated[int, typer.Option(min=64, help="Side of the part of the views that is used.")] = 192,
     preset: Preset = "fast",

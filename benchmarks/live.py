@@ -81,7 +81,7 @@ def command(
     case_names: Cases = "7x7x375x375,9x9x512x512",
     presets: Presets = "accurate,fast",
     frames: Annotated[int, typer.Option(min=2, help="Number of rendered frames; they are played to and fro.")] = 8,
-    seconds: Annotated[float, typer.Option(min=0.1, help="How long each way is measured.")] = 10.0,
+    seconds: Annotated[float, typer.Option(min=0.1, help="Duration of the measurement of each way.")] = 10.0,
     budget: Annotated[float | None, typer.Option(metavar="MS", help="Largest time of the device for a frame.")] = None,
     device: DeviceName = None,
     out: Out = None,

@@ -25,7 +25,7 @@ from lfgpu.cameras import consensus
 from lfgpu.errors import LightFieldError
 
 ARRAYS = ("9x9", "5x5", "star", "row", "irregular")
-"""Which views of a light field are used: a middle part of its grid, lines of it, or 12 cameras in no grid."""
+"""Views of a light field that are used: a middle part of its grid, lines of it, or 12 cameras in no grid."""
 
 DISTURBANCES = ("shift=1", "gain=0.1", "roll=0.1", "scale=0.002", "shift=1,gain=0.1,roll=0.1,scale=0.002,offset=0.01")
 """As of `lfgpu scene --misalign`; "position=..." only on scenes of the package, which are rendered from there."""
@@ -122,7 +122,7 @@ class Plan:
 
 def command(
     scene_names: Scenes,
-    arrays: Annotated[str, typer.Option(metavar="NAME,...", help="Which views are used.")] = ",".join(ARRAYS),
+    arrays: Annotated[str, typer.Option(metavar="NAME,...", help="Arrays of views.")] = ",".join(ARRAYS),
     disturbances: Annotated[
         list[str] | None,
         typer.Option("--misalign", metavar="WHAT", help="As of `lfgpu scene`; may be repeated. Default: five of them."),

@@ -21,7 +21,7 @@ from lfgpu.io.atomic import check_writable
 DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
 
 DeviceName = Annotated[str | None, typer.Option(metavar="DEVICE", help="cpu or cuda:0; default: the best there is.")]
-Out = Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="Where the results go.")]
+Out = Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.json", help="File of the results.")]
 Data = Annotated[
     Path,
     typer.Option(metavar="FOLDER", show_default=False, help="Real light fields; default: $LFGPU_DATA, ../shared/data."),

@@ -78,7 +78,7 @@ def command(
     names: Annotated[str, typer.Option("--experiments", metavar="NAME,...", help="Default: all.")] = "",
     presets: Presets = "paper-exact,paper,accurate",
     data: Data = DATA,
-    pictures: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Where pictures go: docs/paper.")] = None,
+    pictures: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder of the pictures: docs/paper.")] = None,
     out: Out = None,
 ) -> None:
     """Repeat the paper's experiments, and compare the kernels with its printed equations."""

@@ -52,7 +52,7 @@ def command(
         int, typer.Option("--drawn", metavar="N", min=0, help="Light fields of the package, drawn at random.")
     ] = 0,
     seed: Annotated[int, typer.Option("--first", metavar="SEED", min=0, help="Seed of the first one.")] = 0,
-    sheet: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Where the pictures of errors go.")] = None,
+    sheet: Annotated[Path | None, typer.Option(metavar="FILE.png", help="File of the pictures of errors.")] = None,
     out: Out = None,
 ) -> None:
     """Score presets on a population of light fields, with the range found and the true one, against a baseline."""

@@ -93,7 +93,7 @@ class Run:
 
     @classmethod
     def begun(cls, threads: int | None = None) -> Run:
-        """A run without records that begins now on this machine, with so many threads of the CPU."""
+        """Begin a run without records on this machine, with so many threads of the CPU."""
         date, threads = datetime.now(UTC).isoformat(timespec="seconds"), threads or get_threads()
         return cls(date, **machine.about(), threads=threads, load=machine.load_average(), records=[], skipped=[])
 

@@ -94,7 +94,7 @@ def measure(
     timeout: Annotated[float, typer.Option(min=1, help="Seconds that one process may take.")] = 600,
     runs: Annotated[int, typer.Option(min=1, help="Repeats of the resident method on a GPU.")] = 50,
     startup: Annotated[bool, typer.Option(help="Import and time to the first result.")] = True,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="Where the results go.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="File of the results.")] = None,
 ) -> None:
     """Measure time, memory and error of every backend on every device, and print tables."""
     if context.invoked_subcommand is not None:

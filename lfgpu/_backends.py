@@ -22,7 +22,7 @@ DEFAULT: Final[BackendName] = "warp"
 
 @dataclass(frozen=True)
 class BackendInfo:
-    """What is known about a backend on this machine.
+    """Facts about a backend on this machine.
 
     Parameters
     ----------
@@ -57,12 +57,12 @@ def describe_backends() -> tuple[BackendInfo, ...]:
 
 
 def package_of(backend: str) -> str:
-    """The package that a backend needs."""
+    """Return the package that a backend needs."""
     return _PACKAGES[backend]
 
 
 def backend_named(backend: str) -> BackendName:
-    """The name of a backend, from text; BackendError if there is none of that name."""
+    """Return the name of a backend that a text gives; BackendError if there is none of that name."""
     if backend not in _PACKAGES:
         raise BackendError(f"unknown backend {backend!r}; use one of {', '.join(_PACKAGES)}.")
     return cast("BackendName", backend)
@@ -81,7 +81,7 @@ def load(backend: str = DEFAULT) -> KernelSet:
 
 
 def pick_device(kernels: KernelSet, device: str | None) -> str:
-    """The device to run on; None is the default of the backend, "cuda" the first GPU. BackendError if missing."""
+    """Choose a device: None is the default of the backend, "cuda" the first GPU. BackendError if it is missing."""
     devices = kernels.devices()
     if device is None:
         return devices[0]
@@ -92,7 +92,7 @@ def pick_device(kernels: KernelSet, device: str | None) -> str:
 
 
 def open_device(backend: str = DEFAULT, device: str | None = None) -> Device:
-    """A device of a backend, by name; None and errors as for `load` and `pick_device`."""
+    """Open a device of a backend, by name; None and errors as for `load` and `pick_device`."""
     from lfgpu.contract import Device  # needs NumPy, which listing backends does not
 
     kernels = load(backend)
@@ -114,12 +114,12 @@ def _describe(backend: str) -> BackendInfo:
 
 
 def _remedy(backend: str) -> str:
-    """The command that repairs a backend. A package that is installed but broken has to be reinstalled by force."""
+    """Return the command that repairs a backend. An installed but broken package is reinstalled by force."""
     package = _PACKAGES[backend]
     return f"pip install {package}" if version_of(package) is None else f"pip install --force-reinstall {package}"
 
 
 def _said(error: BaseException) -> str:
-    """The message of an error in one line, with its type if it is not an ImportError."""
+    """Return the message of an error in one line, with its type if it is not an ImportError."""
     message = " ".join(str(error).split())
     return message if message and isinstance(error, ImportError) else f"{type(error).__name__}: {message}".rstrip(": ")

@@ -21,21 +21,6 @@ QUESTIONS = frozenset(
 NO_VERBS = frozenset({"The", "A", "An", "All", "Each", "One", "Every", "Its", "LightFieldError", "LfgpuError"})
 """Words with which a noun begins. Properties and attributes may begin so, functions not."""
 
-TO_DO = ("benchmarks", "kernels", "lfgpu/contract")
-TO_DO += ("lfgpu/native", "lfgpu/pipelines", "lfgpu/training", "lfgpu/_backends.py")
-TO_DO += tuple(f"lfgpu/io/{name}.py" for name in ("grid", "naming", "numbered", "several", "stanford", "video"))
-"""Rooms that are still to be done. A room that is done goes from this list; it must be empty in the end."""
-
-HELP_AND_ATTRIBUTES_TO_DO = ("lfgpu/contract",)
-HELP_AND_ATTRIBUTES_TO_DO += (
-    "lfgpu/native",
-    "lfgpu/pipelines",
-    "lfgpu/training",
-    "kernels",
-    "benchmarks",
-)
-"""Rooms whose attributes and help texts are still to be done."""
-
 Documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -75,40 +60,20 @@ def wrong(path: Path) -> list[str]:
     return found
 
 
-def sources(room: str) -> list[Path]:
-    """List the files of a room, which is a folder or a file."""
-    return [ROOT / room] if room.endswith(".py") else sorted((ROOT / room).rglob("*.py"))
-
-
 def all_sources() -> Iterator[Path]:
     """Yield all files of the package and of the benchmarks."""
     for folder in ("lfgpu", "kernels", "benchmarks"):
-        yield from sources(folder)
+        yield from sorted((ROOT / folder).rglob("*.py"))
 
 
 def test_docstrings_begin_as_they_should() -> None:
-    left = {path for room in TO_DO for path in sources(room) if path.is_file()}
-    found = [sentence for path in all_sources() if path not in left for sentence in wrong(path)]
+    found = [sentence for path in all_sources() for sentence in wrong(path)]
     assert found == [], "see CONTRIBUTING.md, What a change needs"
 
 
 def test_attributes_and_help_texts_begin_as_they_should() -> None:
-    left = {path for room in HELP_AND_ATTRIBUTES_TO_DO for path in sources(room)}
-    found = [
-        f"{path.name}:{line}: {word}"
-        for path in all_sources()
-        if path not in left
-        for line, word in said_beside(path)
-        if word in QUESTIONS
-    ]
-    assert found == []
-
-
-@pytest.mark.parametrize("room", TO_DO)
-def test_a_room_that_is_done_is_no_longer_to_do(room: str) -> None:
-    """Fail where nothing is left to do, so that the list shrinks."""
-    files = [path for path in sources(room) if path.is_file()]
-    assert not files or any(map(wrong, files)), f"take {room!r} from TO_DO: all its docstrings begin as they should"
+    said = ((path, line, word) for path in all_sources() for line, word in said_beside(path))
+    assert [f"{path.name}:{line}: {word}" for path, line, word in said if word in QUESTIONS] == []
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def landing(disparity: Array, offset: Array) -> tuple[Array, Array]:
 
 
 def largest_around(values: Array, radius: int) -> Array:
-    """The maxima over the squares of side 2 radius + 1 that lie in `values`: smaller by `radius` on each side."""
+    """Compute maxima over squares of side 2 radius + 1 that lie in `values`: smaller by `radius` on each side."""
     side = 2 * radius + 1
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, (side, side)).max(axis=(2, 3)))
 
@@ -68,7 +68,7 @@ def features(intensities: Array) -> Array:
 
 
 def mean_of(own: Array, of_views: Sequence[Array], weights: Sequence[Array]) -> Array:
-    """The mean of what the reference has [y, x, c], with weight 1, and what views have, with weights [y, x]."""
+    """Compute the mean of the reference [y, x, c], with weight 1, and of the views, with weights [y, x]."""
     total = own + sum(k[..., None] * found for k, found in zip(weights, of_views, strict=True))
     return np.asarray(total / sum(weights, np.ones(own.shape[:2]))[..., None])
 
@@ -116,7 +116,7 @@ class Alignment:
         return np.asarray(1 / (1 + (residual**2).mean(2) / self._robust**2) ** 2)
 
     def _seen(self, n: int, disparity: Array, nearest: Array) -> tuple[NDArray[np.bool_], Array, Array, Array]:
-        """The pixels [y, x] at which view n takes part, its features and their changes across and down [y, x, 3 c].
+        """Find the pixels [y, x] at which view n takes part, its features, and their changes in x and y [y, x, 3 c].
 
         Beyond the frame they are 0.
         """

@@ -22,7 +22,7 @@ RIDGE = 0.3  # pixels²: variance of places below which the plane through colour
 
 
 def extremes(disparity: Array) -> tuple[Array, Array]:
-    """The least and the largest disparity of the pixels around each, itself included, that lie in the image."""
+    """Compute the least and the largest disparity of the pixels around each, itself included, that lie in the image."""
     padded = np.pad(disparity, 1, mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3))
     return np.asarray(around.min(axis=(2, 3))), np.asarray(around.max(axis=(2, 3)))

@@ -51,7 +51,7 @@ def unevenness(disparity: Array, *, bend_out: Array, relief_out: Array) -> None:
     around = np.pad(disparity, 2, mode="edge")
 
     def moved(y: int, x: int) -> Array:
-        """One pixel more on each side than the image has."""
+        """Add one pixel on each side of the image."""
         return around[1 + y : height + 3 + y, 1 + x : width + 3 + x]
 
     ways = ((0, 1), (1, 0), (1, 1), (1, -1))

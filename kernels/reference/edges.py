@@ -7,7 +7,7 @@ Array = NDArray[np.float64]
 
 
 def largest_step(image: Array, reach: int) -> Array:
-    """The largest difference [y, x] of two adjacent pixels of [y, x, c] that are near a pixel, a mean of channels."""
+    """Find the largest difference [y, x] of adjacent pixels of [y, x, c] near a pixel, a mean of channels."""
     steps = []
     for axis, window in ((1, (2 * reach + 1, 2 * reach)), (0, (2 * reach, 2 * reach + 1))):
         padded = np.pad(np.abs(np.diff(image, axis=axis)).mean(2), reach)

@@ -25,20 +25,20 @@ LEAST_CURVATURE = 1e-10  # of s . y relative to |s| |y|
 
 
 def projected_gradient(x: Array, gradient: Array, low: float, high: float) -> Array:
-    """The gradient, but 0 where x is at a bound and would leave it against the gradient."""
+    """Compute the gradient, but 0 where x is at a bound and would leave it against the gradient."""
     stopped = ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
     return np.where(stopped, 0.0, gradient)
 
 
 def within_bounds(direction: Array, x: Array, projected: Array, low: float, high: float) -> Array:
-    """The direction, but 0 where x is at a bound and the direction leads out or the projected gradient is 0."""
+    """Compute the direction, but 0 where x is at a bound and the direction leads out or the projected gradient is 0."""
     stopped = ((x <= low) & (direction < 0)) | ((x >= high) & (direction > 0))
     held = ((x <= low) | (x >= high)) & (projected == 0)
     return np.where(stopped | held, 0.0, direction)
 
 
 def two_loop(pairs: Pairs, gradient: Array) -> Array:
-    """The inverse Hessian that `pairs` (at least one) make, times the gradient."""
+    """Compute the inverse Hessian that `pairs` (at least one) make, times the gradient."""
     q = gradient.copy()
     alphas = []
     for s, y in reversed(pairs):
@@ -115,7 +115,7 @@ class Lbfgs:
         return list(self._trace), self._judged + 1, self._flat()
 
     def _turn(self, x: Array, gradient: Array) -> None:
-        """The next direction, its slope and the step along it."""
+        """Compute the next direction, its slope and the step along it."""
         projected = projected_gradient(x, gradient, self._low, self._high) / self._root
         if self._pairs:
             direction, self._step = -two_loop(self._pairs, projected), 1.0
@@ -130,7 +130,7 @@ class Lbfgs:
         self._direction = within_bounds(direction / self._root, x, projected, self._low, self._high)
 
     def _shorter(self, old: float, new: float) -> float:
-        """A step to try after one that led from value `old` to `new` was not accepted."""
+        """Choose a step to try after one that led from value `old` to `new` was not accepted."""
         step = self._step
         if not np.isfinite(new):
             return MOST_SHRINK * step

@@ -22,7 +22,7 @@ SLIP = 0.4  # pixels by which motion may be wrong: so much of the gradients is n
 
 
 def _at(image: Array, y: Array, x: Array) -> Array:
-    """An image [y, x, c] at any places, linear between pixels; beyond its border the border goes on."""
+    """Sample an image [y, x, c] at any places, linear between pixels; beyond its border the border goes on."""
     height, width = image.shape[:2]
     y, x = y.clip(0, height - 1), x.clip(0, width - 1)
     top, left = y.astype(np.intp), x.astype(np.intp)
@@ -48,7 +48,7 @@ def _box(values: Array, radius: int) -> Array:
 
 
 def _solved(image: Array, last: Array, motion: Array, *, is_first: bool) -> Array:
-    """The motion [y, x, 2] after a Gauss-Newton step."""
+    """Compute the motion [y, x, 2] after a Gauss-Newton step."""
     y, x = np.mgrid[: image.shape[0], : image.shape[1]].astype(float)
     gx, gy = (gradient.mean(2) for gradient in _gradients(image))
     error = (image - _at(last, y + motion[..., 1], x + motion[..., 0])).mean(2)

@@ -16,7 +16,7 @@ LEAST_WEIGHT = 1e-20  # what gives less is not there: quotients of such weights 
 
 
 def reaching_taps(disparity: Array, offset: Array, softness: float) -> list[Tap]:
-    """The taps of every reference pixel in one view, as far as they reach their targets."""
+    """Return the taps of every reference pixel in one view, as far as they reach their targets."""
     found = []
     for tap in taps(disparity, offset, softness):
         reaches = tap.weight > LEAST_WEIGHT
@@ -28,7 +28,7 @@ def reaching_taps(disparity: Array, offset: Array, softness: float) -> list[Tap]
 
 
 def nearest(disparity: Array, found: list[Tap]) -> Array:
-    """The z-buffer of one view [y, x]: the largest disparity that reaches a pixel, -inf where none does."""
+    """Compute the z-buffer of one view [y, x]: the largest disparity that reaches a pixel, -inf where none does."""
     depth = np.full(disparity.shape, -np.inf)
     for tap in found:
         np.maximum.at(depth, tap.target, disparity[tap.inside])
@@ -36,7 +36,7 @@ def nearest(disparity: Array, found: list[Tap]) -> Array:
 
 
 def _blend(image: Array, disparity: Array, offset: Array, softness: float, sharpness: float) -> tuple[Array, Array]:
-    """One view as a mean of what lands on its pixels, and its coverage."""
+    """Compute one view as a mean of what lands on its pixels, and its coverage."""
     found = reaching_taps(disparity, offset, softness)
     front = nearest(disparity, found)
     coverage, total, view = np.zeros(disparity.shape), np.zeros(disparity.shape), np.zeros(image.shape)

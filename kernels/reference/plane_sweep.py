@@ -48,7 +48,7 @@ def shifted(size: int, shift: float) -> Axis:
 
 
 def bilinear(view: Array, x: Axis, y: Axis) -> Array:
-    """The view [y, x, c] at all shifted pixels."""
+    """Compute the view [y, x, c] at all shifted pixels."""
     rows = view[y.first] + y.share[:, None, None] * (view[y.second] - view[y.first])
     return rows[:, x.first] + x.share[:, None] * (rows[:, x.second] - rows[:, x.first])
 
@@ -60,12 +60,12 @@ def central_differences(values: Array) -> tuple[Array, Array]:
 
 
 def rooted(difference: Array | float, softness: float) -> Array | float:
-    """A difference as it is while it is small; beyond the softness it counts by its root."""
+    """Keep a difference while it is small; beyond the softness take its root."""
     return 2 * softness * (np.sqrt(1 + difference / softness) - 1) if softness > 0 else difference
 
 
 def most(cost: SweepCost) -> float:
-    """The largest cost."""
+    """Compute the largest cost."""
     gradients = cost.gradient_weight * cost.gradient_truncation
     return float((rooted(cost.truncation, cost.softness) + gradients) / (1 + cost.gradient_weight))
 
@@ -108,7 +108,7 @@ class PlaneSweep:
             slice_out[:] = np.where(count >= self._least, total / np.maximum(count, 1), most(cost))
 
     def _compared(self, label: int, cost: SweepCost) -> Iterator[Compared]:
-        """Each view but the reference."""
+        """Yield each view but the reference."""
         height, width, _ = self._image.shape
         for n in self._others:
             x, y = shifted(width, self._shifts[label, n, 0]), shifted(height, self._shifts[label, n, 1])

@@ -20,7 +20,7 @@ LEAST_SHARE = 0.5  # of the terms of a side that must have a part
 
 
 def window_sums(values: Array, window: int) -> Array:
-    """The sum of [y, x] over the window around each pixel, border pixels repeated."""
+    """Compute the sum of [y, x] over the window around each pixel, border pixels repeated."""
     padded = np.pad(values, window // 2, mode="edge")
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, (window, window)).sum((2, 3)))
 
@@ -61,7 +61,7 @@ def differences(detail: Array, image: Array, shift: Array) -> Array:
 
 
 def box_sums(values: Array) -> Array:
-    """The sum of [y, x] over 3 x 3 pixels in the frame."""
+    """Compute the sum of [y, x] over 3 x 3 pixels in the frame."""
     padded = np.pad(values, 1)
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).sum((2, 3)))
 

@@ -25,7 +25,7 @@ class Tap(NamedTuple):
 
 
 def taps(disparity: Array, offset: Array, softness: float) -> Iterator[Tap]:
-    """The four taps of every reference pixel in the view with `offset` (du, dv)."""
+    """Compute the four taps of every reference pixel in the view with `offset` (du, dv)."""
     height, width = disparity.shape
     rows, columns = np.mgrid[:height, :width]
     du, dv = offset
@@ -55,7 +55,7 @@ def splat(
 
 
 def _gradient(image: Array, disparity: Array, residual: Array, offsets: Array, softness: float) -> Array:
-    """The gradient [y, x] with respect to the disparity that residuals [n, y, x, c] give."""
+    """Compute the gradient [y, x] with respect to the disparity that residuals [n, y, x, c] give."""
     gradient = np.zeros(disparity.shape)
     for view, offset in zip(residual, offsets, strict=True):
         for tap in taps(disparity, offset, softness):

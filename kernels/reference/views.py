@@ -31,19 +31,19 @@ def line_of_views(views: Array, line: Sequence[int], *, vertical: bool, epis_out
 
 
 def blur(values: Array, sigma: float) -> Array:
-    """The Gaussian mean of [y, x], mirrored at the borders with the border pixels repeated."""
+    """Compute the Gaussian mean of [y, x], mirrored at the borders with the border pixels repeated."""
     return np.asarray(gaussian_filter(values, sigma, mode="reflect", truncate=TRUNCATE))
 
 
 def local_mean(values: Array, sigma: float, counts: NDArray[np.bool_]) -> Array:
-    """The Gaussian mean of [y, x] over the pixels that count, 0 where none is near."""
+    """Compute the Gaussian mean of [y, x] over the pixels that count, 0 where none is near."""
     share = blur(counts.astype(np.float64), sigma)
     total = blur(np.where(counts, values, 0), sigma)
     return np.where(share > LEAST_SHARE, total / np.maximum(share, LEAST_SHARE), 0)
 
 
 def normalized(image: Array, counts: NDArray[np.bool_], sigma: float, floor: float) -> Array:
-    """The detail of one image [y, x, c]."""
+    """Compute the detail of one image [y, x, c]."""
     mean = np.stack([local_mean(channel, sigma, counts) for channel in np.moveaxis(image, 2, 0)], axis=2)
     detail = image - mean
     contrast = local_mean((detail**2).mean(2), 2 * sigma, counts)

@@ -33,7 +33,7 @@ def _nearest_kernel(cpu: bool) -> Any:
 
     @ti.func
     def place_of(p: int, d: float, du: float, dv: float, border: int, height: int, width: int):
-        """The place in a bordered view at which pixel p lands, -1 beyond it."""
+        """Compute the place in a bordered view at which pixel p lands, -1 beyond it."""
         wide = width + 2 * border
         to = land(p % width, p // width, d, du, dv)
         x = to.x + border + ti.cast(to.ax >= 0.5, ti.i32)

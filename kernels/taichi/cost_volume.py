@@ -13,7 +13,7 @@ _SLICES = 8  # of the volume, for which a thread of a GPU reads weights once
 
 @ti.kernel
 def _total_kernel(weights: flat(), height: int, width: int, radius: int, totals_out: flat()):
-    """The weights of each pixel's window, itself included."""
+    """Compute the weights of each pixel's window, itself included."""
     size = height * width
     for p in range(size):
         x = p % width
@@ -31,7 +31,7 @@ def _total_kernel(weights: flat(), height: int, width: int, radius: int, totals_
 def _rows_kernel(
     weights: flat(), volume: flat(), totals: flat(), height: int, width: int, radius: int, average_out: flat()
 ):
-    """A row of all slices on each thread of a CPU; the window is the outer loop, so that weights lie in a row."""
+    """Compute a row of all slices on each thread of a CPU; the window is the outer loop, so weights lie in a row."""
     size = height * width
     for task in range(height * TASK):
         if task % TASK == 0:
@@ -61,7 +61,7 @@ def _rows_kernel(
 def _pixels_kernel(
     weights: flat(), volume: flat(), totals: flat(), height: int, width: int, radius: int, average_out: flat()
 ):
-    """A pixel of some slices on each thread of a GPU."""
+    """Compute a pixel of some slices on each thread of a GPU."""
     size = height * width
     count = volume.shape[0] // size
     parts = (count + _SLICES - 1) // _SLICES

@@ -32,7 +32,7 @@ def inside(x: int, y: int, height: int, width: int):
 
 @ti.func
 def nearest(whole: int, beyond: float):
-    """The whole number nearest to whole + beyond with `beyond` in [0, 1]; halves round to even."""
+    """Compute the whole number nearest to whole + beyond with `beyond` in [0, 1]; halves round to even."""
     result = whole
     if beyond > 0.5 or (beyond == 0.5 and whole % 2 != 0):
         result += 1

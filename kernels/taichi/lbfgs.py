@@ -33,7 +33,7 @@ _STEP, _SLOPE, _ACCEPTED, _REJECTED, _JUDGED, _LENGTH, _FLAT, _PAIRS, _NEWEST = 
 
 @ti.func
 def projected(vector: float, x: float, low: float, high: float):
-    """The gradient, 0 where a step against it would lead out of the bounds."""
+    """Compute the gradient, 0 where a step against it would lead out of the bounds."""
     result = vector
     if (x <= low and vector > 0.0) or (x >= high and vector < 0.0):
         result = 0.0
@@ -197,7 +197,7 @@ def _stack_kernels(cpu: bool) -> SimpleNamespace:
         high: float,
         direction_out: field,
     ):
-        """The sum of coefficients[r] * stack[r] in the units of x, 0 where the bounds stop it or the gradient."""
+        """Sum coefficients[r] * stack[r] in the units of x, 0 where the bounds stop it or the gradient."""
         size = x.shape[0]
         last = coefficients.shape[0] - 1
         for i in range(size):
@@ -235,7 +235,7 @@ def _recursion_kernel() -> Any:
 
     @ti.func
     def along(row: int, coefficients: ti.template(), products: ti.template()):
-        """The inner product of a row with the combination that the coefficients make."""
+        """Compute the inner product of a row with the combination that the coefficients make."""
         rows = coefficients.shape[0]
         total = ti.f64(0.0)
         for r in range(rows):
@@ -251,7 +251,7 @@ def _recursion_kernel() -> Any:
 
     @ti.func
     def keep(totals: ti.template(), slots: int, slot: int, beginning: int, products: ti.template()):
-        """The new inner products into the matrix of all; when a solver begins, all pairs are forgotten."""
+        """Write the new inner products into the matrix of all; when a solver begins, all pairs are forgotten."""
         rows = 2 * slots + 1
         for r in range(rows):
             if beginning == 0:
@@ -298,7 +298,7 @@ def _recursion_kernel() -> Any:
         coefficients: numbers,
         go_on_out: numbers,
     ):
-        """The next direction as coefficients of the rows, its slope and step, if the trial was accepted."""
+        """Compute the next direction as coefficients of the rows, its slope and step, if the trial was accepted."""
         if state[_ACCEPTED] == 1.0:
             rows = 2 * slots + 1
             slot = (ti.cast(state[_NEWEST], ti.i32) + 1) % slots
@@ -388,7 +388,7 @@ class _Lbfgs:
         return [float(value) for value in trace], int(state[_JUDGED]), bool(state[_FLAT])
 
     def _turn(self, x: DeviceArray, *, beginning: bool) -> None:
-        """The next direction at x."""
+        """Compute the next direction at x."""
         state, stack = self._state.values, self._stack.values
         run(self._rows.products, state, stack, self._slots, self._parts.values)
         self._add_up(self._parts, self._totals)

@@ -36,12 +36,12 @@ class DeviceArray:
 
 
 def flat(scalar: Any = ti.f32, channels: int | None = None) -> Any:
-    """The type of kernel arguments that are a `DeviceArray`'s values."""
+    """Return the type of kernel arguments that are a `DeviceArray`'s values."""
     return ti.types.ndarray(dtype=scalar if channels is None else ti.types.vector(channels, scalar), ndim=1)
 
 
 def empty(shape: Sequence[int], *, channels: int | None = None, scalar: Any = ti.f32) -> DeviceArray:
-    """A new array on the running device, of whatever the memory held."""
+    """Allocate an array on the running device, of whatever the memory held."""
     count = prod(shape)
     if count * (channels or 1) > _MOST:
         raise BackendError(
@@ -54,13 +54,13 @@ def empty(shape: Sequence[int], *, channels: int | None = None, scalar: Any = ti
 
 
 def doubles(values: NDArray[Any]) -> DeviceArray:
-    """A copy of `values` (any shape) on the running device as float64."""
+    """Return a copy of `values` (any shape) on the running device as float64."""
     return _filled(empty(values.shape, scalar=ti.f64), np.asarray(values, np.float64))
 
 
 @once
 def one() -> DeviceArray:
-    """The number 1."""
+    """Return the number 1."""
     return doubles(np.ones(1))
 
 
@@ -70,7 +70,7 @@ def _nothing() -> DeviceArray:
 
 
 def optional(array: DeviceArray | None) -> tuple[ti.Ndarray, bool]:
-    """The arguments of a kernel for an optional field: an array in any case, and whether it counts."""
+    """Return the arguments of a kernel for an optional field: an array in any case, and whether it counts."""
     return (_nothing().values, False) if array is None else (array.values, True)
 
 
@@ -112,7 +112,7 @@ def shared(field: DeviceArray) -> Any:
 
 
 def clear(array: DeviceArray) -> DeviceArray:
-    """The array, all 0."""
+    """Set the array to 0."""
     with alone():
         array.values.fill(0)
     return array

@@ -145,11 +145,11 @@ def _weight_kernel(
 
 @once
 def _operator(flow: Any, keep: float) -> SimpleNamespace:
-    """The kernels that start from `keep` times the values and add `flow(weight, here, other)` for each neighbour."""
+    """Return kernels that start from `keep` times the values and add `flow(weight, here, other)` of neighbours."""
 
     @ti.kernel
     def row_kernel(weights: flat(), values: flat(), height: int, width: int, radius: int, sums_out: flat()):
-        """A row on each thread of a CPU; the window is the outer loop, so that weights are read as they lie."""
+        """Compute a row on each thread of a CPU; the window is the outer loop, so that weights are read as they lie."""
         size = height * width
         for task in range(height * TASK):
             if task % TASK == 0:
@@ -177,7 +177,7 @@ def _operator(flow: Any, keep: float) -> SimpleNamespace:
 
     @ti.kernel
     def pixel_kernel(weights: flat(), values: flat(), height: int, width: int, radius: int, sums_out: flat()):
-        """A pixel on each thread of a GPU."""
+        """Compute a pixel on each thread of a GPU."""
         size = height * width
         for p in range(size):
             x = p % width

@@ -25,7 +25,7 @@ def _ratio_kernel(
     floor: float,
     ratio_out: flat(),
 ):
-    """A pixel on each thread: its two sums stay there."""
+    """Compute a pixel on each thread: its two sums stay there."""
     size = height * width
     for p in range(size):
         x = p % width
@@ -64,7 +64,7 @@ def nlm_ratio(
 
 @ti.func
 def _moments(u: float, apart: float, x: int, y: int):
-    """The terms that a neighbour adds to the sums of a regression."""
+    """Compute the terms that a neighbour adds to the sums of a regression."""
     return ti.Vector([u, u * x, u * y, u * x * x, u * x * y, u * y * y, u * apart, u * apart * x, u * apart * y])
 
 
@@ -80,7 +80,7 @@ def _plane_kernel(
     ridge: float,
     plane_out: flat(),
 ):
-    """A pixel on each thread: the sums of its regression stay there."""
+    """Compute a pixel on each thread: the sums of its regression stay there."""
     size = height * width
     for p in range(size):
         here = values[p]

@@ -34,7 +34,7 @@ def sides(a: float, first: int, size: int, softness: float):
 
 @once
 def _z_kernels(cpu: bool) -> SimpleNamespace:
-    """The z-buffer and what is made of it alone."""
+    """Compute the z-buffer and what is made of it alone."""
     field = flat()
 
     @ti.func
@@ -127,7 +127,7 @@ def visible(disparity: DeviceArray, offsets: DeviceArray, *, tolerance: float, v
 
 @once
 def _splat_kernels(channels: int, cpu: bool) -> SimpleNamespace:
-    """The kernels for pixels of `channels` values."""
+    """Return the kernels for pixels of `channels` values."""
     field, image_type, sums_type = flat(), flat(channels=channels), flat(channels=channels + 2)
     pixel, sums = ti.types.vector(channels, ti.f32), ti.types.vector(channels + 2, ti.f32)
 

@@ -53,7 +53,7 @@ def within(i: int, size: int):
 
 @ti.func
 def rooted(difference: float, softness: float):
-    """The difference while it is small; beyond the softness it counts by its root."""
+    """Keep a difference while it is small; beyond the softness take its root."""
     result = difference
     if softness > 0.0:
         # 2 s (sqrt(1 + x / s) - 1), without the difference of two nearly equal numbers
@@ -76,7 +76,7 @@ def _planes_kernel(channels: int, stored: Any) -> Any:
 
 @once
 def _difference_kernel(stored: Any, block: int) -> Any:
-    """A thread computes `block` pixels that lie one after the other."""
+    """Compute `block` pixels that lie one after the other on each thread."""
 
     @ti.kernel
     def difference_kernel(
@@ -119,7 +119,7 @@ def _difference_kernel(stored: Any, block: int) -> Any:
 
 @once
 def _cost_kernel(channels: int, masked: bool, seen: bool, sloped: bool, block: int) -> Any:
-    """A thread computes `block` pixels that lie one after the other."""
+    """Compute `block` pixels that lie one after the other on each thread."""
 
     @ti.func
     def part_of(valid: ti.template(), surface: ti.template(), deepest: float, near: int):
@@ -234,7 +234,7 @@ def _least_kernel(
     size: int,
     volume_out: flat(),
 ):
-    """The least mean of the view_sets, to the slice of the volume that begins at `first`; the first needs `least`."""
+    """Write the least mean of the view_sets to the slice of the volume at `first`; the first needs `least`."""
     fade = 1.0 / (1.0 + gradient_weight)
     for p in range(size):
         lowest = fade * (rooted(truncation, softness) + gradient_weight * gradient_truncation)
@@ -249,7 +249,7 @@ def _least_kernel(
 
 
 def _table(values: NDArray[Any]) -> DeviceArray:
-    """A copy on the device, of something at least: there is no array of nothing."""
+    """Make a copy on the device, of something at least: there is no array of nothing."""
     return doubles(values if values.size else np.zeros(1))
 
 

@@ -112,7 +112,7 @@ def _kernels(channels: int) -> SimpleNamespace:
         leasts: flat(),
         sums: flat(),
     ):
-        """A block of paths on each thread of a CPU, pixel by pixel, as they lie side by side."""
+        """Follow a block of paths on each thread of a CPU, pixel by pixel, as they lie side by side."""
         for task in range((paths + _BLOCK - 1) // _BLOCK * TASK):
             if task % TASK == 0:
                 first = task // TASK * _BLOCK
@@ -156,7 +156,7 @@ def _kernels(channels: int) -> SimpleNamespace:
         leasts: flat(),
         sums: flat(),
     ):
-        """A path on each thread of a GPU, few on each block, so that all processors have some."""
+        """Follow a path on each thread of a GPU, few on each block, so that all processors have some."""
         ti.loop_config(block_dim=_BLOCK)
         for path in range(paths):
             for i in range(steps):

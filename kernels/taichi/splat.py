@@ -24,7 +24,7 @@ _SLICES = 16  # of the views on a CPU; fixed, so that results do not depend on t
 
 @once
 def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
-    """The kernels for pixels of `channels` values; recorded views are of scalar type `stored`."""
+    """Return the kernels for pixels of `channels` values; recorded views are of scalar type `stored`."""
     field, image_type, stored_image = flat(), flat(channels=channels), flat(stored, channels)
     pixel = ti.types.vector(channels, ti.f32)
 
@@ -112,7 +112,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         width: int,
         softness: float,
     ):
-        """The derivative of one view's squared error by the disparity `d` of a reference pixel of colour `value`."""
+        """Differentiate one view's squared error by the disparity `d` of a reference pixel of colour `value`."""
         to = land(x, y, d, du, dv)
         wx = tent(to.ax, softness)
         wy = tent(to.ay, softness)
@@ -128,7 +128,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
     def difference(
         predicted, recorded: ti.template(), valid: ti.template(), masked: ti.template(), i: int, scale: float
     ):
-        """The residual at recorded pixel `i`; 0 where it does not count."""
+        """Compute the residual at recorded pixel `i`; 0 where it does not count."""
         value = predicted - scale * ti.cast(recorded[i], ti.f32)
         if ti.static(masked):
             if valid[i] == 0.0:
@@ -244,7 +244,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         gradients_out: field,
         squares_out: flat(ti.f64),
     ):
-        """A slice of the views on each thread of a CPU, one view after the other, so that it stays in its cache."""
+        """Compute a slice of the views on each thread of a CPU, view after view, so that it stays in the cache."""
         count = offsets.shape[0] // 2
         size = height * width
         for task in range(slices * TASK):

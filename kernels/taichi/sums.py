@@ -30,7 +30,7 @@ def _kernels(cpu: bool) -> SimpleNamespace:
 
     @ti.kernel
     def total_kernel(parts: doubles, groups_out: doubles, totals_out: doubles):
-        """Each total is of as many parts, which lie one after the other."""
+        """Sum the parts of each total, as many for each, which lie one after the other."""
         totals = totals_out.shape[0]
         for i in range(totals * _GROUPS):
             first, step, end = share(i % _GROUPS, _GROUPS, parts.shape[0] // totals, cpu)

@@ -16,7 +16,7 @@ def _linear_kernels(kind: Any) -> SimpleNamespace:
 
     @ti.func
     def coefficient(number: ti.f64, scalar: ti.template()):
-        """A number times a scalar, one of which is 1."""
+        """Multiply a number by a scalar, one of which is 1."""
         return ti.cast(number * scalar[0], kind)
 
     @ti.kernel
@@ -135,5 +135,5 @@ def clamp(x: DeviceArray, low: float, high: float, x_out: DeviceArray) -> None:
 
 
 def _coefficient(value: float | DeviceArray) -> tuple[float, ti.Ndarray]:
-    """A number and a scalar whose product the value is."""
+    """Split a value into a number and a scalar, whose product the value is."""
     return (1.0, value.values) if isinstance(value, DeviceArray) else (value, one().values)

@@ -46,7 +46,7 @@ def _copy_kernels(channels: int, stored: Any) -> SimpleNamespace:
     def line_kernel(
         views: views_type, first: int, height: int, width: int, u: int, vertical: int, epis_out: views_type
     ):
-        """One view to one place in the line; `height` and `width` are those of the EPIs."""
+        """Copy one view to one place in the line; `height` and `width` are those of the EPIs."""
         for p in range(height * width):
             i = p
             if vertical == 1:
@@ -72,7 +72,7 @@ def line_of_views(views: DeviceArray, line: Sequence[int], *, vertical: bool, ep
 
 @ti.func
 def mirrored(i: int, size: int):
-    """The pixel that stands for pixel `i` of a row that is mirrored at its ends, again and again."""
+    """Compute the pixel that stands for pixel `i` of a row that is mirrored at its ends, again and again."""
     j = i
     if i < 0 or i >= size:
         j = (i % (2 * size) + 2 * size) % (2 * size)
@@ -82,7 +82,7 @@ def mirrored(i: int, size: int):
 
 @once
 def _gaussian_kernel(block: int) -> Any:
-    """The kernel in which a thread computes `block` values that lie one after the other."""
+    """Return the kernel in which a thread computes `block` values that lie one after the other."""
 
     @ti.kernel
     def gaussian_kernel(values: flat(), weights: flat(), count: int, size: int, stride: int, sums_out: flat()):
@@ -113,7 +113,7 @@ def _gaussian_kernel(block: int) -> Any:
 
 @once
 def _normalization_kernels(channels: int, stored: Any, detail: Any, masked: bool) -> SimpleNamespace:
-    """The passes of the normalisation. A mask is one more channel: its sum is the valid share of the Gaussian."""
+    """Run the passes of the normalisation. A mask is one more channel: its sum is the valid share of the Gaussian."""
     views_type, detail_type, pixels = flat(stored, channels), flat(detail, channels), flat(channels=channels)
     pixel, colors, energies = ti.types.vector(channels, ti.f32), channels + masked, 1 + masked
 
@@ -126,7 +126,7 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any, masked: bool
 
     @ti.func
     def inverse_share(sums: ti.template(), i: int):
-        """The factor that makes a sum a mean, from the share that lies at `i`."""
+        """Return the factor that makes a sum a mean, from the share that lies at `i`."""
         result = 1.0
         if ti.static(masked):
             result = 0.0
@@ -161,7 +161,7 @@ def _normalization_kernels(channels: int, stored: Any, detail: Any, masked: bool
         details_out: pixels,
         energies_out: flat(),
     ):
-        """The detail that the local mean leaves, and its mean square over the channels."""
+        """Compute the detail that the local mean leaves, and its mean square over the channels."""
         for p in range(count):
             value = scale * ti.cast(views[first + p], ti.f32)
             for c in ti.static(range(channels)):

@@ -26,7 +26,7 @@ _gpu_of_parent = False
 
 
 def asking(device: str) -> Any:
-    """One lock for each device: threads take turns to ask it, and devices do not wait for each other.
+    """Return one lock for each device: threads take turns to ask it, and devices do not wait for each other.
 
     BackendError for a GPU that a parent process has used before it forked.
     """

@@ -83,7 +83,7 @@ def _evidence_kernel(
 
 @wp.func
 def _bend(disparity: wp.array2d(dtype=float), y: int, x: int):
-    """The mean size of the second differences along rows, columns and diagonals, at a place held in the image."""
+    """Average the second differences along rows, columns and diagonals, at a place held in the image."""
     bottom = disparity.shape[0] - 1
     right = disparity.shape[1] - 1
     here = disparity[wp.clamp(y, 0, bottom), wp.clamp(x, 0, right)]

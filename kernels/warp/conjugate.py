@@ -15,7 +15,7 @@ _BLOCKS = 512  # of a GPU, which share an inner product
 
 @wp.func
 def _sum_of(parts: wp.array(dtype=wp.float64), thread: int):
-    """The sum of the first _BLOCKS parts, which each block finds for itself, all in one order."""
+    """Compute the sum of the first _BLOCKS parts, which each block finds for itself, all in one order."""
     part = wp.float64(0.0)
     for i in range(thread, wp.static(_BLOCKS), wp.static(BLOCK)):
         part = part + parts[i]

@@ -26,7 +26,7 @@ def _continue_kernel(
 
 @once
 def _counters(pointer: int, device: str) -> tuple[Any, Any]:
-    """The turns of a loop and whether it goes on; made when it first runs, as captured work must not allocate."""
+    """Return the turns of a loop and whether it goes on, made in its first run: captured work must not allocate."""
     return wp.zeros(1, dtype=int, device=device), wp.zeros(1, dtype=int, device=device)
 
 

@@ -33,7 +33,7 @@ def _add_kernel() -> Any:
 
 @once
 def _minimum_kernel(name: str, block: int) -> Any:
-    """The kernel for `block` columns at a time."""
+    """Return the kernel for `block` columns at a time."""
     return kernel("cost_volume.h", name, module=f"lfgpu_{name}_{block}", BLOCK=block)
 
 

@@ -14,19 +14,19 @@ LANES = 128  # of a chunk: its columns, and one at either side for differences
 
 
 def kept_type(stored: Any) -> Any:
-    """The type that views are kept as: as they are stored, if a CPU can make vectors of that."""
+    """Return the type that views are kept as: as they are stored, if a CPU can make vectors of that."""
     return wp.float32 if stored is wp.float16 else stored
 
 
 @once
 def loading_kernels(channels: int, stored: Any) -> SimpleNamespace:
-    """The kernels that keep `views` of scalar type `stored`, and the reference `image`."""
+    """Return the kernels that keep `views` of scalar type `stored`, and the reference `image`."""
     pixel, stored_pixel, kept = pixel_type(channels), pixel_type(channels, stored), kept_type(stored)
     module = f"lfgpu_plane_sweep_load_{channels}_{stored.__name__}"
 
     @wp.kernel(module=module, enable_backward=False)
     def image_kernel(image: wp.array2d(dtype=pixel), scale: float, kept_out: wp.array3d(dtype=float)):
-        """The reference in stored values, a column farther right: before it and behind it is room for a chunk."""
+        """Keep the reference in stored values, a column farther right: before it and behind it is room for a chunk."""
         y, x = wp.tid()
         for c in range(wp.static(channels)):
             kept_out[c, y, x + 1] = image[y, x][c] / scale

@@ -58,7 +58,7 @@ def _kernels(channels: int, stored: Any, compact: Any) -> SimpleNamespace:
         strips_out: wp.array(dtype=padded),
         most_out: wp.array(dtype=float),
     ):
-        """The image in strips, 0 out of the frame, and its largest absolute value."""
+        """Cut the image into strips, 0 out of the frame, and find its largest absolute value."""
         i = wp.tid()
         strip = i / wp.static(_STRIP)
         row = strip / columns
@@ -97,7 +97,7 @@ def _kernels(channels: int, stored: Any, compact: Any) -> SimpleNamespace:
 
 
 def _tiling(size: int, most: int) -> tuple[int, int]:
-    """The number and size of the tiles of at most `most` pixels that cover `size` pixels and the place before them."""
+    """Return number and size of tiles of at most `most` pixels that cover `size` pixels and the place before."""
     count = -(-(size + 1) // most)
     return count, -(-(size + 1) // count)
 

@@ -15,13 +15,13 @@ _WARP = 32
 
 
 def threads_of(labels: int, height: int, width: int, *, seen: bool, gradients: bool) -> int:
-    """The number of threads of a sweep."""
+    """Return the number of threads of a sweep."""
     strips, columns = -(-height // _STRIPS[seen, gradients]), -(-width // (_WARP - 2 * gradients))
     return -(-labels * _WARP // BLOCK) * BLOCK * strips * columns
 
 
 def kept_type(channels: int, stored: Any) -> Any:
-    """The type that a pixel of the views is kept as."""
+    """Return the type that a pixel of the views is kept as."""
     return pixel_type(4 if channels == 3 else 2, stored)
 
 
@@ -42,7 +42,7 @@ def mark_kernel(channels: int, stored: Any) -> Any:
 def sweep_kernel(
     channels: int, stored: Any, sets: int, seen: bool, gradients: bool, rooted: bool, set_penalty: float
 ) -> Any:
-    """The kernel for so many view sets; if `seen`, the views that see a pixel past a surface are the only one.
+    """Return the kernel for so many view sets; if `seen`, the views that see a pixel past a surface are the only one.
 
     Without `gradients`, their weight must be 0; `rooted` if there is a softness.
     """

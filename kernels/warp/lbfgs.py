@@ -26,7 +26,7 @@ _REJECTIONS = 20  # in a row that end the search
 
 @wp.func
 def projected(gradient: float, x: float, low: float, high: float) -> float:
-    """The gradient, 0 where it would lead out of the bounds."""
+    """Compute the gradient, 0 where it would lead out of the bounds."""
     return wp.where((x <= low and gradient > 0.0) or (x >= high and gradient < 0.0), 0.0, gradient)
 
 
@@ -175,7 +175,7 @@ def _direction_by_one_thread_kernel(
     alpha: wp.array(dtype=wp.float64),
     coefficients_out: wp.array(dtype=wp.float64),
 ):
-    """The two-loop recursion on coefficients of the rows; if the trial was not accepted they stay what they are."""
+    """Run the two-loop recursion on coefficients of the rows; without an accepted trial these stay as they are."""
     if state.accepted[0] == 1:
         rows = products.shape[0]
         memory = rows / 2
@@ -330,7 +330,7 @@ class _Lbfgs:
             return trace, int(state.judged.numpy()[0]), bool(state.flat.numpy()[0])
 
     def _turn(self, x: Any, *, beginning: bool) -> None:
-        """A new direction from what is in the stack."""
+        """Return a new direction from what is in the stack."""
         device, stack, state = self._device, self._stack, self._state
         if device.is_cpu:
             products = _products_on_cpu_kernel()

@@ -52,7 +52,7 @@ def start() -> None:
 
 @once
 def pixel_type(channels: int, scalar: Any = wp.float32) -> Any:
-    """The Warp vector of `channels` values that one pixel is."""
+    """Return the Warp vector of `channels` values that one pixel is."""
     return wp.types.vector(length=channels, dtype=scalar)
 
 
@@ -147,13 +147,13 @@ def number(scalar: Any) -> float:
 
 
 def _bytes(array: Any) -> Any:
-    """The bytes of a contiguous array on a GPU."""
+    """Return the bytes of a contiguous array on a GPU."""
     count = array.size * wp.types.type_size_in_bytes(array.dtype)
     return wp.array(ptr=array.ptr, dtype=wp.uint8, shape=count, device=array.device, copy=False)
 
 
 def _read(array: Any) -> Any:
-    """The array, when all that was read for it has been: a GPU still reads what its owner pinned."""
+    """Return the array, when all that was read for it has been: a GPU still reads what its owner pinned."""
     if array.device.is_cuda:
         wp.synchronize_stream(array.device.stream)
     return array

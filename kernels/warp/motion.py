@@ -36,7 +36,7 @@ def _kernels(channels: int) -> SimpleNamespace:
 
     @wp.func
     def at(last: wp.array2d(dtype=pixel), y: float, x: float):
-        """The last frame at any place, linear between pixels; beyond its border the border goes on."""
+        """Compute the last frame at any place, linear between pixels; beyond its border the border goes on."""
         height = last.shape[0]
         width = last.shape[1]
         cy = wp.clamp(y, 0.0, float(height - 1))

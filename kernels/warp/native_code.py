@@ -41,7 +41,7 @@ class _Part(NamedTuple):
 
 @cache
 def _parts(file: str) -> dict[str, _Part]:
-    """The constants and functions of a file by name, those of the files that it includes first."""
+    """Return the constants and functions of a file by name, those of the files that it includes first."""
     text = (_FOLDER / file).read_text(encoding="utf-8")
     found: dict[str, _Part] = {}
     for included in _INCLUDE.findall(text):
@@ -59,7 +59,7 @@ def _parts(file: str) -> dict[str, _Part]:
 
 
 def _assembled(file: str, name: str, numbers: dict[str, Any]) -> str:
-    """The body of a function with all that it needs before it."""
+    """Return the body of a function with all that it needs before it."""
     parts = _parts(file)
     text = parts[name].text
     for part in reversed([part for part in parts.values() if part.arguments is None]):
@@ -70,7 +70,7 @@ def _assembled(file: str, name: str, numbers: dict[str, Any]) -> str:
 
 
 def _written(value: Any) -> str:
-    """A number, or several, in C++."""
+    """Write a number, or several, in C++."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
@@ -94,7 +94,7 @@ def _annotations(arguments: str, types: dict[str, Any]) -> Iterator[tuple[str, A
 
 
 def _defined(name: str, arguments: dict[str, Any], body: str, names: dict[str, Any]) -> Any:
-    """A Python function with these arguments, whose text Warp finds."""
+    """Make a Python function with these arguments, whose text Warp finds."""
     text = f"def {name}({', '.join(f'{argument}: {argument}_type' for argument in arguments)}):\n    {body}\n"
     place = f"<native {name} {len(linecache.cache)}>"
     linecache.cache[place] = (len(text), None, text.splitlines(keepends=True), place)
@@ -110,14 +110,14 @@ def _split(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def names_of(pixel: Any) -> dict[str, Any]:
-    """The names in C++ of a pixel that a GPU loads at once: its length PAD, its scalars KEPT, and WORDS of its size."""
+    """Return the C++ names of a pixel that a GPU loads at once: its length PAD, scalars KEPT, and WORDS of its size."""
     scalar, length = pixel._wp_scalar_type_, pixel._length_
     words = {2: "unsigned short", 4: "unsigned", 8: "uint2", 16: "uint4"}
     return {"PAD": length, "KEPT": _SCALARS[scalar], "WORDS": words[length * wp.types.type_size_in_bytes(scalar)]}
 
 
 def function(file: str, name: str, **given: Any) -> Any:
-    """A function of a file of `native`, for kernels in Warp's language.
+    """Make a function of a file of `native`, for kernels in Warp's language.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def function(file: str, name: str, **given: Any) -> Any:
 
 
 def kernel(file: str, name: str, *, module: str, launch_bounds: tuple[int, int] | None = None, **given: Any) -> Any:
-    """A kernel that is a function of a file of `native`.
+    """Make a kernel that is a function of a file of `native`.
 
     An argument `int tid` at the beginning is the index of the thread; the others are given when it is launched.
 

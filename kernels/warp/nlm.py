@@ -132,7 +132,7 @@ def _tile_kernel(channels: int, radius: int) -> Any:
 
 @once
 def _operator(name: str, term: str, keep: float) -> Any:
-    """The CPU's kernel that starts from `keep` and the diagonal times the values and adds `term` for each neighbour."""
+    """Return the CPU's kernel: `keep` and the diagonal times the values, and `term` for each neighbour."""
     add_neighbor = function("nlm.h", "add_neighbor", TERM=term)
 
     @wp.kernel(module=f"lfgpu_nlm_{name}", enable_backward=False)
@@ -166,7 +166,7 @@ def _operator(name: str, term: str, keep: float) -> Any:
 
 @once
 def _gpu_operator(name: str, term: str, keep: float, radius: int) -> Any:
-    """The same for a GPU: several threads for each pixel."""
+    """Return the GPU's kernel: several threads for each pixel."""
     numbers, module = {"TERM": term, "KEEP": keep, "RADIUS": radius}, f"lfgpu_nlm_gpu_{name}_{radius}"
     return kernel("nlm.cuh", "add_neighbors", module=module, **numbers)
 

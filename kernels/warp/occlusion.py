@@ -103,7 +103,7 @@ def _visible_kernel(
 
 @once
 def _kernels(channels: int) -> SimpleNamespace:
-    """The kernels for pixels of `channels` values."""
+    """Return the kernels for pixels of `channels` values."""
     pixel, sums = pixel_type(channels), pixel_type(channels + 2)
     module = f"lfgpu_occlusion_{channels}"
 
@@ -157,7 +157,7 @@ def _kernels(channels: int) -> SimpleNamespace:
 
 
 def _find_nearest(disparity: Any, offsets: Any, softness: float, nearest_out: Any) -> None:
-    """The z-buffer [n, y, x] of views at `offsets`, pairs."""
+    """Compute the z-buffer [n, y, x] of views at `offsets`, pairs."""
     threads = lanes(disparity)
     nearest_out.fill_(_NOWHERE)
     dim = (len(offsets), disparity.shape[0], threads)

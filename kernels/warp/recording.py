@@ -14,12 +14,12 @@ _KINDS = {kernel.key: kind for kernel, kind in zip(MARKS, ("begin", "end"), stri
 
 
 def version() -> str:
-    """The version of Warp, to which files are tied."""
+    """Return the version of Warp, to which files are tied."""
     return str(wp.config.version)
 
 
 def libraries() -> tuple[Path, Path]:
-    """The folders of Warp's libraries and of their headers."""
+    """Return the folders of Warp's libraries and of their headers."""
     root = Path(wp.__file__).parent
     return root / "bin", root / "native"
 
@@ -50,7 +50,7 @@ def _kernels(capture: Any) -> list[tuple[str, str, int, str]]:
 
 
 def _argument_bytes(kernel: Any) -> int:
-    """The size of the structure in which a CPU kernel gets its arguments."""
+    """Return the size of the structure in which a CPU kernel gets its arguments."""
     fields = [(f"a{k}", _c_type(argument.type)) for k, argument in enumerate(kernel.adj.args)]
     return ctypes.sizeof(type("Arguments", (ctypes.Structure,), {"_fields_": fields}))
 

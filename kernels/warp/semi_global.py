@@ -40,7 +40,7 @@ def _step_costs_kernel(channels: int) -> Any:
 
 @once
 def _path_kernel(each: int) -> Any:
-    """The kernel for `each` disparities on each thread."""
+    """Return the kernel for `each` disparities on each thread."""
     module, ahead = f"lfgpu_gpu_semi_global_{each}", max(1, _AHEAD // each)
     return kernel("semi_global.cuh", "follow_path", module=module, EACH=each, AHEAD=ahead, **_STEPS)
 
@@ -97,10 +97,10 @@ def _on_gpu(volume: Any, inputs: list[Any], sum_out: Any) -> None:
 
 
 def _room_of(sum_out: Any) -> Any:
-    """What changes cost; turned volumes, of the costs and of all directions or of as many as there is room for, but one
-    at least.
+    """Return memory for the costs of changes and for turned volumes: the costs, and as many directions as fit, at least
+    one.
 
-    It lives as long as the sums. It is made when it is first needed, as captured work must not allocate.
+    The memory lives as long as the sums. It is made when first needed, as captured work must not allocate.
     """
     if not hasattr(sum_out, "lfgpu_room"):
         count, size = len(_DIRECTIONS), sum_out.size

@@ -95,7 +95,7 @@ def take(values: Any, array_out: Any, own: Any = None, *, chosen: Sequence[int] 
 
 
 def _stream_of(values: Any, device: Any) -> Any:
-    """The stream on which the library of `values` works now, None if it does not say."""
+    """Return the stream on which the library of `values` works now, None if it does not say."""
     torch = sys.modules.get("torch")
     if torch is not None and isinstance(values, torch.Tensor):
         return _stream(device.alias, torch.cuda.current_stream(device.ordinal).cuda_stream)

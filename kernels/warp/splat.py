@@ -42,7 +42,7 @@ def land(x: int, y: int, disparity: float, offset: wp.vec2f) -> Landing:
 
 @once
 def _kernels(channels: int, stored: Any) -> SimpleNamespace:
-    """The kernels for pixels of `channels` values; recorded views are of scalar type `stored`."""
+    """Return the kernels for pixels of `channels` values; recorded views are of scalar type `stored`."""
     pixel = pixel_type(channels)
     stored_pixel = pixel_type(channels, stored)
     module = f"lfgpu_splat_{channels}_{stored.__name__}"
@@ -214,7 +214,7 @@ def _for_image(image: Any) -> SimpleNamespace:
 
 
 def as_offsets(offsets: Any) -> Any:
-    """A field [n, 2] as an array of vectors, without a copy."""
+    """Return a field [n, 2] as an array of vectors, without a copy."""
     return offsets.view(wp.vec2f)
 
 

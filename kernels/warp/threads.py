@@ -89,7 +89,7 @@ def marked_slices() -> Iterator[None]:
 
 
 def slices(device: Any, count: int) -> list[tuple[int, int]]:
-    """The (first, last) of each slice that `in_slices` makes."""
+    """Return the (first, last) of each slice that `in_slices` makes."""
     parts = min(_SLICES, count) if device.is_cpu else 1
     return [(count * k // parts, count * (k + 1) // parts) for k in range(parts)]
 
@@ -159,7 +159,7 @@ def check_size(*threads: int) -> None:
 
 
 def lanes(array: Any) -> int:
-    """The number of kernel threads that share a row: one for each pixel on a GPU; one for the whole row on a CPU.
+    """Return the number of threads that share a row: one for each pixel on a GPU; one for the whole row on a CPU.
 
     A CPU runs the threads of a launch one after the other, and a plain loop costs it less than a thread per pixel.
     """
@@ -174,7 +174,7 @@ def load(device: Any, *kernels: Any) -> None:
 
 
 def with_wide_vectors(kernel: Any) -> Any:
-    """The kernel, whose module is compiled for the widest vectors that the CPU has.
+    """Return the kernel, whose module is compiled for the widest vectors that the CPU has.
 
     Compilers use 256 of 512 bits where nobody says so: the first CPUs with more were slower with them.
     """
@@ -206,7 +206,7 @@ def _forgotten(module: Any) -> bool:
 
 
 def cache_is_closed(error: OSError) -> BackendError:
-    """The error to raise where Warp cannot write what it compiles."""
+    """Return the error to raise where Warp cannot write what it compiles."""
     return BackendError(
         f"Warp cannot keep its compiled kernels in {error.filename or wp.config.kernel_cache_dir} "
         f"({error.strerror or error}); set WARP_CACHE_PATH to a folder that may be written to."

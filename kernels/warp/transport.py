@@ -112,7 +112,7 @@ class Lease:
         return Shared(self.fields[index])
 
     def numpy(self, index: int) -> NDArray[np.float32]:
-        """The same on the host, a copy."""
+        """Copy the same to the host."""
         return np.array(self.maps.hosts[index].numpy())
 
 
@@ -193,7 +193,7 @@ class Transport:
         return Slot(self._views)
 
     def enter(self) -> None:
-        """Each thread that asks the device, or waits for it, must call this once."""
+        """Prepare a thread that asks the device, or waits for it; each must call this once."""
         self._device.make_current()
 
     def mask(self, base: Any, mask_out: Any) -> None:

@@ -15,7 +15,7 @@ _BLOCKS = 128  # of a dot product on a GPU
 
 @wp.func
 def value_of(number: float, scalar: wp.array(dtype=wp.float64)) -> float:
-    """The scalar if there is one, else the number."""
+    """Return the scalar if there is one, else the number."""
     value = number
     if scalar:
         value = float(scalar[0])
@@ -116,7 +116,7 @@ def partial_dot_kernel(
 
 @wp.kernel
 def sum_kernel(parts: wp.array(dtype=wp.float64), total_out: wp.array(dtype=wp.float64)):
-    """The sum of all parts, by one block."""
+    """Compute the sum of all parts, by one block."""
     _, thread = wp.tid()
     total = wp.float64(0.0)
     for i in range(thread, parts.shape[0], wp.block_dim()):

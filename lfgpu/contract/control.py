@@ -16,7 +16,7 @@ class Control(Protocol):
         """Tell whether an estimate on this device has the same bits each time, for any number of threads."""
 
     def kernel_cache(self) -> str | None:
-        """The folder in which compiled kernels are kept from one process to the next; None if none are."""
+        """Return the folder in which compiled kernels are kept from one process to the next; None if none are."""
 
     def asking(self, device: str) -> AbstractContextManager[object]:
         """Held while a device is asked for work, so that no capture of another thread records it.
@@ -33,7 +33,7 @@ class Control(Protocol):
         """
 
     def capture(self, work: Callable[[], None], device: str) -> Callable[[], None] | None:
-        """What does `work` again as a whole, without the host; None where the device cannot be given work that way.
+        """Return a function that repeats `work` without the host; None where the device cannot be given work that way.
 
         `work` asks for operations only. It must have run once before, so that all kernels are loaded.
         """

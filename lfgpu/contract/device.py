@@ -35,25 +35,25 @@ class Device:
         return self.name != "cpu"
 
     def zeros(self, shape: Sequence[int]) -> Array:
-        """A field of zeros."""
+        """Return a field of zeros."""
         return self.kernels.zeros(shape, self.name)
 
     def zeros_image(self, shape: Sequence[int], stored: Any = np.float32) -> Array:
-        """An image [..., c] of zeros of the NumPy type `stored`."""
+        """Return an image [..., c] of zeros of the NumPy type `stored`."""
         return self.kernels.zeros_image(shape, self.name, stored)
 
     def field(self, values: NDArray[Any]) -> Array:
-        """A copy of `values` (any shape) as a field."""
+        """Return a copy of `values` (any shape) as a field."""
         return self.kernels.field(values, self.name)
 
     def image(self, values: NDArray[Any]) -> Array:
-        """A copy of `values` [..., c] as an image, as they are stored."""
+        """Return a copy of `values` [..., c] as an image, as they are stored."""
         return self.kernels.image(values, self.name)
 
     def scalar(self, value: float) -> Scalar:
-        """A number on the device."""
+        """Return a number on the device."""
         return self.kernels.scalar(value, self.name)
 
     def asking(self) -> AbstractContextManager[object]:
-        """The context in which the device is asked for work; see `Control.asking`."""
+        """Return the context in which the device is asked for work; see `Control.asking`."""
         return self.kernels.asking(self.name)

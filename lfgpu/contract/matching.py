@@ -190,7 +190,7 @@ class Matching(Protocol):
         contrast: float,
         sum_out: Array,
     ) -> None:
-        """The sum [l, y, x] over eight directions r of the costs of the best path to each pixel (Hirschmüller 2008).
+        """Sum the costs [l, y, x] of the best paths to each pixel from eight directions r (Hirschmüller 2008).
 
         L_r(p, l) = C(p, l) + min(L_r(p - r, l), L_r(p - r, l -+ 1) + s, min_k L_r(p - r, k) + t) - min_k L_r(p - r, k),
         and C itself where p - r lies outside. With a = exp(-mean_c |I(p) - I(p - r)| / contrast) a step of one costs
@@ -213,10 +213,10 @@ class Matching(Protocol):
         """
 
     def least_costs(self, volume: Array, *, least_out: Array) -> None:
-        """The least of the costs of each pixel, [y, x]."""
+        """Compute the least of the costs of each pixel, [y, x]."""
 
     def winner_takes_all(self, volume: Array, *, first: float, step: float, disparity_out: Array) -> None:
-        """The disparity [y, x] of least cost: first + step * (k + t), count >= 3.
+        """Compute the disparity [y, x] of least cost: first + step * (k + t), count >= 3.
 
         k is the first of the least costs, but at least 1 and at most count - 2; t the minimum of the parabola through
         the costs at k - 1, k and k + 1, in -1 to 1, 0 where they do not bend upwards by more than 1e-9.
@@ -243,7 +243,7 @@ class Matching(Protocol):
         """
 
     def line_mean(self, values: Array, *, axis: int, reach: int, means_out: Array) -> None:
-        """The mean over each pixel of a map [y, x] and the `reach` >= 0 on either side along an axis, 0 or 1.
+        """Compute the mean over each pixel of a map [y, x] and the `reach` >= 0 on either side along an axis, 0 or 1.
 
         Only pixels in the image count. `means_out` is not `values`.
         """

@@ -18,19 +18,19 @@ class Memory(Protocol):
         """Names of the devices that can be used here, the default first."""
 
     def field(self, values: NDArray[Any], device: str) -> Array:
-        """A copy of `values` (any shape) on the device as scalars of `dtype`."""
+        """Return a copy of `values` (any shape) on the device as scalars of `dtype`."""
 
     def image(self, values: NDArray[Any], device: str) -> Array:
         """`values` [..., c] (uint8, uint16, float16, float32; c = 1 or 3) on the device as they are stored."""
 
     def zeros(self, shape: Sequence[int], device: str) -> Array:
-        """A field of zeros."""
+        """Return a field of zeros."""
 
     def zeros_image(self, shape: Sequence[int], device: str, stored: Any = np.float32) -> Array:
-        """An image of zeros of the NumPy type `stored`; `shape` is [..., c]."""
+        """Return an image of zeros of the NumPy type `stored`; `shape` is [..., c]."""
 
     def scalar(self, value: float, device: str) -> Scalar:
-        """A number on the device."""
+        """Return a number on the device."""
 
     def upload(self, values: NDArray[Any], array_out: Array, *, chosen: Sequence[int] | None = None) -> None:
         """New contents of a field or an image, of the same shape and, for an image, the type that it is stored in.
@@ -42,7 +42,7 @@ class Memory(Protocol):
         """
 
     def shared(self, field: Array) -> Any:
-        """The field itself as an array that other libraries take without a copy: `__dlpack__`, and on the host
+        """Return the field itself as an array that other libraries take without a copy: `__dlpack__`, and on the host
         `__array_interface__`, on a GPU `__cuda_array_interface__`; who takes it reads it after what was asked for
         before. BackendError where a backend has no such arrays.
         """

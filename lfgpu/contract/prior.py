@@ -89,7 +89,7 @@ class Prior(Protocol):
         ridge: float,
         plane_out: Array,
     ) -> None:
-        """The plane through the values around each pixel, at that pixel; fields [y, x].
+        """Compute the plane through the values around each pixel, at that pixel; fields [y, x].
 
         It is a where (a, s) minimise sum_q u_q [(a + s . (q - p) - values_q)^2 + ridge |s|^2] over the window, p
         included, with u_q = v_pq certainty_q and v_pq as in `nlm_ratio`, the guide being the values. `certainty` is
@@ -101,14 +101,14 @@ class Prior(Protocol):
         """v_pq of `nlm_ratio` as weights [k, y, x]; `weights_out` is not `weights`."""
 
     def nlm_average(self, weights: Array, volume: Array, *, window: int, average_out: Array) -> None:
-        """Each slice averaged over each pixel's window with the non-local-means weights, itself with weight 1.
+        """Average each slice over each pixel's window with the non-local-means weights, itself with weight 1.
 
         average_p = (volume_p + sum_q w_pq volume_q) / (1 + sum_q w_pq) over all q of the window that lie in the image.
         """
 
 
 def half_window(window: int) -> NDArray[np.int64]:
-    """The offsets (dy, dx) of one half of a window of odd side `window`: [k, 2], those after the centre in row order.
+    """Return the offsets (dy, dx) [k, 2] after the centre, in row order, of a window of odd side `window`.
 
     Weights are symmetric, w(p, q) = w(q, p), so one half says all.
     """

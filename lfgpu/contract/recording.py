@@ -13,10 +13,10 @@ class Recording(Protocol):
     """Recording of the work of a pipeline as a file."""
 
     def version(self) -> str:
-        """The version of the backend's library. A file can be replayed by this version only."""
+        """Return the version of the backend's library. A file can be replayed by this version only."""
 
     def libraries(self) -> tuple[Path, Path]:
-        """The folders of the library's shared objects and of its headers."""
+        """Return the folders of the library's shared objects and of its headers."""
 
     def save(
         self,

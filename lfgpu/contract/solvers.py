@@ -23,7 +23,7 @@ class Residuals(Protocol):
         """
 
     def report(self) -> list[float]:
-        """The trace; waits for the device."""
+        """Return the trace; waits for the device."""
 
 
 class Lbfgs(Protocol):
@@ -63,8 +63,8 @@ class Lbfgs(Protocol):
         """
 
     def report(self) -> tuple[list[float], int, bool]:
-        """The values accepted so far, the first included, the number of values judged plus 1, and whether they are
-        flat; waits for the device."""
+        """Return the values accepted so far, the first included, the number of values judged plus 1, and whether they
+        are flat; waits for the device."""
 
 
 class Solvers(Protocol):
@@ -74,7 +74,7 @@ class Solvers(Protocol):
         """Plan the bookkeeping of an iterative linear solver that makes at most `most` iterations."""
 
     def conjugate_step(self, p: Array, q: Array, preconditioner: Array, rz: Scalar, x: Array, r: Array) -> None:
-        """A step of conjugate gradients for A x = b in place; all but `rz` are fields [y, x], none of them another one.
+        """Take a step of conjugate gradients for A x = b in place; all but `rz` are fields [y, x], each another one.
 
         p is the direction, q = A p, M the diagonal `preconditioner`, r = b - A x and rz = rᵀ M r. With α = rz / pᵀ q,
         x += α p and r -= α q. Then rz becomes rᵀ M r, and p becomes M r + β p with β the new rz over the old one. Where

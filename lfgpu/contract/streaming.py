@@ -31,7 +31,7 @@ class Lease(Protocol):
         """Disparity (0) or confidence (1) for other libraries, as `Memory.shared`."""
 
     def numpy(self, index: int) -> Float32Array:
-        """A copy of the same in memory of the host, float32 [y, x]."""
+        """Return a copy of the same in memory of the host, float32 [y, x]."""
 
 
 class Transport(Protocol):
@@ -50,7 +50,7 @@ class Transport(Protocol):
         """Copy an array of another library on the same device into a slot, in the order of that library's stream."""
 
     def send(self, slot: Slot, first: int, last: int) -> None:
-        """The views from `first` to before `last` are in the slot's `host`: let them go to the device meanwhile.
+        """Send the views from `first` to before `last`, which are in the slot's `host`, to the device meanwhile.
 
         Views that are neither sent nor taken are those of an earlier frame.
         """
@@ -127,7 +127,7 @@ class Streaming(Protocol):
         tolerance: float,
         results: int,
     ) -> Transport:
-        """The traffic of one stream.
+        """Plan the traffic of one stream.
 
         Parameters
         ----------
@@ -166,7 +166,7 @@ class Streaming(Protocol):
         rates_out: Array,
         weights_out: Array,
     ) -> None:
-        """The mean of the map that was expected, `past`, which `frames` went into, and that of now; fields [y, x].
+        """Average the expected map `past`, which rests on `frames` frames, and the map of now; fields [y, x].
 
         With e = disparity - past, s = same / (1 + (e / support)^4) and
         b = persistence s frames / (1 + (rate / steady)^2), disparity = past + e / (1 + b) and frames_out = 1 + b. What

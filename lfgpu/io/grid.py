@@ -89,7 +89,7 @@ def read_grid(
 
 
 def holes(places: Collection[Place], shape: tuple[int, int], *, folder: Path, allow_missing: bool) -> tuple[str, ...]:
-    """What there is to say about the empty places of a grid; LightFieldError if they look like an accident.
+    """Describe the empty places of a grid in notes; raise LightFieldError if they look like an accident.
 
     A full grid, and a cross, star, row or column through the centre (rows // 2, columns // 2), are meant and pass
     without a word. Any other choice of at most half of the places passes with a note. If more than half are there,
@@ -112,7 +112,7 @@ def holes(places: Collection[Place], shape: tuple[int, int], *, folder: Path, al
 
 
 def pattern_of(places: Collection[Place], shape: tuple[int, int]) -> str | None:
-    """What places through the centre of a grid make that is meant: "cross", "star", "row" or "column"; else None."""
+    """Name the pattern that places through the centre of a grid make: "cross", "star", "row", "column", or None."""
     middle_row, middle_column = shape[0] // 2, shape[1] // 2
     row = {(middle_row, column) for column in range(shape[1])}
     column = {(row, middle_column) for row in range(shape[0])}

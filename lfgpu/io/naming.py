@@ -71,7 +71,7 @@ class Naming:
     numbers: tuple[Number, ...]
 
     def of(self, meaning: str) -> list[Number]:
-        """The numbers of a meaning that differ from picture to picture; of rows and columns also those that do not."""
+        """Return the numbers of a meaning that differ between pictures; of rows and columns also those that do not."""
         return [n for n in self.numbers if n.meaning == meaning and (n.varies or meaning in (ROW, COLUMN))]
 
     @property
@@ -80,7 +80,7 @@ class Naming:
         return [name.file for name in self.names]
 
     def pattern(self, named: Mapping[int, str] = MappingProxyType({})) -> str:
-        """The pattern of the names, as `--pattern` takes it; `named` gives other names to numbers, "" to leave them."""
+        """Return the pattern of the names for `--pattern`; `named` gives other names to numbers, "" to leave them."""
         first, parts = self.names[0], []
         for place, (text, digits, number) in enumerate(zip(first.texts, first.digits, self.numbers, strict=False)):
             usual = _SHORT.get(number.meaning, "?") if number.varies or number.meaning in (ROW, COLUMN) else ""
@@ -89,7 +89,7 @@ class Naming:
         return "".join([*parts, first.texts[-1]]) + first.file.suffix
 
     def sentence(self, folder: Path) -> str:
-        """What the numbers were taken for, and why."""
+        """Describe what the numbers were taken for, with the reasons."""
         told: dict[str, list[str]] = {}
         for number in self.numbers:
             if number.varies or number.meaning in (ROW, COLUMN):
@@ -99,7 +99,7 @@ class Naming:
 
 
 def name_of(file: Path, folder: Path) -> Name:
-    """The texts and numbers of the name of a file below a folder."""
+    """Split the name of a file below a folder into texts and numbers."""
     stem = file.relative_to(folder).with_suffix("").as_posix()
     parts = re.split(r"([0-9]+)", stem)
     digits = tuple(parts[1::2])
@@ -107,7 +107,7 @@ def name_of(file: Path, folder: Path) -> Name:
 
 
 def _signed(name: Name) -> Name:
-    """The same name if the characters before its numbers are signs of them."""
+    """Return the same name if the characters before its numbers are signs of them."""
     texts, numbers = list(name.texts), list(name.numbers)
     for place in range(len(numbers)):
         # A sign follows something else than the number before it: "1_-2", but not "1-2".
@@ -133,7 +133,7 @@ def families(files: Iterable[Path], folder: Path) -> list[list[Name]]:
 
 
 def understood(names: Sequence[Name]) -> Naming:
-    """What the numbers count: by the words beside them, as dates, and by the convention for two without words."""
+    """Decide what numbers count: by the words beside them, as dates, and by the convention for two without words."""
     first, columns = names[0], list(zip(*(name.numbers for name in names), strict=True))
     varying = {place for place, values in enumerate(columns) if len(set(values)) > 1}
     words = [_word(text, first=not place) for place, text in enumerate(first.texts[:-1])]
@@ -149,7 +149,7 @@ def understood(names: Sequence[Name]) -> Naming:
 
 
 def _word(before: str, *, first: bool) -> str:
-    """The word before a number, in lower case; "/" where it begins the name of a file in a folder."""
+    """Return the word before a number, in lower case; "/" where it begins the name of a file in a folder."""
     if before.strip().lower() == "x" and not first:  # 3x4: three by four
         return ""
     found = _WORD.findall(before.rsplit("/", 1)[-1])
@@ -157,13 +157,13 @@ def _word(before: str, *, first: bool) -> str:
 
 
 def _word_behind(after: str) -> str:
-    """The known word right behind a number; "" if there is none: "5px" and "3x4" have none."""
+    """Return the known word right behind a number; "" if there is none: "5px" and "3x4" have none."""
     found = re.match("[A-Za-z]{2,}", after)
     return found[0].lower() if found and found[0].lower() in _MEANINGS else ""
 
 
 def _believed(words: Sequence[str]) -> list[tuple[str, str]]:
-    """The meaning of each number by its word, and why."""
+    """Return the meaning of each number by its word, and why."""
     table = _MEANINGS | ({"s": COLUMN, "t": ROW} if {"s", "t"} <= set(words) else {})
     axes = {table.get(word) for word in words} & {ROW, COLUMN}
     return [
@@ -189,7 +189,7 @@ def _name_pair(names: Sequence[Name], words: Sequence[str], meanings: list[tuple
 
 
 def _name_rest(columns: Sequence[Sequence[int]], meanings: list[tuple[str, str]], varying: set[int]) -> None:
-    """What is left over when all others are known: the other of row and column, or the only number that differs."""
+    """Name the number that is left: the other of row and column, or the only number that differs."""
     places = [place for place in varying if meanings[place][0] in (ROW, COLUMN, CAMERA)]
     unknown = [place for place in sorted(varying) if meanings[place][0] == UNKNOWN]
     if places and len(set(zip(*(columns[place] for place in places), strict=True))) == len(columns[0]):
@@ -212,7 +212,7 @@ _DATE_AND_TIME = re.compile(
 
 
 def _moments(names: Sequence[Name]) -> dict[int, str]:
-    """Which numbers of names are dates and times of day, and why."""
+    """Find the numbers that are dates and times of day, with the reason."""
     found = None
     for name in names:
         stem = "".join(x for pair in zip(name.texts, (*name.digits, ""), strict=True) for x in pair)
@@ -252,7 +252,7 @@ def _is_moment(parts: list[int]) -> bool:
 
 
 def matching(files: Iterable[Path], folder: Path, pattern: str) -> Naming:
-    """The pictures that a pattern such as "cam{u}_frame{t}.png" names, with the numbers as it says.
+    """Find the pictures that a pattern such as "cam{u}_frame{t}.png" names, with the numbers as it says.
 
     LightFieldError if it is none, or names no picture.
     """

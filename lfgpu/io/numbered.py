@@ -47,7 +47,7 @@ class _Found:
 
 
 def recognise(path: Path, *, kind: str) -> str | None:
-    """Why a path is taken for a folder of a kind ("named-views", "row-folders" or "camera-row"); None if it is not."""
+    """Say why a path is a folder of a kind ("named-views", "row-folders" or "camera-row"); None if it is not."""
     if not path.is_dir() or (found := _found(path)) is None or _kind(found.naming) != kind:
         return None
     return found.naming.sentence(path)
@@ -60,13 +60,13 @@ def _kind(naming: Naming) -> str:
 
 
 def _in_folders(naming: Naming, *meanings: str) -> bool:
-    """Whether folders are counted by a number of one of these meanings."""
+    """Tell whether folders are counted by a number of one of these meanings."""
     texts = naming.names[0].texts
     return any("/" in "".join(texts[k + 1 :]) and n.meaning in meanings for k, n in enumerate(naming.numbers))
 
 
 def _is_one_scene(naming: Naming) -> bool:
-    """Whether folders that count as rows without a word that says so show one scene: others are often numbered, too."""
+    """Tell whether folders that no word calls rows show one scene: other folders are often numbered, too."""
     rows = naming.of(ROW)
     told = all("word" in number.why or "pattern" in number.why for number in rows)
     if told or not _in_folders(naming, ROW) or not rows[0].varies:
@@ -152,7 +152,7 @@ def read_numbered(
 
 
 def frames_of(path: Path, pattern: str | None = None) -> int:
-    """How many times a folder holds for each of its cameras; 1 if it is no such folder."""
+    """Count the times that a folder holds for each of its cameras; 1 if it is no such folder."""
     found = _found(path, pattern)
     if found is None or found.rival is not None or _question(path, found.naming) is not None:
         return 1
@@ -217,7 +217,7 @@ def _rivals(path: Path, found: _Found) -> str:
 
 
 def _question(path: Path, naming: Naming) -> str | None:
-    """What cannot be known from the names, as a sentence with the option that settles it; None if all is clear."""
+    """Ask for what names cannot tell: a sentence with the option that settles it; None if all is clear."""
     unknown, cameras, times = naming.of(UNKNOWN), naming.of(CAMERA), naming.of(TIME)
     places = [*naming.of(ROW), *naming.of(COLUMN), *cameras]
     moving = [number for number in places if number.varies]
@@ -275,7 +275,7 @@ def _places(naming: Naming) -> list[tuple[int, ...]]:
 
 
 def _times(naming: Naming) -> list[tuple[int, ...]]:
-    """The times at which there are pictures, in order; one if the time follows from the place."""
+    """Return the times at which there are pictures, in order; one if the time follows from the place."""
     places, times = _places(naming), naming.of(TIME)
     if not times or not places[0] or len(set(places)) == len(places):
         return [()]
@@ -306,7 +306,7 @@ def _part(naming: Naming, kept: Sequence[int]) -> Naming:
 
 
 def _of_one_size(path: Path, naming: Naming, notes: list[str], *, allow_missing: bool) -> Naming:
-    """The views of the most frequent size, with a note; LightFieldError unless views may be missing."""
+    """Keep the views of the most frequent size, with a note; LightFieldError unless views may be missing."""
     suffixes = sorted({file.suffix.lower() for file in naming.files})
     if len(suffixes) > 1:
         notes.append(f"The views are of different kinds: {', '.join(suffixes)}.")

@@ -14,7 +14,7 @@ ANY_IMAGES = ("camera-row", "named-views", "row-folders")
 
 
 def sentence(folder: Path, chosen: str, kind: Callable[[Path], str | None]) -> str | None:
-    """What to say about a folder that is taken for one light field and holds several; None if it does not.
+    """Describe a folder that is taken for one light field and holds several; None if it does not.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def sentence(folder: Path, chosen: str, kind: Callable[[Path], str | None]) -> s
 
 
 def check_no_captures(path: Path) -> None:
-    """LightFieldError if a path that is no light field is a folder of captures."""
+    """Raise LightFieldError if a path that is no light field is a folder of captures."""
     if not path.is_dir():
         return
     files = [entry for entry in entries(path) if entry.is_file()]

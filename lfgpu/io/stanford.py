@@ -21,7 +21,7 @@ _NAME = re.compile(rf"(?:.*_)?([0-9]{{1,3}})_([0-9]{{1,3}})_{_NUMBER}_{_NUMBER}_
 
 
 def recognise(path: Path) -> str | None:
-    """Why a path is taken for a folder of the archive; None if it is not."""
+    """Say why a path is taken for a folder of the archive; None if it is not."""
     if not path.is_dir():
         return None
     folder = _folder(path)

@@ -18,7 +18,7 @@ _ADVICE = "take one frame of several with every=10 (--every 10 on the command li
 
 
 def recognise(path: Path) -> str | None:
-    """Why a path is taken for a video; None if it is not."""
+    """Say why a path is taken for a video; None if it is not."""
     start = head(path, 12)
     if start[4:8] == b"ftyp":
         return "it begins as MP4 and MOV files do"

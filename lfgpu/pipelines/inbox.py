@@ -125,7 +125,7 @@ class Inbox(Generic[Frame, Slot]):
         self._free.clear()
 
     def refuse_if_closed(self) -> None:
-        """LfgpuError if new frames are refused."""
+        """Raise LfgpuError if new frames are refused."""
         if self._closed:
             why = f", because {self.reason}" if self.reason else ""
             raise LfgpuError(f"the stream is closed{why}; create a new one.")

@@ -8,6 +8,8 @@ Offsets are relative to the farthest view: |o| is at most 1, and d is the shift 
 
 import warp as wp
 
+from lfgpu.training.textures import SMOOTH
+
 wp.set_module_options({"fast_math": True})
 
 SHEET, QUADRIC, BOX = range(3)
@@ -19,6 +21,7 @@ WHOLE, RECTANGLE, ELLIPSE, BLOB, BARS, NET, LEAVES, HOLES, TORN = range(9)
 PLAIN, STRIPES, CHECKS, BRICKS, DOTS, PATCHES = range(6)
 """Patterns on surfaces."""
 
+_SMOOTH = wp.constant(SMOOTH)
 _NOWHERE = wp.constant(-1e8)
 _APART = wp.constant(1e-3)  # disparity by which a shadow ray leaves its surface
 
@@ -196,7 +199,7 @@ def _is_solid(shape: Shape, textures: wp.array3d(dtype=wp.vec3f), x: float, y: f
     if shape.mask == HOLES:
         return not _leaf(shape, u, v)
     if shape.mask == TORN:
-        found = _sample(textures, shape.seed % 8, u * shape.period[0], v * shape.period[0])
+        found = _sample(textures, shape.seed % _SMOOTH, u * shape.period[0], v * shape.period[0])
         return found[1] > shape.fill[0]
     return True
 

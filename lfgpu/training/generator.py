@@ -63,6 +63,8 @@ class Generator:
         Pixels of the reference, each way.
     textures
         Number of textures that scenes choose from, at least 20.
+    rays
+        Rays of a pixel, each way.
     """
 
     margin = 16

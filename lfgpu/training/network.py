@@ -89,17 +89,19 @@ class Network(nn.Module):
         return F.pixel_shuffle(self.logits(y).transpose(1, 2), FOLD)[:, :, 0].float()
 
 
-def peak(logits: Tensor, first: Tensor, steps: Tensor, *, reach: int = 2) -> tuple[Tensor, Tensor]:
-    """The mean disparity around the likeliest one, and the share of the distribution there, both [b, y, x]."""
+_REACH = 2  # disparities on either side of the likeliest one that its mean is over
+
+
+def peak(logits: Tensor, first: Tensor, steps: Tensor) -> Tensor:
+    """Average the disparities around the likeliest one of each pixel, [b, y, x]."""
     count = logits.shape[1]
     best = logits.argmax(1, keepdim=True)
-    around = best + torch.arange(-reach, reach + 1, device=logits.device)[None, :, None, None]
+    around = best + torch.arange(-_REACH, _REACH + 1, device=logits.device)[None, :, None, None]
     inside = (around >= 0) & (around < count)
     around = around.clamp(0, count - 1)
     near = logits.gather(1, around).masked_fill(~inside, -1e4)
-    share = (near.logsumexp(1) - logits.logsumexp(1)).exp()
     place = (near.softmax(1) * around).sum(1)
-    return first[:, None, None] + steps[:, None, None] * place, share
+    return first[:, None, None] + steps[:, None, None] * place
 
 
 def estimate(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from lfgpu.contract import Float64Array
 from lfgpu.training import casting
+from lfgpu.training.textures import SMOOTH
 
 ROOM = 4
 """Primitives of a scene that are its background, floor and walls."""
@@ -196,7 +197,7 @@ def _dress(looks: Table, shapes: Table, side: float, textures: int, each: Draw, 
     rng, shape = each.rng, each.shape
     angle = each.uniform(0, _ANGLES)
     scale = each.scale(0.15, 3.0)
-    looks["texture"] = np.where(each.often(0.15), each.whole(8), 8 + each.whole(textures - 8))
+    looks["texture"] = np.where(each.often(0.15), each.whole(SMOOTH), SMOOTH + each.whole(textures - SMOOTH))
     looks["frame"] = np.stack(
         [np.cos(angle) * scale, np.sin(angle) * scale, each.uniform(0, 256), each.uniform(0, 256)], -1
     )

@@ -62,7 +62,7 @@ def losses(logits: Tensor, truth: Tensor, first: Tensor, steps: Tensor) -> dict[
     share, below = place - below, below.long()
     logs = logits.log_softmax(1)
     likelihood = -((1 - share) * logs.gather(1, below) + share * logs.gather(1, below + 1)).mean()
-    error = (peak(logits, first, steps)[0] - truth).abs()
+    error = (peak(logits, first, steps) - truth).abs()
     exact = torch.log1p(error.clamp(max=8) / 0.1).mean()
     with torch.no_grad():
         found = {f"bad {limit}": (error > limit).float().mean() for limit in (0.28, 0.12, 0.04)}
@@ -107,20 +107,23 @@ class Trainer:
         """Train for some time, or to the end of the schedule, and write the state."""
         began = shown = time.monotonic()
         sums: dict[str, Tensor] = {}
+        began_at = since = self.step
         drawn: Batch | None = None
         while self.step < self.settings.steps and not self._is_over(time.monotonic() - began > seconds):
             rng = np.random.default_rng((self.settings.seed, 4, self.step, self.rank))
-            if self.step % self.settings.refresh == 0:
+            if self.step % self.settings.refresh == 0 and self.step > began_at:
                 self.generator = self._generator()
             if drawn is None or self.step % self.settings.uses == 0:
                 drawn = self.generator.draw(self.step, self.settings.scenes)
             for name, value in self.learn(drawn.turned(rng), rng).items():
                 sums[name] = sums.get(name, 0.0) + value.detach()
             if self.step % _SHOWN == 0 and self.rank == 0:
-                means = {name: round(float(value) / _SHOWN, 4) for name, value in sums.items()}
-                self.log.append({"step": self.step, "ms": round(10 * (time.monotonic() - shown)), **means})
+                means = {name: round(float(value) / (self.step - since), 4) for name, value in sums.items()}
+                self.log.append(
+                    {"step": self.step, "ms": round(1e3 * (time.monotonic() - shown) / (self.step - since)), **means}
+                )
                 print(*(f"{name} {value}" for name, value in self.log[-1].items()), flush=True)
-                sums, shown = {}, time.monotonic()
+                sums, shown, since = {}, time.monotonic(), self.step
         if self.rank == 0:
             self.write()
 
