@@ -110,7 +110,7 @@ def test_any_array_gives_logits(generator: Generator) -> None:
 
 @pytest.mark.thorough
 def test_a_network_learns_and_goes_on_where_it_ended(tmp_path: Path) -> None:
-    settings = Settings(steps=60, scenes=2, side=64, uses=1000)
+    settings = Settings(steps=60, scenes=2, side=MULTIPLE)
     trainer = Trainer(settings, tmp_path, "cpu")
     batch = trainer.generator.draw(0, 2)
     rng = np.random.default_rng(0)
