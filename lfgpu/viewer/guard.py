@@ -8,13 +8,15 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Protocol, TypeVar
 from urllib.parse import urlsplit
 
+from tornado.httputil import HTTPServerRequest
 from tornado.iostream import StreamClosedError
-from tornado.web import HTTPError, RequestHandler
+from tornado.web import HTTPError, RequestHandler, stream_request_body
 from tornado.websocket import WebSocketClosedError
 
 from lfgpu.errors import LfgpuError
 from lfgpu.printable import message
 from lfgpu.viewer.board import Board
+from lfgpu.viewer.door import Door
 from lfgpu.viewer.facts import Facts
 
 _HOSTS = ("127.0.0.1", "localhost", "::1")
@@ -32,6 +34,7 @@ class Site(Protocol):
     facts: Facts
     tabs: dict[str, Any]
     """The tabs by their names."""
+    door: Door
 
     async def apart(self, work: Callable[..., _T], *arguments: Any) -> _T:
         """Do work in another thread, so that the server goes on answering."""
@@ -43,8 +46,12 @@ class Site(Protocol):
         """Call something in the thread of the server; from any thread."""
 
 
+@stream_request_body
 class Guarded(RequestHandler):
-    """Answers only who knows the token, by a name of this machine, and no pages of other sites."""
+    """Answers only who knows the token, by a name of this machine, and no pages of other sites.
+
+    The head of a request decides; its body is read afterwards, and kept by those who want one.
+    """
 
     site: Site
 
@@ -55,11 +62,17 @@ class Guarded(RequestHandler):
         given = (self.path_args or [""])[0] or ""
         if not secrets.compare_digest(given.encode(), self.site.token.encode()):
             raise HTTPError(403, reason=_NO_TOKEN)
-        if urlsplit(f"//{self.request.host}").hostname not in _HOSTS:
+        if not _is_of_this_machine(self.request):
             raise HTTPError(403, reason="The viewer answers to localhost only")
         origin = self.request.headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != self.request.host:
+        if origin is not None and origin.partition("://")[2] != self.request.host:
             raise HTTPError(403, reason="Pages of other sites are not answered")
+        if any("\0" in part for part in self.path_args):
+            raise HTTPError(404)
+        self.site.door.know(self.request.connection.stream)
+
+    def data_received(self, chunk: bytes) -> None:
+        """Forget a body that nobody wants."""
 
     def set_default_headers(self) -> None:
         self.set_header("Server", "lfgpu")
@@ -88,6 +101,13 @@ class Guarded(RequestHandler):
             self.set_status(400)
             self.write_error(400, exc_info=(type(error), error, None))
             return None
+
+
+def _is_of_this_machine(request: HTTPServerRequest) -> bool:
+    try:
+        return urlsplit(f"//{request.host}").hostname in _HOSTS
+    except ValueError:  # no name of any machine
+        return False
 
 
 class Nothing(Guarded):

@@ -20,6 +20,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.viewer.answers import ACTIONS, DATA, FILES, Query
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import Contents
+from lfgpu.viewer.door import Door
 from lfgpu.viewer.facts import Facts
 from lfgpu.viewer.guard import Guarded, Nothing, Site
 from lfgpu.viewer.pictures import prepare
@@ -32,6 +33,8 @@ _POLICY = (
     "connect-src 'self' ws:; frame-src 'self'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors http://127.0.0.1:* http://localhost:*"  # notebooks
 )
+_LARGEST_BODY = 2**20  # bytes of a wish of the page
+_PATIENCE = 60  # seconds for the head of a request, and for its body
 _T = TypeVar("_T")
 
 
@@ -108,13 +111,15 @@ class Server:
             websocket_ping_interval=20,
             websocket_max_message_size=LARGEST,
         )
-        server = HTTPServer(application)
-        server.add_socket(self._socket)
+        server = HTTPServer(
+            application, max_body_size=_LARGEST_BODY, body_timeout=_PATIENCE, idle_connection_timeout=_PATIENCE
+        )
+        self.door = Door(server, self._socket)
         end = self.board.listen(lambda: self.call_soon(self._tell))
         self._ready.set()
         await self._stop.wait()
         end()
-        server.stop()
+        self.door.close()
         for tab in list(self.tabs.values()):
             tab.close(1001, "the viewer has ended")
             tab.on_close()
@@ -212,11 +217,18 @@ def _picture_in_space(site: Site, query: Query) -> tuple[bytes, str]:
 class _Do(Guarded):
     """The actions that a page asks for."""
 
+    def initialize(self, site: Site) -> None:
+        super().initialize(site)
+        self._body = bytearray()
+
+    def data_received(self, chunk: bytes) -> None:
+        self._body += chunk
+
     async def post(self, _: str, what: str) -> None:
         if not self.request.headers.get("Content-Type", "").startswith("application/json"):
             raise HTTPError(415)
         try:
-            wish = json.loads(self.request.body)
+            wish = json.loads(self._body)
         except (ValueError, RecursionError):
             raise HTTPError(400) from None
         if not isinstance(wish, dict):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
+import http.client
 import json
 import socket
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,8 @@ from lfgpu.io import write_hci, write_result
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.viewer import Viewer
 from lfgpu.viewer.answers import DATA
+from lfgpu.viewer.door import _STRANGERS
+from lfgpu.viewer.place import Place
 from tests.viewer.page import Page
 
 
@@ -33,6 +37,85 @@ def status(viewer: Viewer, path: str, *, body: bytes | None = None, **headers: s
             return int(answer.status)
     except HTTPError as error:
         return error.code
+
+
+def first_line(viewer: Viewer, head: str) -> str:
+    """Send a head, and return the first line of the answer."""
+    with socket.create_connection(("127.0.0.1", urlsplit(viewer.url).port), 30) as connection:
+        connection.sendall((head + "\r\n\r\n").encode())
+        return connection.recv(200).decode().partition("\r\n")[0]
+
+
+@pytest.mark.parametrize(
+    ("path", "length", "answer"),
+    [("/none/do/open", 1000, "403"), ("/none/do/open", 99 << 20, "403"), ("{own}do/open", 2 << 20, "400")],
+)
+def test_no_body_is_waited_for_that_will_not_be_used(viewer: Viewer, path: str, length: int, answer: str) -> None:
+    found = urlsplit(viewer.url)
+    head = f"POST {path.format(own=found.path)} HTTP/1.1\r\nHost: {found.netloc}\r\nContent-Length: {length}"
+    assert first_line(viewer, head).split()[1] == answer  # the body never comes
+
+
+@pytest.mark.parametrize(
+    ("rest", "host", "more", "answer"),
+    [
+        ("", "[::1", "", "403"), ("", "[x]", "", "403"), ("", "@:", "", "400"), ("", None, "Origin: http://[", "403"),
+        ("%00", None, "", "404"), ("data/view%00", None, "", "404"), ("space/%00/x", None, "", "404"),
+        ("%ff", None, "", "400"), ("x" * 5000, None, "", "404"),
+    ],
+)  # fmt: skip
+def test_malformed_heads_are_refused(
+    viewer: Viewer, rest: str, host: str | None, more: str, answer: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    found = urlsplit(viewer.url)
+    head = f"GET {found.path}{rest} HTTP/1.1\r\nHost: {host or found.netloc}" + (f"\r\n{more}" if more else "")
+    assert first_line(viewer, head).split()[1] == answer
+    assert not [record for record in caplog.records if record.name.startswith("lfgpu") or record.exc_info]
+
+
+def test_connections_that_say_nothing_make_room(caplog: pytest.LogCaptureFixture) -> None:
+    with Viewer(port=0) as viewer, ExitStack() as stack:
+        port = urlsplit(viewer.url).port
+        known = http.client.HTTPConnection("127.0.0.1", port, timeout=30)
+        silent = []
+        for _ in range(5):
+            known.request("GET", urlsplit(viewer.url).path)
+            answer = known.getresponse()
+            assert (answer.status, answer.read()[:5]) == (200, b"<!doc")
+            assert known.sock is not None  # who has shown the token stays, however many come
+            silent += [
+                stack.enter_context(socket.create_connection(("127.0.0.1", port), 30)) for _ in range(2 * _STRANGERS)
+            ]
+        for connection in silent[:-_STRANGERS]:
+            assert connection.recv(1) == b""
+    assert ["connections without the token are closed" in record.message for record in caplog.records] == [True]
+
+
+class _Full:
+    """A socket that cannot take connections for a while: the process has no descriptors left."""
+
+    def __init__(self, listening: socket.socket) -> None:
+        self._listening, self.refusals = listening, 2
+
+    def accept(self) -> Any:
+        if self.refusals:
+            self.refusals -= 1
+            raise OSError(errno.EMFILE, "Too many open files")
+        return self._listening.accept()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._listening, name)
+
+
+def test_a_process_that_can_open_nothing_more_says_so_once_and_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+    place = Place(0)
+    place.socket = _Full(place.socket)  # type: ignore[assignment]
+    with Viewer(port=place) as viewer:
+        assert status(viewer, "") == 200
+    assert place.socket.refusals == 0  # type: ignore[attr-defined]
+    assert [record.getMessage() for record in caplog.records] == [
+        "connections without the token are closed: Too many open files"
+    ]
 
 
 def test_nothing_is_reached_from_elsewhere(viewer: Viewer) -> None:
