@@ -12,6 +12,7 @@ from lfgpu import DepthPipeline, DepthStream, estimate_depth, export_pipeline, s
 from lfgpu._backends import load
 from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.pipelines.range_confirmation import confirm
 
@@ -88,6 +89,33 @@ def test_a_pipeline_widens_it_once(beyond: LightField) -> None:
     assert np.array_equal(pipeline.disparity(), first.disparity)
     pipeline.upload(np.roll(beyond.views, 1, axis=0))
     assert pipeline.estimate().disparity_range == first.disparity_range
+
+
+def test_an_estimate_that_is_interrupted_changes_nothing() -> None:
+    """Wherever it is: before a wider range is tried, while it is, and after it was refused."""
+    lf = scenes.make("planes", grid=(3, 3), size=(64, 64), disparity_range=(-2, 2), seed=0, noise=0.1)
+    calls: list[str] = []
+    expected = DepthPipeline(lf, config="fast", device="cpu").estimate(on_progress=lambda *of: calls.append(of[0]))
+    assert calls.count("sweep") >= 3  # the found range, a wider one, the found one again
+    assert len(expected.notes) == 1
+    for last in range(len(calls)):
+        pipeline, left = DepthPipeline(lf, config="fast", device="cpu"), [last]
+
+        def interrupt(*_: object, left: list[int] = left) -> None:
+            left[0] -= 1
+            if left[0] < 0:
+                raise KeyboardInterrupt
+
+        for _ in range(2):
+            left[0] = last
+            with pytest.raises(KeyboardInterrupt):
+                pipeline.estimate(on_progress=interrupt)
+            with pytest.raises(LightFieldError, match=r"call run\(\) or estimate\(\) first"):
+                pipeline.disparity()
+        again = pipeline.estimate()
+        assert (again.disparity_range, again.notes) == (expected.disparity_range, expected.notes)
+        assert np.array_equal(again.disparity, expected.disparity)
+        assert again.timings.keys() == expected.timings.keys()
 
 
 def test_what_lasts_for_many_frames_has_the_wider_range(beyond: LightField, tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ class DepthPipeline:
         self._lf, self._backend, self._is_raw = lf, backend, rectifier is not None
         self._timings: dict[str, float] = {}
         self._graph: Callable[[], None] | None = None
-        self._runs = 0
+        self._runs, self._is_whole = 0, False  # whether the map in memory is whole: of a run that came to its end
         self._is_found = measured is None and disparity_range is None  # and no map has confirmed the range
         self._notes: tuple[str, ...] = ()  # about that range
         self._unseen = False  # True if the views came from a GPU, where nobody looks for NaN
@@ -175,9 +175,10 @@ class DepthPipeline:
         """Estimate the disparity of the current views. Returns before the device has finished."""
         if self._graph is None and self._runs > 0 and self.method.is_on_device:
             self._graph = self.kernels.capture(self.work, self.device)
+        self._is_whole = False
         with self._device.asking():
             (self._graph or self.work)()
-        self._runs += 1
+        self._runs, self._is_whole = self._runs + 1, True
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -228,17 +229,18 @@ class DepthPipeline:
         The first run also does what `confirm_range` does.
         """
         before = self._timings if self._runs == 0 else {}  # what came before the first run is a part of it
-        self._timings = dict(before)
-        with self._timed("total"):
-            self._rectify()
-            for stage in self.stages():
-                self._do(stage, on_progress)
-                if stage == self.method.MATCHED and self._runs == 0:
-                    self._widen(stage, on_progress)
-                if stage == self._plan.decided:
-                    self._runs += 1
-                    self._plan.check(self._lf.name)
-        self._timings["total"] += sum(before.values())
+        with self._whole_or_undone():
+            self._timings = dict(before)
+            with self._timed("total"):
+                self._rectify()
+                for stage in self.stages():
+                    self._do(stage, on_progress)
+                    if stage == self.method.MATCHED and self._runs == 0:
+                        self._widen(stage, on_progress)
+                    if stage == self._plan.decided:
+                        self._plan.check(self._lf.name)
+            self._timings["total"] += sum(before.values())
+            self._runs, self._is_whole = self._runs + 1, True
         return self.result()
 
     def confirm_range(self) -> tuple[str, ...]:
@@ -252,9 +254,10 @@ class DepthPipeline:
         """
         stage = self.method.MATCHED
         if stage is not None and self._is_found and self._runs == 0:
-            self._rectify()
-            self._do(stage, None)
-            self._widen(stage, None)
+            with self._whole_or_undone():
+                self._rectify()
+                self._do(stage, None)
+                self._widen(stage, None)
         return self._notes
 
     def result(self) -> DepthResult:
@@ -328,21 +331,39 @@ class DepthPipeline:
 
         def match(bounds: tuple[float, float]) -> Float32Array:
             with self._timed("measure"), self._device.asking():
-                self.measured = self.method.measured(self._lf, bounds, self._device)
-                del self._plan  # its memory first
-                self._plan = self.method.plan(self._layout, self.measured, self._device)
+                self._replan(self.method.measured(self._lf, bounds, self._device))
             self._do(stage, on_progress)
             return self._plan.maps()[stage]
 
         doubt = confirm(self._lf.layout, self.bounds, self._plan.maps()[stage], match)
         self._notes = () if doubt is None else (doubt,)
 
+    def _replan(self, measured: Measured) -> None:
+        self.measured = measured
+        del self._plan  # its memory first
+        self._plan = self.method.plan(self._layout, measured, self._device)
+
+    @contextmanager
+    def _whole_or_undone(self) -> Iterator[None]:
+        """Put range, plan and timings back if the work is not done, by an interruption as by an error."""
+        measured, is_found, timings = self.measured, self._is_found, self._timings
+        self._is_whole = False
+        try:
+            yield
+        except BaseException:
+            self._is_found, self._timings = is_found, timings
+            if self.measured is not measured:
+                with self._device.asking():
+                    self._replan(measured)
+            raise
+
     def _map(self, field: Array) -> Float32Array:
         return self.kernels.numpy(field).astype(np.float32, copy=False)
 
     def _check(self) -> None:
-        if self._runs == 0:
-            raise LightFieldError(f"{self._lf.name}: nothing has been estimated yet; call run() or estimate() first.")
+        if not self._is_whole:
+            state = "the last estimate did not come to its end" if self._runs else "nothing has been estimated yet"
+            raise LightFieldError(f"{self._lf.name}: {state}; call run() or estimate() first.")
         if self._unseen and not self._plan.is_finite():
             raise LightFieldError(_NOT_FINITE)
         self._plan.check(self._lf.name)
