@@ -42,7 +42,7 @@ _TYPES: dict[int, np.dtype[Any]] = {1: np.dtype(np.uint8), 2: np.dtype(np.uint16
 _FEWEST, _MOST = 3, 1024  # slots
 _MOST_VIEWS = 100_000
 _POLL = 0.0005  # seconds between two looks
-_TRIES = 20  # to become the only producer, while readers look whether there is one
+_TRIES = 20  # to become the only producer, while readers look whether there is one; and to read a frame in time
 
 _barrier = threading.Lock()
 
@@ -334,10 +334,20 @@ class RingReader:
     def read(self) -> RingFrame | None:
         """Return the newest frame, if it is newer than the one that was read before; else None. Does not wait.
 
-        LightFieldError if the file was cut short meanwhile.
+        None also if the producer overtook the reader each time. LightFieldError if the file was cut short meanwhile, or
+        is damaged: a slot loses the newest frame only to one that is newer.
         """
-        kind = self._kind
-        while (newest := self._numbers(_NEWEST_AT, 1)[0]) > self._last:
+        kind, before = self._kind, self._last
+        for _ in range(_TRIES):
+            newest = self._numbers(_NEWEST_AT, 1)[0]
+            if newest <= self._last:
+                break
+            if newest == before:
+                raise LightFieldError(
+                    f"{self.path} is damaged: it says that frame {newest} is its newest, and does not hold that frame; "
+                    "start the producer again."
+                )
+            before = newest
             _fence()
             at = kind.header_bytes + (newest - 1) % kind.slots * kind.slot_bytes
             sequence, taken = self._numbers(at, 2)

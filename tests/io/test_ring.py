@@ -102,6 +102,37 @@ def test_a_frame_that_is_written_over_while_it_is_copied_is_not_taken(
         assert set(np.unique(frame.views)) == {4}
 
 
+@pytest.mark.parametrize("newest", [2, 7, 2**63, 2**64 - 1])
+def test_a_header_that_names_a_frame_which_no_slot_holds_is_damage(path: Path, newest: int) -> None:
+    with RingWriter(path, POSITIONS, SIZE) as writer, RingReader(path) as reader:
+        writer.write(pictures(1))
+        with path.open("r+b") as file:
+            file.seek(56)  # docs/live.md
+            file.write(newest.to_bytes(8, "little"))
+        for read in (reader.read, reader.wait):
+            with pytest.raises(lfgpu.LightFieldError, match=f"is damaged: it says that frame {newest} is its newest"):
+                read()
+
+
+def test_a_producer_that_overtakes_its_reader_each_time_keeps_it_from_nothing_else(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with RingWriter(path, POSITIONS, SIZE, slots=3) as writer, RingReader(path) as reader:
+        writer.write(pictures(1))
+        fill = reader._fill
+
+        def overtaken(array: np.ndarray, at: int) -> None:
+            fill(array, at)
+            if array.ndim == 4:
+                for value in (2, 3, 4):
+                    writer.write(pictures(value))
+
+        monkeypatch.setattr(reader, "_fill", overtaken)
+        assert reader.wait(lambda: True) is None  # the wish to stop is heard
+        monkeypatch.undo()
+        assert reader.read() is not None
+
+
 def test_a_frame_that_is_not_finished_is_not_seen(path: Path) -> None:
     with RingWriter(path, POSITIONS, SIZE, slots=3) as writer, RingReader(path) as reader:
         for value in (1, 2, 3):
