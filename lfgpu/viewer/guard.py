@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Protocol, TypeVar
 from urllib.parse import urlsplit
 
+from tornado.http1connection import HTTP1Connection
 from tornado.httputil import HTTPServerRequest
 from tornado.iostream import StreamClosedError
 from tornado.web import HTTPError, RequestHandler, stream_request_body
@@ -69,7 +70,9 @@ class Guarded(RequestHandler):
             raise HTTPError(403, reason="Pages of other sites are not answered")
         if any("\0" in part for part in self.path_args):
             raise HTTPError(404)
-        self.site.door.know(self.request.connection.stream)
+        connection = self.request.connection
+        assert isinstance(connection, HTTP1Connection)
+        self.site.door.know(connection.stream)
 
     def data_received(self, chunk: bytes) -> None:
         """Forget a body that nobody wants."""
