@@ -19,7 +19,7 @@ def main(size: tuple[int, int] = (64, 80)) -> dict[str, lfgpu.DepthResult]:
         results[info.name] = lfgpu.estimate_depth(lf, config="fast", disparity_range=(-2, 2), backend=info.name)
     for name, result in results.items():
         apart = np.median(np.abs(result.disparity - results["reference"].disparity))
-        print(f"{name:10} {result.timings['total']:6.2f} s on {result.device}, {apart:.1e} px from the reference")
+        print(f"{name:10} {result.seconds:6.2f} s on {result.device}, {apart:.1e} px from the reference")
     return results
 
 

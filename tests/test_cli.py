@@ -366,7 +366,7 @@ def test_demo(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     outcome = lfgpu("demo", "-o", out, "--seed", 1)
     assert outcome.code == 0, outcome.err
     assert {entry.name for entry in out.iterdir()} == OUTPUTS | {"overview.png", "light-field"}
-    np.testing.assert_array_equal(read(out / "light-field").views, scenes.make("boxes", seed=1, **SMALL).views)
+    np.testing.assert_array_equal(read(out / "light-field").views, scenes.make("still_life", seed=1, **SMALL).views)
     said = " ".join(outcome.out.split())
     assert f"lfgpu eval {out}-cross {out}/light-field" in said
     assert row_of(outcome.out, "align")

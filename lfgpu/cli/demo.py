@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from lfgpu.data.result import DepthResult
     from lfgpu.metrics import Metrics
 
-GRID, SIZE = (7, 7), (192, 256)
-"""Size of the light field: a few seconds of work on two CPU cores."""
+GRID, SIZE = (7, 7), (288, 384)
+"""Size of the light field: half a minute of work on two CPU cores, most of it for making the views."""
 
-_SCENE, _LIGHT_FIELD, _OVERVIEW = "boxes", "light-field", "overview.png"
+_SCENE, _LIGHT_FIELD, _OVERVIEW = "still_life", "light-field", "overview.png"
 
 
 def demo(
@@ -67,7 +67,7 @@ def _draw_overview(lf: LightField, result: DepthResult, scores: dict[str, Metric
     if scores:
         m = scores[next(reversed(result.stages))]
         title = (
-            f"{lf.name}, {len(lf.views)} views in {result.timings['total']:.1f} s: BadPix(0.07) {m.badpix_07:.1f} %, "
+            f"{lf.name}, {len(lf.views)} views in {result.seconds:.1f} s: BadPix(0.07) {m.badpix_07:.1f} %, "
             f"MSE x100 {m.mse_100:.2f}, Q25 x100 {m.q25:.2f}"
         )
     save_picture(overview(view, result.disparity, lf.truth.disparity, title=title, border=BORDER), path)
@@ -80,8 +80,8 @@ def _show_next(out: Path) -> None:
     heading(console, "Try next")
     views, cross = shlex.quote(str(out / _LIGHT_FIELD)), shlex.quote(f"{out}-cross")
     for command in (
-        f"lfgpu info {views}",
         f"lfgpu depth {views} -o {cross} --views cross",
         f"lfgpu eval {cross} {views}",
+        f"lfgpu view {views} {shlex.quote(str(out))}",
     ):
         console.print(f"  {command}", soft_wrap=True)

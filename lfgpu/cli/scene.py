@@ -21,7 +21,7 @@ _FRAME = "frame_"
 
 def scene(
     name: Annotated[
-        str, typer.Argument(help="relief, planes, boxes, bars, textureless or moving.", show_default=False)
+        str, typer.Argument(help="relief, planes, boxes, bars, textureless, moving or still_life.", show_default=False)
     ],
     out: OutFolder,
     seed: Annotated[int, typer.Option(help="Seed of positions, colours, textures and noise.")] = 0,

@@ -110,5 +110,7 @@ def show_outputs(console: Console, folder: object, files: list[tuple[str, str]])
 
 
 def _times(result: DepthResult) -> str:
-    stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.timings.items() if name != "total")
-    return f"{result.timings['total']:.2f} s ({stages}) with {result.backend} on {result.device}"
+    stages = ", ".join(f"{name} {s:.2f}" for name, s in result.timings.items() if name not in ("total", "compile"))
+    compiling = result.timings.get("compile", 0.0)
+    apart = f"; {compiling:.2f} s more to compile and load kernels, which are kept" if compiling else ""
+    return f"{result.seconds:.2f} s ({stages}) with {result.backend} on {result.device}{apart}"

@@ -102,14 +102,19 @@ class DepthResult:
         return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)
 
     @property
+    def seconds(self) -> float | None:
+        """The time of the estimate in seconds, without that for compiling kernels; None if it was not measured."""
+        total = self.timings.get("total")
+        return None if total is None else max(total - self.timings.get("compile", 0.0), 0.0)
+
+    @property
     def disparity_stages(self) -> dict[str, Float32Array]:
         """The disparity maps among `stages`: all but the coherences."""
         return {name: map_ for name, map_ in self.stages.items() if not name.startswith("coherence")}
 
     def __repr__(self) -> str:
         notes = "".join(f"\n note: {note}" for note in (*self.notes, *self.remarks))
-        seconds = self.timings.get("total")
-        took = "" if seconds is None else f", {seconds:.3g} s"
+        took = "" if self.seconds is None else f", {self.seconds:.3g} s"
         return (
             f"<DepthResult {_map_lines(self.map)}\n "
             f"{self.config.method} with {self.backend} on {self.device}{took}; stages {', '.join(self.stages)}{notes}>"

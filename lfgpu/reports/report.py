@@ -164,10 +164,10 @@ def _tiles(result: DepthResult, scored: _Scored | None, explanation: Explanation
         metres = result.depth[np.isfinite(result.depth)]
         beyond = " and beyond the horizon" if np.isinf(result.depth).any() else ""
         yield Tile("Depth", _span(metres), "m", f"along the optical axis{beyond}")
-    total, compiling = result.timings.get("total"), result.timings.get(_COMPILE, 0.0)
-    if total is not None:
+    if result.seconds is not None:
+        compiling = result.timings.get(_COMPILE, 0.0)
         apart = f"and {compiling:.2f} s to compile and load kernels" if compiling else "of the estimate"
-        yield Tile("Time", f"{max(total - compiling, 0.0):.2f}", "s", apart)
+        yield Tile("Time", f"{result.seconds:.2f}", "s", apart)
     if explanation is not None and np.isfinite(explanation.mean_psnr):
         yield Tile(
             "Predicted views", f"{explanation.mean_psnr:.1f}", "dB", "PSNR of the views as the map predicts them"

@@ -20,9 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
 
-_LIGHT = np.array([-0.45, -0.62, 0.65])  # towards the light: left, above, in front
-_AMBIENT, _DIFFUSE = 0.5, 0.62  # the sum exceeds 1: surfaces that face the light are brighter than their texture
-
 
 @dataclass(frozen=True, eq=False)
 class Rays:
@@ -42,8 +39,8 @@ class Shape(Protocol):
     def bounds(self, slope: tuple[float, float]) -> Bounds:
         """Return the bounds (left, right, top, bottom) at T = 0 of the rays of a slope that may hit the surface."""
 
-    def brightness(self, points: Floats) -> Floats | float:
-        """Return the shading factor of the texture at points [3, k] of the surface; it does not depend on the view."""
+    def normals(self, points: Floats) -> Floats:
+        """Return vectors [3, k] or [3, 1] of any length that point out of the surface at its points [3, k]."""
 
     def moved(self, by: ArrayLike) -> Self:
         """Return the surface moved by (X, Y, T)."""
@@ -99,9 +96,9 @@ class Ellipsoid(_Framed):
         with np.errstate(invalid="ignore"):  # NaN marks a miss
             return np.asarray((np.sqrt(discriminant) - ab) / bb)
 
-    def brightness(self, points: Floats) -> Floats | float:
+    def normals(self, points: Floats) -> Floats:
         """See `Shape`."""
-        return _lambert(self.inverse.T @ (self.inverse @ (points - self.centre[:, None])))
+        return self.inverse.T @ (self.inverse @ (points - self.centre[:, None]))
 
 
 class Box(_Framed):
@@ -120,13 +117,41 @@ class Box(_Framed):
                 far = np.maximum(far, (-side - a) / b)
         return np.where(near >= far, near, np.nan)
 
-    def brightness(self, points: Floats) -> Floats | float:
+    def normals(self, points: Floats) -> Floats:
         """See `Shape`."""
         q = self.inverse @ (points - self.centre[:, None])
         face = np.abs(q).argmax(0)
         towards = np.take_along_axis(q, face[None], axis=0)[0] > 0
-        each = _lambert(np.concatenate([-self.inverse.T, self.inverse.T], axis=1))
-        return np.asarray(each[face + 3 * towards])
+        return np.concatenate([-self.inverse.T, self.inverse.T], axis=1)[:, face + 3 * towards]
+
+
+@dataclass(frozen=True, eq=False)
+class Frustum(_Framed):
+    """The round body q_0² + q_2² <= (1 + taper q_1)², |q_1| <= 1: a cylinder if `taper` is 0, a pot or cup if not."""
+
+    taper: float = 0.0
+
+    _round = False
+
+    def hit(self, rays: Rays) -> Floats:
+        """See `Shape`."""
+        (a0, a1, a2), (b0, b1, b2) = self._local(rays)
+        radius, grows = 1.0 + self.taper * a1, self.taper * b1
+        bb = b0 * b0 + b2 * b2 - grows * grows
+        ab = a0 * b0 + a2 * b2 - radius * grows
+        with np.errstate(divide="ignore", invalid="ignore"):  # NaN marks a miss
+            root = np.sqrt(ab * ab - bb * (a0 * a0 + a2 * a2 - radius * radius))
+            side = np.copysign(1.0, b1)
+            near, far = np.minimum((root - ab) / bb, (side - a1) / b1), np.maximum(-(root + ab) / bb, -(side + a1) / b1)
+        return np.where(near >= far, near, np.nan)
+
+    def normals(self, points: Floats) -> Floats:
+        """See `Shape`."""
+        q = self.inverse @ (points - self.centre[:, None])
+        radius = 1.0 + self.taper * q[1]
+        end = np.abs(q[1]) > 1.0 - 1e-9
+        out = np.where(end, [[0.0], [1.0], [0.0]] * np.sign(q[1]), [q[0], -self.taper * radius, q[2]])
+        return self.inverse.T @ out
 
 
 class _Flat(_Framed):
@@ -140,10 +165,9 @@ class _Flat(_Framed):
         t = a2 / -b2
         return t, a0 + t * b0, a1 + t * b1
 
-    def brightness(self, points: Floats) -> Floats | float:
+    def normals(self, points: Floats) -> Floats:
         """See `Shape`."""
-        normal = self.inverse[2] * np.sign(self.inverse[2, 2])  # the side that the cameras see
-        return float(_lambert(normal[:, None])[0])
+        return (self.inverse[2] * np.sign(self.inverse[2, 2]))[:, None]  # the side that the cameras see
 
 
 class Wall(_Flat):
@@ -246,7 +270,7 @@ class Relief:
         """See `Shape`."""
         return -np.inf, np.inf, -np.inf, np.inf
 
-    def brightness(self, points: Floats) -> Floats | float:
+    def normals(self, points: Floats) -> Floats:
         """See `Shape`."""
         normal = np.ones_like(points)
         normal[:2] = 0.0
@@ -254,7 +278,7 @@ class Relief:
             down = amplitude * np.cos((points[0] * kx + points[1] * ky + phase).astype(np.float32))
             normal[0] -= kx * down
             normal[1] -= ky * down
-        return _lambert(normal)
+        return normal
 
     def moved(self, by: ArrayLike) -> Self:
         """See `Shape`."""
@@ -262,10 +286,3 @@ class Relief:
         waves = self.waves.copy()
         waves[:, 3] -= waves[:, 1] * x + waves[:, 2] * y
         return replace(self, level=self.level + t, waves=waves)
-
-
-def _lambert(normals: Floats) -> Floats:
-    """Shade surfaces with those normals [3, k], of any length, pointing out."""
-    length = np.sqrt((normals * normals).sum(0))
-    facing = _LIGHT @ normals / (length * np.linalg.norm(_LIGHT))
-    return np.asarray(_AMBIENT + _DIFFUSE * np.maximum(facing, 0.0))

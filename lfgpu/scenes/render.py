@@ -15,13 +15,23 @@ SUBPIXELS = 2  # rays along each side of a pixel; enough, because the textures a
 _STRIP = 1 << 16  # rays that are cast at a time, so that their arrays fit into the cache
 
 
+_LIGHT = np.array([-0.45, -0.62, 0.65])  # towards the light: left, above, in front
+_AMBIENT, _DIFFUSE = 0.5, 0.62  # the sum exceeds 1: surfaces that face the light are brighter than their texture
+
+
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """A textured surface. `path` is the ellipse along which it moves once in time 1: X, Y, T half axes and phase."""
+    """A textured surface. `path` is the ellipse along which it moves once in time 1: X, Y, T half axes and phase.
+
+    The texture of a thing that is `lit` has its light in it (see `lamps`), with highlights as bright as its `gloss`;
+    another is shaded by its normals.
+    """
 
     shape: Shape
     texture: Texture
     path: tuple[float, float, float, float] | None = None
+    gloss: float = 0.0
+    lit: bool = False
 
     def place(self, time: float) -> NDArray[np.float64]:
         """Return the displacement (X, Y, T) from the centre of its ellipse at a time."""
@@ -97,6 +107,12 @@ def picture(things: list[Thing], frame: Frame, offset: tuple[float, float]) -> N
     return np.concatenate(strips, axis=1)
 
 
+def shading(normals: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Compute the factor by which surfaces with those normals [3, k], of any length, shade their texture."""
+    facing = _LIGHT @ normals / (np.linalg.norm(normals, axis=0) * np.linalg.norm(_LIGHT))
+    return (_AMBIENT + _DIFFUSE * np.maximum(facing, 0.0)).astype(np.float32)
+
+
 def _strips(rays: Rays, multiple: int) -> list[Rays]:
     """Cut the rays into strips of rows, a multiple of `multiple` rows each."""
     rows = max(1, _STRIP // (rays.x.size * multiple)) * multiple
@@ -131,5 +147,5 @@ def _colours(things: list[Thing], rays: Rays, unit: int) -> NDArray[np.float32]:
         points = np.stack([rays.x[0, column] + t * rays.slope[0], rays.y[row, 0] + t * rays.slope[1], t])
         thing = things[index]
         paint = thing.texture.sample(points[0] * unit, points[1] * unit)
-        colours[:, hit] = paint * np.asarray(thing.shape.brightness(points), np.float32)
+        colours[:, hit] = paint if thing.lit else paint * shading(thing.shape.normals(points))
     return np.minimum(colours, 1.0).reshape(3, *nearest.shape)

@@ -17,9 +17,12 @@ from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.scenes import render
 from lfgpu.scenes.catalogue import SCENES, Stage
+from lfgpu.scenes.still_life import still_life
 
-NAMES: tuple[str, ...] = tuple(SCENES)
-"""The scenes: relief, planes, boxes, bars, textureless, moving."""
+_BUILDERS = {**SCENES, "still_life": still_life}
+
+NAMES: tuple[str, ...] = tuple(_BUILDERS)
+"""The scenes: relief, planes, boxes, bars, textureless, moving, still_life."""
 
 _SMALLEST = 8  # pixels along each side
 _FOCAL_LENGTH = 100 / 35  # in picture widths: a 100 mm lens on a 35 mm wide sensor
@@ -52,7 +55,7 @@ def make(
     name
         One of `NAMES`: "relief" (smooth hills without occlusions), "planes" (slanted and overlapping), "boxes" (boxes
         and balls in a room), "bars" (rods 2 to 8 px wide in front of a wall), "textureless" (regions of constant
-        colour), "moving" (the objects of "boxes" in motion).
+        colour), "moving" (the objects of "boxes" in motion), "still_life" (things on a table, with soft shadows).
     seed
         Seed of positions, colours, textures and noise, >= 0; default 0.
     grid
@@ -223,7 +226,7 @@ class _Scene:
     def things(self) -> list[render.Thing]:
         """The objects; built when first needed, after all arguments were checked."""
         rng = np.random.default_rng([self.seed, NAMES.index(self.name)])
-        return SCENES[self.name](Stage(self.frame, _farthest(self.grid), rng))
+        return _BUILDERS[self.name](Stage(self.frame, _farthest(self.grid), rng))
 
 
 def _scene(

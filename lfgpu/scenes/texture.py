@@ -113,6 +113,14 @@ class Painter:
         wave = np.sin(times * (turn[0] * self._x + turn[1] * self._y) + 0.8 * self._swell)
         return self._blend(colours, 0.5 + 0.5 * np.tanh(3 * wave), grain)
 
+    def wood(self, colours: ArrayLike, grain: float, width: float) -> Texture:
+        """Paint the grain of a plank along x: lines about `width` pixels apart, wider and narrower ones together."""
+        bend = 0.6 * np.roll(self._swell, self._period, 1)
+        lines = sum(
+            np.sin(self._times(width * k) * self._y + bend * b) for k, b in ((1.0, 2.0), (0.37, 3.0), (2.3, 1.0))
+        )
+        return self._blend(colours, 0.5 + 0.5 * np.tanh(0.8 * lines), grain)
+
     def checks(self, colours: ArrayLike, grain: float, width: float) -> Texture:
         """Paint a chessboard with fields of about `width` pixels."""
         times = self._times(2 * width)

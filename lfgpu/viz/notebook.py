@@ -59,7 +59,7 @@ def result_html(result: DepthResult) -> str:
     rows = [
         *_facts(result.map),
         ("computed by", f"{result.config.method}, {result.backend} on {result.device}"),
-        ("time", f"{result.timings.get('total', float('nan')):.2f} s"),
+        *([] if result.seconds is None else [("time", f"{result.seconds:.2f} s")]),
         ("status", result.status),
         *(("note", note) for note in result.notes),
         *(("cameras", sentence) for sentence in result.remarks),
