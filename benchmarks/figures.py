@@ -31,7 +31,7 @@ from benchmarks.pages import TABLES, content
 from benchmarks.results import FOLDER
 from lfgpu.io.atomic import atomic_write
 
-PAGES = ("README.md", "docs", "benchmarks")
+PAGES = ("README.md", "CHANGELOG.md", "docs", "benchmarks")
 """Pages and folders of pages that may hold marks."""
 
 _TABLE = re.compile(r"(?P<head><!-- table: (?P<name>\S+) -->\n)(?P<text>.*?)(?P<foot><!-- /table -->)", re.DOTALL)

@@ -101,6 +101,17 @@ def _compared(accuracy: Path, published: Path) -> str:
     return f"{Table('', columns, 2, rows).markdown}\n\n{_where(run, accuracy)}\n"
 
 
+def _versions(*paths: Path) -> str:
+    """Write MSE x 100 and BadPix(0.07) of `accurate`, a column for each version, and the time for one scene."""
+    found = [
+        {r.case: r for r in _range_found(results.load(path)) if r.details["preset"] == "accurate"} for path in paths
+    ]
+    rows = [(f"`{scene}`", *(_scene(of[scene].errors) for of in found)) for scene in found[-1]]
+    times = (_seconds(list(of.values())) or 0.0 for of in found)
+    rows.append((f"time, `{_COMPARED[0]}`, 2 cores of a CPU", *(f"{time:.1f} s" for time in times)))
+    return Table("", ("scene", *(_version(path.name) for path in paths)), 1, rows).markdown
+
+
 def _where(run: Run, path: Path) -> str:
     used = "the GPU" if run.records[0].device.startswith("cuda") else "the CPU"
     return f"lfgpu {_version(path.name)}, measured on {run.date[:10]} with {used} of: {run.where}."
@@ -195,5 +206,6 @@ TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
     "runs": (RUNS, _runs),
     "tiles": (("tiles.json",), lambda path: tile_differences.table(_rows(path)).markdown),
     "times": ((TIMES,), _times),
+    "versions": (("accuracy-0.1.json", "accuracy-0.2.json"), _versions),
 }
 """By name of the table: the result files that it needs, and how it is made of their paths."""
