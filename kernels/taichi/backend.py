@@ -7,6 +7,7 @@ from .boundaries import refine_boundaries
 from .confidence import evidence, judge, line_mean, unevenness
 from .conjugate import conjugate_step
 from .control import asking, capture, is_deterministic, kernel_cache, repeat
+from .convolution import convolution
 from .cost_volume import add_reduced, least_costs, nlm_average, winner_takes_all
 from .edges import edge_weights
 from .lbfgs import lbfgs
@@ -14,11 +15,13 @@ from .memory import field, image, number, numpy, scalar, shared, upload, zeros, 
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .nlm_regression import nlm_on_surface, nlm_plane, nlm_ratio
 from .occlusion import splat_z_buffered, visible
+from .peak import peak
 from .plane_sweep import plane_sweep
 from .range_search import details, distinct_minimum, shrink, side_costs
 from .resampling import resample
 from .residuals import residuals
 from .runtime import devices
+from .sectors import brightness, fold, sector_costs
 from .semi_global import semi_global
 from .smoothing import reduce_views, smooth_views
 from .splat import data_term, seen_by_reference, splat

@@ -1,7 +1,7 @@
 """Arrays of the Taichi backend: all values in one row, since kernels spend less on indices that they work out alone."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
 
@@ -14,6 +14,7 @@ from lfgpu.errors import BackendError
 from .runtime import alone, once, start
 
 _SCALARS: dict[type, Any] = {np.uint8: ti.u8, np.uint16: ti.u16, np.float16: ti.f16, np.float32: ti.f32}
+_COLOURS = 3  # channels of images whose elements are pixels
 _MOST = 2**31 - 1  # Taichi's indices have 32 bits
 
 
@@ -21,7 +22,8 @@ _MOST = 2**31 - 1  # Taichi's indices have 32 bits
 class DeviceArray:
     """A field of scalars, or an image of pixels with `channels` values each: its elements in row order.
 
-    One number is a field of one float64.
+    Those of images with more channels than colours are scalars, too: Taichi unrolls loops over vectors. One number is
+    a field of one float64.
     """
 
     values: ti.Ndarray
@@ -81,8 +83,11 @@ def field(values: NDArray[Any], device: str) -> DeviceArray:
 
 def image(values: NDArray[Any], device: str) -> DeviceArray:
     start(device)
-    stored = _SCALARS[values.dtype.type]
-    return _filled(empty(values.shape[:-1], channels=values.shape[-1], scalar=stored), np.asarray(values))
+    stored, shape, channels = _SCALARS[values.dtype.type], values.shape[:-1], values.shape[-1]
+    if channels <= _COLOURS:
+        return _filled(empty(shape, channels=channels, scalar=stored), np.asarray(values))
+    array = empty(values.shape, scalar=stored)
+    return _filled(replace(array, shape=shape, channels=channels), np.asarray(values))
 
 
 def zeros(shape: Sequence[int], device: str) -> DeviceArray:
@@ -130,7 +135,7 @@ def number(scalar: DeviceArray) -> float:
 
 
 def _filled(array: DeviceArray, values: NDArray[Any]) -> DeviceArray:
-    elements = values.reshape(array.size, *(() if array.channels is None else (array.channels,)))
+    elements = values.reshape(array.values.shape + array.values.element_shape)
     with alone():
         array.values.from_numpy(np.ascontiguousarray(elements))
     return array

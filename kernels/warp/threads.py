@@ -183,6 +183,11 @@ def with_wide_vectors(kernel: Any) -> Any:
     return kernel
 
 
+def c_type(stored: Any) -> str:
+    """Return the name in C++ of the type that floating-point numbers are stored in, of which a CPU makes vectors."""
+    return "float" if stored is wp.float32 else "_Float16"
+
+
 def _load(module: Any, device: Any) -> None:
     """Load a module; what a crash left of it in the cache of kernels is compiled again."""
     try:

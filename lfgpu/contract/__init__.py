@@ -14,6 +14,16 @@ from lfgpu.contract.arrays import Array, Float32Array, Float64Array, Scalar
 from lfgpu.contract.backend import KernelSet
 from lfgpu.contract.device import Device
 from lfgpu.contract.images import REDUCTION, SMOOTHING_REACH, WHITE, Normalization
+from lfgpu.contract.learned import (
+    COST_UNIT,
+    COSTS,
+    FOLD,
+    PEAK_REACH,
+    SECTORS,
+    Convolution,
+    SectorCosts,
+    sectors_of,
+)
 from lfgpu.contract.matching import (
     GRADIENT_REACH,
     REACH,
@@ -34,14 +44,20 @@ from lfgpu.contract.structure_tensor import LocalEstimate, StructureFilters
 from lfgpu.contract.synthesis import DataTerm
 
 __all__ = [
+    "COSTS",
+    "COST_UNIT",
+    "FOLD",
     "GRADIENT_REACH",
+    "PEAK_REACH",
     "REACH",
     "REDUCTION",
+    "SECTORS",
     "SMOOTHING_REACH",
     "UNSEEN",
     "WHITE",
     "Alignment",
     "Array",
+    "Convolution",
     "DataTerm",
     "Details",
     "Device",
@@ -61,6 +77,7 @@ __all__ = [
     "Recording",
     "Residuals",
     "Scalar",
+    "SectorCosts",
     "SideCosts",
     "Slot",
     "Streaming",
@@ -70,5 +87,6 @@ __all__ = [
     "ViewSets",
     "ZBuffer",
     "half_window",
+    "sectors_of",
     "sweep_shifts",
 ]

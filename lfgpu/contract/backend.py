@@ -8,6 +8,7 @@ import numpy as np
 
 from lfgpu.contract.control import Control
 from lfgpu.contract.images import Images
+from lfgpu.contract.learned import Learned
 from lfgpu.contract.matching import Matching
 from lfgpu.contract.memory import Memory
 from lfgpu.contract.prior import Prior
@@ -21,7 +22,18 @@ from lfgpu.contract.vectors import Vectors
 
 
 class KernelSet(
-    Memory, Control, Images, Prior, StructureTensors, RangeSearch, Matching, Synthesis, Vectors, Solvers, Protocol
+    Memory,
+    Control,
+    Images,
+    Prior,
+    StructureTensors,
+    RangeSearch,
+    Matching,
+    Learned,
+    Synthesis,
+    Vectors,
+    Solvers,
+    Protocol,
 ):
     """One backend: memory, the operations of the methods, and the vector operations of a solver."""
 

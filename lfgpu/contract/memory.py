@@ -21,7 +21,9 @@ class Memory(Protocol):
         """Return a copy of `values` (any shape) on the device as scalars of `dtype`."""
 
     def image(self, values: NDArray[Any], device: str) -> Array:
-        """`values` [..., c] (uint8, uint16, float16, float32; c = 1 or 3) on the device as they are stored."""
+        """`values` [..., c] (uint8, uint16, float16, float32) on the device as they are stored; c is 1 or 3, and any
+        number for the volumes of `Learned`.
+        """
 
     def zeros(self, shape: Sequence[int], device: str) -> Array:
         """Return a field of zeros."""

@@ -128,6 +128,14 @@ class DryKernels:
         self._count(shape[1:3], _FLOAT)
         return DryOperation(lambda views: self._packed(views, has_mask=True))
 
+    def sector_costs(self, shape: Sequence[int], offsets: Any, *, scale: float) -> DryOperation:
+        """Count views in an order of its own."""
+        return DryOperation(lambda views: self._packed(views, has_mask=self._on_gpu))
+
+    def convolution(self, weights: np.ndarray, bias: np.ndarray, device: str, **options: Any) -> DryOperation:
+        """Count nothing: weights are the same for views of any size."""
+        return DryOperation()
+
     def semi_global(self, volume: DryArray, image: Any, penalty_scale: Any, **numbers: Any) -> None:
         """Count what a GPU keeps: two volumes, and the steps to a pixel in all directions."""
         if self._on_gpu and not self.spare:

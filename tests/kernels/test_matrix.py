@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 import alignment_cases
 import alignment_checks
 import checks
+import learned_cases
+import learned_checks
 import local_cases
 import local_checks
 import nlm_cases
@@ -55,6 +57,9 @@ INPUTS: dict[str, tuple[tuple[Any, ...], Any]] = {
     "ratio": (alignment_cases.RATIO_CASES, alignment_cases.ratio_inputs),
     "outline": (alignment_cases.OUTLINE_CASES, alignment_cases.outline_inputs),
     "sweep": (sweep_cases.SWEEP_CASES, sweep_cases.sweep_inputs),
+    "sectors": (learned_cases.SECTOR_CASES, learned_cases.sector_inputs),
+    "convolution": (learned_cases.CONVOLUTION_CASES, learned_cases.convolution_inputs),
+    "peak": (learned_cases.PEAK_CASES, learned_cases.peak_inputs),
     "seen": (splat_cases.SEEN_CASES, splat_cases.seen_inputs),
     "views": (view_cases.VIEWS_CASES, view_cases.views_inputs),
     "resampling": (resampling_cases.RESAMPLING_CASES, resampling_cases.resampling_inputs),
@@ -82,6 +87,7 @@ OPERATIONS = (
     *occlusion_checks.OPERATIONS,
     *sweep_checks.OPERATIONS,
     *volume_checks.OPERATIONS,
+    *learned_checks.OPERATIONS,
     *alignment_checks.OPERATIONS,
     *resampling_checks.OPERATIONS,
     *smoothing_checks.OPERATIONS,

@@ -1,0 +1,49 @@
+"""Convolutions of volumes: NumPy, float64, tap by tap."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract import Float32Array
+
+Array = NDArray[np.float64]
+
+
+class Convolution:
+    """The convolution with its weights [l, y, x, c_in, c_out]."""
+
+    def __init__(self, weights: Float32Array, bias: Float32Array, strides: tuple[int, ...], rectified: bool) -> None:
+        self._weights, self._bias = weights.astype(np.float64), bias.astype(np.float64)
+        self._strides, self._rectified = strides, rectified
+
+    def __call__(self, volume: Array, added: Array | None, volume_out: Array, *, at: int = 0) -> None:
+        size = [-(-length // stride) for length, stride in zip(volume.shape, self._strides, strict=False)]
+        sums = np.zeros((*size, 1)) + self._bias
+        taps = self._weights.reshape(-1, *self._weights.shape[3:])
+        for weights, shifted in zip(taps, self._shifted(volume), strict=True):
+            sums += shifted @ weights
+        if added is not None:
+            for axis in range(3):
+                added = added.repeat(size[axis] // added.shape[axis], axis)
+            sums += added
+        volume_out[at : at + size[0]] = np.maximum(sums, 0) if self._rectified else sums
+
+    def _shifted(self, volume: Array) -> Iterator[Array]:
+        """Yield what each of the weights is for, [l, y, x, c_in]."""
+        sizes = self._weights.shape[:3]
+        padded = np.pad(volume, [*((size // 2, size // 2) for size in sizes), (0, 0)])
+        for tap in np.ndindex(sizes):
+            lengths = zip(tap, volume.shape, self._strides, strict=False)
+            yield padded[tuple(slice(begin, begin + length, stride) for begin, length, stride in lengths)]
+
+
+def convolution(
+    weights: Float32Array,
+    bias: Float32Array,
+    device: str,
+    *,
+    strides: tuple[int, int, int] = (1, 1, 1),
+    rectified: bool = False,
+) -> Convolution:
+    return Convolution(weights, bias, strides, rectified)

@@ -1,0 +1,35 @@
+"""The peak of the distribution of each pixel over disparities: NumPy, float64."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract import FOLD, PEAK_REACH
+
+Array = NDArray[np.float64]
+
+
+def unfolded(folded: Array, size: tuple[int, ...]) -> Array:
+    """Compute an image [l, *size] of a folded one [l, y, x, FOLD^2]."""
+    count, height, width, _ = folded.shape
+    image = folded.reshape(count, height, width, FOLD, FOLD).transpose(0, 1, 3, 2, 4)
+    return image.reshape(count, FOLD * height, FOLD * width)[:, : size[0], : size[1]]
+
+
+def peak(
+    logits: Array,
+    first: Array,
+    *,
+    step: float,
+    disparity_out: Array,
+    probability_out: Array,
+    deviation_out: Array,
+) -> None:
+    sharp = unfolded(logits, first.shape)
+    shares = np.exp(sharp - sharp.max(0))
+    shares /= shares.sum(0)
+    labels = np.arange(len(shares))[:, None, None]
+    near = np.where(np.abs(labels - shares.argmax(0)) <= PEAK_REACH, shares, 0)
+    probability_out[:] = near.sum(0)
+    place = (near * labels).sum(0) / probability_out
+    disparity_out[:] = first + step * place
+    deviation_out[:] = step * np.sqrt((near * (labels - place) ** 2).sum(0) / probability_out)

@@ -1,0 +1,101 @@
+"""Convolutions of volumes; `kernels/reference/convolution.py` says what they are."""
+
+from typing import Any
+
+import taichi as ti
+
+from lfgpu.contract import Convolution, Float32Array
+
+from .memory import DeviceArray, field, flat
+from .runtime import once, run
+
+_TOGETHER = 4  # channels of the output that a thread computes
+
+
+@once
+def _kernel(stored: Any, adds: bool, rectified: bool) -> Any:
+    volumes = flat(stored)
+
+    @ti.kernel
+    def convolve_kernel(
+        volume: volumes,
+        weights: flat(),
+        bias: flat(),
+        added: volumes,
+        labels: int,
+        height: int,
+        width: int,
+        inputs: int,
+        outputs: int,
+        kernel_l: int,
+        kernel_y: int,
+        kernel_x: int,
+        stride_l: int,
+        stride_y: int,
+        stride_x: int,
+        more_labels: int,
+        more_rows: int,
+        more_columns: int,
+        at: int,
+        volume_out: volumes,
+    ):
+        slices = (labels + stride_l - 1) // stride_l
+        rows = (height + stride_y - 1) // stride_y
+        columns = (width + stride_x - 1) // stride_x
+        groups = outputs // _TOGETHER
+        for i in range(slices * rows * columns * groups):
+            c = i % groups * _TOGETHER
+            x = i // groups % columns
+            y = i // groups // columns % rows
+            slice_ = i // groups // columns // rows
+            sums = ti.Vector([0.0 for _ in range(_TOGETHER)])
+            for k in range(kernel_l * kernel_y * kernel_x):
+                tl = slice_ * stride_l + k // kernel_x // kernel_y - kernel_l // 2
+                ty = y * stride_y + k // kernel_x % kernel_y - kernel_y // 2
+                tx = x * stride_x + k % kernel_x - kernel_x // 2
+                if tl >= 0 and tl < labels and ty >= 0 and ty < height and tx >= 0 and tx < width:
+                    there = ((tl * height + ty) * width + tx) * inputs
+                    weight = k * inputs * outputs + c
+                    for j in range(inputs):
+                        value = ti.cast(volume[there + j], ti.f32)
+                        for g in ti.static(range(_TOGETHER)):
+                            sums[g] += weights[weight + j * outputs + g] * value
+            more = slice_ * more_labels // slices * more_rows + y * more_rows // rows
+            more = (more * more_columns + x * more_columns // columns) * outputs + c
+            here = (((at + slice_) * rows + y) * columns + x) * outputs + c
+            for g in ti.static(range(_TOGETHER)):
+                value = sums[g] + bias[c + g]
+                if ti.static(adds):
+                    value += ti.cast(added[more + g], ti.f32)
+                if ti.static(rectified):
+                    value = ti.max(value, 0.0)
+                volume_out[here + g] = ti.cast(value, stored)
+
+    return convolve_kernel
+
+
+class _Convolution:
+    """The weights on the device."""
+
+    def __init__(self, weights: Float32Array, bias: Float32Array, device: str, options: tuple[Any, bool]) -> None:
+        self._weights, self._bias = field(weights, device), field(bias, device)
+        self._strides, self._rectified = options
+
+    def __call__(self, volume: DeviceArray, added: DeviceArray | None, volume_out: DeviceArray, *, at: int = 0) -> None:
+        window, (inputs, outputs) = self._weights.shape[:3], self._weights.shape[3:]
+        convolve = _kernel(volume.scalar, added is not None, self._rectified)
+        more = volume if added is None else added
+        arrays = volume.values, self._weights.values, self._bias.values, more.values
+        sizes = *volume.shape, inputs, outputs, *window, *self._strides, *more.shape
+        run(convolve, *arrays, *sizes, at, volume_out.values)
+
+
+def convolution(
+    weights: Float32Array,
+    bias: Float32Array,
+    device: str,
+    *,
+    strides: tuple[int, int, int] = (1, 1, 1),
+    rectified: bool = False,
+) -> Convolution:
+    return _Convolution(weights, bias, device, (strides, rectified))

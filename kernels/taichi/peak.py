@@ -1,0 +1,71 @@
+"""The peak of the distribution of each pixel over disparities; `kernels/reference/peak.py` says what it is."""
+
+from typing import Any
+
+import taichi as ti
+
+from lfgpu.contract import FOLD, PEAK_REACH
+
+from .memory import DeviceArray, flat
+from .runtime import once, run
+
+
+@once
+def _kernel(stored: Any) -> Any:
+    @ti.kernel
+    def peak_kernel(
+        logits: flat(stored),
+        first: flat(),
+        step: float,
+        labels: int,
+        rows: int,
+        columns: int,
+        width: int,
+        disparity_out: flat(),
+        probability_out: flat(),
+        deviation_out: flat(),
+    ):
+        for p in range(first.shape[0]):
+            y = p // width
+            x = p % width
+            here = (y // FOLD * columns + x // FOLD) * FOLD * FOLD + y % FOLD * FOLD + x % FOLD
+            apart = rows * columns * FOLD * FOLD
+            best = 0
+            most = ti.cast(logits[here], ti.f32)
+            for k in range(1, labels):
+                value = ti.cast(logits[here + k * apart], ti.f32)
+                if value > most:
+                    most = value
+                    best = k
+            total = 0.0
+            for k in range(labels):
+                total += ti.exp(ti.cast(logits[here + k * apart], ti.f32) - most)
+            shares = ti.Vector([0.0 for _ in range(2 * PEAK_REACH + 1)])
+            place = 0.0
+            for k in ti.static(range(2 * PEAK_REACH + 1)):
+                near = best + k - PEAK_REACH
+                if near >= 0 and near < labels:
+                    shares[k] = ti.exp(ti.cast(logits[here + near * apart], ti.f32) - most)
+                    place += (k - PEAK_REACH) * shares[k]
+            place /= shares.sum()
+            square = 0.0
+            for k in ti.static(range(2 * PEAK_REACH + 1)):
+                square += (k - PEAK_REACH - place) ** 2 * shares[k]
+            disparity_out[p] = first[p] + step * (ti.cast(best, ti.f32) + place)
+            probability_out[p] = shares.sum() / total
+            deviation_out[p] = step * ti.sqrt(square / shares.sum())
+
+    return peak_kernel
+
+
+def peak(
+    logits: DeviceArray,
+    first: DeviceArray,
+    *,
+    step: float,
+    disparity_out: DeviceArray,
+    probability_out: DeviceArray,
+    deviation_out: DeviceArray,
+) -> None:
+    outputs = (array.values for array in (disparity_out, probability_out, deviation_out))
+    run(_kernel(logits.scalar), logits.values, first.values, step, *logits.shape, first.shape[1], *outputs)

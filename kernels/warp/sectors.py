@@ -1,0 +1,116 @@
+"""Costs by angular sector; `kernels/reference/sectors.py` says what they are."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, SectorCosts, sectors_of
+
+from .cpu_plane_sweep import kept_type, loading_kernels
+from .memory import pixel_type
+from .native_code import kernel
+from .threads import c_type, in_slices, launch, load, once, with_wide_vectors
+from .vector import dot
+
+_CHUNK = 64  # columns whose costs stay in a cache
+
+
+@once
+def _costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
+    numbers = {"CHANNELS": channels, "SECTORS": SECTORS, "FOLD": FOLD, "UNIT": COST_UNIT, "CHUNK": _CHUNK}
+    types = {"Kept": kept_type(stored), "Pixel": pixel_type(channels), "Costs": pixel_type(FOLD**2 * COSTS, costs)}
+    module = f"lfgpu_sectors_{channels}_{stored.__name__}_{costs.__name__}"
+    found = kernel("sectors.h", "find_sector_costs", module=module, **types, **numbers, STORED=c_type(costs))
+    return with_wide_vectors(found)
+
+
+class _SectorCosts:
+    """The views by sector, and as the device reads them."""
+
+    def __init__(self, shape: Sequence[int], offsets: Any, scale: float) -> None:
+        self._shape, self._device, self._scale = tuple(shape), offsets.device, scale
+        places = offsets.numpy()
+        sectors = sectors_of(places)
+        order = np.argsort(sectors, kind="stable")[np.count_nonzero(sectors < 0) :]
+        begins = np.searchsorted(sectors[order], np.arange(SECTORS + 1))
+        self._order, self._begins = (
+            wp.array(numbers.astype(np.int32), dtype=int, device=self._device) for numbers in (order, begins)
+        )
+        self._offsets = wp.array(places[order], dtype=wp.vec2f, device=self._device)
+        self._stored: Any = None
+
+    def load(self, image: Any, recorded: Any, valid: Any) -> None:
+        n, height, width, channels = self._shape
+        stored = recorded.dtype._wp_scalar_type_
+        if stored is not self._stored:
+            self._stored = stored
+            self._views = wp.empty((n, channels, height, width), dtype=kept_type(stored), device="cpu")
+        self._image, self._valid = image, valid
+        keep = loading_kernels(channels, stored).views
+        load(self._device, keep)
+
+        def some_views(_: int, first: int, last: int) -> None:
+            launch(keep, last - first, [recorded[first:last], 0], [self._views[first:last]], device="cpu")
+
+        in_slices(self._device, n, some_views)
+
+    def __call__(self, first: Any, factor: Any, costs_out: Any, *, step: float, label: int) -> None:
+        find = _costs_kernel(self._shape[-1], self._stored, costs_out.dtype._wp_scalar_type_)
+        load(self._device, find)
+        views = [self._views, self._image, self._valid, self._order, self._begins, self._offsets]
+
+        def some_rows(_: int, begin: int, end: int) -> None:
+            inputs = [*views, first, factor, self._scale, step, label, begin, end]
+            launch(find, 1, inputs, [costs_out], device="cpu")
+
+        in_slices(self._device, costs_out.shape[0] * costs_out.shape[1], some_rows)
+
+
+def sector_costs(shape: Sequence[int], offsets: Any, *, scale: float) -> SectorCosts:
+    return _SectorCosts(shape, offsets, scale)
+
+
+@wp.kernel(module="lfgpu_brightness", enable_backward=False)
+def _factor_kernel(count: wp.float64, factor: wp.array(dtype=wp.float64)):
+    """Turn the sum of `count` intensities into the factor for their mean."""
+    mean = factor[0] / count
+    factor[0] = wp.clamp(wp.float64(0.4) / (mean + wp.float64(0.08)), wp.float64(0.5), wp.float64(4.0))
+
+
+def brightness(image: Any, *, factor_out: Any) -> None:
+    count = image.size * image.dtype._length_
+    if not hasattr(factor_out, "lfgpu_ones"):  # made once, as captured work must not allocate
+        factor_out.lfgpu_ones = wp.full(count, 1.0, dtype=float, device=image.device)
+    values = wp.array(ptr=image.ptr, dtype=float, shape=count, device=image.device, copy=False)
+    dot(values, factor_out.lfgpu_ones, factor_out)
+    launch(_factor_kernel, 1, [wp.float64(count)], [factor_out], device=image.device)
+
+
+@once
+def _fold_kernel(channels: int, stored: Any) -> Any:
+    pixel, folded = pixel_type(channels), pixel_type(4 * FOLD**2, stored)
+
+    @wp.kernel(module=f"lfgpu_fold_{channels}_{stored.__name__}", enable_backward=False)
+    def fold_kernel(
+        image: wp.array2d(dtype=pixel), factor: wp.array(dtype=wp.float64), folded_out: wp.array3d(dtype=folded)
+    ):
+        y, x = wp.tid()
+        gain = float(factor[0])
+        result = folded()
+        for i in range(wp.static(FOLD)):
+            for j in range(wp.static(FOLD)):
+                row = wp.min(wp.static(FOLD) * y + i, image.shape[0] - 1)
+                color = image[row, wp.min(wp.static(FOLD) * x + j, image.shape[1] - 1)]
+                for c in range(3):
+                    value = gain * color[wp.min(c, wp.static(channels - 1))]
+                    result[wp.static(FOLD**2) * c + wp.static(FOLD) * i + j] = stored(value)
+        folded_out[0, y, x] = result
+
+    return fold_kernel
+
+
+def fold(image: Any, factor: Any, *, folded_out: Any) -> None:
+    folding = _fold_kernel(image.dtype._length_, folded_out.dtype._wp_scalar_type_)
+    launch(folding, folded_out.shape[1:], [image, factor], [folded_out], device=image.device)

@@ -1,0 +1,117 @@
+"""The learned aggregation: costs by angular sector, convolutions, and a map from what these say of each disparity.
+
+A *volume* is an image [l, y, x, c], stored as float16 or float32, with any number of channels c. In a *folded* image
+the FOLD x FOLD pixels of a square are channels of one: pixel (FOLD y + i, FOLD x + j) and channel c of an image are
+pixel (y, x) and channel FOLD^2 c + FOLD i + j of the folded one. Beyond its border the image goes on with its border
+pixels until the folded one is full.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu.contract.arrays import Array, Float32Array, Scalar
+
+SECTORS = 8
+"""Directions around the reference view, in which the views lie."""
+
+COSTS = 2 * SECTORS
+"""Costs of a pixel and a disparity."""
+
+COST_UNIT = 0.02
+"""Difference in intensity from which costs grow like its logarithm."""
+
+FOLD = 2
+"""Pixels of an image, each way, in one of a folded image."""
+
+PEAK_REACH = 2
+"""Disparities on either side of the likeliest one that its mean is over."""
+
+
+class SectorCosts(Protocol):
+    """Costs of the views in each sector at a row of disparities, planned for light fields of one kind.
+
+    A view n takes part where `PlaneSweep` says, and belongs to one sector (`sectors_of`). With D_n = f (scale *
+    recorded_n at p - d o_n, bilinear) - f I, f being a factor, the COSTS of a pixel are g(mean_n mean_c |D_n|) for each
+    sector and, behind these, g(mean_c |mean_n D_n|), over the views n of the sector that take part;
+    g(x) = log(1 + x / COST_UNIT) / 4. A sector of which no view takes part costs the mean over the others, and 1 if no
+    view takes part at all.
+    """
+
+    def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
+        """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None."""
+
+    def __call__(self, first: Array, factor: Scalar, costs_out: Array, *, step: float, label: int) -> None:
+        """costs [l, y', x', FOLD^2 COSTS], folded: those at first + (label + l) step; `first` is a map [y, x]."""
+
+
+class Convolution(Protocol):
+    """A convolution with its bias, its strides, what is added to it and its rectifier; weights are planned."""
+
+    def __call__(self, volume: Array, added: Array | None, volume_out: Array, *, at: int = 0) -> None:
+        """Write slices of a volume from `at` on: sum_k w_k volume(stride p + k - size // 2) + bias + added.
+
+        Beyond its border `volume` is 0; ceil(size / stride) are the sizes of what is written. `added` is a volume whose
+        sizes divide these; each of its pixels counts for as many next to each other. Negative results are 0 if the
+        plan is `rectified`.
+        """
+
+
+class Learned(Protocol):
+    """Operations of a network that finds disparities."""
+
+    def brightness(self, image: Array, *, factor_out: Scalar) -> None:
+        """Compute the factor that brings an image to about a mean of 0.4: 0.4 / (mean + 0.08), but 0.5 to 4."""
+
+    def fold(self, image: Array, factor: Scalar, *, folded_out: Array) -> None:
+        """factor * image [y, x, c], folded to a volume [1, y', x', 4 FOLD^2]; of a grey image all three channels are
+        it, and the last FOLD^2 channels are 0.
+        """
+
+    def sector_costs(self, shape: Sequence[int], offsets: Array, *, scale: float) -> SectorCosts:
+        """Plan the costs of views of `shape` [n, y, x, c]; the field `offsets` [n, 2] is read once."""
+
+    def convolution(
+        self,
+        weights: Float32Array,
+        bias: Float32Array,
+        device: str,
+        *,
+        strides: tuple[int, int, int] = (1, 1, 1),
+        rectified: bool = False,
+    ) -> Convolution:
+        """Plan a convolution with weights [l, y, x, c_in, c_out] of odd sizes and a bias [c_out].
+
+        Numbers of channels are multiples of 8, but that of the output may be a multiple of 4. Where volumes are stored
+        as float16, weights may be rounded to that, too.
+        """
+
+    def peak(
+        self,
+        logits: Array,
+        first: Array,
+        *,
+        step: float,
+        disparity_out: Array,
+        probability_out: Array,
+        deviation_out: Array,
+    ) -> None:
+        """Find the peak of the distributions softmax_l of folded logits [l, y', x', FOLD^2] at first + l step.
+
+        disparity [y, x] is the mean over the likeliest l, the first one of several, and PEAK_REACH on either side;
+        deviation is the standard deviation there, and probability what these have of the whole distribution. `first` is
+        [y, x].
+        """
+
+
+def sectors_of(offsets: NDArray[Any]) -> NDArray[np.int64]:
+    """Compute the sector of each view: the one whose middle, a multiple of 360 / SECTORS degrees, its angle is nearest
+    to; -1 for the reference.
+    """
+    du, dv = np.asarray(offsets, np.float64).T
+    sectors = np.rint(np.arctan2(dv, du) * SECTORS / (2 * np.pi)).astype(np.int64) % SECTORS
+    return np.where(np.hypot(du, dv) > 1e-3, sectors, -1)
