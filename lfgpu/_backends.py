@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias, cast
 
 from lfgpu.errors import BackendError
@@ -71,6 +73,7 @@ def backend_named(backend: str) -> BackendName:
 def load(backend: str = DEFAULT) -> KernelSet:
     """Load a backend; BackendError if it is unknown, or if its package is missing or broken."""
     backend_named(backend)
+    _forget_caches_nowhere()
     try:
         module = importlib.import_module(f"lfgpu.kernels.{backend}")
     except Exception as error:  # a broken installation raises anything: OSError, AttributeError, RuntimeError
@@ -78,6 +81,15 @@ def load(backend: str = DEFAULT) -> KernelSet:
             f"backend {backend!r} cannot be loaded ({_said(error)}); install it with: {_remedy(backend)}"
         ) from error
     return cast("KernelSet", module.KERNELS)
+
+
+def _forget_caches_nowhere() -> None:
+    """Forget variables that name no folder: native code would be kept in the current one, and loaded from it."""
+    if os.environ.get("WARP_CACHE_PATH") == "":
+        del os.environ["WARP_CACHE_PATH"]
+    caches = os.environ.get("XDG_CACHE_HOME")
+    if caches is not None and not Path(caches).is_absolute():  # as its specification says
+        del os.environ["XDG_CACHE_HOME"]
 
 
 def pick_device(kernels: KernelSet, device: str | None) -> str:

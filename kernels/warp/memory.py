@@ -12,9 +12,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from .asking import asking, started
+from .cache import cache_is_closed
 from .sharing import take
 from .staging import WORTHWHILE, staging
-from .threads import cache_is_closed, in_slices, once
+from .threads import in_slices, once
 
 _LARGE = 2**22  # bytes
 

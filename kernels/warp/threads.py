@@ -3,21 +3,20 @@
 How the work is cut does not depend on the number of threads, so neither do the results.
 """
 
-import glob
 import os
-import shutil
 import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import lru_cache, wraps
-from pathlib import Path
+from functools import lru_cache, partial, wraps
 from typing import Any, TypeVar
 
 import warp as wp
 
 from lfgpu.errors import BackendError
 from lfgpu.threads import get_threads
+
+from .cache import from_cache
 
 _SLICES = 16
 _MANY = 2**18  # pixels: to cut light work on fewer of them takes longer than the work
@@ -126,7 +125,7 @@ def launch(
 ) -> None:
     """Launch a kernel; what a crash left of it in the cache of kernels is compiled again."""
     options = {"device": device, "stream": stream, "block_dim": block_dim}
-    _launched(lambda: wp.launch(kernel, dim, inputs, outputs, **options), kernel, device)
+    from_cache(lambda: wp.launch(kernel, dim, inputs, outputs, **options), kernel.module, device, block_dim)
 
 
 def launch_tiles(
@@ -134,19 +133,7 @@ def launch_tiles(
 ) -> None:
     """Launch a kernel whose threads work together on tiles, as `launch` does."""
     options = {"dim": dim, "inputs": inputs, "outputs": outputs, "device": device, "block_dim": block_dim}
-    _launched(lambda: wp.launch_tiled(kernel, **options), kernel, device)
-
-
-def _launched(start: Callable[[], None], kernel: Any, device: Any) -> None:
-    try:
-        start()
-    except OSError as error:
-        raise cache_is_closed(error) from error
-    except Exception:
-        if not _forgotten(kernel.module):
-            raise
-        load(device, kernel)
-        start()
+    from_cache(lambda: wp.launch_tiled(kernel, **options), kernel.module, device, block_dim)
 
 
 def check_size(*threads: int) -> None:
@@ -170,7 +157,7 @@ def load(device: Any, *kernels: Any) -> None:
     """Compile and load what threads are about to launch; they must not do it at the same time."""
     with LOADING:
         for module in {kernel.module for kernel in kernels}:
-            _load(module, device)
+            from_cache(partial(wp.load_module, module, device=device), module, device, None)
 
 
 def with_wide_vectors(kernel: Any) -> Any:
@@ -186,36 +173,6 @@ def with_wide_vectors(kernel: Any) -> Any:
 def c_type(stored: Any) -> str:
     """Return the name in C++ of the type that floating-point numbers are stored in, of which a CPU makes vectors."""
     return "float" if stored is wp.float32 else "_Float16"
-
-
-def _load(module: Any, device: Any) -> None:
-    """Load a module; what a crash left of it in the cache of kernels is compiled again."""
-    try:
-        wp.load_module(module, device=device)
-    except OSError as error:
-        raise cache_is_closed(error) from error
-    except Exception:
-        if not _forgotten(module):
-            raise
-        wp.load_module(module, device=device)
-
-
-def _forgotten(module: Any) -> bool:
-    """Remove what the cache of kernels has of a module; whether there was something."""
-    places = list(Path(wp.config.kernel_cache_dir).glob(f"wp_{glob.escape(module.name)}_*"))
-    for place in places:
-        shutil.rmtree(place, ignore_errors=True)
-    if places:
-        module.unload()
-    return bool(places)
-
-
-def cache_is_closed(error: OSError) -> BackendError:
-    """Return the error to raise where Warp cannot write what it compiles."""
-    return BackendError(
-        f"Warp cannot keep its compiled kernels in {error.filename or wp.config.kernel_cache_dir} "
-        f"({error.strerror or error}); set WARP_CACHE_PATH to a folder that may be written to."
-    )
 
 
 @lru_cache(maxsize=1)

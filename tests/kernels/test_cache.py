@@ -49,6 +49,36 @@ def test_a_cache_that_a_crash_cut_short_is_made_again(tmp_path: Path) -> None:
     assert first.endswith("left [0.5]\n")
 
 
+def test_objects_whose_bits_were_flipped_are_made_again(tmp_path: Path) -> None:
+    first = run(tmp_path)
+    objects = [file for file in tmp_path.rglob("*") if file.suffix in (".o", ".so")]
+    whole = {file: file.read_bytes() for file in objects}
+    assert whole
+    for file, data in whole.items():
+        middle = len(data) // 2
+        file.write_bytes(data[:64] + bytes(255 - byte for byte in data[64:middle]) + data[middle:])
+    assert run(tmp_path) == first
+    for file in objects:
+        assert file.exists()
+        file.with_name(f"{file.name}.crc32").write_bytes(b"\xff")  # a damaged sum is no trust
+    assert run(tmp_path) == first
+
+
+@pytest.mark.parametrize("value", ["", "here"])
+@pytest.mark.parametrize("name", ["XDG_CACHE_HOME", "WARP_CACHE_PATH"])
+def test_no_native_code_is_kept_in_or_loaded_from_the_current_folder(tmp_path: Path, name: str, value: str) -> None:
+    """A relative WARP_CACHE_PATH is an own wish; XDG_CACHE_HOME is none then, as its specification says."""
+    (tmp_path / "now").mkdir()
+    environment = {key: text for key, text in os.environ.items() if key != "WARP_CACHE_PATH"}
+    environment |= {"HOME": str(tmp_path / "home"), name: value}
+    done = subprocess.run(
+        [sys.executable, "-c", _CODE], env=environment, cwd=tmp_path / "now", capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("done 0.2")
+    is_wish = (name, value) == ("WARP_CACHE_PATH", "here")
+    assert [path.name for path in (tmp_path / "now").iterdir()] == (["here"] if is_wish else [])
+
+
 def test_all_kernels_are_launched_such_that_they_are_made_again() -> None:
     files = (Path(__file__).parents[2] / "kernels" / "warp").rglob("*.py")
     assert [file.name for file in files if "wp.launch" in file.read_text()] == ["threads.py"]
