@@ -1,4 +1,8 @@
-"""Outputs are written whole or not at all: under a temporary name first, moved into place when all went well."""
+"""Outputs are written whole or not at all: in a folder of their own first, moved into place when all went well.
+
+A process holds a lock on that folder. The system takes it away from a process that ends, however it ends; so the next
+one that writes there tells remnants from what others are writing, and removes them.
+"""
 
 from __future__ import annotations
 
@@ -7,20 +11,29 @@ import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 LEFT_OVER = ".lfgpu-"
-"""Beginning of the names of outputs until they are whole."""
+"""Beginning of the names of the folders in which outputs lie until they are whole."""
+
+_BYTES = 8  # of the rest of the name
 
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path to write one file to; it becomes `path` when the block ends without an exception.
 
-    The temporary file lies next to the target and has its suffix, because writers choose formats by it. Missing
-    parent folders are made. On an exception nothing is left behind and a file that was there before is untouched.
+    The temporary file lies in a folder next to the target and has its name, because writers choose formats by its
+    suffix. Missing parent folders are made. On an exception nothing is left behind and a file that was there before is
+    untouched.
 
     Raises
     ------
@@ -103,23 +116,71 @@ def _resolved(path: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def _staged(target: Path, place: Path) -> Iterator[Path]:
-    """Yield a free path in the folder `place`, which is made if missing; what it holds is gone after an exception."""
+    """Yield a free path below the folder `place`, which is made if missing; what it holds is gone after the block."""
     made: list[Path] = []
-    temporary = place / f"{LEFT_OVER}{secrets.token_hex(8)}{target.suffix}"
     try:
         for parent in reversed([folder for folder in (place, *place.parents) if not folder.exists()]):
             with suppress(FileExistsError):  # another process was quicker
                 parent.mkdir()
                 made.append(parent)
-        yield temporary
+        with _own_folder(place) as folder:
+            yield folder / target.name
     except BaseException as error:
-        _remove(temporary)
         for parent in reversed(made):
             with suppress(OSError):  # somebody else may have put something there by now
                 parent.rmdir()
         if isinstance(error, OSError):
             raise LightFieldError(f"{target} cannot be written: {error.strerror or error}.") from error
         raise
+
+
+@contextmanager
+def _own_folder(place: Path) -> Iterator[Path]:
+    """Yield a new folder, which is gone after the block; no other process takes it for a remnant before."""
+    _remove_remnants(place)
+    lock = None
+    while lock is None:
+        folder = place / f"{LEFT_OVER}{secrets.token_hex(_BYTES)}"
+        folder.mkdir()
+        with suppress(FileNotFoundError, BlockingIOError):  # it was taken for one before it was locked
+            lock = _locked(folder)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if lock >= 0:
+            os.close(lock)
+
+
+@cache  # once in each folder: it may hold many files
+def _remove_remnants(place: Path) -> None:
+    """Remove what processes left that were killed while they wrote to a folder."""
+    for folder in place.glob(LEFT_OVER + "[0-9a-f]" * 2 * _BYTES):
+        with suppress(OSError):  # somebody is writing there, or it belongs to others
+            lock = _locked(folder)
+            if lock >= 0:
+                shutil.rmtree(folder, ignore_errors=True)
+                os.close(lock)
+
+
+def _locked(folder: Path) -> int:
+    """Lock a folder, and return the descriptor that keeps it locked; -1 where folders cannot be locked.
+
+    BlockingIOError if another process has locked it, FileNotFoundError if it has gone meanwhile.
+    """
+    if fcntl is None:
+        return -1
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        folder.stat()
+    except (BlockingIOError, FileNotFoundError):
+        os.close(descriptor)
+        raise
+    except OSError:  # a file system without locks
+        os.close(descriptor)
+        return -1
+    return descriptor
 
 
 def _move_files(source: Path, target: Path) -> None:
@@ -132,15 +193,6 @@ def _move_files(source: Path, target: Path) -> None:
         destination.mkdir(exist_ok=True)
         for file in files:
             Path(folder, file).replace(destination / file)
-    _remove(source)
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        with suppress(OSError):
-            path.unlink()
 
 
 def _exists(path: Path) -> bool:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 import threading
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -13,6 +16,7 @@ from samples import refusal
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, atomic_write, check_writable, read_map, write_pfm
+from lfgpu.io.atomic import _remove_remnants
 
 
 def test_a_file_is_written_whole(tmp_path: Path) -> None:
@@ -107,6 +111,33 @@ def test_writers_at_the_same_time_do_not_disturb_each_other(tmp_path: Path) -> N
         thread.join()
     assert len(np.unique(read_map(tmp_path / "a.pfm"))) == 1
     assert len(list(tmp_path.iterdir())) == 1
+
+
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from lfgpu.io import atomic_folder, atomic_write
+with atomic_write(Path(sys.argv[1], "a.txt")) as file, atomic_folder(Path(sys.argv[1], "out")) as folder:
+    file.write_text("half")
+    (folder / "b.txt").write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_process_left_goes_with_the_next_output_and_nothing_else(tmp_path: Path) -> None:
+    killed = subprocess.run([sys.executable, "-c", _KILLED, tmp_path], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    remnants = set(tmp_path.iterdir())
+    assert len(remnants) == 2
+    assert {path.read_text() for path in tmp_path.rglob("*.txt")} == {"half"}
+    (tmp_path / ".lfgpu-mine").mkdir()
+    with atomic_write(tmp_path / "a.txt") as temporary:
+        assert not remnants & set(tmp_path.iterdir())
+        _remove_remnants.cache_clear()  # as another process
+        with atomic_write(tmp_path / "b.txt") as other:
+            other.write_text("")
+            temporary.write_text("it is not taken for a remnant")
+    assert {path.name for path in tmp_path.iterdir()} == {"a.txt", "b.txt", ".lfgpu-mine"}
 
 
 def test_a_folder_that_another_process_makes_meanwhile_gets_the_files(tmp_path: Path) -> None:
