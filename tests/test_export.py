@@ -241,6 +241,22 @@ def test_command_reads_as_depth_does(tmp_path: Path) -> None:
     assert about["offsets"] == expected.offsets.tolist()
 
 
+@pytest.mark.parametrize("kilobytes", [50, 500, 2000])
+def test_what_a_full_disk_cannot_hold_is_a_sentence_and_leaves_nothing(tmp_path: Path, kilobytes: int) -> None:
+    """The system refuses larger files, as a full disk does."""
+    resource = pytest.importorskip("resource")
+    lf = frames()[0]
+    lfgpu.export_pipeline(lf, tmp_path / "whole", config="fast", disparity_range=(-2, 2))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000 * kilobytes, before[1]))
+    try:
+        with pytest.raises(lfgpu.LightFieldError, match="out cannot be written: File too large"):
+            lfgpu.export_pipeline(lf, tmp_path / "out", config="fast", disparity_range=(-2, 2))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [path.name for path in tmp_path.iterdir()] == ["whole"]
+
+
 def test_only_matching_is_exported(tmp_path: Path) -> None:
     with pytest.raises(lfgpu.LightFieldError, match="the method synthesis cannot be exported"):
         lfgpu.export_pipeline(frames()[0], tmp_path / "out", config="paper", disparity_range=RANGE)

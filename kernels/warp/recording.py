@@ -11,6 +11,7 @@ from .asking import alone
 from .threads import MARKS, load, marked_slices
 
 _KINDS = {kernel.key: kind for kernel, kind in zip(MARKS, ("begin", "end"), strict=True)}
+_PROBED = 2**24  # bytes: more than a file system gives back when a write fails
 
 
 def version() -> str:
@@ -35,8 +36,20 @@ def save(
         load(wp.get_device(device), *MARKS)
     with alone(), marked_slices(), wp.ScopedCapture(device=device, apic=True) as capture:
         work()
-    wp.capture_save(capture.graph, str(path), inputs=inputs, outputs=outputs)
+    try:
+        wp.capture_save(capture.graph, str(path), inputs=inputs, outputs=outputs)
+    except RuntimeError:  # Warp does not say why
+        _probe(path.with_suffix(".probe"))
+        raise
     return tuple(_kernels(capture.graph._apic_capture))
+
+
+def _probe(path: Path) -> None:
+    """Write a file and remove it, for the system's own error where files cannot be written."""
+    try:
+        path.write_bytes(bytes(_PROBED))
+    finally:
+        path.unlink(missing_ok=True)
 
 
 def _kernels(capture: Any) -> list[tuple[str, str, int, str]]:
