@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from lfgpu.cli import console as shown
+from lfgpu.data.summary import view_at
 from lfgpu.errors import LightFieldError
 from lfgpu.reports import facts
 
@@ -70,7 +71,7 @@ def show_scores(console: Console, lf: LightField, result: DepthResult) -> dict[s
     shown.heading(console, "Against the ground truth (which the estimate does not use)")
     truth = lf.reference_truth()
     if truth is None:
-        place = facts.place(*lf.truth.position)
+        place = view_at(lf.truth.position)
         shown.remark(console, f"It belongs to the view at {place}, not to the reference view, so there is no score.")
         return {}
     from lfgpu.metrics import BORDER, evaluate, sparsification

@@ -49,13 +49,14 @@ def view(
     ends it.
     """
     from lfgpu.cli import values
-    from lfgpu.viewer.place import Place
+    from lfgpu.viewer.place import Place, check_installed
 
     values.use_threads("--threads", threads)
     options = reading.options()
     for path in paths:
         if not path.exists():
             raise LightFieldError(f"{path} does not exist; give a light field, or what lfgpu depth wrote.")
+    check_installed()
     place = Place(port)
 
     def viewer_of_paths() -> Viewer:

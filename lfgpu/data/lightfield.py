@@ -321,10 +321,10 @@ class LightField:
         grid = "not in a grid"
         if self.grid_shape is not None:
             grid = f"in a grid of {self.grid_shape[0]} x {self.grid_shape[1]} (rows x columns)"
-        u, v = (float(value) for value in self.positions[self.reference_index])
+        here = summary.view_at(self.positions[self.reference_index], self.positions)
         truth = "none" if self.truth is None else f"of the view at {summary.view_at(self.truth.position)}"
         return (
-            f"<LightField {self.name!r}: {len(self.views)} views {grid}, reference at {summary.view_at((u, v))}\n "
+            f"<LightField {self.name!r}: {len(self.views)} views {grid}, reference at {here}\n "
             f"{summary.pixels(self.size)}, {'grey' if self.channels == 1 else 'colour'}, {self.views.dtype}"
             f"{'' if self.valid is None else ', with masks'}; "
             f"depth in metres: {'no geometry' if self.geometry is None else 'yes'}; ground truth: {truth}>"

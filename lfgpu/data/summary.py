@@ -25,6 +25,12 @@ def span(values: NDArray[Any], unit: str) -> str:
     return f"{known.min():.4g} to {known.max():.4g} {unit}" + (f", {unknown:.2%} unknown" if unknown else "")
 
 
-def view_at(position: tuple[float, float]) -> str:
-    """ "row 4, column 5" of a position (u, v)."""
-    return f"row {position[1]:g}, column {position[0]:g}"
+def are_counted(positions: NDArray[Any]) -> bool:
+    """Tell whether positions [n, 2] are columns and rows counted from zero, not distances from a camera."""
+    return bool((positions.min(axis=0) == 0).all() and (positions == np.round(positions)).all())
+
+
+def view_at(position: tuple[float, float], among: NDArray[Any] | None = None) -> str:
+    """ "row 4, column 5" of a position (u, v), with a word if positions `among` it do not count from a corner."""
+    counted = "" if among is None or are_counted(among) else " (rows and columns count from the camera at 0, 0)"
+    return f"row {position[1]:g}, column {position[0]:g}{counted}"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+from lfgpu.data.summary import view_at
+
 if TYPE_CHECKING:
     from datetime import datetime
 
@@ -69,12 +71,7 @@ def size(lf: LightField) -> str:
 
 def reference(lf: LightField) -> str:
     """Describe the position of the reference view."""
-    return place(*lf.positions[lf.reference_index])
-
-
-def place(u: float, v: float) -> str:
-    """Describe a position (u, v) in words: "row 4, column 4"."""
-    return f"row {v:g}, column {u:g}"
+    return view_at(lf.positions[lf.reference_index], lf.positions)
 
 
 def offsets(lf: LightField) -> str:
@@ -101,12 +98,12 @@ def truth(lf: LightField) -> str:
         return "none"
     known = np.isfinite(lf.truth.disparity)
     if not known.any():
-        return f"of the view at {place(*lf.truth.position)}, but undefined everywhere"
+        return f"of the view at {view_at(lf.truth.position)}, but undefined everywhere"
     low, high = lf.truth.disparity[known].min(), lf.truth.disparity[known].max()
     scored = known if lf.truth.mask is None else known & lf.truth.mask
     mask = "no mask" if lf.truth.mask is None else "within the mask"
     return (
-        f"of the view at {place(*lf.truth.position)}, {low:.3f} to {high:.3f} px per view step, "
+        f"of the view at {view_at(lf.truth.position)}, {low:.3f} to {high:.3f} px per view step, "
         f"{100 * scored.mean():.1f} % of it scored ({mask})"
     )
 

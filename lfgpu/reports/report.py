@@ -20,7 +20,7 @@ from lfgpu.cameras import Explanation
 from lfgpu.config import parameters, value_of
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
-from lfgpu.data.summary import UNIT, pixels
+from lfgpu.data.summary import UNIT, pixels, view_at
 from lfgpu.errors import LightFieldError
 from lfgpu.io import REPORT_FILE as REPORT_FILE
 from lfgpu.io import atomic_write
@@ -136,8 +136,8 @@ def _check(lf: LightField, result: DepthResult) -> None:
     here = lf.positions[lf.reference_index]
     if result.disparity.shape != lf.size or np.abs(here - result.position).max() > _SAME_PLACE:
         raise LightFieldError(
-            f"the result is of {pixels(result.disparity.shape)} of the view at {facts.place(*result.position)}, "
-            f"but the reference of {lf.name} has {pixels(lf.size)} and is at {facts.place(*here)}; give the light "
+            f"the result is of {pixels(result.disparity.shape)} of the view at {view_at(result.position)}, "
+            f"but the reference of {lf.name} has {pixels(lf.size)} and is at {view_at(here)}; give the light "
             "field that it was estimated from, with the same reference view."
         )
 
@@ -147,7 +147,7 @@ def _check(lf: LightField, result: DepthResult) -> None:
 
 def _lead(result: DepthResult, origin: Origin) -> str:
     version = result.versions.get("lfgpu", "")
-    by = f"Disparity of the view at {facts.place(*result.position)}, by lfgpu {version}".rstrip()
+    by = f"Disparity of the view at {view_at(result.position)}, by lfgpu {version}".rstrip()
     return by if origin.written is None else f"{by}, {facts.date(origin.written)}"
 
 

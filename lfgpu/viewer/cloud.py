@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,7 @@ def shown_cloud(
     least_confidence: float = 0.0,
     most_points: int = MOST_POINTS,
 ) -> Cloud:
-    """Choose the points of a map, those of `lfgpu.point_cloud` without a few outliers.
+    """Choose the points of a map, those of `lfgpu.point_cloud` without a few outliers and those between surfaces.
 
     Parameters
     ----------
@@ -77,7 +77,8 @@ def shown_cloud(
     geometry, disparity = values.geometry, values.disparity[::step, ::step]
     eye = np.zeros(3) if geometry is None else geometry.camera(values.position)
     try:
-        cloud = point_cloud(values, image=colours, least_confidence=least_confidence, step=step)
+        kept = replace(values, disparity=_cut(values.disparity))
+        cloud = point_cloud(kept, image=colours, least_confidence=least_confidence, step=step)
     except LightFieldError:  # no pixel is left; colours are of the map's size
         points, colours, pixels = np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 2), np.int64)
         return Cloud(points, colours, pixels, 1.0, geometry is not None, eye, step)
@@ -95,6 +96,18 @@ def shown_cloud(
         keep = points[:, 2] <= far + _MARGIN * (far - near)
         spacing = step * float(np.median(points[keep, 2])) / geometry.focal_length_px
     return Cloud(points[keep], cloud.colors[keep], cloud.pixels[keep], spacing, cloud.metric, eye, step)
+
+
+def _cut(disparity: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Leave out pixels halfway down a step of their row or column: they lie between two surfaces."""
+    low, high = scale_limits(disparity)
+    between = np.zeros(disparity.shape, np.bool_)
+    for values, found in ((disparity, between), (disparity.T, between.T)):
+        steps = np.diff(values, axis=1)
+        for sign in (1, -1):
+            apart = sign * steps > _EDGE * (high - low)  # NaN is not
+            found[:, 1:-1] |= apart[:, 1:] & apart[:, :-1]
+    return np.where(between, np.float32(np.nan), disparity)
 
 
 def surface(cloud: Cloud, disparity: NDArray[np.float32]) -> NDArray[np.int64]:

@@ -16,8 +16,10 @@ import numpy as np
 from lfgpu.config import Config, parameters
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
+from lfgpu.data.summary import are_counted
 from lfgpu.io import MAP_FORMATS
 from lfgpu.methods import METHODS, PRESETS, nearest_preset
+from lfgpu.metrics import Metrics
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import LIVE, QUANTITIES, TRUTH, Contents, Entry
 from lfgpu.viewer.pictures import wire_type
@@ -26,6 +28,7 @@ from lfgpu.viz.colours import shades
 COLOURS = ("viridis", "cividis", "magma", "turbo", "gray", "RdBu_r", "viridis_r")
 """Colour maps of matplotlib that pages may choose."""
 
+_MOST = 50.0  # per cent of the pixels: a map of more bad ones is not shown without a word
 _SCALE_AGE = 1.0  # seconds after which the scales of a stream are measured again
 _WRITTEN = {
     ".npz": "everything: maps of all stages, confidence, parameters; for lfgpu and NumPy",
@@ -81,7 +84,8 @@ class Facts:
                     for kind, found in _scales(contents).items()
                 }
             elif not live or perf_counter() - self._measured > _SCALE_AGE:
-                self._scales, self._measured = _scales(contents), perf_counter()
+                self._scales = _scales(contents, self._scales if live else {})
+                self._measured = perf_counter()
             if self._of is None or contents.lf is not self._of.lf:
                 self._views += 1
             self._contents, self._of = _facts(contents), contents
@@ -171,7 +175,9 @@ def _light_field(lf: LightField) -> dict[str, Any]:
         "grid": lf.grid_shape,
         "row": lf.row().tolist(),
         "column": lf.column().tolist(),
-        "notes": [*(f"{label.capitalize()}: {sentence}." for label, sentence in lf.reading.lines()), *lf.notes],
+        "counted": are_counted(lf.positions),
+        "read": [f"{label.capitalize()}: {sentence}." for label, sentence in lf.reading.lines()],
+        "findings": list(lf.notes),
         "aperture": float(np.hypot(*lf.offsets.T).max()),
     }
 
@@ -181,7 +187,7 @@ def _result(contents: Contents, name: str, entry: Entry) -> dict[str, Any]:
     about = ""
     if result is not None:
         run = f"{_preset(result.config)}; {result.backend} on {result.device}{_took(result)}. {result.status}"
-        about = " ".join([run, *result.notes, *result.remarks])
+        about = run if result.converged else f"{run} Not converged: more iterations may improve the map."
     return {
         "name": name,
         "isTruth": name == TRUTH and name not in contents.entries,
@@ -190,6 +196,7 @@ def _result(contents: Contents, name: str, entry: Entry) -> dict[str, Any]:
         "identity": entry.serial,
         "earlier": entry.frame is not None and entry.frame != contents.frame and name != TRUTH,
         "about": about,
+        "findings": _findings(entry, scores),
         "scores": None
         if scores is None
         else {
@@ -200,6 +207,19 @@ def _result(contents: Contents, name: str, entry: Entry) -> dict[str, Any]:
             "q25": _number(scores.q25),
         },
     }
+
+
+def _findings(entry: Entry, scores: Metrics | None) -> list[str]:
+    """Say what may be wrong with a map: what its estimate found, and that most of its pixels are bad."""
+    found = [] if entry.result is None else [*entry.result.remarks, *entry.result.notes]
+    known = np.isfinite(entry.disparity)
+    if scores is not None and scores.badpix_07 > _MOST:
+        found.append(f"{scores.badpix_07:.0f} % of the map is more than 0.07 px off the ground truth.")
+    elif scores is None and entry.confidence is not None and known.any():
+        unsure = 100 * float((entry.confidence[known] < 0.5).mean())
+        if unsure > _MOST:
+            found.append(f"The confidence is below 0.5 at {unsure:.0f} % of the map.")
+    return found
 
 
 def _preset(config: Config) -> str:
@@ -213,13 +233,17 @@ def _took(result: DepthResult) -> str:
     return "" if total is None else f", {max(total - result.timings.get('compile', 0.0), 0.0):.2g} s"
 
 
-def _scales(contents: Contents) -> dict[str, Any]:
-    """Return the ends of the common scale of each quantity that there is, and its smallest and largest value."""
+def _scales(contents: Contents, before: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the ends of the common scale of each quantity that there is, and its smallest and largest value.
+
+    Scales of a stream hold those `before` as well: a colour keeps its meaning from frame to frame.
+    """
     found = {}
     for kind in QUANTITIES:
         extent = contents.extent(kind)
         if extent is not None:
-            found[kind] = {"limits": contents.limits(kind), "extent": extent}
+            ends = [contents.limits(kind), *([before[kind]["limits"]] if before and kind in before else [])]
+            found[kind] = {"limits": (min(low for low, _ in ends), max(high for _, high in ends)), "extent": extent}
     return found
 
 

@@ -5,6 +5,7 @@ once.
 from __future__ import annotations
 
 import errno
+import importlib.util
 import secrets
 import socket
 
@@ -16,6 +17,15 @@ HOST = "127.0.0.1"
 _PORTS = 1000  # that are tried if the first one is taken
 _LAST = 65535
 _WAITING = 128  # connections that wait until they are answered
+
+
+def check_installed() -> None:
+    """Raise LightFieldError if what the viewer needs is not installed."""
+    missing = [name for name in ("tornado", "viser") if importlib.util.find_spec(name) is None]
+    if missing:
+        from lfgpu.io.extras import how_to_install
+
+        raise LightFieldError(f"the viewer needs {' and '.join(missing)}; {how_to_install('viewer')}.")
 
 
 class Place:

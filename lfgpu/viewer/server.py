@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import threading
 from collections.abc import Sequence
@@ -11,13 +10,9 @@ from typing import Any
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.errors import LightFieldError
-from lfgpu.io.extras import how_to_install
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.late import import_all
-from lfgpu.viewer.place import Place
-
-_NEEDED = ("tornado", "viser")
+from lfgpu.viewer.place import Place, check_installed
 
 
 class Viewer(Board):
@@ -56,9 +51,7 @@ class Viewer(Board):
         port: int | Place = 8080,
         allow_open: bool = False,
     ) -> None:
-        missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
-        if missing:
-            raise LightFieldError(f"the viewer needs {' and '.join(missing)}; {how_to_install('viewer')}.")
+        check_installed()
         from lfgpu.viewer.web import Server
 
         super().__init__(allow_open=allow_open)

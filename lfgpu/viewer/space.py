@@ -20,6 +20,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud, surface
 from lfgpu.viewer.contents import QUANTITIES, Contents
+from lfgpu.viewer.glb import surface_glb
 from lfgpu.viewer.place import HOST
 from lfgpu.viewer.scene import Scene
 from lfgpu.viz.colours import LOOKS, painted
@@ -187,9 +188,8 @@ class Space:
         cloud = self._cloud = shown_cloud(values, colours, least_confidence=scene.least, **options)
         scenery.remove_by_name("/cloud" if scene.mesh else "/surface")
         if scene.mesh and len(cloud.points):
-            scenery.add_mesh_trimesh(
-                "/surface", _mesh(cloud, values.disparity), cast_shadow=False, receive_shadow=False
-            )
+            mesh = surface_glb(cloud.points, surface(cloud, values.disparity), cloud.colours)
+            scenery.add_glb("/surface", mesh, cast_shadow=False, receive_shadow=False)
         else:
             scenery.add_point_cloud(
                 "/cloud",
@@ -340,13 +340,6 @@ def _painted(scene: Scene, contents: Contents) -> NDArray[np.uint8]:
         assert contents.size is not None
         values = np.full(contents.size, np.nan, np.float32)
     return painted(values, scene.colours, (scene.low, scene.high))
-
-
-def _mesh(cloud: Cloud, disparity: NDArray[np.float32]) -> Any:
-    import trimesh
-
-    colours = np.concatenate([cloud.colours, np.full((len(cloud.colours), 1), 255, np.uint8)], axis=1)
-    return trimesh.Trimesh(cloud.points, surface(cloud, disparity), vertex_colors=colours, process=False)
 
 
 def _refuse_to_share(*_: object, **__: object) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data.summary import view_at
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.viz.cards import Card, drawn_card, map_card, view_card
 from lfgpu.viz.pages import rendered
@@ -40,13 +41,12 @@ def light_field_html(lf: LightField) -> str:
         cards.append(drawn_card(f"EPI of row {y}", epi_of_row(lf, y, wide=_WIDE)))
     if len(lf.column()) > 1:
         cards.append(drawn_card(f"EPI of column {x}", epi_of_column(lf, x, wide=_WIDE)))
-    u, v = lf.positions[lf.reference_index]
     grid = "not in a grid" if lf.grid_shape is None else f"in a grid of {lf.grid_shape[0]} × {lf.grid_shape[1]}"
     truth = "none" if lf.truth is None else "known" if lf.reference_truth() is not None else "of another view"
     rows = [
         ("views", f"{len(lf.views)}, {grid}"),
         ("size", f"{width} × {height} px, {'grey' if lf.channels == 1 else 'colour'}, {lf.views.dtype}"),
-        ("reference", f"row {v:g}, column {u:g}"),
+        ("reference", view_at(lf.positions[lf.reference_index], lf.positions)),
         ("depth in metres", "yes" if lf.geometry is not None else "no, because the cameras are unknown"),
         ("ground truth", truth),
         *(("note", note) for note in lf.notes),

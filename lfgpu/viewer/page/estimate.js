@@ -1,6 +1,6 @@
 // The form for estimates: only the parameters of the method that is chosen, and what was typed counts.
 
-import { $, element, orTell } from "./elements.js";
+import { $, element, orTell, tell } from "./elements.js";
 import { act } from "./server.js";
 
 export class Estimate {
@@ -78,6 +78,9 @@ export class Estimate {
     $("stop").hidden = $("progress").hidden = !busy;
     $("progress").value = share;
     $("progress-text").textContent = text;
+    $("progress-text").title = text;
     $("progress-text").classList.toggle("bad", failed);
+    if (failed && text !== this.said) tell(text);
+    this.said = text;
   }
 }

@@ -12,11 +12,12 @@ export class Histogram {
   #found = null;
   #wanted = null;
 
-  constructor(canvas) {
+  constructor(canvas, arrived) {
     this.canvas = canvas;
     this.ask = newest((wanted) => array("histogram", wanted.query), ({ data }, wanted) => {
       this.#found = { data, wanted };
       this.draw();
+      arrived();
     });
     new ResizeObserver(() => this.#want()).observe(canvas);
   }
@@ -25,6 +26,11 @@ export class Histogram {
   show(wanted) {
     this.#wanted = wanted;
     this.#want();
+  }
+
+  /** Whether its bars are those of the map that is shown, or nobody sees them. */
+  get isComplete() {
+    return !this.#wanted || !this.canvas.offsetParent || this.#found?.wanted.key === this.#wanted.key;
   }
 
   #want() {

@@ -29,7 +29,7 @@ const ui = new Store({
   quantity: "disparity", result: NOTHING, stage: FINAL, other: NOTHING, compare: "wipe", flipped: false,
   colourMaps: {}, ranges: {}, // of each quantity, where they were changed
   exposure: 0, gamma: 1, left: "view", right: "map", focus: 0, aperture: 0,
-  mesh: false, paint: PICTURE, metric: true, least: 0, size: 1.3, background: "page", cameras: false,
+  mesh: false, paint: PICTURE, metric: true, least: 0.5, size: 1.3, background: "page", cameras: false,
 });
 
 // --- what is shown ---
@@ -116,7 +116,7 @@ const epis = [
   new Epi($("epi-row"), "row", view, epiState, (index, x) => choose(x, ui.pixel[1], index, 1)),
   new Epi($("epi-column"), "column", view, epiState, (index, y) => choose(ui.pixel[0], y, index, 0)),
 ];
-const histogram = new Histogram($("histogram"));
+const histogram = new Histogram($("histogram"), () => takeLater());
 const film = new Film(() => state, () => [view, map, otherMap].every((one) => one.isComplete));
 const thumbnails = new Thumbnails($("thumbnails"), () => ({ lf: lf(), current: ui.view, look: look() }), (index) => ui.set({ view: index, left: "view" }));
 
@@ -136,8 +136,8 @@ async function choose(x, y, index, keep = -1) {
   });
 }
 
-const askHover = newest((query) => values("at", query), (found, { pane, shown }) => {
-  if (ui.hover?.pane === pane) ui.set({ hover: { pane, shown, ...found } });
+const askHover = newest((query) => values("at", query), (found, query) => {
+  if (ui.hover?.pane === query.pane) ui.set({ hover: { ...query, ...found } });
 });
 
 function point(pane, x, y) {
@@ -147,7 +147,11 @@ function point(pane, x, y) {
   return askHover({ ...here(x, y, index), pane, shown: [x, y] });
 }
 
-const askFound = newest((query) => values("at", query), (found) => ui.set({ found }));
+/** What the readout, the histogram and the pictures say is of this state. */
+const isToldOf = ({ revision }) => (!ui.pixel || ui.found?.of === revision)
+  && [view, map, otherMap, histogram].every((one) => one.isComplete);
+
+const askFound = newest((query) => values("at", query), (found, { of }) => ui.set({ found: { ...found, of } }));
 
 function findPixel() {
   if (!state?.size || !ui.pixel) return;
@@ -215,10 +219,10 @@ function showLeft() {
   else title.replaceChildren(...viewName());
 }
 
-/** Where the camera of the view stands, and how far that is to the right of and below the reference camera. */
+/** Which view it is, and how far its camera is to the right of and below the reference camera. */
 function viewName() {
-  const { positions, offsets, reference } = lf(), [u, v] = positions[ui.view], [du, dv] = offsets[ui.view];
-  const place = element("b", { textContent: `Row ${short(v)}, column ${short(u)}` });
+  const { positions, offsets, reference, counted } = lf(), [u, v] = positions[ui.view], [du, dv] = offsets[ui.view];
+  const place = element("b", { textContent: counted ? `Row ${v}, column ${u}` : `View ${ui.view}` });
   return [place, ui.view === reference ? ", reference" : ` (${signed(du)}, ${signed(dv)})`];
 }
 
@@ -276,6 +280,7 @@ function showMaps() {
     else if (one.earlier) $("right-title").append("; of another frame");
   }
   $("right-title").title = hint;
+  space.note(one ? "" : `No map yet: press Estimate${phone.matches ? " in Settings" : ""}.`);
   showHistogram();
   const { colours, low, high } = scale();
   drawScale($("colour-bar"), first || second ? scale() : { low: 0, high: 0 });
@@ -373,6 +378,7 @@ function showReadout() {
     if (inView) said.push(part("in the view", `${at.shown[0]}, ${at.shown[1]}`, ""));
     const pixel = at.pixel ? `${at.pixel[0]}, ${at.pixel[1]}` : "not in the map";
     said.push(part(at.pane ? (inView ? "in the reference" : "x, y") : "chosen x, y", pixel, ""));
+    if (entry(ui.result)?.isTruth) said.push(part("of the", named(ui.result), ""));
     for (const [kind, value] of Object.entries(at.values)) {
       const { label, unit } = fixed.quantities[kind];
       const other = at.other[kind];
@@ -405,6 +411,7 @@ ui.on("found view left", () => {
 });
 ui.on("quantity result stage other compare flipped colourMaps ranges right mesh paint", showMaps);
 ui.on("quantity result stage other compare metric paint", showChoices);
+ui.on("result", showFindings);
 ui.on("exposure gamma least size", showSliders);
 ui.on("right", showParts);
 ui.on("hover found other quantity", showReadout);
@@ -420,7 +427,7 @@ let later = null, takenAt = 0;
 /** Take the state of the server, a stream's when what is shown of the last one is there: else nothing would ever be. */
 function take(next) {
   const isStream = state && next.revision !== state.revision && next.results.some(({ name }) => name === fixed.live);
-  if (isStream && performance.now() - takenAt < PATIENCE && ![view, map, otherMap].every((one) => one.isComplete)) {
+  if (isStream && performance.now() - takenAt < PATIENCE && !isToldOf(state)) {
     if (!later) setTimeout(takeLater, PATIENCE);
     later = next;
     return;
@@ -434,6 +441,7 @@ function take(next) {
 function takeLater() {
   if (later) take(later);
 }
+ui.on("found", takeLater);
 
 function takeNow(next) {
   const before = state;
@@ -456,6 +464,7 @@ function takeNow(next) {
   document.querySelector("main").classList.toggle("maps-only", !lf());
   document.querySelector("nav [data-value=view]").disabled = !lf();
   if (!lf() && document.body.dataset.show === "view") showPart("map");
+  showFindings();
   showLoading(); // these first: the pictures get the room that the rest leaves
   showStream();
   film.show();
@@ -469,6 +478,7 @@ function takeNow(next) {
     showEpis();
     showMaps();
     findPixel();
+    if (ui.hover?.shown) point(ui.hover.pane, ...ui.hover.shown);
   }
   estimate.progress(state.progress, Boolean(lf()));
   space.refresh();
@@ -506,6 +516,18 @@ function chosenMaps(before, other) {
   if (!entry(result)?.stages.includes(stage)) stage = FINAL;
   if (result && !entry(result).kinds.includes(quantity)) quantity = "disparity";
   return { result, stage, other: beside, quantity };
+}
+
+/** What may be wrong with what is shown, and what to do about it; commands stand between backquotes. */
+function showFindings() {
+  const said = [...(lf()?.findings ?? []), ...(entry(ui.result)?.findings ?? [])], box = $("findings");
+  const words = (text) => text.split("`").map((part, k) => (k % 2 ? element("code", { textContent: part }) : part));
+  box.hidden = !said.length;
+  box.firstElementChild.replaceChildren(said.length === 1 ? "1 finding" : `${said.length} findings`);
+  box.lastElementChild.replaceChildren(...said.map((text) => element("li", {}, ...words(text))));
+  const read = lf()?.read ?? [];
+  $("read").hidden = !read.length;
+  $("read").replaceChildren($("read").firstElementChild, ...read.map((textContent) => element("p", { textContent, className: "muted" })));
 }
 
 let loadingSince = 0;
@@ -612,9 +634,18 @@ const middle = () => {
   return [canvas.width / 2, canvas.height / 2];
 };
 
-document.addEventListener("keydown", (event) => {
+// Who chose with a pointer goes on with the keys of the page; who came by the keyboard keeps those of the field.
+let isPointing = false;
+document.addEventListener("pointerdown", () => (isPointing = true), true);
+document.addEventListener("change", ({ target }) => isPointing && target.matches(CHOICES) && target.blur());
+const CHOICES = "select, [type=checkbox], [type=range]";
+
+function pressed(event) {
+  const field = event.target.closest?.("input, select, textarea"), isChosen = isPointing && field?.matches(CHOICES);
+  isPointing = false;
   if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
-  if (event.target.closest("input, select, textarea")) return;
+  if (isChosen) field.blur();
+  else if (field) return;
   const arrow = ARROWS[event.key], number = Number(event.key);
   if (arrow && state?.size) {
     event.preventDefault();
@@ -628,7 +659,8 @@ document.addEventListener("keydown", (event) => {
     event.preventDefault();
     KEYS[event.key.toLowerCase()]();
   }
-});
+}
+document.addEventListener("keydown", pressed);
 $("open-help").onclick = () => $("help").showModal();
 
 function placeThumbnails() {
@@ -677,7 +709,7 @@ const send = connect((words) => {
   $("gone").hidden = isThere;
   document.body.classList.toggle("gone", !isThere);
 });
-const space = new Space(send, scene);
+const space = new Space(send, scene, pressed);
 ui.on("right result stage metric paint exposure gamma least size mesh cameras background pixel colourMaps ranges", () => space.refresh());
 showParts();
 showSliders();

@@ -12,10 +12,11 @@ export class Space {
   #asked = "";
   #timer = 0;
 
-  /** @param send  what sends words to the server;  @param scene  () => what is wanted, null for nothing */
-  constructor(send, scene) {
+  /** @param send  what sends words to the server;  @param scene  () => what is wanted, null for nothing;
+   *  @param pressed  called with each key that is pressed in the frame */
+  constructor(send, scene, pressed) {
     this.#send = send;
-    this.scene = scene;
+    Object.assign(this, { scene, pressed });
   }
 
   /** The server knows this tab by a new name: what it had in space is gone. */
@@ -44,6 +45,14 @@ export class Space {
     }, 50);
   }
 
+  /** Say something in place of the scene, or nothing. */
+  note(text) {
+    this.noted = text;
+    $("space-note").textContent = text || "Starting 3D …";
+    $("space-note").hidden = !text && Boolean(this.#frame?.dataset.drawn);
+    $("space-frame").classList.toggle("empty", Boolean(text));
+  }
+
   startOver() {
     this.#send({ startOver: true });
   }
@@ -55,7 +64,12 @@ export class Space {
     this.#frame = element("iframe", { src: `space/${this.#tab}/${dark}`, title: "Points in space" });
     this.#frame.onload = () => {
       this.#frame.contentDocument?.head.append(element("style", { textContent: BARE }));
-      $("space-note").hidden = true;
+      this.#frame.contentWindow.addEventListener("keydown", (event) => { // before viser, whose keys walk through the scene
+        event.stopImmediatePropagation();
+        this.pressed(event);
+      }, true);
+      this.#frame.dataset.drawn = "true";
+      this.note(this.noted);
     };
     $("space-frame").append(this.#frame);
   }
