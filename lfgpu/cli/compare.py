@@ -208,14 +208,14 @@ def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
 
 
 def _map(file: Path, lf: LightField) -> NDArray[np.float32]:
+    from lfgpu.data.summary import view_at
     from lfgpu.io import load, one_map
-    from lfgpu.reports.facts import place
 
     assert lf.truth is not None  # the caller looked
     result = one_map(load(file), lf.truth.position)
     if result.position is not None and result.position != lf.truth.position:
         raise LightFieldError(
-            f"{file} belongs to the view at {place(*result.position)}, but the ground truth of {lf.name} belongs to "
-            f"the view at {place(*lf.truth.position)}; give a result of that view."
+            f"{file} belongs to the view at {view_at(result.position)}, but the ground truth of {lf.name} belongs to "
+            f"the view at {view_at(lf.truth.position)}; give a result of that view."
         )
     return result.disparity

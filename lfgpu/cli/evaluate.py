@@ -183,8 +183,8 @@ def _check_exists(path: Path) -> None:
 def _truth(path: Path, position: tuple[float, float] | None) -> GroundTruth:
     """Read the ground truth in a map or a light field. It must belong to the view at `position` (u, v), if known."""
     from lfgpu.data.lightfield import GroundTruth
+    from lfgpu.data.summary import view_at
     from lfgpu.io import read, read_map
-    from lfgpu.reports.facts import place
 
     _check_exists(path)
     if not path.is_dir():
@@ -194,7 +194,7 @@ def _truth(path: Path, position: tuple[float, float] | None) -> GroundTruth:
         raise LightFieldError(f"{path} holds no ground truth; give a map of it, or another light field.")
     if position is not None and known.position != position:
         raise LightFieldError(
-            f"the ground truth in {path} belongs to the view at {place(*known.position)}, but the result belongs to "
-            f"the view at {place(*position)}; give a result of that view."
+            f"the ground truth in {path} belongs to the view at {view_at(known.position)}, but the result belongs to "
+            f"the view at {view_at(position)}; give a result of that view."
         )
     return known
