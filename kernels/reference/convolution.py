@@ -20,8 +20,7 @@ class Convolution:
     def __call__(self, volume: Array, added: Array | None, volume_out: Array, *, at: int = 0) -> None:
         size = [-(-length // stride) for length, stride in zip(volume.shape, self._strides, strict=False)]
         sums = np.zeros((*size, 1)) + self._bias
-        taps = self._weights.reshape(-1, *self._weights.shape[3:])
-        for weights, shifted in zip(taps, self._shifted(volume), strict=True):
+        for weights, shifted in self._taps(volume):
             sums += shifted @ weights
         if added is not None:
             for axis in range(3):
@@ -29,13 +28,13 @@ class Convolution:
             sums += added
         volume_out[at : at + size[0]] = np.maximum(sums, 0) if self._rectified else sums
 
-    def _shifted(self, volume: Array) -> Iterator[Array]:
-        """Yield what each of the weights is for, [l, y, x, c_in]."""
+    def _taps(self, volume: Array) -> Iterator[tuple[Array, Array]]:
+        """Yield weights [c_in, c_out] and what they are for, [l, y, x, c_in]."""
         sizes = self._weights.shape[:3]
         padded = np.pad(volume, [*((size // 2, size // 2) for size in sizes), (0, 0)])
         for tap in np.ndindex(sizes):
             lengths = zip(tap, volume.shape, self._strides, strict=False)
-            yield padded[tuple(slice(begin, begin + length, stride) for begin, length, stride in lengths)]
+            yield self._weights[tap], padded[tuple(slice(k, k + length, stride) for k, length, stride in lengths)]
 
 
 def convolution(

@@ -12,10 +12,10 @@ Array = NDArray[np.float64]
 
 def folded(image: Array, folded_out: Array) -> None:
     """Fold an image [y, x, c] into [y', x', FOLD^2 c]."""
-    height, width, _ = folded_out.shape
+    height, width, channels = folded_out.shape
     more = [(0, FOLD * side - there) for side, there in zip((height, width), image.shape, strict=False)]
-    whole = np.pad(image, [*more, (0, 0)], mode="edge").reshape(height, FOLD, width, FOLD, -1)
-    folded_out[:] = whole.transpose(0, 2, 4, 1, 3).reshape(height, width, -1)
+    whole = np.pad(image, [*more, (0, 0)], mode="edge").reshape(height, FOLD, width, FOLD, image.shape[2])
+    folded_out[:] = whole.transpose(0, 2, 4, 1, 3).reshape(height, width, channels)
 
 
 def growth(difference: Array) -> Array:

@@ -13,7 +13,7 @@ _TOGETHER = 4  # channels of the output that a thread computes
 
 
 @once
-def _kernel(stored: Any, adds: bool, rectified: bool) -> Any:
+def _kernel(stored: Any, result: Any, adds: bool, rectified: bool) -> Any:
     volumes = flat(stored)
 
     @ti.kernel
@@ -37,7 +37,7 @@ def _kernel(stored: Any, adds: bool, rectified: bool) -> Any:
         more_rows: int,
         more_columns: int,
         at: int,
-        volume_out: volumes,
+        volume_out: flat(result),
     ):
         slices = (labels + stride_l - 1) // stride_l
         rows = (height + stride_y - 1) // stride_y
@@ -69,7 +69,7 @@ def _kernel(stored: Any, adds: bool, rectified: bool) -> Any:
                     value += ti.cast(added[more + g], ti.f32)
                 if ti.static(rectified):
                     value = ti.max(value, 0.0)
-                volume_out[here + g] = ti.cast(value, stored)
+                volume_out[here + g] = ti.cast(value, result)
 
     return convolve_kernel
 
@@ -83,7 +83,7 @@ class _Convolution:
 
     def __call__(self, volume: DeviceArray, added: DeviceArray | None, volume_out: DeviceArray, *, at: int = 0) -> None:
         window, (inputs, outputs) = self._weights.shape[:3], self._weights.shape[3:]
-        convolve = _kernel(volume.scalar, added is not None, self._rectified)
+        convolve = _kernel(volume.scalar, volume_out.scalar, added is not None, self._rectified)
         more = volume if added is None else added
         arrays = volume.values, self._weights.values, self._bias.values, more.values
         sizes = *volume.shape, inputs, outputs, *window, *self._strides, *more.shape

@@ -17,15 +17,22 @@ _Strides = tuple[int, int, int]
 
 
 @once
-def _rows_kernel(shape: tuple[int, ...], strides: _Strides, rectified: bool, stored: Any) -> Any:
+def _rows_kernel(shape: tuple[int, ...], strides: _Strides, rectified: bool, stored: Any, result: Any) -> Any:
     """Return the kernel for weights of a shape [l, y, x, c_in, c_out]."""
     *_, inputs, outputs = shape
     numbers: dict[str, Any] = dict(
         zip(("KL", "KY", "KX", "CI", "CO", "SL", "SY", "SX"), (*shape, *strides), strict=True)
     )
-    numbers |= {"PADDED": _padded(outputs), "RECTIFIED": int(rectified), "STORED": c_type(stored)}
-    types = {"In": pixel_type(inputs, stored), "Out": pixel_type(outputs, stored)}
-    module = f"lfgpu_convolution_{'_'.join(map(str, (*shape, *strides)))}_{rectified:d}_{stored.__name__}"
+    numbers |= {
+        "PADDED": _padded(outputs),
+        "RECTIFIED": int(rectified),
+        "STORED": c_type(stored),
+        "RESULT": c_type(result),
+    }
+    types = {"In": pixel_type(inputs, stored), "Added": pixel_type(outputs, stored), "Out": pixel_type(outputs, result)}
+    module = (
+        f"lfgpu_convolution_{'_'.join(map(str, (*shape, *strides)))}_{rectified:d}_{stored.__name__}_{result.__name__}"
+    )
     return with_wide_vectors(kernel("convolution.h", "convolve_rows", module=module, **types, **numbers))
 
 
@@ -51,8 +58,8 @@ class _Convolution:
     def __call__(self, volume: Any, added: Any, volume_out: Any, *, at: int = 0) -> None:
         labels = -(-volume.shape[0] // self._strides[0])
         out = volume_out[at : at + labels]
-        stored = volume.dtype._wp_scalar_type_
-        convolve = _rows_kernel(self._shape, self._strides, self._rectified, stored)
+        stored, result = (array.dtype._wp_scalar_type_ for array in (volume, out))
+        convolve = _rows_kernel(self._shape, self._strides, self._rectified, stored, result)
         load(self._device, convolve)
 
         def some_rows(_: int, first: int, last: int) -> None:

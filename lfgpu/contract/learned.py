@@ -55,9 +55,9 @@ class Convolution(Protocol):
     def __call__(self, volume: Array, added: Array | None, volume_out: Array, *, at: int = 0) -> None:
         """Write slices of a volume from `at` on: sum_k w_k volume(stride p + k - size // 2) + bias + added.
 
-        Beyond its border `volume` is 0; ceil(size / stride) are the sizes of what is written. `added` is a volume whose
-        sizes divide these; each of its pixels counts for as many next to each other. Negative results are 0 if the
-        plan is `rectified`.
+        Beyond its border `volume` is 0; ceil(size / stride) are the sizes of what is written. `added` is a volume,
+        stored as `volume` is, whose sizes divide these; each of its pixels counts for as many next to each other.
+        Negative results are 0 if the plan is `rectified`.
         """
 
 

@@ -89,6 +89,10 @@ class Scratch:
         """Lend a field."""
         return self._arena.lend((tuple(shape), ""))
 
+    def image(self, shape: Sequence[int], stored: DTypeLike = np.float32) -> Array:
+        """Lend an image [..., c] that is stored in the NumPy type `stored`."""
+        return self._arena.lend((tuple(shape), np.dtype(stored).name))
+
     def fields(self, count: int, shape: Sequence[int]) -> tuple[Array, ...]:
         """Lend several fields of one shape."""
         return tuple(self.field(shape) for _ in range(count))

@@ -49,8 +49,8 @@ def convolution(desk: Desk, i: SimpleNamespace) -> Outputs:
     added = None if i.added is None else volume(i.added)
     out = {"other": -i.volume, "result": i.volume}
     for name, values in out.items():
-        target = desk.stored_out(i.before.shape, i.stored)
-        desk.kernels.upload(i.before.astype(i.stored), target)
+        target = desk.stored_out(i.before.shape, i.result)
+        desk.kernels.upload(i.before.astype(i.result), target)
         plan(volume(values), added, target, at=i.at)
         out[name] = desk.stored_values(target)
     return out

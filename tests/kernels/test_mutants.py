@@ -42,10 +42,20 @@ CHECKED_ALONE = {"control", "memory"}  # by tests/kernels/test_checks_can_fail.p
 SAME = {
     **{"alignment": 2, "boundaries": 4, "confidence": 1, "conjugate": 1, "cost_volume": 2, "lbfgs": 13, "nlm": 3},
     **{"nlm_regression": 1, "occlusion": 2, "range_search": 7, "resampling": 1, "residuals": 4, "semi_global": 2},
-    **{"smoothing": 7, "splat": 2, "structure_tensor": 2, "vector": 2, "motion": 7, "streaming": 8},
+    **{
+        "smoothing": 7,
+        "splat": 2,
+        "structure_tensor": 2,
+        "vector": 2,
+        "motion": 7,
+        "streaming": 8,
+        "sectors": 1,
+        "convolution": 1,
+    },
 }
 """By module, how many mutants compute the same: values that are overwritten before they are read, slices that end
-behind the last element, numbers beside a division that is not taken, limits that nothing comes near."""
+behind the last element, numbers beside a division that is not taken, limits that nothing comes near, signs of what
+only its size counts of, more zeros than are read."""
 
 
 def module_of(name: str) -> ModuleType:

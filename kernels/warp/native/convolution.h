@@ -8,7 +8,7 @@
 
 // Compute the rows [l, y] from `first` to before `last`; weights are [KL, KY, KX, CI, PADDED].
 void convolve_rows(
-    Array3<In> volume, Array1<float> weights, Array1<float> bias, Array3<Out> added, int first, int last,
+    Array3<In> volume, Array1<float> weights, Array1<float> bias, Array3<Added> added, int first, int last,
     Array3<Out> volume_out) {
     #pragma clang fp contract(fast)
 #ifdef __AVX512F__
@@ -25,7 +25,7 @@ void convolve_rows(
     const int rows = volume_out.shape[1], columns = volume_out.shape[2];
     const STORED* const from = (const STORED*)volume.data;
     const STORED* const more = (const STORED*)added.data;
-    STORED* const to = (STORED*)volume_out.data;
+    RESULT* const to = (RESULT*)volume_out.data;
     float patch[KL * KY][NEEDED], results[PIXELS][PARTS * LANES];
 
     for (int row = first; row < last; ++row) {
@@ -87,8 +87,8 @@ void convolve_rows(
                     const STORED* const other = more_row + (x + j) / apart * CO;
                     for (int c = 0; c < CO; ++c) result[c] += (float)other[c];
                 }
-                STORED* const out = to + ((size_t)row * columns + x + j) * CO;
-                for (int c = 0; c < CO; ++c) out[c] = (STORED)(RECTIFIED && result[c] < 0.f ? 0.f : result[c]);
+                RESULT* const out = to + ((size_t)row * columns + x + j) * CO;
+                for (int c = 0; c < CO; ++c) out[c] = (RESULT)(RECTIFIED && result[c] < 0.f ? 0.f : result[c]);
             }
         }
     }

@@ -1,0 +1,159 @@
+"""The learned network: from views to a map, with what it says of each pixel, in the operations of a backend.
+
+It is a U-Net over pixels and disparities. `lfgpu/training/network.py` has it for training; its names are those of the
+weights.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from lfgpu.contract import COSTS, FOLD, Array, Convolution, Float32Array, Scalar
+from lfgpu.data.layout import ViewLayout
+from lfgpu.errors import LightFieldError
+from lfgpu.methods.arena import Arena, Scratch
+
+_LEVELS = 5
+_STRIDES = {1: (1, 2, 2), 2: (2, 2, 2), 3: (2, 2, 2), 4: (1, 2, 2)}
+"""Of the first convolution of a level, from the level above."""
+_TOGETHER = 4  # disparities whose costs are in memory at the same time
+_GREY = 0.4  # intensity of pixels that are not valid: the mean that images are brought to
+PIXELS, DISPARITIES = 16 * FOLD, 4
+"""The network works on as many rows and columns, and on as many disparities, as are multiples of these."""
+
+Weights = Mapping[str, Float32Array]
+"""Weights [l, y, x, c_in, c_out] of each convolution as "NAME.weight", and its bias [c_out] as "NAME.bias"."""
+
+Shape = tuple[int, ...]
+
+
+def read_weights(path: str | Path) -> Weights:
+    """Read the weights of a network from a file of `lfgpu train`, .npz.
+
+    Raises
+    ------
+    LightFieldError
+        If it is no such file.
+    """
+    try:
+        with np.load(path) as file:
+            weights = {name: file[name].astype(np.float32) for name in file.files}
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise LightFieldError(f"{path} cannot be read as a file of weights (.npz): {error}.") from error
+    if not {"level0.weight", "logits.weight"} <= set(weights):
+        raise LightFieldError(f"{path} holds no weights of a network: it was not written by lfgpu train.")
+    return weights
+
+
+class Network:
+    """The network for views of one layout, with all memory allocated.
+
+    Parameters
+    ----------
+    arena
+        Where buffers come from. Those of the network hold nothing between calls.
+    weights
+        The weights.
+    layout
+        The layout of the views.
+    count
+        The number of disparities, a multiple of `DISPARITIES`.
+    stored
+        The type of volumes, float16 or float32. Default: float16 on a GPU, else float32.
+    """
+
+    def __init__(
+        self, arena: Arena, weights: Weights, layout: ViewLayout, count: int, *, stored: type | None = None
+    ) -> None:
+        assert count % DISPARITIES == 0
+        self._kernels, self._device, self._layout, self._count = arena.kernels, arena.device, layout, count
+        names = [name.removesuffix(".weight") for name in weights if name.endswith(".weight")]
+        self._layers = {name: self._layer(name, weights) for name in names}
+        self._costs_of = self._kernels.sector_costs(
+            layout.shape, self._device.field(layout.offsets), scale=layout.scale
+        )
+        self._image = arena.image("image for the network", (*layout.size, layout.channels))
+        self._factor: Scalar = self._device.scalar(1.0)
+        with arena.scratch() as scratch:
+            self._allocate(scratch, weights, stored or (np.float16 if arena.device.is_gpu else np.float32))
+
+    def _allocate(self, scratch: Scratch, weights: Weights, stored: type) -> None:
+        rows, columns = (-(-side // PIXELS) * PIXELS // FOLD for side in self._layout.size)
+        shape: Shape = self._count, rows, columns
+
+        def volume(size: Shape, channels: int) -> Array:
+            return scratch.image((*size, channels), stored)
+
+        widths = [weights[f"level{level}{'.0' if level else ''}.weight"].shape[-1] for level in range(_LEVELS)]
+        self._folded = volume((1, *shape[1:]), 4 * FOLD**2)
+        self._seen, self._shown = (volume((1, *shape[1:]), widths[0]) for _ in range(2))
+        some = _TOGETHER, *shape[1:]
+        self._costs, self._mixed = volume(some, COSTS * FOLD**2), volume(some, weights["sectors.0.bias"].size)
+        self._finest, self._levels, self._coarse = shape, list[tuple[Array, Array]](), list[Array]()
+        for level, width in enumerate(widths):
+            if level:
+                shape = tuple(length // by for length, by in zip(shape, _STRIDES[level], strict=True))
+                self._coarse.append(volume(shape, widths[level - 1]))
+            self._levels.append((volume(shape, width), volume(shape, width)))
+        self._logits = scratch.image((*self._finest, FOLD**2), np.float32)  # differences of these count
+
+    def load(self, views: Array, valid: Array | None) -> None:
+        """Take views [n, y, x, c] as stored, and their masks [n, y, x] or None."""
+        kernels, layout = self._kernels, self._layout
+        kernels.intensities(views, layout.reference, valid, scale=layout.scale, fill=_GREY, image_out=self._image)
+        kernels.brightness(self._image, factor_out=self._factor)
+        self._costs_of.load(self._image, views, valid)
+
+    def __call__(
+        self, first: Array, *, step: float, disparity_out: Array, probability_out: Array, deviation_out: Array
+    ) -> None:
+        """Find the map among the disparities first + l step, `first` [y, x], in pixels per view step.
+
+        All outputs are fields [y, x]: the disparity, the probability that it is near the truth, and the standard
+        deviation there.
+        """
+        run = self._layers
+        self._kernels.fold(self._image, self._factor, folded_out=self._folded)
+        run["image.0"](self._folded, None, self._seen)
+        run["image.2"](self._seen, None, self._shown)
+        (mixed, found), *others = self._levels
+        for label in range(0, self._count, _TOGETHER):
+            self._costs_of(first, self._factor, self._costs, step=step, label=label)
+            run["sectors.0"](self._costs, None, self._mixed)
+            run["sectors.2"](self._mixed, self._shown, mixed, at=label)
+        run["level0"](mixed, None, found)
+        for level, (between, here) in enumerate(others, 1):
+            run[f"level{level}.0"](found, None, between)
+            run[f"level{level}.1"](between, None, here)
+            found = here
+        for level in reversed(range(_LEVELS - 1)):
+            (between, here), coarse = self._levels[level], self._coarse[level]
+            run[f"merge{level}.coarse"](found, None, coarse)
+            run[f"merge{level}.fine"](here, coarse, between)
+            run[f"back{level}"](between, None, here)
+            found = here
+        run["logits"](found, None, self._logits)
+        self._kernels.peak(
+            self._logits,
+            first,
+            step=step,
+            disparity_out=disparity_out,
+            probability_out=probability_out,
+            deviation_out=deviation_out,
+        )
+
+    def _layer(self, name: str, weights: Weights) -> Convolution:
+        """Plan a convolution."""
+        level = re.fullmatch(r"level(\d)\.0", name)
+        return self._device.kernels.convolution(
+            weights[f"{name}.weight"],
+            weights[f"{name}.bias"],
+            self._device.name,
+            strides=_STRIDES[int(level[1])] if level else (1, 1, 1),
+            rectified=not name.endswith((".coarse", "image.2", "logits")),
+        )

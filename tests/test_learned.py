@@ -1,0 +1,135 @@
+"""The learned network: its backends against each other and, where PyTorch is, against PyTorch; its files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lfgpu import _backends
+from lfgpu.contract import Device
+from lfgpu.data.layout import ViewLayout
+from lfgpu.errors import LightFieldError
+from lfgpu.methods.arena import Arena
+from lfgpu.methods.matching.learned import Network, Weights, read_weights
+
+WIDTHS = 8, 16, 8, 24
+SIZE, COUNT, STEP = (45, 37), 8, 0.25
+MAPS = "disparity", "probability", "deviation"
+
+
+def random_weights(rng: np.random.Generator, widths: tuple[int, int, int, int] = WIDTHS) -> Weights:
+    """Weights of a network of these widths, as large as those of one whose training begins, and sharp logits."""
+    c0, c1, c2, c3 = widths
+    whole, pixel = (3, 3, 3), (1, 1, 1)
+    shapes = {"sectors.0": (pixel, 64, 2 * c0), "sectors.2": (pixel, 2 * c0, c0)}
+    shapes |= {"image.0": ((1, 3, 3), 16, c0), "image.2": ((1, 3, 3), c0, c0), "level0": (whole, c0, c0)}
+    for level, (above, here) in enumerate(((c0, c1), (c1, c2), (c2, c3), (c3, c3)), 1):
+        shapes |= {f"level{level}.0": (whole if level < 4 else (1, 3, 3), above, here)}
+        shapes |= {f"level{level}.1": (whole, here, here)}
+        shapes |= {f"merge{level - 1}.coarse": (pixel, here, above), f"merge{level - 1}.fine": (pixel, above, above)}
+        shapes |= {f"back{level - 1}": (whole, above, above)}
+    shapes |= {"logits": (whole, c0, 4)}
+    weights = {}
+    for name, (window, inputs, outputs) in shapes.items():
+        size = (5 if name == "logits" else 1.4) / np.sqrt(inputs * np.prod(window))
+        weights[f"{name}.weight"] = (size * rng.normal(size=(*window, inputs, outputs))).astype(np.float32)
+        weights[f"{name}.bias"] = (0.1 * rng.normal(size=outputs)).astype(np.float32)
+    return weights
+
+
+def some_views(rng: np.random.Generator) -> tuple[ViewLayout, np.ndarray]:
+    offsets = np.array([(u, v) for v in (-1, 0, 1) for u in (-1, 0, 1)], np.float64)
+    layout = ViewLayout(offsets, 4, SIZE, 3, np.dtype(np.uint8), 1 / 255)
+    blurred = rng.random((9, *SIZE, 3)).cumsum(2)
+    return layout, np.rint(255 * (blurred / blurred.max())).astype(np.uint8)
+
+
+def maps(
+    backend: str, weights: Weights, layout: ViewLayout, views: np.ndarray, first: np.ndarray, stored: type = np.float32
+) -> list[np.ndarray]:
+    kernels = _backends.load(backend)
+    device = Device(kernels, "cpu")
+    network = Network(Arena(device), weights, layout, COUNT, stored=stored)
+    outputs = [device.zeros(SIZE) for _ in MAPS]
+    for _ in range(2):  # the second call finds what the first one left in the buffers
+        network.load(device.image(views), None)
+        network(device.field(first), step=STEP, **{f"{name}_out": out for name, out in zip(MAPS, outputs, strict=True)})
+    return [kernels.numpy(output) for output in outputs]
+
+
+@pytest.mark.parametrize("backend", ["warp", "taichi"])
+@pytest.mark.parametrize(("stored", "share"), [(np.float32, 0.99), (np.float16, 0.85)])
+def test_backends_give_the_maps_of_the_reference(
+    backend: str, stored: type, share: float, rng: np.random.Generator
+) -> None:
+    pytest.importorskip(backend)
+    weights, (layout, views) = random_weights(rng), some_views(rng)
+    first = np.round(rng.uniform(-2.2, -1.8, SIZE) * 64).astype(np.float32) / 64
+    want = maps("reference", weights, layout, views, first)
+    got = maps(backend, weights, layout, views, first, stored)
+    assert np.ptp(want[0] - first) > 1
+    for name, one, other in zip(MAPS, got, want, strict=True):
+        near = np.abs(one - other) <= 1e-3
+        assert near.mean() >= share, (name, near.mean(), np.abs(one - other).max())
+
+
+def test_maps_are_those_of_pytorch(rng: np.random.Generator) -> None:
+    torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install lfgpu[train]")
+    from lfgpu.training import network as trained
+    from lfgpu.training.sectors import order_of_sectors
+    from lfgpu.training.weights import fold
+
+    torch.manual_seed(int(rng.integers(2**31)))
+    network = trained.Network(WIDTHS).eval()
+    with torch.no_grad():
+        for name, values in network.state_dict().items():
+            if name.endswith("running_var") or ("norm" in name and name.endswith("weight")):
+                values.uniform_(0.5, 2.0)
+            elif name.endswith(("running_mean", "bias")):
+                values.uniform_(-0.2, 0.2)
+        network.logits.weight *= 30
+    layout, views = some_views(rng)
+    rows, columns = 64, 64  # multiples of 32
+    more = ((0, 0), (0, rows - SIZE[0]), (0, columns - SIZE[1]), (0, 0))
+    offsets = np.delete(layout.offsets, layout.reference, 0)
+    order, starts = order_of_sectors(offsets)
+    floats = torch.tensor(views / 255.0, dtype=torch.float32)
+    reference = floats[layout.reference][None]
+    others = floats[[n for n in range(9) if n != layout.reference]][order][None]
+    scale = trained.brightness(reference)
+    from lfgpu.training.sectors import sector_costs
+
+    first, steps = torch.tensor([-2.0]), torch.tensor([STEP])
+    costs = sector_costs(
+        others * scale, reference * scale, offsets[order], starts, margin=0, first=first, steps=steps, count=COUNT
+    )
+    padded = np.pad(costs.numpy()[0].transpose(1, 2, 3, 0), more, mode="edge").transpose(3, 0, 1, 2)[None]
+    image = np.pad((reference * scale).numpy(), more, mode="edge").transpose(0, 3, 1, 2)
+    with torch.no_grad():
+        logits = network(torch.tensor(padded), torch.tensor(image))[..., : SIZE[0], : SIZE[1]]
+    want = trained.peak(logits, first, steps)[0].numpy()
+    got = maps("warp", fold(network.state_dict()), layout, views, np.full(SIZE, -2.0))[0]
+    assert np.ptp(want) > 1
+    near = np.abs(got - want) <= 1e-3
+    assert near.mean() >= 0.95, (near.mean(), np.abs(got - want).max())
+
+
+def test_what_is_no_file_of_weights_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(LightFieldError, match="cannot be read as a file of weights"):
+        read_weights(tmp_path / "none.npz")
+    (tmp_path / "text.npz").write_text("text")
+    with pytest.raises(LightFieldError, match="cannot be read as a file of weights"):
+        read_weights(tmp_path / "text.npz")
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    with pytest.raises(LightFieldError, match="holds no weights of a network"):
+        read_weights(tmp_path / "other.npz")
+
+
+def test_weights_are_read_as_they_were_written(tmp_path: Path, rng: np.random.Generator) -> None:
+    weights = random_weights(rng)
+    np.savez(tmp_path / "weights.npz", **weights)
+    read = read_weights(tmp_path / "weights.npz")
+    assert set(read) == set(weights)
+    assert all(np.array_equal(read[name], weights[name]) for name in weights)
