@@ -23,7 +23,7 @@ from lfgpu.viewer.cloud import Cloud, shown_cloud
 from lfgpu.viz import panels as frames
 from lfgpu.viz.scales import error_reach, scale_limits
 
-SCENES = ("boxes", "planes", "relief")
+SCENES = ("still_life", "planes", "relief")
 GRID, SIZE = (9, 9), (384, 512)
 OUT = Path("docs/gallery.png")
 

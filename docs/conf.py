@@ -30,8 +30,10 @@ extensions = [
     "sphinx-mathjax-offline",  # pages look right without a network
     "outside",
     "generated",
+    "typed",
 ]
-exclude_patterns = ["_ext", "gallery/README.rst", "gallery/*.py", "**/.ipynb_checkpoints"]
+templates_path = ["_templates"]
+exclude_patterns = ["_ext", "_templates", "gallery/README.rst", "gallery/*.py", "**/.ipynb_checkpoints"]
 nitpicky = False
 suppress_warnings = [
     "myst.header",  # pages that are put together from parts begin them where they will
@@ -50,9 +52,9 @@ copybutton_only_copy_prompt_lines = True
 autosummary_generate = True
 autosummary_imported_members = True
 autodoc_default_options = {"members": True, "member-order": "groupwise"}
-autodoc_typehints_format = "short"
+autodoc_typehints = "none"  # types stand in the lists of parameters (`typed`)
 python_maximum_signature_line_length = 80
-numpydoc_show_class_members = False
+numpydoc_show_class_members = False  # _templates has a table of methods
 numpydoc_xref_param_type = False
 default_role = "code"  # docstrings put names into single backquotes
 
@@ -75,6 +77,7 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "remove_config_comments": True,
     "image_scrapers": ("matplotlib",),
+    "thumbnail_size": (640, 440),
     "reset_modules": ("matplotlib",),
 }
 
@@ -84,11 +87,13 @@ html_theme = "pydata_sphinx_theme"
 html_title = "lfgpu"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_favicon = "_static/favicon.svg"
+html_search_scorer = str(DOCS / "_static" / "scorer.js")
 html_show_sourcelink = False
 html_context = {"default_mode": "auto"}
 html_sidebars = {"start": [], "changes": [], "index": []}
 html_theme_options = {
-    "logo": {"text": "lfgpu"},
+    "logo": {"text": "lfgpu", "image_light": "_static/favicon.svg", "image_dark": "_static/favicon.svg"},
     "header_links_before_dropdown": 8,
     "navbar_align": "left",
     "show_toc_level": 2,

@@ -9,6 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
+import lfgpu
 from lfgpu import scenes
 
 FOLDER = Path(__file__).parents[1] / "examples"
@@ -24,7 +25,7 @@ def example(name: str) -> ModuleType:
 
 
 def test_every_example_is_tried() -> None:
-    tried = {"first_depth_map", "own_camera_array", "live_stream", "compare_backends"}
+    tried = {"first_depth_map", "own_camera_array", "live_stream", "compare_backends", "metric_scale"}
     tried |= {"checkerboard", "opencv_cameras", "gstreamer_appsink", "ros2_node"}  # in test_camera_examples.py
     tried |= {"ring_producer"}  # in tests/io/test_ring.py
     assert {path.stem for path in FOLDER.glob("*.py")} == tried
@@ -94,3 +95,25 @@ def test_compare_backends(monkeypatch: pytest.MonkeyPatch) -> None:
     assert {"warp", "reference"} <= results.keys()
     apart = np.abs(results["warp"].disparity - results["reference"].disparity)
     assert np.quantile(apart, 0.95) < 1e-3
+
+
+def test_a_map_of_another_tool_gets_the_scale_of_the_light_field(tmp_path: Path) -> None:
+    """A map in another unit comes back to the truth, though a fifth of its sure pixels contradict the others."""
+    lf = scenes.make("boxes", grid=(5, 5), size=(64, 80))
+    assert lf.truth is not None
+    truth = lf.truth.disparity
+    other = (truth - 3.0) / 0.2
+    other[:, :16] += 9.0
+    result = lfgpu.estimate_depth(lf)
+    result.save(tmp_path / "result.npz")
+    np.save(tmp_path / "other.npy", other)
+    scaled = example("metric_scale").main(*(str(tmp_path / n) for n in ("result.npz", "other.npy", "scaled.npz")))
+    assert np.abs(scaled.disparity - truth)[:, 16:].max() < 0.05
+    read = lfgpu.load(tmp_path / "scaled.npz")
+    assert isinstance(read, lfgpu.DisparityMap)
+    assert lf.geometry is not None
+    np.testing.assert_allclose(read.depth[:, 16:], lf.geometry.depth(truth)[:, 16:], rtol=0.02)
+    with pytest.raises(ValueError, match="shape"):
+        example("metric_scale").on_scale(other[1:], result)
+    with pytest.raises(ValueError, match="no scale can be fitted"):
+        example("metric_scale").on_scale(other, result, sure=1.1)

@@ -2,7 +2,7 @@
 A map and its error
 ===================
 
-A view of the scene `boxes`, the estimated disparity, the exact truth, and their difference.
+A view of the scene `still_life`, the estimated disparity, the exact truth, and their difference.
 """
 
 import matplotlib.pyplot as plt
@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import lfgpu
 from lfgpu import scenes
 
-lf = scenes.make("boxes", grid=(7, 7), size=(144, 192))
+lf = scenes.make("still_life", grid=(7, 7), size=(144, 192))
 result = lfgpu.estimate_depth(lf)
 truth = lf.reference_truth().disparity
 scores = lfgpu.evaluate(result.disparity, truth)

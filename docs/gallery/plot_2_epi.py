@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import lfgpu
 from lfgpu import scenes
 
-lf = scenes.make("boxes", grid=(9, 9), size=(112, 160))
+lf = scenes.make("still_life", grid=(9, 9), size=(112, 160))
 result = lfgpu.estimate_depth(lf)
 
 x, y = 96, 62

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import lfgpu
 from lfgpu import scenes
 
-lf = scenes.make("boxes", grid=(9, 9), size=(144, 192), noise=0.03)
+lf = scenes.make("still_life", grid=(9, 9), size=(144, 192), noise=0.03)
 result = lfgpu.estimate_depth(lf)
 pictures = {
     "one view, noisy": lf.image(lf.reference_index),
@@ -20,8 +20,8 @@ pictures = {
     "all in focus": lfgpu.all_in_focus(lf, result),
 }
 
-figure, axes = plt.subplots(1, 4, figsize=(10, 2.2), layout="constrained")
-for axis, (title, picture) in zip(axes, pictures.items(), strict=True):
+figure, axes = plt.subplots(2, 2, figsize=(8, 6.4), layout="constrained")
+for axis, (title, picture) in zip(axes.flat, pictures.items(), strict=True):
     axis.imshow(picture)
     axis.set_title(title)
     axis.set_axis_off()

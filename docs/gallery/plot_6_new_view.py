@@ -13,7 +13,7 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu.methods import preset
 
-lf = scenes.make("boxes", grid=(7, 7), size=(112, 144))
+lf = scenes.make("still_life", grid=(7, 7), size=(112, 144))
 kept = [lf.index_of(row, column) for row in (0, 2, 4, 6) for column in (0, 2, 4, 6)]
 some = lfgpu.LightField(lf.views[kept], lf.positions[kept], name="every second view")
 

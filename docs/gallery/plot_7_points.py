@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import lfgpu
 from lfgpu import scenes
 
-lf = scenes.make("boxes", grid=(7, 7), size=(144, 192))
+lf = scenes.make("still_life", grid=(7, 7), size=(144, 192))
 result = lfgpu.estimate_depth(lf)
 cloud = lfgpu.point_cloud(result, image=lf.image(lf.reference_index))
 
