@@ -157,7 +157,7 @@ def run(chosen: Sequence[Scene], variants: Sequence[Variant], *, size: int, seed
     no part of it. The commit is not recorded: the parameters are.
     """
     records: list[Record] = []
-    begun = Run.begun()
+    begun = Run.begun("ablation")
     for scene in chosen:
         try:
             light_fields = _light_fields(scene, size, seeds, data)

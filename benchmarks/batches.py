@@ -92,7 +92,7 @@ def command(
     options += [] if disparity_range is None else [f"--disparity-range={disparity_range}"]
     pairs = [(gpus, int(each)) for each in listed(per_gpu) for gpus in wanted]
     rows = run(cases.find(case_name), preset, listed(kinds), pairs, items, options)
-    Table.of("", 3, collected(rows, out), COLUMNS).show()
+    Table.of("", 3, collected(rows, out, benchmark="batches"), COLUMNS).show()
 
 
 def run(

@@ -162,7 +162,7 @@ def command(
 ) -> None:
     """Compare the confidence with the truth; with `--fit`, weights for each scene are those of the others."""
     check_out(diagram, out)
-    about = {**machine.about(), "presets": listed(presets), "fitted": fitted}
+    about = {**machine.about("confidence"), "presets": listed(presets), "fitted": fitted}
     found = samples(folders, listed(presets))
     all_ = [*found, *own_samples(listed(presets))] if fitted else []
     weights = fit(all_) if fitted else NOW

@@ -12,11 +12,15 @@ A figure is a file, a path in it, and a format. The steps of a path are separate
 `key=pattern,key=pattern` for the one entry of a list whose values match (`*` is any text, `?` any character, so that no
 step holds a space). The format is Python's, with a factor before it where the unit differs: `1000*.1f`. A table is a
 row of `benchmarks.pages.TABLES`.
+
+A file is stale if the sources of its benchmark have changed since (`benchmarks.sources`). A page with a figure of such
+a file gets a sentence below its heading that says so.
 """
 
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -26,9 +30,9 @@ from typing import Annotated, Any
 import typer
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.machine import ROOT
-from benchmarks.pages import TABLES, content
+from benchmarks.pages import PUBLISHED, TABLES, content
 from benchmarks.results import FOLDER
+from benchmarks.sources import ROOT, is_stale
 from lfgpu.io.atomic import atomic_write
 
 PAGES = ("README.md", "CHANGELOG.md", "docs", "benchmarks")
@@ -39,6 +43,9 @@ _FIGURE = re.compile(
     r"(?P<head><!-- figure: (?P<file>\S+) (?P<path>\S+) (?P<format>\S+) -->)(?P<text>[^\n]*?)(?P<foot><!-- /figure -->)"
 )
 _ANY = re.compile(r"<!-- */?(?:figure|table)\b.*?-->")
+_NOTE = re.compile(r"<!-- stale -->\n.*?<!-- /stale -->\n\n", re.DOTALL)
+_HEADING = re.compile(r"^# .*\n\n", re.MULTILINE)
+_WIDTH = 120
 
 
 @dataclass(frozen=True)
@@ -59,8 +66,19 @@ class Mark:
 def command(
     check: Annotated[bool, typer.Option("--check", help="Write nothing; exit with 1 if a page differs.")] = False,
     list_: Annotated[bool, typer.Option("--list", help="Write nothing; print what each figure comes from.")] = False,
+    stale_: Annotated[
+        bool,
+        typer.Option("--stale", help="Write nothing; list the files whose sources have changed since; exit with 1."),
+    ] = False,
 ) -> None:
     """Write the figures of README, docs and benchmarks anew from the files in benchmarks/results."""
+    if stale_:
+        names = stale(FOLDER)
+        for name in names:
+            typer.echo(name)
+        if names:
+            raise BenchmarkError(f"{len(names)} files are older than the code that they measure: measure them again.")
+        return
     if not (check or list_):
         for page in write():
             typer.echo(f"written: {page.relative_to(ROOT)}")
@@ -78,6 +96,20 @@ def pages(root: Path = ROOT) -> list[Path]:
     places = [root / name for name in PAGES]
     found = [path for place in places for path in ([place] if place.is_file() else sorted(place.rglob("*.md")))]
     return [path for path in found if "made" not in path.parts]  # docs/made holds copies for the site
+
+
+def stale(folder: Path) -> list[str]:
+    """List the result files whose figures were measured with other sources than those that are here.
+
+    Not among them are figures of released versions, whose files are named by the version, and those that others
+    publish.
+    """
+    names = sorted(path.name for path in folder.glob("*.json"))
+    return [name for name in names if not _is_lasting(name) and is_stale(content(folder / name))]
+
+
+def _is_lasting(name: str) -> bool:
+    return name == PUBLISHED or name.startswith("accuracy-")
 
 
 def marks(page: Path, folder: Path = FOLDER) -> list[Mark]:
@@ -140,7 +172,30 @@ def _formatted(number: Any, how: str, where: str) -> str:
 
 
 def _marks(page: Path, text: str, folder: Path) -> Iterator[tuple[Mark, tuple[int, int]]]:
-    """Find every mark, and the place of its text."""
+    """Find every mark, the sentence about stale files included, and the place of its text."""
+    found = list(_figures(page, text, folder))
+    old = sorted({name for mark, _ in found for name in re.findall(r"\S+\.json", mark.source)} & set(stale(folder)))
+    note, heading = _NOTE.search(text), _HEADING.search(text)
+    place = heading.end() if heading else 0
+    if note or old:
+        first, last = note.span() if note else (place, place)
+        yield Mark(page, _line(text, first), ", ".join(old), text[first:last], _note(old)), (first, last)
+    yield from found
+
+
+def _note(names: Sequence[str]) -> str:
+    """Write the sentence of a page about its stale files, "" if there are none."""
+    if not names:
+        return ""
+    listed = ", ".join(f"`{name}`" for name in names)
+    sentence = (
+        f"*Older than the code: the figures from {listed} were measured before the last change of the code that they "
+        "are about. The page says so until they are measured again.*"
+    )
+    return f"<!-- stale -->\n{textwrap.fill(sentence, _WIDTH, break_on_hyphens=False)}\n<!-- /stale -->\n\n"
+
+
+def _figures(page: Path, text: str, folder: Path) -> Iterator[tuple[Mark, tuple[int, int]]]:
     whole = sorted([*_TABLE.finditer(text), *_FIGURE.finditer(text)], key=lambda match: match.start())
     ends = {place for match in whole for place in (match.start("head"), match.start("foot"))}
     for loose in _ANY.finditer(text):

@@ -83,7 +83,7 @@ def command(
     film = Film(case.grid, case.size, frames, period, noise)
     films = (replace(film, seed=int(seed)) for seed in listed(seeds))
     rows = (row for film in films for row in run(film, listed(presets), listed(pasts), device))
-    show(collected(rows, out, about={"film": asdict(film)}))
+    show(collected(rows, out, benchmark="flicker", about={"film": asdict(film)}))
 
 
 def run(film: Film, presets: Sequence[str], pasts: Sequence[str], device: str | None) -> Iterator[Row]:

@@ -64,7 +64,7 @@ def run(backend: str, device: str) -> Iterator[dict[str, Any]]:
     Yields after each file what was found until then: what passed, failed and was skipped, and the largest error of each
     operation. `files` are those that were run, `left` the others.
     """
-    about = {"date": datetime.now(UTC).isoformat(timespec="seconds"), **machine.about()}
+    about = {"date": datetime.now(UTC).isoformat(timespec="seconds"), **machine.about("gpu_parity")}
     errors: dict[str, float] = {}
     count, skipped, failed, start = 0, 0, list[str](), perf_counter()
     for index, file in enumerate(FILES):

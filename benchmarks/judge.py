@@ -100,7 +100,7 @@ def command(
     """Move one view in a random direction, and see whether it is found, and whether nothing is said without that."""
     check_out(out)
     plan = Plan(tuple(scene_names), draws, first, tuple(undisturbed or ()), noises, shift, crop, preset, device)
-    about = {**machine.about(), "plan": named(plan)}
+    about = {**machine.about("judge"), "plan": named(plan)}
     found: list[Draw] = []
     silences: list[Silence] = []
     for one in chain[Draw | Silence](_silences(plan), _draws(plan)):

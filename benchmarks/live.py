@@ -88,7 +88,7 @@ def command(
 ) -> None:
     """Measure frames a second, the latency from a frame on the host to its map there, and errors of warm maps."""
     plan = Plan(tuple(listed(case_names)), tuple(listed(presets)), frames, seconds, budget, device)
-    found = collected(run(plan), out)
+    found = collected(run(plan), out, benchmark="live")
     Table.of("", 3, found, COLUMNS).show()
     typer.echo(
         f"On {found[0].device}, from a uint8 frame on the host to its float32 map there; latency is the median, 95 and "

@@ -6,18 +6,17 @@ import importlib.metadata
 import os
 import platform
 import subprocess
-from pathlib import Path
 from typing import Any
 
+from benchmarks.sources import ROOT, stamp
 from lfgpu.machine import device_name
 
-ROOT = Path(__file__).parents[1]
 _PACKAGES = ("lfgpu", "warp-lang", "taichi", "numpy", "scipy")
 
 
-def about() -> dict[str, Any]:
-    """Say where a result file comes from: machine, versions, commit."""
-    return {"machine": describe(), "versions": versions(), "commit": commit()}
+def about(benchmark: str) -> dict[str, Any]:
+    """Say where a result file of a benchmark comes from: machine, versions, commit, sources."""
+    return {"machine": describe(), "versions": versions(), "commit": commit(), "sources": stamp(benchmark)}
 
 
 def describe() -> dict[str, Any]:

@@ -77,7 +77,7 @@ def command(
 ) -> None:
     """Time the search for the disparity range and the noise before an estimate, from host to host."""
     rows = run([cases.find(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
-    Table.of("", 2, collected(rows, out), COLUMNS).show()
+    Table.of("", 2, collected(rows, out, benchmark="measuring"), COLUMNS).show()
 
 
 def run(

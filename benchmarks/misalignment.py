@@ -139,7 +139,7 @@ def command(
     chosen = tuple(disturbances or DISTURBANCES)
     plan = Plan(tuple(scene_names), tuple(listed(arrays)), chosen, seeds, crop, preset, device)
     before = load(out) if append and out is not None and out.exists() else []
-    Table.of("", 3, collected(run(plan), out, before=before), COLUMNS).show()
+    Table.of("", 3, collected(run(plan), out, benchmark="misalignment", before=before), COLUMNS).show()
 
 
 def run(plan: Plan) -> Iterator[Row]:

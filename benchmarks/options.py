@@ -89,16 +89,18 @@ def collected(
     rows: Iterable[Row],
     out: Path | None,
     *,
+    benchmark: str,
     about: dict[str, Any] | None = None,
     as_json: Callable[[Any], dict[str, Any]] = asdict,
     before: Sequence[Row] = (),
 ) -> list[Row]:
     """Return all rows, and write the file anew after each of them: an interrupted run leaves what it has.
 
-    The file says where it comes from and what `about` says, and has the rows `before` these.
+    The file says which benchmark it comes from, where it was made, and what `about` says, and has the rows `before`
+    these.
     """
     check_out(out)
-    found, origin = [], {**machine.about(), **(about or {})}
+    found, origin = [], {**machine.about(benchmark), **(about or {})}
     for row in rows:
         found.append(row)
         save(out, {**origin, "rows": [as_json(one) for one in (*before, *found)]})

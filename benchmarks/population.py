@@ -92,7 +92,7 @@ def run(
     An estimate that fails is a record that says why.
     """
     records: list[Record] = []
-    begun = Run.begun()
+    begun = Run.begun("population")
     for scene, source in sources.items():
         try:
             lf = source()

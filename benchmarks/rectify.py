@@ -79,7 +79,9 @@ def command(
     """Time the rectification of raw frames on the device, by itself and as a part of a frame."""
     rows = run([cases.find(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
     about = {"rig": asdict(RIG)}
-    found = collected(rows, out, about=about, as_json=lambda row: {**asdict(row), "added_ms": row.added_ms})
+    found = collected(
+        rows, out, benchmark="rectify", about=about, as_json=lambda row: {**asdict(row), "added_ms": row.added_ms}
+    )
     Table.of("", 2, found, COLUMNS).show()
 
 

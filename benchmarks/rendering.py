@@ -49,7 +49,7 @@ def command(
 ) -> None:
     """Leave out every second row and column of views, render them from the rest, and print how near that comes."""
     rows = run(listed(scene_names), data, preset=preset, every=every)
-    typer.echo(table(collected(rows, out, about={"preset": preset, "every": every})).markdown)
+    typer.echo(table(collected(rows, out, benchmark="rendering", about={"preset": preset, "every": every})).markdown)
 
 
 def run(scenes: Sequence[str], data: Path, *, preset: str, every: int) -> Iterator[Row]:

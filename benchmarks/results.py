@@ -90,12 +90,16 @@ class Run:
     records: list[Record]
     skipped: list[Skipped]
     schema: int = SCHEMA
+    sources: dict[str, str] = field(default_factory=dict)
+    """The benchmark, and the hash of its sources (`benchmarks.sources`)."""
 
     @classmethod
-    def begun(cls, threads: int | None = None) -> Run:
-        """Begin a run without records on this machine, with so many threads of the CPU."""
+    def begun(cls, benchmark: str, threads: int | None = None) -> Run:
+        """Begin a run of a benchmark without records on this machine, with so many threads of the CPU."""
         date, threads = datetime.now(UTC).isoformat(timespec="seconds"), threads or get_threads()
-        return cls(date, **machine.about(), threads=threads, load=machine.load_average(), records=[], skipped=[])
+        return cls(
+            date, **machine.about(benchmark), threads=threads, load=machine.load_average(), records=[], skipped=[]
+        )
 
     @property
     def where(self) -> str:

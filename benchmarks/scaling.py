@@ -93,7 +93,7 @@ def command(
     names = tuple("cuda:0" if n == "cuda" else n for n in listed(devices)) or devices_here()
     chosen = tuple(cases.find(n) for n in listed(case_names))
     plan = Plan(chosen, tuple(listed(presets)), names, gpu_counts(counts, len(names)), how, seconds)
-    Table.of("", 3, collected(run(plan), out), COLUMNS).show()
+    Table.of("", 3, collected(run(plan), out, benchmark="scaling"), COLUMNS).show()
 
 
 def devices_here() -> tuple[str, ...]:

@@ -86,7 +86,7 @@ def command(
     check_out(out)
     case = cases.parse(case_name)
     plan = Plan(frames, case.grid, case.size, preset, seed, device, rectified)
-    about = {**machine.about(), "plan": asdict(plan)}
+    about = {**machine.about("soak"), "plan": asdict(plan)}
     for found in run(plan):
         save(out, {**about, **asdict(found)})  # as far as it is
     for line in found.lines():

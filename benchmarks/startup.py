@@ -13,7 +13,7 @@ from benchmarks import clock
 from benchmarks.cases import STARTUP_CASE
 from benchmarks.errors import BenchmarkError
 from benchmarks.job import Job
-from benchmarks.machine import ROOT
+from benchmarks.sources import ROOT
 from benchmarks.results import Record
 
 CACHES = ("WARP_CACHE_PATH", "TI_OFFLINE_CACHE_FILE_PATH", "CUDA_CACHE_PATH")

@@ -120,7 +120,7 @@ def measure(
 
 def run(plan: Plan) -> Run:
     """Measure everything, one process at a time."""
-    begun = Run.begun(plan.threads)
+    begun = Run.begun("suite", plan.threads)
     targets, skipped = _targets(plan)
     with tempfile.TemporaryDirectory(prefix="lfgpu-benchmarks-") as folder:
         records = list(_records(plan, targets, Path(folder)))

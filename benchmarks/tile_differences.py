@@ -39,7 +39,7 @@ SCENES = (
 
 def command(presets: Presets = "fast,accurate", out: Out = None) -> None:
     """Compare maps in 2 x 2 tiles with those in one piece, after each stage."""
-    table(collected(run(listed(presets)), out, as_json=dict)).show()
+    table(collected(run(listed(presets)), out, benchmark="tile_differences", as_json=dict)).show()
 
 
 def run(presets: Sequence[str], chosen: Sequence[Scene] = SCENES) -> Iterator[dict[str, Any]]:

@@ -16,7 +16,6 @@ from lfgpu import LightField
 from lfgpu.contract import Device, KernelSet
 from lfgpu.methods import preset
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.prior import NonLocalMeans
 from lfgpu.methods.sections import LocalConfig
 from lfgpu.methods.structure_tensor import LocalEstimator
 from lfgpu.methods.synthesis.config import SynthesisConfig
@@ -27,6 +26,10 @@ from lfgpu.methods.synthesis.propagation import Propagation
 from lfgpu.methods.synthesis.units import in_units_of, spread
 
 Array = NDArray[np.float64]
+
+SIGMA, TAU = 1.0, 0.5
+"""Scales of the structure tensor (§5), as Wanner and Goldluecke use these letters: tensors are averaged with the outer
+scale σ, and gradients are taken at the inner scale τ. Pixels, and steps between the cameras of a line."""
 
 _CUT = 1e-3  # Gaussians end where they are below this
 
@@ -73,10 +76,12 @@ def weights(image: Array, window: int, patch: int, colour: float, gradient: floa
     return w
 
 
-def prior(m: Array, w: Array) -> float:
-    """R(m) = Σ_p Σ_{q in N(p)} w_pq (m_p - m_q)²."""
+def prior(m: Array, w: Array, local: Array | None = None, coherence: Array | None = None) -> float:
+    """R(m) = Σ_p Σ_{q in N(p)} w_pq [(m_p - m_q)² + C_p (m0_p - m_q)²]; C = 0 without a local estimate."""
     v = m.ravel()
-    return float(sum(w[p, q] * (v[p] - v[q]) ** 2 for p, q in itertools.product(range(len(v)), repeat=2)))
+    m0, c = (np.zeros_like(v) if one is None else one.ravel() for one in (local, coherence))
+    pairs = itertools.product(range(len(v)), repeat=2)
+    return float(sum(w[p, q] * ((v[p] - v[q]) ** 2 + c[p] * (m0[p] - v[q]) ** 2) for p, q in pairs))
 
 
 def propagated(local: Array, coherence: Array, w: Array) -> Array:
@@ -116,12 +121,20 @@ def predicted(image: Array, m: Array, s: float, t: float, softness: float) -> Ar
     return view
 
 
-def energy(views: Array, offsets: Array, image: Array, disparity: Array, w: Array, smoothness: float) -> float:
-    """‖L̃_m - L‖² + λ R(m), softness 0.1."""
+def energy(
+    views: Array,
+    offsets: Array,
+    image: Array,
+    disparity: Array,
+    w: Array,
+    smoothness: float,
+    local: tuple[Array, Array] | tuple[()] = (),
+) -> float:
+    """‖L̃_m - L‖² + λ R(m), softness 0.1; `local` holds m0 and C."""
     total = 0.0
     for view, (du, dv) in zip(views, offsets, strict=True):
         total += float(((predicted(image, -disparity, du, dv, 0.1) - view) ** 2).sum())
-    return total + smoothness * prior(disparity, w)
+    return total + smoothness * prior(disparity, w, *local)
 
 
 # --- the local estimate: section 5, and Wanner and Goldluecke 2012 ---
@@ -136,7 +149,7 @@ def fitted(values: Array, distances: Array, scale: float) -> tuple[Array, Array]
     return value.reshape(values.shape[1:]), slope.reshape(values.shape[1:])
 
 
-def structure(epis: Array, offsets: Array, shear: float, sigma: float, tau: float, floor: float) -> tuple[Array, Array]:
+def structure(epis: Array, offsets: Array, shear: float, floor: float) -> tuple[Array, Array]:
     """Disparity and coherence [y, x] of EPIs [u, y, x, c] that are sheared first; the border is repeated."""
     width = epis.shape[2]
     sheared = np.empty_like(epis)
@@ -157,19 +170,19 @@ def structure(epis: Array, offsets: Array, shear: float, sigma: float, tau: floa
         return np.stack(columns, axis=1)
 
     tensor, total = np.zeros((3, *epis.shape[1:3])), 0.0
-    for place in offsets[np.exp(-0.5 * (offsets / tau) ** 2) >= _CUT]:
-        value, slope = fitted(sheared, offsets - place, sigma)
-        e_x = around(value, sigma, lambda v, d: fitted(v, d, sigma)[1])
-        e_u = around(slope, sigma, lambda v, d: fitted(v, d, sigma)[0])
-        weight = float(np.exp(-0.5 * (place / tau) ** 2))
+    for place in offsets[np.exp(-0.5 * (offsets / SIGMA) ** 2) >= _CUT]:
+        value, slope = fitted(sheared, offsets - place, TAU)
+        e_x = around(value, TAU, lambda v, d: fitted(v, d, TAU)[1])
+        e_u = around(slope, TAU, lambda v, d: fitted(v, d, TAU)[0])
+        weight = float(np.exp(-0.5 * (place / SIGMA) ** 2))
         tensor += weight * np.stack([(e_x * e_x).sum(2), (e_x * e_u).sum(2), (e_u * e_u).sum(2)])
         total += weight
 
     def smoothed(v: Array, d: Array) -> Array:
-        g = np.exp(-0.5 * (d / tau) ** 2)
+        g = np.exp(-0.5 * (d / SIGMA) ** 2)
         return np.asarray(np.tensordot(g / g.sum(), v, axes=1))
 
-    xx, xu, uu = (around(part / total, tau, smoothed) for part in tensor)
+    xx, xu, uu = (around(part / total, SIGMA, smoothed) for part in tensor)
     disparity = shear + np.tan(0.5 * np.arctan2(2 * xu, xx - uu))
     return disparity, ((xx - uu) ** 2 + 4 * xu**2) / (xx + uu + floor**2) ** 2
 
@@ -183,7 +196,7 @@ def local_estimate(
     first, last = (round(bound * spacing / config.shear_step) for bound in bounds)
     for shear in (config.shear_step * k for k in range(first, last + 1)):
         steps = offsets / spacing
-        found, coherence = structure(views, steps, shear, config.inner_scale, config.outer_scale, config.gradient_floor)
+        found, coherence = structure(views, steps, shear, config.gradient_floor)
         disparity = found / spacing
         better = (abs(found - shear) <= config.shear_step) & (disparity >= low) & (disparity <= high)
         better &= coherence > best[1]
@@ -239,7 +252,7 @@ def errors(kernels: KernelSet, device: str) -> dict[str, float]:
     lf, config = small_light_field(), exact_config()
     image = lf.image(lf.reference_index).astype(np.float64)
     rng = np.random.default_rng(1)
-    disparity = rng.uniform(-0.9, 0.9, lf.size)
+    disparity, estimate = (rng.uniform(-0.9, 0.9, lf.size) for _ in range(2))
     colour, gradient = variances(image, config.prior.patch)
     w = weights(image, config.prior.window, config.prior.patch, colour, gradient)
 
@@ -256,53 +269,44 @@ def errors(kernels: KernelSet, device: str) -> dict[str, float]:
 
     coherence = np.where(rng.random(lf.size) < 0.6, rng.uniform(0.8, 1, lf.size), 0)
     fill = Propagation(lf.size, (-1.0, 1.0), plan, replace(ours.propagation, solver="cg", tolerance=1e-7))
-    fill.run(kernels.field(disparity, device), kernels.field(coherence, device))
+    fill.run(kernels.field(estimate, device), kernels.field(coherence, device))
+    local = estimate, coherence
 
     model = ForwardModel(lf.layout, ours.refinement, Device(kernels, device))
     model.load(kernels.image(lf.views, device), kernels.field(disparity, device))
-    objective = Energy(model, plan, ours.refinement.smoothness)
+    objective = Energy(model, plan, ours.refinement.smoothness, local=fill)
     slope, value = kernels.zeros(lf.size, device), kernels.scalar(0.0, device)
     objective(kernels.field(disparity, device), slope, value)
     views = np.stack([lf.image(n) for n in range(len(lf.views))]).astype(np.float64)
-    want = energy(views, lf.offsets, image, disparity, w, ours.refinement.smoothness)
+
+    def energy_at(moved: Array) -> float:
+        return energy(views, lf.offsets, image, moved, w, ours.refinement.smoothness, local)
 
     found = {
         "σ² of equation 2": max(abs(sigma_colour**2 / colour - 1), abs(sigma_gradient**2 / gradient - 1)),
         "equation 2, w": _relative(found_w, w),
-        "equation 1, R(m)": _prior_error(plan, kernels, device, disparity, w),
-        "section 5, the propagated map": _relative(kernels.numpy(fill.filled), propagated(disparity, coherence, w)),
-        "section 6, the energy": abs(kernels.number(value) / want - 1),
-        "section 6, its gradient": _gradient_error(kernels.numpy(slope), views, lf, image, disparity, w, ours),
+        "equation 1, R(m)": _prior_error(fill, kernels, device, disparity, prior(disparity, w, *local)),
+        "section 5, the propagated map": _relative(kernels.numpy(fill.filled), propagated(*local, w)),
+        "section 6, the energy": abs(kernels.number(value) / energy_at(disparity) - 1),
+        "section 6, its gradient": _gradient_error(kernels.numpy(slope), disparity, energy_at),
     }
     return {**found, **_local_errors(kernels, device)}
 
 
-def _prior_error(plan: NonLocalMeans, kernels: KernelSet, device: str, disparity: Array, w: Array) -> float:
-    laplacian, half = kernels.zeros(disparity.shape, device), kernels.scalar(0.0, device)
-    plan.half(kernels.field(disparity, device), laplacian, half)
-    return abs(2 * kernels.number(half) / prior(disparity, w) - 1)
+def _prior_error(fill: Propagation, kernels: KernelSet, device: str, disparity: Array, want: float) -> float:
+    slope, value = kernels.zeros(disparity.shape, device), kernels.scalar(0.0, device)
+    fill.energy(kernels.field(disparity, device), slope, value)
+    return abs(kernels.number(value) / want - 1)
 
 
-def _gradient_error(
-    got: NDArray[np.floating],
-    views: Array,
-    lf: LightField,
-    image: Array,
-    disparity: Array,
-    w: Array,
-    config: SynthesisConfig,
-) -> float:
+def _gradient_error(got: NDArray[np.floating], disparity: Array, energy_at: Callable[[Array], float]) -> float:
     """Against central differences of the printed energy, at some pixels."""
     step, found = 1e-5, []
     for place in ((0, 0), (3, 4), (6, 2), (2, 7)):
         moved = np.zeros_like(disparity)
         moved[place] = step
-        ends = (
-            energy(views, lf.offsets, image, disparity + sign * moved, w, config.refinement.smoothness)
-            for sign in (1, -1)
-        )
-        above, below = ends
-        found.append(abs(got[place] - (above - below) / (2 * step)))
+        slope = (energy_at(disparity + moved) - energy_at(disparity - moved)) / (2 * step)
+        found.append(abs(got[place] - slope))
     return float(max(found) / np.abs(got).max())
 
 

@@ -306,6 +306,36 @@ def test_energy_falls_and_convergence_is_said() -> None:
     assert "limit of iterations" in cut.status
 
 
+@pytest.mark.parametrize(("name", "near"), [("paper", 3e-3), ("paper-exact", 1e-3)])
+@pytest.mark.parametrize("scene", ["relief", "boxes"])
+def test_a_map_that_converged_is_near_its_minimum(name: str, near: float, scene: str) -> None:
+    """As docs/devices.md says; 95 % of the pixels of each stage."""
+    lf = scenes.make(scene, grid=(5, 5), size=(56, 64))
+    further = {
+        "propagation.solver": "cg",
+        "propagation.tolerance": 1e-7,
+        "refinement.tolerance": 1e-9,
+        "refinement.max_iterations": 1000,
+    }
+    lowest = preset(name).with_values(further)
+    found, minimum = (estimate_depth(lf, config=c, disparity_range=RANGE, device="cpu") for c in (name, lowest))
+    assert found.converged
+    for stage in ("propagate", "refine"):
+        assert difference(found.stages[stage], minimum.stages[stage]) < near, stage
+
+
+@pytest.mark.parametrize("name", ["fast", "accurate"])
+def test_matching_converges_where_there_is_a_surface(name: str) -> None:
+    result = estimate_depth(scenes.make("bars", grid=(7, 7), size=(64, 64)), config=name, device="cpu")
+    assert result.converged, result.status
+
+
+def test_a_step_that_leaves_the_matched_surface_is_no_convergence(rng: np.random.Generator) -> None:
+    noise = LightField.from_grid(rng.random((5, 5, 64, 72, 3), np.float32))
+    result = estimate_depth(noise, config="fast", disparity_range=RANGE, device="cpu")
+    assert not result.converged, result.status
+
+
 def test_no_iterations_of_refinement_leave_the_propagated_map() -> None:
     config = SynthesisConfig().with_values({"refinement.max_iterations": 0})
     result = estimate_depth(small(), disparity_range=RANGE, config=config)

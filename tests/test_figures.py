@@ -9,13 +9,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import figures, pages
+from benchmarks import figures, pages, sources
 from benchmarks.cli import app
 from benchmarks.errors import BenchmarkError
 from benchmarks.results import FOLDER
 
 CONTENT = {
     "date": "2026-01-02T03:04",
+    "sources": sources.stamp("flicker"),
     "rows": [{"name": "a b", "n": 1, "ms": 0.1234}, {"name": "a c", "n": 2, "ms": 5.0}],
 }
 MARKED = (
@@ -134,6 +135,69 @@ def test_examples_of_marks_are_none(folder: Path) -> None:
     assert figures.marks(page, folder) == []
 
 
+# --- stale files ---
+
+
+def aged(folder: Path) -> None:
+    old = {**CONTENT, "sources": {"benchmark": "flicker", "hash": "0"}}
+    (folder / "run.json").write_text(json.dumps(old), encoding="utf-8")
+
+
+def test_a_page_says_that_a_file_is_stale_until_it_is_measured_again(folder: Path) -> None:
+    page = page_of(folder, "---\ntop: 1\n---\n\n# Title\n\n" + MARKED.format("123.4"))
+    fresh = page.read_text(encoding="utf-8")
+    assert figures.write(folder, folder) == []
+    aged(folder)
+    differing = [mark for mark in figures.marks(page, folder) if mark.found != mark.wanted]
+    assert [(mark.line, mark.source) for mark in differing] == [(7, "run.json")]
+    figures.write(folder, folder)
+    top, note, rest = re.split(r"<!-- /?stale -->\n", page.read_text(encoding="utf-8"))
+    assert "Older than the code: the figures from `run.json`" in note
+    assert top + rest.removeprefix("\n") == fresh
+    assert figures.write(folder, folder) == []
+    (folder / "run.json").write_text(json.dumps(CONTENT), encoding="utf-8")
+    figures.write(folder, folder)
+    assert page.read_text(encoding="utf-8") == fresh
+
+
+def test_files_without_a_hash_are_stale_and_those_of_released_versions_and_of_others_are_not(folder: Path) -> None:
+    assert figures.stale(folder) == []
+    aged(folder)
+    for name in ("older.json", "accuracy-0.1.json", pages.PUBLISHED):
+        (folder / name).write_text('{"rows": []}', encoding="utf-8")
+    assert figures.stale(folder) == ["older.json", "run.json"]
+
+
+def test_the_hash_follows_code_and_not_comments(tmp_path: Path) -> None:
+    for place in (*sources.SOURCES["judge"], "benchmarks"):
+        (tmp_path / place).mkdir(parents=True)
+    code = tmp_path / "kernels" / "warp" / "some.py"
+    native = tmp_path / "kernels" / "warp" / "some.cuh"
+
+    def now() -> str:
+        sources.hash_of.cache_clear()
+        return sources.hash_of("judge", tmp_path)
+
+    def after(text: str, file: Path = code) -> str:
+        file.write_text(text, encoding="utf-8")
+        return now()
+
+    first = after("def f(x):\n    return 2 * x\n")
+    assert after('"""Text."""\n\n\ndef f(x):  # what\n    """Double."""\n    return (\n        2 * x)\n') == first
+    assert after("def f(x):\n    return 3 * x\n") != first
+    assert after("def f(x):\n    return 2 * x\n") == first
+    assert after("2", native) != first
+    native.unlink()
+    (tmp_path / "lfgpu" / "cameras" / "new.py").write_text("x = 1\n", encoding="utf-8")
+    assert now() != first
+
+
+def test_every_benchmark_names_sources_that_there_are() -> None:
+    for benchmark, places in sources.SOURCES.items():
+        missing = [place for place in (f"benchmarks/{benchmark}.py", *places) if not (sources.ROOT / place).exists()]
+        assert missing == [], benchmark
+
+
 # --- the command ---
 
 
@@ -146,6 +210,11 @@ def test_the_command_checks_and_lists(monkeypatch: pytest.MonkeyPatch, folder: P
     runner = CliRunner()
     assert runner.invoke(app, ["figures", "--check"]).exit_code == 0
     assert "123.4 < run.json rows/name=a?b/ms" in runner.invoke(app, ["figures", "--list"]).output
+    assert runner.invoke(app, ["figures", "--stale"]).exit_code == 0
+    aged(folder)
+    done = runner.invoke(app, ["figures", "--stale"])
+    assert (done.exit_code, done.output.splitlines()[0]) == (1, "run.json")
+    (folder / "run.json").write_text(json.dumps(CONTENT), encoding="utf-8")
     page_of(folder, MARKED.format("99"))
     done = runner.invoke(app, ["figures", "--check"])
     assert done.exit_code == 1

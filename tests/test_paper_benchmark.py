@@ -51,7 +51,7 @@ def test_the_mean_of_the_old_hci_set_is_that_of_last_stages() -> None:
         for n, e in enumerate(e for e in paper.EXPERIMENTS if e.name.endswith("-9x9x768x768"))
     ]
     run = Run("", {}, {}, "", 1, 0.0, records, [])
-    assert paper.experiments(run).rows[-1] == ("mean of the old HCI set", "`paper`", "–", "–", "3.000")
+    assert paper.experiments(run).rows[-1] == ("mean of the old HCI set", "`paper`", "–", "–", "3.000", "–")
     assert "mean" not in paper.experiments(Run("", {}, {}, "", 1, 0.0, records[1:], [])).rows[-1][0]
 
 

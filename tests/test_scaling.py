@@ -20,7 +20,7 @@ pytestmark = pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "counts"), [("processes", (2,)), ("threads", (1, 2))])
 def test_every_mode_and_count_is_measured(kind: str, counts: tuple[int, ...], tmp_path: Path) -> None:
     plan = scaling.Plan(CASES[:1], ("fast",), ("cpu", "cpu"), counts, kind, 0.1)
-    rows = collected(scaling.run(plan), tmp_path / "scaling.json")
+    rows = collected(scaling.run(plan), tmp_path / "scaling.json", benchmark="scaling")
     assert [(row.mode, row.devices) for row in rows] == [(m, n) for m in scaling.MODES for n in counts]
     for row in rows:
         assert row.rate > 0

@@ -9,13 +9,17 @@ from lfgpu.config import Section, number
 
 @dataclass(frozen=True)
 class LocalConfig(Section):
-    """Local estimate: structure tensors on epipolar plane images (paper §5, Wanner and Goldluecke 2012)."""
+    """Local estimate: structure tensors on epipolar plane images (paper §5, Wanner and Goldluecke 2012).
+
+    The paper has the values of `paper-exact`. The defaults are those of `paper`, exchanged: on `cotton` and `kitchen`
+    fewer pixels are wrong with them (docs/paper.md).
+    """
 
     inner_scale: float = number(
-        1.0, 0.4, 4.0, "standard deviation of the Gaussian derivative filter, pixels and view steps", symbol="σ"
+        1.0, 0.4, 4.0, "standard deviation of the Gaussian derivative filter, pixels and view steps", symbol="τ"
     )
     outer_scale: float = number(
-        0.5, 0.2, 4.0, "standard deviation of the Gaussian that smooths the tensor, pixels and view steps", symbol="τ"
+        0.5, 0.2, 4.0, "standard deviation of the Gaussian that smooths the tensor, pixels and view steps", symbol="σ"
     )
     shear_step: float = number(
         1.0, 0.25, 2.0, "spacing of the base disparities to which EPIs are sheared, pixels per view step"

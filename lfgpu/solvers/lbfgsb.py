@@ -16,7 +16,10 @@ _LIMIT = 1  # status of SciPy: limit of iterations
 
 
 class ScipyLbfgsb:
-    """Minimises a function of a map within bounds: the reference for `BoundedLbfgs`, with the same parameters."""
+    """Minimises a function of a map within bounds: the reference for `BoundedLbfgs`, with the same parameters.
+
+    The unknowns are the pixels times the root of their curvature, so that all of them count the same.
+    """
 
     def __init__(
         self,
@@ -40,18 +43,24 @@ class ScipyLbfgsb:
         callback: Callable[[int, float], None] | None = None,
         *,
         curvature: Array | None = None,
+        small: float | None = None,
     ) -> None:
-        """Minimise over `x`, a field [y, x], calling callback(iteration, value). `curvature` is ignored."""
+        """Minimise over `x`, a field [y, x], calling callback(iteration, value); `curvature` as for `BoundedLbfgs`.
+
+        `small` is the norm of the gradient by the unknowns at which to stop; None: the decrease of the energy tells.
+        """
         kernels = self._kernels
+        root = np.ones(self._shape) if curvature is None else np.sqrt(kernels.numpy(curvature).astype(np.float64))
 
         def value_and_gradient(values: Float64Array) -> tuple[float, Float64Array]:
-            kernels.upload(values.reshape(self._shape), x)
+            kernels.upload(values.reshape(self._shape) / root, x)
             energy(x, self._gradient, self._value)
-            return kernels.number(self._value), kernels.numpy(self._gradient).astype(np.float64).ravel()
+            return kernels.number(self._value), (kernels.numpy(self._gradient).astype(np.float64) / root).ravel()
 
-        start = np.clip(kernels.numpy(x).astype(np.float64), *self._bounds)
-        values, self._solution = self._minimum(value_and_gradient, start, callback)
-        kernels.upload(values, x)
+        bounds = Bounds(*((bound * root).ravel() for bound in self._bounds))
+        start = np.clip((kernels.numpy(x).astype(np.float64) * root).ravel(), bounds.lb, bounds.ub)
+        values, self._solution = self._minimum(value_and_gradient, start, bounds, callback, small)
+        kernels.upload(values.reshape(self._shape) / root, x)
 
     def report(self) -> Solution:
         """Report the outcome of the last minimisation."""
@@ -62,29 +71,35 @@ class ScipyLbfgsb:
         self,
         value_and_gradient: Callable[[Float64Array], tuple[float, Float64Array]],
         start: Float64Array,
+        bounds: Bounds,
         callback: Callable[[int, float], None] | None,
+        small: float | None,
     ) -> tuple[Float64Array, Solution]:
         first_value, first_gradient = value_and_gradient(start)
-        trace = [first_value]
+        trace, norm = [first_value], float(np.linalg.norm(first_gradient))
         if self._most == 0:  # SciPy would make one iteration anyway
             return start, _solution(trace, 1, flat=False, reason="no iteration was allowed")
         scale = 1.0 / (abs(first_value) or 1.0)  # some thresholds of SciPy are absolute
         known = [(scale * first_value, scale * first_gradient)]  # SciPy evaluates the start again
 
         def scaled(x: Float64Array) -> tuple[float, Float64Array]:
+            nonlocal norm
             if known:
                 return known.pop()
             value, gradient = value_and_gradient(x)
+            norm = float(np.linalg.norm(gradient))
             return scale * value, scale * gradient
 
         def after_iteration(intermediate_result: object) -> None:
             trace.append(float(intermediate_result.fun) / scale)  # type: ignore[attr-defined]
             if callback is not None:
                 callback(len(trace) - 1, trace[-1])
-            if flat():
+            if done():
                 raise StopIteration
 
-        def flat() -> bool:
+        def done() -> bool:
+            if small is not None:
+                return norm <= small
             last = trace[-PATIENCE - 1 :]
             return len(last) > PATIENCE and scale * (last[0] - last[-1]) <= PATIENCE * self._tolerance
 
@@ -92,21 +107,21 @@ class ScipyLbfgsb:
         with threadpool_limits(1, user_api="blas"):
             result = minimize(
                 scaled,
-                start.ravel(),
+                start,
                 jac=True,
                 method="L-BFGS-B",
-                bounds=Bounds(np.full(start.size, self._bounds[0]), np.full(start.size, self._bounds[1])),
+                bounds=bounds,
                 callback=after_iteration,
                 options={"maxiter": self._most, "maxfun": 10 * self._most + 10, "ftol": 0.0, "gtol": 0.0},
             )
-        converged = flat() or bool(result.success)
+        converged = done() or (small is None and bool(result.success))
         if converged:
-            reason = "the energy no longer falls"
+            reason = "the energy no longer falls" if small is None else "the gradient is small enough"
         elif result.status == _LIMIT:
             reason = "the limit of iterations is reached"
         else:
             reason = "the line search finds nothing lower"
-        return result.x.reshape(self._shape), _solution(trace, int(result.nfev), flat=converged, reason=reason)
+        return result.x, _solution(trace, int(result.nfev), flat=converged, reason=reason)
 
 
 def _solution(trace: list[float], evaluations: int, *, flat: bool, reason: str) -> Solution:

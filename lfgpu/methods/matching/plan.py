@@ -27,8 +27,6 @@ from lfgpu.methods.matching.views import are_around, chosen_views
 from lfgpu.methods.measured import Measured
 from lfgpu.solvers.solution import Solution
 
-_CONVERGED = 0.02  # pixels per view step, rms of the last step of the alignment
-
 
 class MatchingPlan:
     """Matching for light fields of one kind, with all memory allocated.
@@ -96,12 +94,16 @@ class MatchingPlan:
         return {name: self._frame.known.on_host(map_) for name, map_ in found.items()}
 
     def solution(self) -> Solution:
-        """Report the outcome of the alignment; the trace is the root mean square of each step, pixels per view step."""
-        trace = self._alignment.trace()
+        """Report the outcome of the alignment; the trace is the root mean square of each step, pixels per view step.
+
+        It has converged if its last step stays nearer to the compared disparity than halfway to the next one: a step
+        is right only near the surface that was matched.
+        """
+        trace, halfway = self._alignment.trace(), self._frame.disparities.step / 2
         return Solution(
-            converged=trace[-1] <= _CONVERGED,
-            status=f"Noise between views: {self._noise:.2g} of full intensity. The last step of the "
-            f"alignment moved pixels by {trace[-1]:.2g} px (rms).",
+            converged=trace[-1] <= halfway,
+            status=f"Noise between views: {self._noise:.2g} of full intensity. The last step of the alignment moved "
+            f"pixels by {trace[-1]:.2g} px (rms); compared disparities are {2 * halfway:.2g} px apart.",
             iterations=len(trace),
             evaluations=len(trace),
             trace=trace,

@@ -51,8 +51,9 @@ class RefinementConfig(Section):
         "as in the paper"
     )  # fmt: skip
     smooths: str = choice(
-        "change", ("change", "map"), "what the prior holds together: the change of the propagated map, so that "
-        "surfaces without texture stay as they were; or the map, as in the paper"
+        "change", ("change", "local", "map"), "what the prior holds together: the change of the propagated map, so "
+        "that surfaces without texture stay as they were; the map, which it also holds to the local estimate, as all "
+        "of equation 1 of the paper does; or the map alone"
     )  # fmt: skip
     smoothness: float = number(
         2.0, 0.0, 1e6, "weight of the prior relative to the squared error; with error=mean that is averaged over the "
@@ -114,19 +115,21 @@ class SynthesisConfig(Config):
 PRESETS = {
     "paper": SynthesisConfig(),
     "paper-exact": SynthesisConfig(
-        local=LocalConfig(gradient_floor=1e-6),
+        local=LocalConfig(inner_scale=0.5, outer_scale=1.0, gradient_floor=1e-6),
         prior=SynthesisPriorConfig(
             sigma_color=1.0, sigma_gradient=1.0, floor=0.0, over_patch="sum", gradients="patch", sigma_unit="image"
         ),
         propagation=PropagationConfig(solver="lbfgsb"),
         refinement=RefinementConfig(
             error="sum",
-            smooths="map",
-            smoothness=0.01,
+            smooths="local",
+            smoothness=100.0,
             rim="compared",
             acceptance="whole",
             detail_scale=0.0,
             solver="lbfgsb",
+            tolerance=1e-6,
+            max_iterations=300,
         ),
     ),
 }

@@ -5,12 +5,16 @@ from __future__ import annotations
 from lfgpu.contract import Array, Scalar
 from lfgpu.methods.prior import NonLocalMeans
 from lfgpu.methods.synthesis.model import ForwardModel
+from lfgpu.methods.synthesis.propagation import Propagation
 
 _EVENNESS = 0.75  # share of the mean in the curvature that the solver gets
 
 
 class Energy:
-    """E(d) = a ‖L̃_d - L‖² + λ R(d - s), with a of the model and s a map or 0 (paper §6: a = 1, s = 0).
+    """E(d) = a ‖L̃_d - L‖² + λ R(d), with a of the model (paper §6: a = 1).
+
+    R is the energy of the propagation, whose minimum the propagated map is (paper, all of eq. 1); or its first part
+    alone, Σ_p Σ_{q∈N(p)} w_pq (v_p - v_q)², of v = d - s with a map s, or of v = d.
 
     Parameters
     ----------
@@ -20,12 +24,20 @@ class Energy:
         λ, >= 0.
     start
         The map s, a field [y, x], whose change the prior holds together. None: the prior holds the map itself together.
+    local
+        The propagation whose energy is R. None: R is the first part alone.
     """
 
     def __init__(
-        self, model: ForwardModel, prior: NonLocalMeans, smoothness: float, start: Array | None = None
+        self,
+        model: ForwardModel,
+        prior: NonLocalMeans,
+        smoothness: float,
+        start: Array | None = None,
+        local: Propagation | None = None,
     ) -> None:
         self._model, self._prior, self._smoothness, self._start = model, prior, smoothness, start
+        self._local = local
         self._change = None if start is None else prior.device.zeros(model.size)
         self._laplacian = prior.device.zeros(model.size)
         self._half, self._share = (prior.device.scalar(0.0) for _ in range(2))
@@ -52,6 +64,11 @@ class Energy:
         """Compute the value and the gradient at a disparity map [y, x], pixels per view step."""
         kernels, mean = self._prior.kernels, self._model.mean
         self._model.squared_error(disparity, gradient_out, value_out)
+        if self._local is not None:
+            self._local.energy(disparity, self._laplacian, self._half)
+            kernels.axpby(mean, value_out, self._smoothness, self._half, value_out)
+            kernels.axpby(mean, gradient_out, self._smoothness, self._laplacian, gradient_out)
+            return
         smoothed = disparity
         if self._change is not None:
             kernels.axpby(1.0, disparity, -1.0, self._start, self._change)

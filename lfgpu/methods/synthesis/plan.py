@@ -77,7 +77,8 @@ class SynthesisPlan:
         """The results, fields [y, x]."""
         self._model = ForwardModel(layout, config.refinement, device)
         start = self._propagation.filled if config.refinement.smooths == "change" else None
-        self._energy = Energy(self._model, self._prior, config.refinement.smoothness, start)
+        local = self._propagation if config.refinement.smooths == "local" else None
+        self._energy = Energy(self._model, self._prior, config.refinement.smoothness, start, local)
         self._acceptance = None
         if config.refinement.acceptance == "by-pixel":
             longest, noise = config.refinement.longest_change, noise_in_units(measured)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 from lfgpu.contract import Array, Scalar
@@ -43,7 +44,8 @@ class Propagation:
         if config.solver == "lbfgsb":
             self._by_gradient = ScipyLbfgsb(shape, bounds, device, tolerance=tolerance, max_iterations=most)
         self._trust, self._target, self._workspace, self._inverse = (device.zeros(shape) for _ in range(4))
-        self._mean, self._linear_part = device.scalar(0.0), device.scalar(0.0)
+        self._mean, self._linear_part, self._constant = (device.scalar(0.0) for _ in range(3))
+        self._tolerance = tolerance
         self.trusted = device.scalar(0.0)
         """Σ C, the sum of all coherences. If it is 0, there was no estimate and the filled map is meaningless."""
         self.filled = device.zeros(shape)
@@ -60,12 +62,17 @@ class Propagation:
         k.ratio(self._mean, self.trusted, self._mean)
         k.fill(self._mean, self.filled)
         k.select(coherence, disparity, self.filled, self.filled)
-        if self._by_gradient is not None:
-            self._by_gradient.minimize(self._energy, self.filled, callback)
-            return
+        k.multiply(workspace, disparity, workspace)
+        k.dot(workspace, prior.degree, self._constant)
         k.axpby(2.0, prior.degree, 1.0, self._trust, inverse)
         k.axpby(1.0, inverse, -2.0, prior.ones, inverse)  # a pixel is not its own neighbour
         k.clamp(inverse, _LEAST_DIAGONAL, _MOST_DIAGONAL, inverse)
+        if self._by_gradient is not None:
+            k.divide(self._target, inverse, workspace)
+            k.dot(self._target, workspace, self._linear_part)
+            small = 2.0 * self._tolerance * math.sqrt(k.number(self._linear_part))  # the gradient is 2 (A m - b)
+            self._by_gradient.minimize(self.energy, self.filled, callback, curvature=inverse, small=small)
+            return
         k.divide(prior.ones, inverse, inverse)
         self._linear.solve(self._apply, self._target, inverse, self.filled, callback)
 
@@ -79,11 +86,12 @@ class Propagation:
         self._kernels.multiply(self._trust, m, self._workspace)
         self._kernels.axpby(2.0, result_out, 1.0, self._workspace, result_out)
 
-    def _energy(self, m: Array, gradient_out: Array, value_out: Scalar) -> None:
-        """mᵀ A m - 2 bᵀ m: the energy up to a constant."""
+    def energy(self, m: Array, gradient_out: Array, value_out: Scalar) -> None:
+        """Compute the energy of a map [y, x], mᵀ A m - 2 bᵀ m + Σ_p Σ_q w_pq C_p m0_p², and its gradient."""
         k = self._kernels
         self._apply(m, gradient_out)
         k.dot(m, gradient_out, value_out)
         k.dot(m, self._target, self._linear_part)
         k.axpby(1.0, value_out, -2.0, self._linear_part, value_out)
+        k.axpby(1.0, value_out, 1.0, self._constant, value_out)
         k.axpby(2.0, gradient_out, -2.0, self._target, gradient_out)
