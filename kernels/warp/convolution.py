@@ -8,36 +8,69 @@ import warp as wp
 from lfgpu.contract import Convolution, Float32Array
 
 from .memory import pixel_type, start
-from .native_code import kernel
-from .threads import c_type, in_slices, launch, load, once, with_wide_vectors
+from .native_code import c_type, kernel
+from .threads import check_size, in_slices, launch, load, once, with_wide_vectors
 
 _LANES = 16  # channels of the output that a CPU computes side by side
+_WARPS = 4  # of a block of a GPU
+_COLUMNS = 16  # of the output of a block
+_SHARED = 46 * 2**10  # bytes of a volume that a block keeps
+_SUMS = 96  # that a thread of a GPU keeps in registers
+_GROUP = 4  # channels that a thread computes where there are no tensor cores
+_AMPERE = 80  # compute capability from which on tensor cores multiply as they are asked to
 
 _Strides = tuple[int, int, int]
 
 
 @once
-def _rows_kernel(shape: tuple[int, ...], strides: _Strides, rectified: bool, stored: Any, result: Any) -> Any:
-    """Return the kernel for weights of a shape [l, y, x, c_in, c_out]."""
+def _kernel(
+    function: str, shape: tuple[int, ...], strides: _Strides, rectified: bool, stored: Any, result: Any, tiles: int = 0
+) -> Any:
+    """Return the kernel for weights of a shape [l, y, x, c_in, c_out], and `tiles` of rows on each warp of a GPU."""
     *_, inputs, outputs = shape
-    numbers: dict[str, Any] = dict(
-        zip(("KL", "KY", "KX", "CI", "CO", "SL", "SY", "SX"), (*shape, *strides), strict=True)
-    )
-    numbers |= {
-        "PADDED": _padded(outputs),
-        "RECTIFIED": int(rectified),
-        "STORED": c_type(stored),
-        "RESULT": c_type(result),
-    }
+    on_cpu = function == "convolve_rows"
+    names = "KL", "KY", "KX", "CI", "CO", "SL", "SY", "SX"
+    numbers: dict[str, Any] = dict(zip(names, (*shape, *strides), strict=True))
+    numbers |= {"PADDED": _padded(outputs), "TILES": tiles, "APART": _apart(inputs), "RECTIFIED": int(rectified)}
+    numbers |= {"STORED": c_type(stored, for_vectors=on_cpu), "RESULT": c_type(result, for_vectors=on_cpu)}
     types = {"In": pixel_type(inputs, stored), "Added": pixel_type(outputs, stored), "Out": pixel_type(outputs, result)}
-    module = (
-        f"lfgpu_convolution_{'_'.join(map(str, (*shape, *strides)))}_{rectified:d}_{stored.__name__}_{result.__name__}"
-    )
-    return with_wide_vectors(kernel("convolution.h", "convolve_rows", module=module, **types, **numbers))
+    kind = "_".join(map(str, (*shape, *strides, int(rectified), stored.__name__, result.__name__)))
+    module = f"lfgpu_{function}_{kind}"
+    if on_cpu:
+        return with_wide_vectors(kernel("convolution.h", "convolve_rows", module=module, **types, **numbers))
+    if tiles:
+        return kernel("convolution.cuh", "convolve_tiles", module=module, **types, **numbers)
+    return kernel("convolution.cuh", "convolve_voxels", module=module, **types, **numbers)
 
 
 def _padded(channels: int) -> int:
     return -(-channels // _LANES) * _LANES
+
+
+def _apart(channels: int) -> int:
+    """Return how far apart pixels of a volume lie in a block, so that eight of them are in different banks."""
+    return channels if channels // 8 % 2 else channels + 8
+
+
+def _tiles(shape: tuple[int, ...], strides: _Strides) -> int:
+    """Return the rows of each warp, as many as memory and registers have room for; 0 if there is none for any."""
+    _, high, wide, inputs, outputs = shape
+    for tiles in (4, 2, 1):
+        rows, columns = (_WARPS * tiles - 1) * strides[1] + high, (_COLUMNS - 1) * strides[2] + wide
+        if 2 * _apart(inputs) * rows * columns <= _SHARED and 4 * tiles * -(-outputs // 8) <= _SUMS:
+            return tiles
+    return 0
+
+
+def _fragments(weights: Float32Array) -> Any:
+    """Return the weights as lanes of a GPU read them: [tap, block of inputs, block of outputs, lane], pairs in a word.
+
+    Lane 4 i + j of a block has output i and the inputs 2 j and 2 j + 1.
+    """
+    *_, inputs, outputs = weights.shape
+    halves = np.pad(weights, [(0, 0)] * 4 + [(0, -outputs % 8)]).astype(np.float16)
+    blocks = halves.reshape(-1, inputs // 8, 4, 2, -(-outputs // 8), 8)
+    return np.ascontiguousarray(blocks.transpose(0, 1, 4, 5, 2, 3)).reshape(-1).view(np.uint32)
 
 
 class _Convolution:
@@ -49,23 +82,44 @@ class _Convolution:
         self._shape, self._strides, self._rectified = weights.shape, strides, rectified
         self._device = wp.get_device(device)
         more = _padded(len(bias)) - len(bias)
-        self._weights = self._kept(np.pad(weights, [(0, 0)] * 4 + [(0, more)]))
-        self._bias = self._kept(np.pad(bias, (0, more)))
-
-    def _kept(self, values: Float32Array) -> Any:
-        return wp.array(values.reshape(-1), dtype=float, device=self._device)
+        padded = np.pad(weights, [(0, 0)] * 4 + [(0, more)]).reshape(-1)
+        self._weights = wp.array(padded, dtype=float, device=self._device)
+        self._bias = wp.array(np.pad(bias, (0, more)), dtype=float, device=self._device)
+        # What is no GPU at all stands for one in tests.
+        has_tensor_cores = not self._device.is_cpu and self._device.arch not in range(1, _AMPERE)
+        self._tiles = _tiles(weights.shape, strides) if has_tensor_cores else 0
+        if self._tiles:
+            self._fragments = wp.array(_fragments(weights), dtype=wp.uint32, device=self._device)
 
     def __call__(self, volume: Any, added: Any, volume_out: Any, *, at: int = 0) -> None:
         labels = -(-volume.shape[0] // self._strides[0])
         out = volume_out[at : at + labels]
-        stored, result = (array.dtype._wp_scalar_type_ for array in (volume, out))
-        convolve = _rows_kernel(self._shape, self._strides, self._rectified, stored, result)
+        types = tuple(array.dtype._wp_scalar_type_ for array in (volume, out))
+        kind = self._shape, self._strides, self._rectified, *types
+        if not self._device.is_cpu:
+            self._on_gpu(kind, [volume, self._weights, self._bias, added], out)
+            return
+        convolve = _kernel("convolve_rows", *kind)
         load(self._device, convolve)
 
         def some_rows(_: int, first: int, last: int) -> None:
             launch(convolve, 1, [volume, self._weights, self._bias, added, first, last], [out], device="cpu")
 
         in_slices(self._device, labels * out.shape[1], some_rows)
+
+    def _on_gpu(self, kind: tuple[Any, ...], inputs: list[Any], out: Any) -> None:
+        labels, rows, columns = out.shape
+        if not self._tiles or inputs[0].dtype._wp_scalar_type_ is not wp.float16:
+            threads = out.size * self._shape[-1] // _GROUP
+            check_size(threads)
+            launch(_kernel("convolve_voxels", *kind), threads, inputs, [out], device=self._device)
+            return
+        blocks = labels * -(-rows // (_WARPS * self._tiles)) * -(-columns // _COLUMNS)
+        threads = _WARPS * 32
+        check_size(blocks * threads)
+        inputs[1] = self._fragments
+        convolve = _kernel("convolve_tiles", *kind, self._tiles)
+        launch(convolve, blocks * threads, inputs, [out], device=self._device, block_dim=threads)
 
 
 def convolution(

@@ -109,6 +109,11 @@ def _split(given: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
     return types, {name: value for name, value in given.items() if name not in types}
 
 
+def c_type(scalar: Any, *, for_vectors: bool = False) -> str:
+    """Return the C++ name of a type of Warp; that of half precision is a class, of which a CPU makes no vectors."""
+    return "_Float16" if for_vectors and scalar is wp.float16 else _SCALARS[scalar]
+
+
 def names_of(pixel: Any) -> dict[str, Any]:
     """Return the C++ names of a pixel that a GPU loads at once: its length PAD, scalars KEPT, and WORDS of its size."""
     scalar, length = pixel._wp_scalar_type_, pixel._length_

@@ -9,21 +9,49 @@ import warp as wp
 from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, SectorCosts, sectors_of
 
 from .cpu_plane_sweep import kept_type, loading_kernels
+from .gpu_plane_sweep import kept_type as gpu_kept_type
+from .gpu_plane_sweep import pack_kernel
 from .memory import pixel_type
-from .native_code import kernel
-from .threads import c_type, in_slices, launch, load, once, with_wide_vectors
+from .native_code import c_type, kernel, names_of
+from .threads import check_size, in_slices, launch, load, once, with_wide_vectors
 from .vector import dot
 
 _CHUNK = 64  # columns whose costs stay in a cache
+_NUMBERS = {"SECTORS": SECTORS, "FOLD": FOLD, "UNIT": COST_UNIT}
+_BLOCK = 128  # threads of a GPU, each with a pixel
 
 
 @once
 def _costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
-    numbers = {"CHANNELS": channels, "SECTORS": SECTORS, "FOLD": FOLD, "UNIT": COST_UNIT, "CHUNK": _CHUNK}
+    numbers: dict[str, Any] = {
+        "CHANNELS": channels,
+        "SECTORS": SECTORS,
+        "FOLD": FOLD,
+        "UNIT": COST_UNIT,
+        "CHUNK": _CHUNK,
+    }
     types = {"Kept": kept_type(stored), "Pixel": pixel_type(channels), "Costs": pixel_type(FOLD**2 * COSTS, costs)}
     module = f"lfgpu_sectors_{channels}_{stored.__name__}_{costs.__name__}"
-    found = kernel("sectors.h", "find_sector_costs", module=module, **types, **numbers, STORED=c_type(costs))
+    found = kernel(
+        "sectors.h", "find_sector_costs", module=module, **types, **numbers, STORED=c_type(costs, for_vectors=True)
+    )
     return with_wide_vectors(found)
+
+
+@once
+def _gpu_costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
+    kept = gpu_kept_type(channels, stored)
+    numbers: dict[str, Any] = {
+        "CHANNELS": channels,
+        "SECTORS": SECTORS,
+        "FOLD": FOLD,
+        "UNIT": COST_UNIT,
+        "BLOCK": _BLOCK,
+    }
+    types = {"Kept": kept, "Pixel": pixel_type(channels), "Costs": pixel_type(FOLD**2 * COSTS, costs)}
+    module = f"lfgpu_gpu_sectors_{channels}_{stored.__name__}_{costs.__name__}"
+    numbers |= {"STORED": c_type(costs), **names_of(kept)}
+    return kernel("sectors.cuh", "find_sector_costs", module=module, **types, **numbers)
 
 
 class _SectorCosts:
@@ -46,8 +74,15 @@ class _SectorCosts:
         stored = recorded.dtype._wp_scalar_type_
         if stored is not self._stored:
             self._stored = stored
-            self._views = wp.empty((n, channels, height, width), dtype=kept_type(stored), device="cpu")
+            if self._device.is_cpu:
+                self._views = wp.empty((n, channels, height, width), dtype=kept_type(stored), device="cpu")
+            else:
+                self._views = wp.empty((n, height, width), dtype=gpu_kept_type(channels, stored), device=self._device)
         self._image, self._valid = image, valid
+        if not self._device.is_cpu:
+            inputs = [recorded.flatten(), None if valid is None else valid.flatten()]
+            launch(pack_kernel(channels, stored), recorded.size, inputs, [self._views.flatten()], device=self._device)
+            return
         keep = loading_kernels(channels, stored).views
         load(self._device, keep)
 
@@ -57,12 +92,20 @@ class _SectorCosts:
         in_slices(self._device, n, some_views)
 
     def __call__(self, first: Any, factor: Any, costs_out: Any, *, step: float, label: int) -> None:
-        find = _costs_kernel(self._shape[-1], self._stored, costs_out.dtype._wp_scalar_type_)
+        kind = self._shape[-1], self._stored, costs_out.dtype._wp_scalar_type_
+        planned = [self._order, self._begins, self._offsets, first, factor, self._scale, step, label]
+        if not self._device.is_cpu:
+            labels, rows, columns = costs_out.shape
+            threads = labels * rows * -(-columns * FOLD**2 // _BLOCK) * _BLOCK
+            check_size(threads)
+            inputs = [self._views, self._image, *planned]
+            launch(_gpu_costs_kernel(*kind), threads, inputs, [costs_out], device=self._device, block_dim=_BLOCK)
+            return
+        find = _costs_kernel(*kind)
         load(self._device, find)
-        views = [self._views, self._image, self._valid, self._order, self._begins, self._offsets]
 
         def some_rows(_: int, begin: int, end: int) -> None:
-            inputs = [*views, first, factor, self._scale, step, label, begin, end]
+            inputs = [self._views, self._image, self._valid, *planned, begin, end]
             launch(find, 1, inputs, [costs_out], device="cpu")
 
         in_slices(self._device, costs_out.shape[0] * costs_out.shape[1], some_rows)

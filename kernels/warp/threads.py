@@ -170,11 +170,6 @@ def with_wide_vectors(kernel: Any) -> Any:
     return kernel
 
 
-def c_type(stored: Any) -> str:
-    """Return the name in C++ of the type that floating-point numbers are stored in, of which a CPU makes vectors."""
-    return "float" if stored is wp.float32 else "_Float16"
-
-
 @lru_cache(maxsize=1)
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="lfgpu")

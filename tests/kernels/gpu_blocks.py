@@ -117,6 +117,26 @@ _PRELUDE = """
         return votes;
     };
     static const auto __any_sync = [](unsigned mask, bool yes) { return __ballot_sync(mask, yes) != 0u; };
+    // Adds to this lane's four of 16 x 8 sums the products of matrices of half precision that all lanes have parts of:
+    // numbers (i, k) of a are in lane i % 8 * 4 + k % 8 / 2, its word i / 8 + k / 8 * 2; (k, j) of b in lane
+    // j * 4 + k % 8 / 2, word k / 8; of two in a word the even one is lower. Sums (i, j) are in lane i % 8 * 4 + j / 2.
+    static unsigned gpu_factors[2][32][32][6];
+    static const auto gpu_multiply = [](int depth, float* sums, const unsigned* a, const unsigned* b) {
+        const int warp = wp_cpu_get_thread_idx() / 32, lane = wp_cpu_get_thread_idx() % 32;
+        auto& factors = gpu_factors[gpu_turns[1 + warp] & 1][warp];
+        for (int i = 0; i < depth / 4; ++i) factors[lane][i] = a[i];
+        for (int i = 0; i < depth / 8; ++i) factors[lane][4 + i] = b[i];
+        __syncwarp();
+        auto half = [](unsigned word, int k) {
+            return (float)__builtin_bit_cast(_Float16, (unsigned short)(word >> 16 * (k % 2)));
+        };
+        for (int s = 0; s < 4; ++s) {
+            const int i = lane / 4 + s / 2 * 8, j = lane % 4 * 2 + s % 2;
+            for (int k = 0; k < depth; ++k)
+                sums[s] += half(factors[i % 8 * 4 + k % 8 / 2][i / 8 + k / 8 * 2], k)
+                    * half(factors[j * 4 + k % 8 / 2][4 + k / 8], k);
+        }
+    };
 """
 _POSTLUDE = """
     #undef __CUDA_ARCH__
@@ -125,10 +145,22 @@ _POSTLUDE = """
 """
 
 _ROOT = re.compile(r'asm\("sqrt\.approx\.ftz\.f32 %0, %1;" : "=f"\((.*?)\) : "f"\((.*)\)\);')
+_MULTIPLY = re.compile(
+    r'asm volatile\("mma\.sync\.aligned\.m16n8k(8|16)\.row\.col\.f32\.f16\.f16\.f32 [^;]*;"([^;]*)\);'
+)
+
+
+def _multiply(asm: re.Match[str]) -> str:
+    """Multiply matrices without tensor cores."""
+    sums, factors = (re.findall(rf'"{kind}"\((.*?)\)', asm[2]) for kind in (r"\+f", "r"))
+    a, b = (", ".join(some) for some in (factors[: int(asm[1]) // 4], factors[int(asm[1]) // 4 :]))
+    values = f"float s[] = {{{', '.join(sums)}}}; const unsigned a_[] = {{{a}}}, b_[] = {{{b}}};"
+    back = "".join(f"{place} = s[{k}];" for k, place in enumerate(sums))
+    return f"{{ {values} gpu_multiply({asm[1]}, s, a_, b_); {back} }}"
 
 
 def _native(code: str) -> Callable[[Callable[..., Any]], Any]:
-    code = _ROOT.sub(r"\1 = __builtin_sqrtf(\2);", code)
+    code = _MULTIPLY.sub(_multiply, _ROOT.sub(r"\1 = __builtin_sqrtf(\2);", code))
     return cast("Callable[[Callable[..., Any]], Any]", wp.func_native(_PRELUDE + code + _POSTLUDE))
 
 

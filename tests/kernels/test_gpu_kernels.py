@@ -40,6 +40,10 @@ CHOSEN = (
     r"smooth_views-(colour-uint16-masked|grey-float16-masked|one-pixel-wide|few-valid|several-tiles)",
     r"lbfgs-(memory-of-one|curved-valley|as-many|curvature-and|work-for)",
     r"(dot|conjugate_step)-",
+    r"sector_costs-(colour|grey-uint8|grey-uint16|grey-float|half|one-pixel|room|work-for)",
+    r"(brightness|fold)-(colour-uint8|grey-uint16|half-precision|room)",
+    r"convolution-(half-)?(all-around|as-it-is|pixel|an-image|a-coarse|strides|many|one-voxel|large|work-for)",
+    r"peak-",
 )
 """Of the matrix, by name."""
 

@@ -19,6 +19,7 @@ wp = pytest.importorskip("warp")
 from lfgpu.kernels.warp import (  # noqa: E402
     alignment,
     confidence,
+    convolution,
     cost_volume,
     edges,
     gpu_data_term,
@@ -27,7 +28,9 @@ from lfgpu.kernels.warp import (  # noqa: E402
     native_code,
     nlm,
     nlm_regression,
+    peak,
     range_search,
+    sectors,
     semi_global,
     smoothing,
     views,
@@ -56,8 +59,19 @@ def gpu_kernels() -> Iterator[Any]:
     yield [semi_global._step_costs_kernel(3), semi_global._path_kernel(2), semi_global._turn_kernel()]
     yield z_buffer._gpu_kernels(2)
     yield [gpu_lbfgs._products_kernel(), gpu_lbfgs._recursion_kernel(), gpu_lbfgs._combine_kernel(5)]
+    for shape, strides in (
+        ((3, 3, 3, 24, 24), (1, 1, 1)),
+        ((3, 3, 3, 40, 56), (2, 2, 2)),
+        ((1, 1, 1, 64, 48), (1, 1, 1)),
+    ):
+        kind = shape, strides, True, float16, float16
+        yield [convolution._kernel("convolve_tiles", *kind, convolution._tiles(shape, strides))]
+    yield convolution._kernel("convolve_voxels", (3, 3, 3, 24, 4), (1, 1, 1), False, float16, wp.float32)
+    yield [peak._pixel_kernel(stored) for stored in (float16, wp.float32)]
+    yield [sectors._gpu_costs_kernel(1, byte, float16), sectors._fold_kernel(3, float16)]
     yield gpu_data_term._kernels(3, float16, float16)
     for stored in (byte, wp.uint16, float16, wp.float32):
+        yield sectors._gpu_costs_kernel(3, stored, wp.float32)
         yield alignment._kernels(1 if stored is byte else 3, stored, stored, False)
         yield [gpu_plane_sweep.pack_kernel(3, stored), gpu_plane_sweep.mark_kernel(3, stored)]
         yield gpu_plane_sweep.sweep_kernel(3, stored, 2, False, True, True, 1e-4)

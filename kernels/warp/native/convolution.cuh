@@ -1,0 +1,160 @@
+// Convolutions of volumes on a GPU: by its tensor cores where volumes are in half precision, else number by number.
+//
+// Tensor cores multiply matrices that are spread over the lanes of a warp: with row = lane / 4 and pair = 2 (lane % 4),
+// 16 x 8 sums have two neighbours at (row, pair) and two at (row + 8, pair) in each lane. 16 x 16 factors a have pairs
+// at (row, pair), (row + 8, pair), (row, pair + 8) and (row + 8, pair + 8), and 16 x 8 factors b, which are weights, at
+// (pair, row) and (pair + 8, row). Rows are pixels, columns channels of the output.
+#pragma once
+#include "lfgpu.h"
+
+// Add a b for 16 channels of the volume.
+inline void add_products(float* sums, const unsigned* a, unsigned b0, unsigned b1) {
+    asm volatile("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 "
+        "{%0,%1,%2,%3}, {%4,%5,%6,%7}, {%8,%9}, {%0,%1,%2,%3};"
+        : "+f"(sums[0]), "+f"(sums[1]), "+f"(sums[2]), "+f"(sums[3])
+        : "r"(a[0]), "r"(a[1]), "r"(a[2]), "r"(a[3]), "r"(b0), "r"(b1));
+}
+
+// The same for 8 channels.
+inline void add_half_products(float* sums, const unsigned* a, unsigned b0) {
+    asm volatile("mma.sync.aligned.m16n8k8.row.col.f32.f16.f16.f32 "
+        "{%0,%1,%2,%3}, {%4,%5}, {%6}, {%0,%1,%2,%3};"
+        : "+f"(sums[0]), "+f"(sums[1]), "+f"(sums[2]), "+f"(sums[3])
+        : "r"(a[0]), "r"(a[1]), "r"(b0));
+}
+
+// Compute 16 columns and 4 TILES rows with each block of four warps; each warp has TILES of the rows.
+//
+// What they need of a slice of the volume lies in shared memory, APART numbers from pixel to pixel: eight pixels are in
+// different banks then. Weights are in the order of the lanes: [tap, block of 8 channels, block of 8 outputs, lane].
+void convolve_tiles(
+    int tid, Array3<In> volume, Array1<uint32> weights, Array1<float> bias, Array3<Added> added,
+    Array3<Out> volume_out) {
+    constexpr int ROWS = 4 * TILES, HIGH = (ROWS - 1) * SY + KY, WIDE = 15 * SX + KX;
+    constexpr int BLOCKS = CI / 8, PARTS = (CO + 7) / 8, WORDS = APART / 2;
+    alignas(16) __shared__ unsigned tile[HIGH * WIDE * WORDS];
+    const int labels = volume.shape[0], height = volume.shape[1], width = volume.shape[2];
+    const int rows = volume_out.shape[1], columns = volume_out.shape[2];
+    const int thread = tid % 128, lane = thread % 32, warp = thread / 32, row = lane / 4, pair = lane % 4;
+    const int across = (columns + 15) / 16, down = (rows + ROWS - 1) / ROWS, block = tid / 128;
+    const int l = block / (across * down), place = block - l * across * down;
+    const int top = place / across * ROWS, left = place % across * 16;
+
+    float sums[TILES][PARTS][4];
+    #pragma unroll
+    for (int j = 0; j < TILES; ++j)
+        #pragma unroll
+        for (int n = 0; n < PARTS; ++n)
+            #pragma unroll
+            for (int i = 0; i < 4; ++i) sums[j][n][i] = 0.f;
+    for (int kl = 0; kl < KL; ++kl) {
+        const int slice = l * SL + kl - KL / 2;
+        if (slice < 0 || slice >= labels) continue;
+        __syncthreads();
+        for (int i = thread; i < HIGH * WIDE * BLOCKS; i += 128) {
+            const int pixel = i / BLOCKS, part = i % BLOCKS;
+            const int y = top * SY - KY / 2 + pixel / WIDE, x = left * SX - KX / 2 + pixel % WIDE;
+            uint4 values = {0u, 0u, 0u, 0u};
+            if (y >= 0 && y < height && x >= 0 && x < width)
+                values = ((const uint4*)volume.data)[(((size_t)slice * height + y) * width + x) * BLOCKS + part];
+            *(uint4*)(tile + pixel * WORDS + part * 4) = values;
+        }
+        __syncthreads();
+        for (int ky = 0; ky < KY; ++ky) {
+            #pragma unroll
+            for (int kx = 0; kx < KX; ++kx) {
+                const unsigned* const here = tile + ((warp * TILES * SY + ky) * WIDE + row * SX + kx) * WORDS + pair;
+                const unsigned* const there = weights.data + ((kl * KY + ky) * KX + kx) * BLOCKS * PARTS * 32 + lane;
+                #pragma unroll
+                for (int b = 0; b < BLOCKS; b += 2) {
+                    unsigned first[PARTS], second[PARTS];
+                    #pragma unroll
+                    for (int n = 0; n < PARTS; ++n) {
+                        first[n] = __ldg(there + (b * PARTS + n) * 32);
+                        if (b + 1 < BLOCKS) second[n] = __ldg(there + ((b + 1) * PARTS + n) * 32);
+                    }
+                    #pragma unroll
+                    for (int j = 0; j < TILES; ++j) {
+                        const unsigned* const upper = here + j * SY * WIDE * WORDS + b * 4;
+                        const unsigned* const lower = upper + 8 * SX * WORDS;
+                        unsigned a[4] = {upper[0], lower[0], 0u, 0u};
+                        if (b + 1 < BLOCKS) {
+                            a[2] = upper[4];
+                            a[3] = lower[4];
+                        }
+                        #pragma unroll
+                        for (int n = 0; n < PARTS; ++n)
+                            if (b + 1 < BLOCKS)
+                                add_products(sums[j][n], a, first[n], second[n]);
+                            else
+                                add_half_products(sums[j][n], a, first[n]);
+                    }
+                }
+            }
+        }
+    }
+
+    struct alignas(2 * sizeof(RESULT)) Pair { RESULT first, second; };
+    const STORED* const more = (const STORED*)added.data;
+    const int deep = more ? volume_out.shape[0] / added.shape[0] : 1, high = more ? rows / added.shape[1] : 1;
+    const int apart = more ? columns / added.shape[2] : 1;
+    #pragma unroll
+    for (int j = 0; j < TILES; ++j)
+        #pragma unroll
+        for (int i = 0; i < 2; ++i) {
+            const int y = top + warp * TILES + j, x = left + row + 8 * i;
+            if (y >= rows || x >= columns) continue;
+            RESULT* const out = (RESULT*)volume_out.data + (((size_t)l * rows + y) * columns + x) * CO;
+            const size_t repeated = more ? ((size_t)(l / deep) * added.shape[1] + y / high) * added.shape[2] : 0;
+            const STORED* const other = more + (more ? (repeated + x / apart) * CO : 0);
+            #pragma unroll
+            for (int n = 0; n < PARTS; ++n) {
+                const int c = 8 * n + 2 * pair;
+                if (c >= CO) continue;
+                float a = sums[j][n][2 * i] + bias.data[c], b = sums[j][n][2 * i + 1] + bias.data[c + 1];
+                if (more) {
+                    a += (float)other[c];
+                    b += (float)other[c + 1];
+                }
+                if (RECTIFIED) {
+                    a = fmaxf(a, 0.f);
+                    b = fmaxf(b, 0.f);
+                }
+                *(Pair*)(out + c) = Pair{(RESULT)a, (RESULT)b};
+            }
+        }
+}
+
+// Compute four channels of a voxel with each thread; weights are [KL, KY, KX, CI, PADDED].
+void convolve_voxels(
+    int tid, Array3<In> volume, Array1<float> weights, Array1<float> bias, Array3<Added> added,
+    Array3<Out> volume_out) {
+    constexpr int GROUPS = CO / 4;
+    const int labels = volume.shape[0], height = volume.shape[1], width = volume.shape[2];
+    const int rows = volume_out.shape[1], columns = volume_out.shape[2];
+    const int voxel = tid / GROUPS, c = tid % GROUPS * 4;
+    if (voxel >= volume_out.shape[0] * rows * columns) return;
+    const int x = voxel % columns, y = voxel / columns % rows, l = voxel / columns / rows;
+    const STORED* const from = (const STORED*)volume.data;
+    float sums[4];
+    for (int i = 0; i < 4; ++i) sums[i] = bias.data[c + i];
+    for (int k = 0; k < KL * KY * KX; ++k) {
+        const int tl = l * SL + k / KX / KY - KL / 2, ty = y * SY + k / KX % KY - KY / 2, tx = x * SX + k % KX - KX / 2;
+        if (tl < 0 || tl >= labels || ty < 0 || ty >= height || tx < 0 || tx >= width) continue;
+        const STORED* const here = from + (((size_t)tl * height + ty) * width + tx) * CI;
+        const float* const weight = weights.data + k * CI * PADDED + c;
+        for (int j = 0; j < CI; ++j) {
+            const float value = (float)here[j];
+            for (int i = 0; i < 4; ++i) sums[i] += value * weight[j * PADDED + i];
+        }
+    }
+    if (added.data) {
+        const int ml = l / (volume_out.shape[0] / added.shape[0]), my = y / (rows / added.shape[1]);
+        const int mx = x / (columns / added.shape[2]);
+        const STORED* const other =
+            (const STORED*)added.data + (((size_t)ml * added.shape[1] + my) * added.shape[2] + mx) * CO + c;
+        for (int i = 0; i < 4; ++i) sums[i] += (float)other[i];
+    }
+    RESULT* const out = (RESULT*)volume_out.data + (size_t)voxel * CO + c;
+    for (int i = 0; i < 4; ++i) out[i] = (RESULT)(RECTIFIED ? fmaxf(sums[i], 0.f) : sums[i]);
+}

@@ -1,0 +1,81 @@
+// Costs by angular sector on a GPU: each thread has a pixel and a disparity, and all views of it.
+#pragma once
+#include "lfgpu.h"
+
+// Compute the costs of FOLD rows at a disparity with each block. Views hold their masks in the last channel.
+void find_sector_costs(
+    int tid, Array3<Kept> views, Array2<Pixel> image, Array1<int> order, Array1<int> begins, Array1<vec2f> offsets,
+    Array2<float> start, Array1<double> factor, float scale, float step, int label, Array3<Costs> costs_out) {
+    constexpr int COSTS = 2 * SECTORS, ALL = FOLD * FOLD * COSTS, SIDE = BLOCK / FOLD;
+    __shared__ STORED folded[SIDE / FOLD][ALL];
+    struct Values { KEPT c[PAD]; };
+    const int height = image.shape[0], width = image.shape[1], rows = costs_out.shape[1], columns = costs_out.shape[2];
+    const int thread = tid % BLOCK, block = tid / BLOCK, across = (columns * FOLD + SIDE - 1) / SIDE;
+    const int l = block / (across * rows), place = block - l * across * rows, folded_y = place / across;
+    const int i = thread / SIDE, j = thread % SIDE, left = place % across * SIDE;
+    const int y = min(FOLD * folded_y + i, height - 1), x = min(left + j, width - 1), p = y * width + x;
+    const float gain = (float)factor.data[0], stored_gain = gain * scale;
+    const float disparity = start.data[p] + (float)(label + l) * step;
+    const WORDS* const pixels = (const WORDS*)views.data;
+    float reference[CHANNELS], costs[COSTS], sum_single = 0.f, sum_common = 0.f, sectors = 0.f;
+    bool there[SECTORS];
+    for (int c = 0; c < CHANNELS; ++c) reference[c] = gain * image.data[p].c[c];
+    auto cost_of = [](float difference) { return 0.25f * logf(1.f + difference * (1.f / UNIT)); };
+    auto pixel_at = [&](size_t place) {
+        const WORDS word = pixels[place];
+        Values values;
+        memcpy(&values, &word, sizeof(values));
+        return values;
+    };
+
+    #pragma unroll
+    for (int s = 0; s < SECTORS; ++s) {
+        float single = 0.f, common[CHANNELS], seen = 0.f;
+        for (int c = 0; c < CHANNELS; ++c) common[c] = 0.f;
+        for (int k = begins.data[s]; k < begins.data[s + 1]; ++k) {
+            const auto offset = offsets.data[k];
+            // The whole pixels of a shift and the rest apart: their sum with a column would have fewer digits.
+            const float right = -disparity * offset.c[0], down = -disparity * offset.c[1];
+            const float whole_x = floorf(right), whole_y = floorf(down), ax = right - whole_x, ay = down - whole_y;
+            const int next = ax > 0.f, below = ay > 0.f;
+            if (!(x + whole_x >= 0.f && x + whole_x + next <= width - 1 && y + whole_y >= 0.f)) continue;
+            if (!(y + whole_y + below <= height - 1)) continue;
+            const size_t upper = ((size_t)order.data[k] * height + y + (int)whole_y) * width + x + (int)whole_x;
+            const size_t lower = upper + (below ? width : 0);
+            const Values a = pixel_at(upper), b = pixel_at(upper + next);
+            const Values c = pixel_at(lower), d = pixel_at(lower + next);
+            const Values nearest = ay >= 0.5f ? (ax >= 0.5f ? d : c) : (ax >= 0.5f ? b : a);
+            if ((float)nearest.c[PAD - 1] == 0.f) continue;
+            #pragma unroll
+            for (int i = 0; i < CHANNELS; ++i) {
+                const float high = (float)a.c[i] + ax * ((float)b.c[i] - (float)a.c[i]);
+                const float low = (float)c.c[i] + ax * ((float)d.c[i] - (float)c.c[i]);
+                const float difference = stored_gain * (high + ay * (low - high)) - reference[i];
+                single += fabsf(difference);
+                common[i] += difference;
+            }
+            seen += 1.f;
+        }
+        there[s] = seen > 0.f;
+        float sum = 0.f;
+        for (int c = 0; c < CHANNELS; ++c) sum += fabsf(common[c]);
+        const float share = 1.f / (CHANNELS * fmaxf(seen, 1.f));
+        costs[s] = cost_of(single * share);
+        costs[SECTORS + s] = cost_of(sum * share);
+        sum_single += costs[s];  // 0 where no view takes part
+        sum_common += costs[SECTORS + s];
+        sectors += there[s] ? 1.f : 0.f;
+    }
+    const float mean_single = sectors > 0.f ? sum_single / sectors : 1.f;
+    const float mean_common = sectors > 0.f ? sum_common / sectors : 1.f;
+    STORED* const to = folded[j / FOLD] + FOLD * i + j % FOLD;
+    #pragma unroll
+    for (int s = 0; s < SECTORS; ++s) {
+        to[FOLD * FOLD * s] = (STORED)(there[s] ? costs[s] : mean_single);
+        to[FOLD * FOLD * (SECTORS + s)] = (STORED)(there[s] ? costs[SECTORS + s] : mean_common);
+    }
+    __syncthreads();
+    const int some = min(SIDE, columns * FOLD - left) / FOLD * ALL;
+    STORED* const out = (STORED*)costs_out.data + (((size_t)l * rows + folded_y) * columns + left / FOLD) * ALL;
+    for (int k = thread; k < some; k += BLOCK) out[k] = folded[0][k];
+}
