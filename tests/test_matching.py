@@ -17,7 +17,8 @@ from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
-from lfgpu.methods import PRESETS, method_of
+from lfgpu.methods import PRESETS, PresetName, method_of
+from lfgpu.methods.exposure import exposure_of
 from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.disparities import compared_disparities, view_sets
 from lfgpu.methods.matching.noise import in_units_of, measured_grain, measured_noise
@@ -387,6 +388,50 @@ def test_differences_of_intensity_go_with_the_noise() -> None:
     assert twice.tuning.prior.sigma_color == pytest.approx(math.sqrt(2) * config.tuning.prior.sigma_color)
     assert twice.tuning.sweep == config.tuning.sweep
     assert most.tuning.alignment.robust == pytest.approx(5 * config.tuning.alignment.robust)
+
+
+def bright(lf: LightField) -> np.ndarray:
+    """Return the views as float32, brought to the upper half of the range."""
+    views = lf.views.astype(np.float32) * np.float32(lf.scale)
+    return np.clip(views * np.float32(0.9 / np.percentile(views[lf.reference_index], 99)), 0, 1)
+
+
+@pytest.mark.parametrize("preset", ["fast", "accurate"])
+def test_less_light_gives_the_same_map(preset: PresetName) -> None:
+    lf = scene("boxes")
+    views = bright(lf)
+    whole, dim = (
+        estimate_depth(LightField(views * np.float32(light), lf.positions), config=preset, check_cameras=False)
+        for light in (1.0, 2.0**-4)
+    )
+    assert dim.disparity_range == pytest.approx(whole.disparity_range, abs=1e-3)
+    assert (np.abs(dim.disparity - whole.disparity) > 0.07).mean() < 0.01  # 16 bits hold what is smoothed
+    assert np.abs(dim.confidence - whole.confidence).mean() < 0.015
+
+
+@pytest.mark.parametrize("preset", ["fast", "accurate"])
+def test_light_that_is_counted_in_few_steps_is_noise_that_the_confidence_sees(preset: PresetName) -> None:
+    """A twentieth of the light leaves 12 of 256 steps."""
+    lf = scene("boxes", size=128)
+    assert lf.truth is not None
+    dim = LightField(np.rint(bright(lf) * 255 / 20).astype(np.uint8), lf.positions)
+    result = estimate_depth(dim, config=preset, disparity_range=RANGE, check_cameras=False)
+    wrong = np.abs(result.disparity - lf.truth.disparity) > 0.07
+    assert wrong.mean() < 0.08
+    assert result.confidence.mean() < 1 - wrong.mean() + 0.03
+    assert wrong[result.confidence > 0.9].mean() < 0.02
+
+
+def test_the_exposure_is_that_of_the_scene_and_not_of_its_lamps() -> None:
+    rng = np.random.default_rng(0)
+    views = rng.uniform(0, 0.2, (2, 60, 80, 3)).astype(np.float32)
+    views[:, :2, :10] = 1.0
+    positions = np.array([[0.0, 0.0], [1.0, 0.0]])
+    assert exposure_of(LightField(views, positions, 0)) == 1 / 4
+    masked = LightField(views + np.float32(0.7) * (np.arange(80)[:, None] >= 40), positions, 0)
+    assert exposure_of(masked) == 1
+    assert exposure_of(replace(masked, valid=np.broadcast_to(np.arange(80) < 40, (2, 60, 80)))) == 1 / 4
+    assert exposure_of(LightField(np.zeros_like(views), positions, 0)) == 1
 
 
 def test_noise_that_is_given_is_not_measured() -> None:

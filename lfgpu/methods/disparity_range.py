@@ -22,6 +22,7 @@ from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LightFieldError
+from lfgpu.methods.exposure import exposure_of
 
 _SIDE = 170  # about as many pixels has the shorter side of the shrunk views
 _WINDOW = 250  # pixels along each side, of views that show nothing reduced: so many are not reduced
@@ -38,7 +39,7 @@ _OTHER = 1.6  # times the noise: what other disparities must be worse by
 _APART = 2.0  # shrunk pixels in the farthest view: what differs by more is another disparity
 _AGREEING = 5  # of the eight neighbours
 _LARGEST = 1.0  # intensity: the difference of what no view shows
-_LEAST_NOISE = 0.002  # intensity: half a step of 8 bits
+_LEAST_NOISE = 0.002  # intensity beside the exposure: half a step of 8 bits
 _OUTLIERS = 5  # pixels left out at either end,
 _UNCHECKED = 500  # or one in so many, where no other view confirms what a pair of views says
 _MARGIN, _MORE = 0.25, 0.05  # at either end: pixels in the farthest view, and a share of the range that was found
@@ -202,6 +203,7 @@ class _Search:
 
     def __init__(self, lf: LightField, device: Device, views: Array | None, factor: int) -> None:
         self._lf, self._device, self._views, self._factor = lf, device, views, factor
+        self._least_noise = _LEAST_NOISE * exposure_of(lf)
 
     def compare(self, sides: list[_Side], bounds: tuple[float, float], times: Sequence[int]) -> list[_Evidence]:
         """Compare the views of some sides with the reference at disparities within bounds.
@@ -245,7 +247,7 @@ class _Search:
         compare(details, volume)
         kernels.distinct_minimum(volume, apart=max(1, round(_APART * factor / far / step)), found_out=found)
         unchecked = len(lines) == len(sides) and all(len(side.views) == 1 for side in sides)
-        return _Comparison(found, bounds[0], step, unchecked)
+        return _Comparison(found, bounds[0], step, unchecked, self._least_noise)
 
     def _shrunk(self, chosen: list[int]) -> Array:
         """Some views in grey, shrunk by the least factor; those that take much memory one after the other."""
@@ -276,6 +278,7 @@ class _Comparison:
     first: float
     step: float
     unchecked: bool
+    least_noise: float
 
     def evidence(self, found: NDArray[np.floating]) -> _Evidence:
         """Select the pixels that are evidence, of `found` on the host.
@@ -287,7 +290,7 @@ class _Comparison:
         seen = least < _LARGEST  # masked pixels have no say
         if not seen.any():
             return _Evidence(np.full(place.shape, np.nan, np.float32), self.step, self.unchecked)
-        noise = max(float(np.median(least[seen & (spread >= np.median(spread[seen]))])), _LEAST_NOISE)
+        noise = max(float(np.median(least[seen & (spread >= np.median(spread[seen]))])), self.least_noise)
         certain = (worst <= min(_SAME * noise, 1.0)) & (others >= _OTHER * noise)
         disparity = np.where(certain, self.first + self.step * place, np.inf).astype(np.float32)
         count, mean = _agreeing(disparity, 1.5 * self.step)

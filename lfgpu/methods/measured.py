@@ -26,12 +26,15 @@ class Measured:
     spread
         Standard deviations of the colours and of the gradients of the reference view, intensity; None if the method
         does not use them.
+    exposure
+        Part of the range of intensities that the views use, `exposure_of`; 1 if it is unknown or not used. Default 1.
     """
 
     disparity_range: tuple[float, float]
     noise: float | None = None
     grain: float | None = None
     spread: tuple[float, float] | None = None
+    exposure: float = 1.0
 
 
 def checked_range(disparity_range: tuple[float, float], layout: ViewLayout) -> tuple[float, float]:

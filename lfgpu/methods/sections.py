@@ -37,7 +37,7 @@ class PriorConfig(Section):
     window: int = number(11, 3, 31, "side of the square neighbourhood, pixels", symbol="N", odd=True)
     patch: int = number(3, 1, 9, "side of the square patches that are compared, pixels", symbol="patch P", odd=True)
     sigma_color: float = number(
-        0.015, 1e-3, 10.0, "colour difference, root mean square over a patch, at which the weight falls to 1/e, "
+        0.015, 1e-6, 10.0, "colour difference, root mean square over a patch, at which the weight falls to 1/e, "
         "intensity", symbol="σ_color / √|P|",
     )  # fmt: skip
     sigma_gradient: float = number(

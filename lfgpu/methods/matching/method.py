@@ -10,9 +10,10 @@ from lfgpu.contract import REACH, REDUCTION, SMOOTHING_REACH, Device, Streaming
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
+from lfgpu.methods.exposure import exposure_of
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.guesses import GUESS_REACH
-from lfgpu.methods.matching.noise import measured_grain, measured_noise, of_given_noise, smoothing_deviation
+from lfgpu.methods.matching.noise import exposed, measured_grain, measured_noise, of_given_noise, smoothing_deviation
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.matching.temporal import TemporalMatching
 from lfgpu.methods.matching.views import used_views
@@ -59,9 +60,11 @@ class Matching(Method[MatchingConfig]):
         config = self.config.sweep
         if config.noise:
             return Measured(bounds, *of_given_noise(config.noise, config))
-        grain = measured_grain(lf)
+        exposure = exposure_of(lf)
+        grain = measured_grain(lf, exposure)
         deviation = smoothing_deviation(grain, config)
-        return Measured(bounds, measured_noise(lf, bounds, self.config, device, deviation=deviation), grain)
+        noise = measured_noise(lf, bounds, exposed(self.config, exposure), device, deviation=deviation)
+        return Measured(bounds, noise, grain, exposure=exposure)
 
     def given(
         self, layout: ViewLayout, disparity_range: tuple[float, float] | None, noise: float | None = None

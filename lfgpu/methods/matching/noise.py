@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
-from typing import TypeVar
+from dataclasses import fields, is_dataclass, replace
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -17,9 +17,14 @@ from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
 from lfgpu.methods.matching.costs import PlaneSweepCost, first_cost
 from lfgpu.methods.matching.frame import Frame
+from lfgpu.methods.matching.tuning import INTENSITY, SLOPE
 from lfgpu.methods.matching.views import ChosenViews, used_views
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 _Stage = TypeVar("_Stage", bound=Section)
+_Section = TypeVar("_Section", bound="DataclassInstance")
 
 _SAMPLE = 256  # pixels: side of the part of the image in which the noise is measured
 _USUAL_NOISE = 0.004  # intensity: the noise at which parameters are used as they are
@@ -32,17 +37,20 @@ _GRAIN_WINDOW = 7  # pixels
 _GRAIN_SEEN = _GRAIN_WINDOW + len(_FOURTH_DIFFERENCE) - 1  # pixels: side of the part that a window's differences see
 _GRAIN_SAMPLE = 512  # pixels: side of the part of the image in which the grain is measured
 _GRAIN_SHARE = 5  # percent of the windows that show nothing but noise, at least
-_LEAST_GRAIN = 1e-4  # intensity: less than a step of 12 bits is no noise
+_LEAST_GRAIN = 5e-5  # intensity: less than a quarter of a step of 12 bits is no noise
 
 
-def measured_grain(lf: LightField) -> float:
+def measured_grain(lf: LightField, exposure: float = 1.0) -> float:
     """Measure the grain: the standard deviation of the noise of the reference view, intensity; 0 if there is none.
+
+    `exposure` is that of the views: less than `_LEAST_GRAIN` of it is none.
 
     Fourth differences in both directions leave less texture beside the noise than the second differences of Immerkær
     (Fast Noise Variance Estimation, 1996). The grain is that of the 5 % of windows with the smallest differences. A
     constant window that holds the brightest or the darkest pixel of the image does not count, as noise may be cut off
     there.
     """
+    least = exposure * _LEAST_GRAIN
     lf = lf.crop(*(slice(max(0, (side - _GRAIN_SAMPLE) // 2), (side + _GRAIN_SAMPLE) // 2) for side in lf.size))
     inner = np.s_[2:-2, 2:-2]
     if min(lf.size) < _GRAIN_SEEN:
@@ -57,10 +65,11 @@ def measured_grain(lf: LightField) -> float:
     for c in range(lf.channels):
         channel = image[..., c]
         limits |= (channel == channel.min()) | (channel == channel.max())
-    counts = (sizes > _LEAST_GRAIN) | ~window_max(limits, _GRAIN_SEEN)[inner]
+    counts = (sizes > least) | ~window_max(limits, _GRAIN_SEEN)[inner]
     if lf.valid is not None:
         counts &= window_min(lf.valid[lf.reference_index], _GRAIN_SEEN)[inner]
-    return max(0.0, float(np.percentile(sizes[counts], _GRAIN_SHARE))) if counts.any() else 0.0
+    grain = float(np.percentile(sizes[counts], _GRAIN_SHARE)) if counts.any() else 0.0
+    return grain if grain > least else 0.0
 
 
 def of_given_noise(noise: float, config: SweepConfig) -> tuple[float, float]:
@@ -73,8 +82,7 @@ def of_given_noise(noise: float, config: SweepConfig) -> tuple[float, float]:
 
 def smoothing_deviation(grain: float | None, config: SweepConfig) -> float | None:
     """Return the difference between pixels of a view that smoothing averages, intensity; None if it does not smooth."""
-    deviation = config.smoothing * (grain or 0.0)
-    return deviation if deviation > _LEAST_GRAIN else None
+    return config.smoothing * (grain or 0.0) or None
 
 
 def measured_noise(
@@ -132,8 +140,12 @@ def noise_of_views(noise: float, grain: float | None, config: SweepConfig) -> fl
     return noise if smoothing_deviation(grain, config) is None else math.hypot(noise, _SEEN * (grain or 0.0))
 
 
-def in_units_of(noise: float, config: MatchingConfig, *, grain: float | None = None) -> MatchingConfig:
-    """Scale parameters for views with that noise and grain; at a noise of 0.004 without smoothing they stay.
+def in_units_of(
+    noise: float, config: MatchingConfig, *, grain: float | None = None, exposure: float = 1.0
+) -> MatchingConfig:
+    """Scale parameters for views of that noise, grain and exposure.
+
+    At a noise of 0.004 of the exposure they stay what `exposed` makes of them, if views are not smoothed.
 
     Scales of differences between views grow in proportion to the noise of views as they are. Penalties grow with the
     square root of the noise of smoothed views: in proportion to it they are too high in noisy scenes. Truncations stay:
@@ -141,13 +153,14 @@ def in_units_of(noise: float, config: MatchingConfig, *, grain: float | None = N
     noise, because noise averages out over a patch.
     """
     least = _LEAST_NOISE if smoothing_deviation(grain, config.sweep) is None else _LEAST_SMOOTHED
-    swept = min(max(noise / _USUAL_NOISE, least), _MOST_NOISE)
-    times = min(max(noise_of_views(noise, grain, config.sweep) / _USUAL_NOISE, _LEAST_NOISE), _MOST_NOISE)
+    usual, config = exposure * _USUAL_NOISE, exposed(config, exposure)
+    swept = min(max(noise / usual, least), _MOST_NOISE)
+    times = min(max(noise_of_views(noise, grain, config.sweep) / usual, _LEAST_NOISE), _MOST_NOISE)
     tuning = config.tuning
     alignment, prior = tuning.alignment, tuning.prior
     return replace(
         config,
-        sweep=replace(config.sweep, noise=min(swept * _USUAL_NOISE, 1.0)),
+        sweep=replace(config.sweep, noise=min(swept * usual, 1.0)),
         semi_global=_times(math.sqrt(swept), config.semi_global, "small_penalty", "large_penalty"),
         boundaries=_times(times, config.boundaries, "contrast"),
         tuning=replace(
@@ -156,6 +169,27 @@ def in_units_of(noise: float, config: MatchingConfig, *, grain: float | None = N
             prior=replace(prior, sigma_color=math.sqrt(times) * prior.sigma_color),
         ),
     )
+
+
+def exposed(config: MatchingConfig, exposure: float) -> MatchingConfig:
+    """Scale all intensities among the numbers for views that use only that part of the range; penalties are costs,
+    which grow with the intensities.
+    """
+    if exposure == 1.0:
+        return config
+    tuning = config.tuning
+    sections = {f.name: getattr(tuning, f.name) for f in fields(tuning) if is_dataclass(getattr(tuning, f.name))}
+    return replace(
+        config,
+        semi_global=_times(exposure, config.semi_global, "small_penalty", "large_penalty"),
+        boundaries=_times(exposure, config.boundaries, "contrast"),
+        tuning=replace(tuning, **{name: _exposed(section, exposure) for name, section in sections.items()}),
+    )
+
+
+def _exposed(section: _Section, exposure: float) -> _Section:
+    names = [f.name for f in fields(section) if f.metadata["unit"] in (INTENSITY, SLOPE)]
+    return replace(section, **{name: exposure * getattr(section, name) for name in names})
 
 
 def _times(factor: float, stage: _Stage, *names: str) -> _Stage:

@@ -55,7 +55,7 @@ class MatchingPlan:
         if not are_around(chosen.compared.offsets):  # a widened surface would hide what no view shows beside it
             config = replace(config, sweep=replace(config.sweep, resweeps=min(config.sweep.resweeps, 1)))
         deviation = smoothing_deviation(measured.grain, config.sweep)
-        self._config = config = in_units_of(measured.noise, config, grain=measured.grain)
+        self._config = config = in_units_of(measured.noise, config, grain=measured.grain, exposure=measured.exposure)
         self._arena, self._kernels = Arena(device), device.kernels
         arena = self._arena
         self._frame = frame = Frame(

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 
 from lfgpu.config import Tuning, tuned
 
-INTENSITY, PIXELS, FARTHEST = "intensity", "pixels", "pixels in the farthest view"
+INTENSITY, SLOPE = "intensity", "intensity per pixel"
+PIXELS, FARTHEST = "pixels", "pixels in the farthest view"
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class SweepTuning:
         ablation="last sweep: gradients weigh as in the first",
     )  # fmt: skip
     gradient_truncation: float = tuned(
-        0.035, "intensity per pixel", "Larger differences in image gradients count as this one.",
+        0.035, SLOPE, "Larger differences in image gradients count as this one.",
         ablation="sweep: gradients not truncated",
     )  # fmt: skip
     softness: float = tuned(
@@ -173,9 +174,7 @@ class PriorTuning:
         0.04, INTENSITY, "Root mean square difference of patches at which the weight falls to 1/e; so large that "
         "edges of shadows do not count.", ablation="means over the window, like or not",
     )  # fmt: skip
-    sigma_gradient: float = tuned(
-        10.0, "intensity per pixel", "The same of gradients; so large that gradients do not count."
-    )
+    sigma_gradient: float = tuned(10.0, SLOPE, "The same of gradients; so large that gradients do not count.")
     floor: float = tuned(1e-4, "", "Smallest weight between two pixels of a window; it keeps every pixel connected.")
 
 
