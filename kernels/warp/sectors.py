@@ -16,7 +16,8 @@ from .native_code import c_type, kernel, names_of
 from .threads import check_size, in_slices, launch, load, once, with_wide_vectors
 from .vector import dot
 
-_CHUNK = 64  # columns whose costs stay in a cache
+_MORE = 17  # columns of views that nothing reads: rows of all views would share few places of a cache
+_CHUNK = 128  # columns whose costs stay in a cache
 _NUMBERS = {"SECTORS": SECTORS, "FOLD": FOLD, "UNIT": COST_UNIT}
 _BLOCK = 128  # threads of a GPU, each with a pixel
 
@@ -75,7 +76,7 @@ class _SectorCosts:
         if stored is not self._stored:
             self._stored = stored
             if self._device.is_cpu:
-                self._views = wp.empty((n, channels, height, width), dtype=kept_type(stored), device="cpu")
+                self._views = wp.empty((n, channels, height, width + _MORE), dtype=kept_type(stored), device="cpu")
             else:
                 self._views = wp.empty((n, height, width), dtype=gpu_kept_type(channels, stored), device=self._device)
         self._image, self._valid = image, valid
