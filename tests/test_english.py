@@ -91,3 +91,21 @@ def test_attributes_and_help_texts_begin_as_they_should() -> None:
 def test_what_is_wrong_is_found(code: str, count: int, tmp_path: Path) -> None:
     (tmp_path / "a.py").write_text(code, encoding="utf-8")
     assert len(wrong(tmp_path / "a.py")) == count
+
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+ELLIPSES = re.compile(
+    r"\b(?:is|are) what\b|(?<=[.:|] )What (?:is|lies|fails|it)\b"
+    r"|\bdoes without\b|\bdo(?:es)? so\b|\bwhat is (?:left|behind|nearer)\b"
+)
+"""Words of sentences in which a thing has no name, or a verb is left out."""
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if "made" not in p.parts], ids=lambda page: page.name)
+def test_pages_name_things(page: Path) -> None:
+    found = [
+        (number, words[0])
+        for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1)
+        for words in ELLIPSES.finditer(line)
+    ]
+    assert not found

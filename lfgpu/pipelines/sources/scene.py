@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import time
+from typing import TYPE_CHECKING
 
 from lfgpu.pipelines.sources.base import Frames, Options
 from lfgpu.threads import in_threads
 
+if TYPE_CHECKING:
+    from lfgpu.data.lightfield import LightField
+
+_SAID_AGAIN = 2.0  # seconds, at least, between two sentences about how many frames are made
 _ROUND = 24  # frames of a scene that moves, after which it repeats
 _GRID = (7, 7)
 
@@ -25,4 +31,15 @@ def frames(source: str, options: Options) -> Frames:
     if source != "moving":
         return itertools.repeat(make(source, **given))
     options.say(f"Making {_ROUND} frames of the scene {source}, which then repeat.")
-    return itertools.cycle(in_threads(lambda index: make(source, time=index / _ROUND, **given), range(_ROUND)))
+    made, said = itertools.count(1), time.monotonic()
+
+    def cast(index: int) -> LightField:
+        nonlocal said
+        frame = make(source, time=index / _ROUND, **given)
+        count = next(made)
+        if time.monotonic() > said + _SAID_AGAIN:
+            said = time.monotonic()
+            options.say(f"{count} of {_ROUND} frames are made.")
+        return frame
+
+    return itertools.cycle(in_threads(cast, range(_ROUND)))
