@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from lfgpu.data.views_result import ViewsResult
     from lfgpu.errors import BackendError, LfgpuError, LightFieldError
     from lfgpu.io import load, read, save
+    from lfgpu.io.labelled import to_xarray
     from lfgpu.methods import PRESETS
     from lfgpu.methods.temporal_prior import TemporalPrior
     from lfgpu.metrics import evaluate
@@ -92,6 +93,7 @@ _HOMES = {
     "render_view": "viz.rendering",
     "save": "io",
     "set_threads": "threads",
+    "to_xarray": "io.labelled",
     "write_report": "reports.report",
 }
 
@@ -139,6 +141,7 @@ __all__ = [
     "render_view",
     "save",
     "set_threads",
+    "to_xarray",
     "write_report",
 ]
 

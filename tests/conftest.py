@@ -185,11 +185,12 @@ def _scenes_are_drawn_once() -> Iterator[None]:
 
     def picture(things: list[Any], frame: Any, offset: tuple[float, float]) -> np.ndarray:
         key = (*map(id, things), frame, *map(float, offset))
-        if key not in drawn:
-            if sum(values.nbytes for _, values in drawn.values()) > PICTURES:
+        found = drawn.get(key)
+        if found is None:
+            if sum(values.nbytes for _, values in list(drawn.values())) > PICTURES:  # threads add to it meanwhile
                 drawn.clear()
-            drawn[key] = things, draw(things, frame, offset)  # things, too: nothing else gets their ids meanwhile
-        return drawn[key][1].copy()
+            found = drawn[key] = things, draw(things, frame, offset)  # things, too: nothing else gets their ids
+        return found[1].copy()
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synthesis, "_scene", scene)

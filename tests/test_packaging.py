@@ -156,8 +156,8 @@ def test_descriptions_name_the_methods() -> None:
     import lfgpu
     from lfgpu.methods import METHODS
 
-    first = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split("\n\n")[1].split())
-    for text in (SETTINGS["project"]["description"], lfgpu.__doc__ or "", first):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for text in (SETTINGS["project"]["description"], lfgpu.__doc__ or "", readme):
         for method in METHODS:
             assert method in text, text
 
@@ -250,3 +250,22 @@ print(*sys.modules)
     loaded = set(done.stdout.split())
     assert "lfgpu.methods.matching.plan" in loaded
     assert not {name for name in loaded if name.split(".")[0] in ("warp", "taichi") or "lfgpu.kernels." in name}
+
+
+# --- a stranger's first contribution ---
+
+
+def test_contributions_meet_the_checks_of_every_machine() -> None:
+    """The workflow calls `.ci/run`; hooks and templates name commands that the Makefile has."""
+    yaml = pytest.importorskip("yaml", reason="workflows are YAML: pip install 'lfgpu[calibration]'")
+    for path in [*(ROOT / ".github").rglob("*.yml"), ROOT / ".pre-commit-config.yaml"]:
+        assert yaml.safe_load(path.read_text(encoding="utf-8")), path
+    steps = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))["jobs"]["checks"]["steps"]
+    assert ".ci/run" in [step.get("run") for step in steps]
+    hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"][0]["hooks"]
+    lint = (ROOT / "Makefile").read_text(encoding="utf-8").partition("lint:")[2].partition("\n\n")[0]
+    for hook in hooks:
+        assert hook["entry"].removeprefix(".venv/").replace(" --fix", "").replace("bin", "$(BIN)") in lint
+    template = (ROOT / ".github/pull_request_template.md").read_text(encoding="utf-8")
+    for rule in re.findall(r"`make (\w+)`", template):
+        assert f"\n{rule}:" in (ROOT / "Makefile").read_text(encoding="utf-8")

@@ -35,6 +35,7 @@ PARTS = {
     "tiff": "TIFF files",
     "video": "videos as input, films as MP4",
     "viewer": "the viewer in the browser",
+    "xarray": "light fields and maps as xarray datasets",
 }
 """Purposes of the extras of the package. Those of developers are left out."""
 
