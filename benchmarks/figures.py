@@ -44,7 +44,7 @@ _FIGURE = re.compile(
 )
 _ANY = re.compile(r"<!-- */?(?:figure|table)\b.*?-->")
 _NOTE = re.compile(r"<!-- stale -->\n.*?<!-- /stale -->\n\n", re.DOTALL)
-_HEADING = re.compile(r"^# .*\n\n", re.MULTILINE)
+_HEADING = re.compile(r"^#{1,6} .*\n\n", re.MULTILINE)
 _WIDTH = 120
 
 
@@ -175,9 +175,10 @@ def _marks(page: Path, text: str, folder: Path) -> Iterator[tuple[Mark, tuple[in
     """Find every mark, the sentence about stale files included, and the place of its text."""
     found = list(_figures(page, text, folder))
     old = sorted({name for mark, _ in found for name in re.findall(r"\S+\.json", mark.source)} & set(stale(folder)))
-    note, heading = _NOTE.search(text), _HEADING.search(text)
-    place = heading.end() if heading else 0
+    note = _NOTE.search(text)
     if note or old:
+        of_old = next((at for mark, (at, _) in found if set(re.findall(r"\S+\.json", mark.source)) & set(old)), 0)
+        place = max((heading.end() for heading in _HEADING.finditer(text, 0, of_old)), default=0)
         first, last = note.span() if note else (place, place)
         yield Mark(page, _line(text, first), ", ".join(old), text[first:last], _note(old)), (first, last)
     yield from found

@@ -13,8 +13,8 @@ from benchmarks import clock
 from benchmarks.cases import STARTUP_CASE
 from benchmarks.errors import BenchmarkError
 from benchmarks.job import Job
-from benchmarks.sources import ROOT
 from benchmarks.results import Record
+from benchmarks.sources import ROOT
 
 CACHES = ("WARP_CACHE_PATH", "TI_OFFLINE_CACHE_FILE_PATH", "CUDA_CACHE_PATH")
 """Environment variables of the folders in which Warp, Taichi and the CUDA driver keep compiled kernels."""
