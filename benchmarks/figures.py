@@ -43,7 +43,8 @@ _FIGURE = re.compile(
     r"(?P<head><!-- figure: (?P<file>\S+) (?P<path>\S+) (?P<format>\S+) -->)(?P<text>[^\n]*?)(?P<foot><!-- /figure -->)"
 )
 _ANY = re.compile(r"<!-- */?(?:figure|table)\b.*?-->")
-_NOTE = re.compile(r"<!-- stale -->\n.*?<!-- /stale -->\n\n", re.DOTALL)
+NOTE = re.compile(r"<!-- stale -->\n.*?<!-- /stale -->\n\n", re.DOTALL)
+"""The sentence of a page about its stale files."""
 _HEADING = re.compile(r"^#{1,6} .*\n\n", re.MULTILINE)
 _WIDTH = 120
 
@@ -175,7 +176,7 @@ def _marks(page: Path, text: str, folder: Path) -> Iterator[tuple[Mark, tuple[in
     """Find every mark, the sentence about stale files included, and the place of its text."""
     found = list(_figures(page, text, folder))
     old = sorted({name for mark, _ in found for name in re.findall(r"\S+\.json", mark.source)} & set(stale(folder)))
-    note = _NOTE.search(text)
+    note = NOTE.search(text)
     if note or old:
         of_old = next((at for mark, (at, _) in found if set(re.findall(r"\S+\.json", mark.source)) & set(old)), 0)
         place = max((heading.end() for heading in _HEADING.finditer(text, 0, of_old)), default=0)

@@ -32,7 +32,7 @@ ON_ONE_PAGE = {
     "Reliability": "share of all pixels",
     "Cameras": "PSNR, dB",
     "Prediction error": "share of full intensity",
-    "Time of each stage": "plane sweep",
+    "Time of each stage": "sweep",
 }
 """Titles of cards, and what stands at their lower ends."""
 

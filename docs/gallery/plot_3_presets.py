@@ -22,7 +22,7 @@ for column, preset in enumerate(("accurate", "fast", "paper"), 1):
     scores = lfgpu.evaluate(found, truth)
     axes[0, column].imshow(found, vmin=truth.min(), vmax=truth.max())
     axes[0, column].set_title(f"{preset}: BadPix(0.07) {scores.badpix_07:.1f} %")
-    error = axes[1, column].imshow(found - truth, cmap="RdBu", vmin=-0.3, vmax=0.3)
+    error = axes[1, column].imshow(found - truth, cmap="RdBu_r", vmin=-0.3, vmax=0.3)
 figure.colorbar(error, ax=axes[1], label="error, px per view step")
 for axis in axes.flat:
     axis.set_axis_off()

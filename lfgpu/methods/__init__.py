@@ -23,7 +23,10 @@ METHODS: dict[str, Entry] = {
         _matching.PRESETS,
         "lfgpu.methods.matching.method:Matching",
         "finds the surface on which the views agree, with occlusions",
-        {"accurate": "all views, occlusions in four sweeps", "fast": "one row and one column of views, two sweeps"},
+        {
+            "accurate": "four sweeps, three of them over all views that see a pixel",
+            "fast": "two sweeps over the views in the row and column of the reference",
+        },
     ),
     "synthesis": Entry(
         _synthesis.SynthesisConfig,

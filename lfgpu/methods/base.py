@@ -45,7 +45,7 @@ class Stage:
     name
         Its key in `Plan.stages`, `DepthResult.stages` and `DepthResult.timings`.
     label
-        Its name for people, such as "plane sweep".
+        Its name for people, such as "further sweeps".
     value
         The name of the value that the stage reports after each iteration, such as "energy"; None without iterations.
     unit

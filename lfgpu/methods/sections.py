@@ -37,12 +37,11 @@ class PriorConfig(Section):
     window: int = number(11, 3, 31, "side of the square neighbourhood, pixels", symbol="N", odd=True)
     patch: int = number(3, 1, 9, "side of the square patches that are compared, pixels", symbol="patch P", odd=True)
     sigma_color: float = number(
-        0.015, 1e-6, 10.0, "colour difference, root mean square over a patch, at which the weight falls to 1/e, "
-        "intensity", symbol="σ_color / √|P|",
+        0.015, 1e-6, 10.0, "difference of colours at which the weight falls to 1/e: root mean square over a patch, or "
+        "root of the sum with over_patch=sum; in the unit that sigma_unit names", symbol="σ_color",
     )  # fmt: skip
     sigma_gradient: float = number(
-        0.015, 1e-3, 10.0, "gradient difference, root mean square over a patch, at which the weight falls to 1/e, "
-        "intensity per pixel", symbol="σ_grad / √|P|",
+        0.015, 1e-3, 10.0, "difference of gradients at which the weight falls to 1/e, as sigma_color", symbol="σ_grad",
     )  # fmt: skip
     floor: float = number(
         1e-4, 1e-6, 1.0, "smallest weight between two pixels of a neighbourhood; it keeps every pixel connected"

@@ -105,7 +105,7 @@ def comparison(scenes: Sequence[Scene]) -> Image.Image:
         for method in methods:
             m = scores.get(method)
             error = errors.get((scene.name, method), np.full(scene.truth.shape, np.nan, np.float32))
-            said = "no map" if m is None else f"{m.badpix_07:.2f} % bad, MSE {m.mse_100:.2f}"
+            said = "no map" if m is None else f"{m.badpix_07:.2f} % bad, MSE×100 {m.mse_100:.2f}"
             cells.append((method, _framed(error, reach, scene.border), said))
         for column, (name, picture, said) in enumerate(cells):
             left = _MARGIN + column * (_CELL + _MARGIN)

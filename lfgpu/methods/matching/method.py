@@ -28,10 +28,10 @@ class Matching(Method[MatchingConfig]):
     """The surface on which the views agree that see it (`lfgpu/methods/matching/plan.py`)."""
 
     STAGES = (
-        Stage("sweep", "plane sweep"),
-        Stage("resweep", "further plane sweeps"),
+        Stage("sweep", "sweep"),
+        Stage("resweep", "further sweeps"),
         Stage("align", "alignment", "step", "px per view step, rms"),
-        Stage("boundaries", "boundary refinement and hole filling"),
+        Stage("boundaries", "boundaries and holes"),
     )
     TRACED = "align"
     MATCHED = "sweep"
