@@ -19,6 +19,7 @@ from benchmarks import (
     live,
     measuring,
     misalignment,
+    network,
     paper,
     population,
     rectify,
@@ -61,6 +62,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "live": live.command,
     "flicker": flicker.command,
     "soak": soak.command,
+    # parts of an estimate
+    "network": network.command,
     # files of results, and pages
     "table": runs.command,
     "compare": compare.command,

@@ -7,36 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.network import random_weights
 from lfgpu import _backends
 from lfgpu.contract import Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.arena import Arena
+from lfgpu.methods.dry_run import DryArray, DryKernels
 from lfgpu.methods.matching.learned import Network, Weights, read_weights
 
 WIDTHS = 8, 16, 8, 24
 SIZE, COUNT, STEP = (45, 37), 8, 0.25
 MAPS = "disparity", "probability", "deviation"
-
-
-def random_weights(rng: np.random.Generator, widths: tuple[int, int, int, int] = WIDTHS) -> Weights:
-    """Weights of a network of these widths, as large as those of one whose training begins, and sharp logits."""
-    c0, c1, c2, c3 = widths
-    whole, pixel = (3, 3, 3), (1, 1, 1)
-    shapes = {"sectors.0": (pixel, 64, 2 * c0), "sectors.2": (pixel, 2 * c0, c0)}
-    shapes |= {"image.0": ((1, 3, 3), 16, c0), "image.2": ((1, 3, 3), c0, c0), "level0": (whole, c0, c0)}
-    for level, (above, here) in enumerate(((c0, c1), (c1, c2), (c2, c3), (c3, c3)), 1):
-        shapes |= {f"level{level}.0": (whole if level < 4 else (1, 3, 3), above, here)}
-        shapes |= {f"level{level}.1": (whole, here, here)}
-        shapes |= {f"merge{level - 1}.coarse": (pixel, here, above), f"merge{level - 1}.fine": (pixel, above, above)}
-        shapes |= {f"back{level - 1}": (whole, above, above)}
-    shapes |= {"logits": (whole, c0, 4)}
-    weights = {}
-    for name, (window, inputs, outputs) in shapes.items():
-        size = (5 if name == "logits" else 1.4) / np.sqrt(inputs * np.prod(window))
-        weights[f"{name}.weight"] = (size * rng.normal(size=(*window, inputs, outputs))).astype(np.float32)
-        weights[f"{name}.bias"] = (0.1 * rng.normal(size=outputs)).astype(np.float32)
-    return weights
 
 
 def some_views(rng: np.random.Generator) -> tuple[ViewLayout, np.ndarray]:
@@ -65,7 +47,7 @@ def test_backends_give_the_maps_of_the_reference(
     backend: str, stored: type, share: float, rng: np.random.Generator
 ) -> None:
     pytest.importorskip(backend)
-    weights, (layout, views) = random_weights(rng), some_views(rng)
+    weights, (layout, views) = random_weights(rng, WIDTHS), some_views(rng)
     first = np.round(rng.uniform(-2.2, -1.8, SIZE) * 64).astype(np.float32) / 64
     want = maps("reference", weights, layout, views, first)
     got = maps(backend, weights, layout, views, first, stored)
@@ -116,6 +98,24 @@ def test_maps_are_those_of_pytorch(rng: np.random.Generator) -> None:
     assert near.mean() >= 0.95, (near.mean(), np.abs(got - want).max())
 
 
+@pytest.mark.parametrize("stored", [np.float32, np.float16])
+def test_memory_is_what_a_dry_run_counts(stored: type, rng: np.random.Generator) -> None:
+    weights, (layout, views) = random_weights(rng, WIDTHS), some_views(rng)
+    dry = DryKernels(on_gpu=False)
+    for kernels in (dry, _backends.load("warp")):
+        device = Device(kernels, "cpu")  # type: ignore[arg-type]  # it does what is asked of it
+        arena = Arena(device)
+        network = Network(arena, weights, layout, COUNT, stored=stored)
+        if kernels is not dry:
+            network.load(device.image(views), None)
+        else:
+            network.load(DryArray(views.shape, views.itemsize), None)
+    volumes = [*arena._free.values(), [buffer for _, buffer in arena._named.values()]]
+    there = sum(buffer.capacity for some in volumes for buffer in some)
+    kept = np.prod(views.shape) * views.itemsize + layout.offsets.size * 4
+    assert dry.bytes == there + kept
+
+
 def test_what_is_no_file_of_weights_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LightFieldError, match="cannot be read as a file of weights"):
         read_weights(tmp_path / "none.npz")
@@ -128,7 +128,7 @@ def test_what_is_no_file_of_weights_is_refused(tmp_path: Path) -> None:
 
 
 def test_weights_are_read_as_they_were_written(tmp_path: Path, rng: np.random.Generator) -> None:
-    weights = random_weights(rng)
+    weights = random_weights(rng, WIDTHS)
     np.savez(tmp_path / "weights.npz", **weights)
     read = read_weights(tmp_path / "weights.npz")
     assert set(read) == set(weights)

@@ -101,6 +101,7 @@ PROGRAMS = (
     range_search_checks.finding_what_is_distinct,
     alignment_checks.stepping,
     smoothing_checks.showing_less_noise,
+    learned_checks.finding_the_peak,
 )
 UNORDERED = ("splat", "splat_z_buffered")
 """Operations that no estimate needs, so that they may add atomically on a GPU."""

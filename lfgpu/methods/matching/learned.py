@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -73,10 +73,11 @@ class Network:
         assert count % DISPARITIES == 0
         self._kernels, self._device, self._layout, self._count = arena.kernels, arena.device, layout, count
         names = [name.removesuffix(".weight") for name in weights if name.endswith(".weight")]
-        self._layers = {name: self._layer(name, weights) for name in names}
-        self._costs_of = self._kernels.sector_costs(
-            layout.shape, self._device.field(layout.offsets), scale=layout.scale
-        )
+        self.parts: dict[str, Callable[..., None]] = {name: self._layer(name, weights) for name in names}
+        """The layers by name, and what else the network calls."""
+        offsets = self._device.field(layout.offsets)
+        self._costs_of = self._kernels.sector_costs(layout.shape, offsets, scale=layout.scale)
+        self.parts |= {"fold": self._kernels.fold, "costs": self._costs_of, "peak": self._kernels.peak}
         self._image = arena.image("image for the network", (*layout.size, layout.channels))
         self._factor: Scalar = self._device.scalar(1.0)
         with arena.scratch() as scratch:
@@ -117,13 +118,13 @@ class Network:
         All outputs are fields [y, x]: the disparity, the probability that it is near the truth, and the standard
         deviation there.
         """
-        run = self._layers
-        self._kernels.fold(self._image, self._factor, folded_out=self._folded)
+        run = self.parts
+        run["fold"](self._image, self._factor, folded_out=self._folded)
         run["image.0"](self._folded, None, self._seen)
         run["image.2"](self._seen, None, self._shown)
         (mixed, found), *others = self._levels
         for label in range(0, self._count, _TOGETHER):
-            self._costs_of(first, self._factor, self._costs, step=step, label=label)
+            run["costs"](first, self._factor, self._costs, step=step, label=label)
             run["sectors.0"](self._costs, None, self._mixed)
             run["sectors.2"](self._mixed, self._shown, mixed, at=label)
         run["level0"](mixed, None, found)
@@ -138,7 +139,7 @@ class Network:
             run[f"back{level}"](between, None, here)
             found = here
         run["logits"](found, None, self._logits)
-        self._kernels.peak(
+        run["peak"](
             self._logits,
             first,
             step=step,
